@@ -26,7 +26,7 @@ import test_between_knots as lab  # noqa: E402
 
 from micah_plan.api.stages import execute, solve  # noqa: E402
 from micah_plan.automaton.lifted import threshold_stds  # noqa: E402
-from micah_plan.automaton.transition_batch import TransitionBatch  # noqa: E402
+from micah_plan.automaton.transition import TransitionBatch  # noqa: E402
 from micah_plan.task.problem import Problem  # noqa: E402
 
 Floats = NDArray[np.float64]

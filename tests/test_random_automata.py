@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from reference_step import step
 
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.registry import form
@@ -34,7 +35,6 @@ from micah_plan.automaton.hybrid import (
 )
 from micah_plan.automaton.joint import Joint, prismatic, revolute, rigid, screw
 from micah_plan.automaton.region import HalfSpace, Region
-from micah_plan.automaton.transition import step
 from micah_plan.cli.application import main
 from micah_plan.cli.console import BAD_INPUT, NO_RESULT
 from micah_plan.documents.model import dump_model, load_model

@@ -39,31 +39,33 @@ else they change the sequence of inputs before it gets here (`input_memory.Input
 
 **Inputs.** `step` takes u as it is, admissible (`Mode.inputs`) or not: the plant does what it is told.
 
-A mode's flow and guards as plain floats, and when a straight motion meets them: the arithmetic of a step.
-
-Verification takes hundreds of thousands of steps in one or a few coordinates. Such a step is some dozen
-multiplications; NumPy would spend ten times that on calls. So the non-zero weights are laid out once per automaton.
+**Arrays.** A step is one of many objects at once, each with its own thresholds and gains: the arrays go from event to
+event, all objects of a mode together, and in most steps no guard fires and a step is one addition. A single step is a
+batch of one. Objects differ in the places of their boundaries, which are a part of the state here as in `lifted`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from micah_plan.arrays import Floats
-from micah_plan.automaton.effects.motion import CoordinateMotion, motions
+from micah_plan.arrays import Booleans, Floats, Ints, alike
+from micah_plan.automaton.effects.motion import motions
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import passed_on
+from micah_plan.automaton.lifted import threshold_stds, with_boundary_states
 from micah_plan.automaton.memo import memoised
 from micah_plan.automaton.region import HalfSpace
+from micah_plan.automaton.step_noise import gain_factors, uncertain_gains
 from micah_plan.errors import InputError, shown
 
 MOST_EVENTS = 256
+TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -134,17 +136,23 @@ def step(
         InputError: unknown mode, wrong number of values, or a value that is not finite.
     """
     start, given = _values(x, automaton.n, "x"), _values(u, automaton.m, "u")
-    pushed = None if disturbance is None else _values(disturbance, automaton.n, "disturbance")
-    table, after = mode_table(automaton, mode), dict[int, float]()
+    pushed = np.zeros(automaton.n) if disturbance is None else _values(disturbance, automaton.n, "disturbance")
+    index, after = automaton.mode_index(mode), dict[int, float]()
     if automaton.input_memories:
-        passed, after = passed_on(np, automaton.input_memories, mode, start, given)
-        given = list(map(float, passed))
-    travel = Travel(partial(mode_table, automaton), table, start, given, pushed)
-    complete = travel.to_the_end()
-    final = np.array(travel.x)
+        passed, after = passed_on(np, automaton.input_memories, mode, start.tolist(), given.tolist())
+        given = np.array(passed, dtype=float)
+    travel = _alone(automaton).travel(np.array([index]), start[None], given[None], pushed[None])
+    final = travel.x[0]
     for i, value in after.items():  # memories take their next values when the step ends
         final[i] = value
-    return Step(travel.table.name, final, tuple(travel.events), complete)
+    events = tuple(event for _, event in travel.events)
+    return Step(automaton.mode_names[travel.modes[0]], final, events, bool(travel.complete[0]))
+
+
+@memoised
+def _alone(automaton: HybridAutomaton) -> TransitionBatch:
+    """The model as a batch of one object."""
+    return TransitionBatch(automaton, np.zeros((1, threshold_stds(automaton).size)))
 
 
 def simulate(
@@ -159,7 +167,7 @@ def simulate(
     pushes = [None] * len(rows) if disturbances is None else _rows(disturbances, automaton.n, "disturbances")
     if len(pushes) != len(rows):
         raise InputError(f"disturbances must have as many rows as inputs, {len(rows)}. Got {len(pushes)}")
-    steps = [Step(automaton.mode(mode).name, np.array(_values(x0, automaton.n, "x0")))]
+    steps = [Step(automaton.mode(mode).name, _values(x0, automaton.n, "x0"))]
     for u, pushed in zip(rows, pushes, strict=True):
         steps.append(step(automaton, steps[-1].mode, steps[-1].x, u, pushed))
     return Run(
@@ -170,154 +178,340 @@ def simulate(
     )
 
 
-@dataclass(slots=True)
-class Travel:
-    """A step on its way from s = 0 to s = 1.
+@dataclass(frozen=True, eq=False)
+class BatchStep:
+    """One step of t objects.
 
     Attributes:
-        table_of: the table of a mode, by its name.
-        table, x: the mode and the state (n,) that it has come to.
-        u, pushed: its input (m,) and disturbance (n,).
-        d: (n,) motion of a whole step, as it goes on from here.
-        s, events: how far it has come, and what has happened.
+        modes: (t,) by index, x: (t, n) and complete: (t,), at the end of the step, as of `Step`.
+        events: (object, event), those of each object in the order in which they happened.
     """
 
-    table_of: Callable[[str], ModeTable]
-    table: ModeTable
-    x: list[float]
-    u: list[float]
-    pushed: list[float] | None
-    d: list[float] = field(init=False)
-    s: float = 0.0
-    events: list[Event] = field(default_factory=list)
+    modes: Ints
+    x: Floats
+    complete: Booleans
+    events: tuple[tuple[int, Event], ...]
 
-    def __post_init__(self) -> None:
-        self._enter(self.table, self.x)
 
-    def to_the_end(self) -> bool:
-        """Alternately on to the next instant with an event and through its events. False if there are too many."""
-        while True:
-            # Guards that still hold after an instant's events are blocked ones: from then on only later entries count.
-            least, ahead, arrived = 0.0 if self.events else -1.0, math.inf, -1
-            for e in self.table.exits:
-                at = entry(e, self.x, self.d, self.u, 1.0 - self.s)
-                if at is not None and least < at < ahead:
-                    ahead, arrived = at, e.edge
-            way = min(ahead, 1.0 - self.s)
-            if way > 0.0:
-                self.x = [xi + way * di for xi, di in zip(self.x, self.d, strict=True)]
-            if arrived < 0:
-                return True
-            self.s = min(1.0, self.s + way)
-            if not self._settle(arrived):
-                return False
+class TransitionBatch:
+    """t objects of one model, each with its own thresholds and gains."""
 
-    def _enter(self, table: ModeTable, x: list[float]) -> None:
-        self.table, self.x = table, table.pinned(x)
-        self.d = _displacement(table, self.x, self.u, self.pushed)
+    def __init__(self, automaton: HybridAutomaton, shifts: Floats, gains: Floats | None = None) -> None:
+        """
+        Args:
+            automaton: the model.
+            shifts: (t, b) by how much each object's boundaries are moved (`lifted.threshold_stds`).
+            gains: (t, g) relative errors of its gains (`step_noise.drawn_gains`); None: they are the model's.
+        """
+        self._automaton = with_boundary_states(automaton)
+        self.shifts = shifts
+        self.gains = np.zeros((len(shifts), len(uncertain_gains(automaton)))) if gains is None else gains
+        self._modes: dict[int, _Mode] = {}
 
-    def _settle(self, arrived: int) -> bool:
-        """Take all events of an instant, among them the edge whose guard the motion arrived at. False: too many."""
-        entered, taken = {self.table.name}, set[int]()
-        walls: list[Floats] = []
-        while True:
-            # Where rounding left the state slightly short of the guard it arrived at, testing the guard would miss it.
-            holding = [
-                e
-                for e in self.table.exits
-                if (not taken and e.edge == arrived) or entry(e, self.x, self.d, self.u, 0.0) is not None
-            ]
-            free = next((e for e in holding if e.edge not in taken and (e.is_self or e.target not in entered)), None)
-            if free is not None:
-                if len(self.events) >= MOST_EVENTS:
-                    return False
-                self._take(free)
-                walls.clear()
-                taken.add(free.edge)
-                entered.add(free.target)
+    def step(self, modes: Ints, x: Floats, u: Floats, disturbance: Floats) -> tuple[Ints, Floats]:
+        """Modes (t,), by index, and states (t, n) after one step with inputs (t, m) and disturbances (t, n)."""
+        done = self._travelled(modes, x, u, disturbance, None)
+        return done.modes, done.x
+
+    def travel(self, modes: Ints, x: Floats, u: Floats, disturbance: Floats) -> BatchStep:
+        """The same with all that happened."""
+        return self._travelled(modes, x, u, disturbance, [])
+
+    def _travelled(
+        self, modes: Ints, x: Floats, u: Floats, disturbance: Floats, events: list[tuple[int, Event]] | None
+    ) -> BatchStep:
+        n = x.shape[1]
+        x, pushed = np.hstack([x, self.shifts]), np.hstack([disturbance, np.zeros_like(self.shifts)])
+        ends, final, complete = modes.copy(), x.copy(), np.ones(len(x), dtype=bool)
+        travelling: list[_Travellers] = []
+        for index, rows in alike(modes):
+            mode, start = self._mode(index), x[rows]
+            mode.pin(start)
+            d = mode.displacement(rows, start, u[rows], pushed[rows])
+            travelling.append(_Travellers(index, rows, start, d, np.zeros(rows.size), 0))
+        while travelling:
+            group = travelling.pop()
+            if group.instant is not None:
+                onward, ended = self._settled(group, group.instant, u, pushed, events)
+                travelling += onward
+                complete[ended.rows] = False
+                ends[ended.rows], final[ended.rows] = group.mode, ended.x
                 continue
-            wall = next((row for e in holding for row in e.rows if self._is_pressed(row)), None)
-            if wall is None:
-                return True
-            self._slide(wall, walls)
+            ahead, number = self._next_entry(group, u[group.rows])
+            quiet = np.isinf(ahead)
+            ends[group.rows[quiet]] = group.mode
+            final[group.rows[quiet]] = group.x[quiet] + (1.0 - group.s[quiet])[:, None] * group.d[quiet]
+            for k in np.unique(number[~quiet]).tolist():
+                chosen = ~quiet & (number == k)
+                travelling.append(self._arrived(group.where(chosen), k, ahead[chosen]))
+        happened = tuple(
+            (row, replace(event, x_before=event.x_before[:n], x_after=event.x_after[:n])) for row, event in events or ()
+        )
+        return BatchStep(ends, final[:, :n], complete, happened)
 
-    def _take(self, chosen: Exit) -> None:
-        source, before = self.table, self.x
-        after = _reset(chosen, before, self.u)
-        if chosen.is_self:
-            self.x = source.pinned(after)
-            kept = self.d if chosen.reset is None else _times(chosen.reset[0], self.d)
-            self.d = _tied(source, [0.0 if flow is None else di for flow, di in zip(source.flow, kept, strict=True)])
-        else:
-            self._enter(self.table_of(chosen.target), after)
-        event = Event(chosen.edge, self.s, np.array(before), np.array(self.x), source.name, chosen.target)
-        self.events.append(event)
+    def _mode(self, index: int) -> _Mode:
+        """The arrays of a mode, made when they are asked for: roll-outs see few modes of their object."""
+        if index not in self._modes:
+            self._modes[index] = _Mode(self._automaton, index, self.gains)
+        return self._modes[index]
 
-    def _is_pressed(self, row: Row) -> bool:
-        """Whether the state is on the boundary of a half-space and the flow goes into it."""
-        margin, rate = margin_and_rate(row, self.x, self.d, self.u)
-        return rate > row.tolerance and abs(margin) <= row.tolerance
+    def _next_entry(self, group: _Travellers, u: Floats) -> tuple[Floats, Ints]:
+        """(k,) how much further the first guard fires, infinite where none does, and the number of its exit.
 
-    def _slide(self, wall: Row, walls: list[Floats]) -> None:
-        """Take out of d what is normal to this wall and to those (orthonormal `walls`) met before at this instant."""
-        normal = np.zeros(len(self.d))
-        for i, w in wall.states:
-            normal[i] = 0.0 if self.table.flow[i] is None else w
-        size = float(np.linalg.norm(normal))
-        for other in walls:
-            normal -= (normal @ other) * other
-        rest = float(np.linalg.norm(normal))
-        if rest <= TOLERANCE * size:
-            # The earlier walls leave no direction to give way in.
-            self.d = [0.0] * len(self.d)
-            return
-        walls.append(normal / rest)
-        d = np.array(self.d)
-        for other in walls:
-            d -= (d @ other) * other
-        self.d = d.tolist()
+        After an event, guards that hold already are blocked ones: only later entries count.
+        """
+        mode, horizon = self._mode(group.mode), 1.0 - group.s
+        margin, rate = mode.margins(group.x, group.d, u)
+        first, number = np.full(len(horizon), np.inf), np.zeros(len(horizon), dtype=np.int64)
+        near = np.flatnonzero(mode.can_enter(margin, rate, horizon))
+        if near.size:
+            at = mode.entries(margin[..., near], rate[..., near], horizon[near])
+            if group.events:
+                at[at <= 0.0] = np.inf
+            first[near], number[near] = at.min(axis=0), at.argmin(axis=0)
+        return first, number
+
+    def _arrived(self, group: _Travellers, number: int, ahead: Floats) -> _Travellers:
+        """A group at the instant at which it arrives at the guard of an exit of its mode."""
+        taken = np.zeros((len(self._automaton.edges), ahead.size), dtype=bool)
+        entered = np.zeros((len(self._automaton.modes), ahead.size), dtype=bool)
+        entered[group.mode] = True
+        x, s = group.x + ahead[:, None] * group.d, np.minimum(1.0, group.s + ahead)
+        return replace(group, x=x, s=s, instant=_Instant(number, taken, entered, np.zeros((0, *x.shape))))
+
+    def _settled(
+        self,
+        group: _Travellers,
+        instant: _Instant,
+        u: Floats,
+        pushed: Floats,
+        events: list[tuple[int, Event]] | None,
+    ) -> tuple[list[_Travellers], _Travellers]:
+        """The groups after the next event of an instant, or after it; and the objects that have had too many events.
+
+        An exit back to a mode entered at this instant, and an edge taken at it, are blocked (no chattering): walls.
+        """
+        mode = self._mode(group.mode)
+        margin, rate = mode.margins(group.x, group.d, u[group.rows])
+        holding = mode.holding(margin, rate)
+        if instant.arrived >= 0:  # rounding may leave a state slightly short of it
+            holding[instant.arrived] = True
+        free = holding & ~instant.taken[mode.edges] & (mode.is_self[:, None] | ~instant.entered[mode.targets])
+        leaves, number = np.asarray(free.any(axis=0)), free.argmax(axis=0)
+        is_over = leaves & (group.events >= MOST_EVENTS)
+        onward = [
+            self._taken(group.where(leaves & ~is_over & (number == k)), k, u, pushed, events)
+            for k in np.unique(number[leaves & ~is_over]).tolist()
+        ]
+        pressed = (rate > mode.tolerances) & (np.abs(margin) <= mode.tolerances) & holding
+        slides = np.asarray(~leaves & pressed.any(axis=(0, 1)))
+        if slides.any():
+            # The first half-space of the first exit.
+            exits = pressed[..., slides].any(axis=0).argmax(axis=0)
+            rows = pressed[:, exits, slides].argmax(axis=0)
+            onward.append(_slid(group.where(slides), mode.states[rows * len(mode.edges) + exits] * mode.free))
+        rests = ~leaves & ~slides
+        if rests.any():
+            onward.append(replace(group.where(rests), instant=None))
+        return onward, group.where(is_over)
+
+    def _taken(
+        self, group: _Travellers, number: int, u: Floats, disturbance: Floats, events: list[tuple[int, Event]] | None
+    ) -> _Travellers:
+        """A group behind the event of one of its mode's exits."""
+        leaving, instant = self._mode(group.mode), group.instant
+        edge, target = int(leaving.edges[number]), int(leaving.targets[number])
+        mode, rows, is_self = self._mode(target), group.rows, bool(leaving.is_self[number])
+        given, pushed = u[rows], disturbance[rows]
+        x, kept = group.x.copy(), group.d
+        reset = leaving.resets[number]
+        if reset is not None:
+            A, B, c = reset
+            x, kept = x @ A.T + given @ B.T + c, kept @ A.T
+        mode.pin(x)
+        d = mode.tied(np.where(mode.free, kept, 0.0)) if is_self else mode.displacement(rows, x, given, pushed)
+        if events is not None:
+            names = (self._automaton.mode_names[index] for index in (group.mode, target))
+            source, entered = names
+            for k, row in enumerate(rows.tolist()):
+                events.append((row, Event(edge, float(group.s[k]), group.x[k], x[k], source, entered)))
+        happened = None if instant is None else instant.after(edge, target)
+        return _Travellers(target, rows, x, d, group.s, group.events + 1, happened)
 
 
-def _displacement(table: ModeTable, x: list[float], u: list[float], pushed: list[float] | None) -> list[float]:
-    """d = B u + disturbance of a mode, over a whole step, with the effects of the mode at x."""
-    d = []
-    for i, terms in enumerate(table.flow):
-        if terms is None:
-            d.append(0.0)
-            continue
-        moved = 0.0
-        for j, w in terms:
-            moved += w * u[j]
-        if i in table.effects:
-            moved = float(table.effects[i].displacement(np, x[i], moved))
-        d.append(moved if pushed is None else moved + pushed[i])
-    return _tied(table, d)
+class _Mode:
+    """A mode of t objects over n coordinates, boundaries among them, as arrays; e exits with r half-spaces each.
+
+    Attributes:
+        pins: coordinates, their values, and the coordinate that adds to the value or None.
+        effects: what changes the motion of a coordinate, by its index.
+        free: (n,) what moves; B: (n, m) input matrix, zero for the rest.
+        moved: (n, n) what a disturbance moves: nothing that is pinned, and what is tied as the others.
+        edges, targets, is_self: (e,) of the exits, mode changes before self transitions; targets by index.
+        resets: of the exits, (A, B, c) or None for the identity.
+        states, inputs: (r * e, n), (r * e, m) scaled weights, those of the first half-spaces of all exits first;
+            thresholds, tolerances, strict: (r, e, 1).
+        gains: (t, n) what multiplies the motion of each object's coordinates; None: nothing.
+    """
+
+    def __init__(self, automaton: HybridAutomaton, index: int, gains: Floats) -> None:
+        """Args: the model over (x, s), the number of the mode, and each object's relative errors of gains (t, g)."""
+        n, mode = automaton.n, automaton.modes[index]
+        edges = [k for k, edge in enumerate(automaton.edges) if edge.source == mode.name]
+        edges.sort(key=lambda k: automaton.edges[k].is_self_transition)
+        exits = [automaton.edges[k] for k in edges]
+        self.pins, self.ties = [(pin.coordinate, pin.value, pin.follows) for pin in mode.pins], mode.ties
+        self.effects = motions(automaton, mode)
+        self.free = np.array([free and bool(c.unit) for free, c in zip(mode.free, automaton.coordinates, strict=True)])
+        self.B = mode.B * self.free[:, None]
+        self.moved = np.diag(self.free.astype(float))
+        for tie in self.ties:
+            self.moved[tie.coordinate] = np.array(tie.weights) @ self.moved
+        self.edges = np.array(edges or [-1])
+        self.targets = np.array([automaton.mode_index(e.target) for e in exits] or [-1])
+        self.is_self = np.array([e.is_self_transition for e in exits] or [True])
+        self.resets = [None if e.reset.is_identity else e.reset.matrices(n, automaton.m) for e in exits]
+        own = [tuple(map(_row, e.guard.half_spaces)) for e in exits]
+        most = max(map(len, own), default=1) or 1
+        guards = [(*rows, *(_ALWAYS,) * (most - len(rows))) for rows in own] or [(_NEVER,)]
+        rows = list(zip(*guards, strict=True))
+        self.states = np.array([_padded(row.states, n) for own in rows for row in own])
+        self.inputs = np.array([_padded(row.inputs, automaton.m) for own in rows for row in own])
+        self.thresholds = np.array([[[row.c] for row in own] for own in rows])
+        self.tolerances = np.array([[[row.tolerance] for row in own] for own in rows])
+        self.strict = np.array([[[row.strict] for row in own] for own in rows])
+        self.gains = gain_factors(automaton, mode, gains) if gains.any() else None
+
+    def pin(self, x: Floats) -> None:
+        """Put the pinned and the tied coordinates of states x (k, n) at their values."""
+        for i, value, follows in self.pins:
+            x[:, i] = value if follows is None else value + x[:, follows]
+        for tie in self.ties:
+            x[:, tie.coordinate] = tie.value(x)
+
+    def displacement(self, rows: Ints, x: Floats, u: Floats, pushed: Floats) -> Floats:
+        """(k, n) motion of a whole step of the objects `rows` (k,) from x (k, n) with inputs and disturbances."""
+        d = u @ self.B.T
+        if self.gains is not None:
+            d *= self.gains[rows]
+        for i, motion in self.effects.items():
+            d[:, i] = motion.displacement(np, x[:, i], d[:, i])
+        return np.asarray(self.tied(d) + pushed @ self.moved.T)
+
+    def tied(self, d: Floats) -> Floats:
+        """(k, n) motions with the tied coordinates moved along."""
+        for tie in self.ties:
+            d[:, tie.coordinate] = d @ np.array(tie.weights)
+        return d
+
+    def margins(self, x: Floats, d: Floats, u: Floats) -> tuple[Floats, Floats]:
+        """(r, e, k) margins of all half-spaces, and their rates along d."""
+        shape = (*self.strict.shape[:2], len(x))
+        margin = (self.states @ x.T + self.inputs @ u.T).reshape(shape) - self.thresholds
+        return margin, (self.states @ d.T).reshape(shape)
+
+    def can_enter(self, margin: Floats, rate: Floats, horizon: Floats) -> Booleans:
+        """(k,) whether any guard may fire within the horizon (k,): none of its half-spaces stays far."""
+        return np.asarray((np.maximum(margin, margin + horizon * rate) >= -self.tolerances).all(axis=0).any(axis=0))
+
+    def entries(self, margin: Floats, rate: Floats, horizon: Floats) -> Floats:
+        """(e, k) how far along d each guard fires, within the horizon (k,); infinite if it does not."""
+        outside = margin < -self.tolerances
+        grows, falls = rate > self.tolerances, rate < -self.tolerances
+        coming = grows & outside
+        enter = np.minimum(np.divide(-margin, rate, out=np.zeros_like(margin), where=coming), horizon)
+        leave = np.divide(self.tolerances - margin, rate, out=np.full_like(margin, np.inf), where=falls)
+        never = coming & (margin + horizon * rate < -self.tolerances)
+        never |= ~grows & ~falls & (outside | (self.strict & (margin <= self.tolerances)))
+        enter[never] = np.inf
+        first, last = enter.max(axis=0), leave.min(axis=0)
+        return np.where(first < last, first, np.inf)
+
+    def holding(self, margin: Floats, rate: Floats) -> Booleans:
+        """(e, k) whether each guard fires at once: `entries` with nothing ahead."""
+        within = (rate < -self.tolerances) | (self.strict & (rate <= self.tolerances))
+        return np.asarray(np.where(within, margin > self.tolerances, margin >= -self.tolerances).all(axis=0))
 
 
-def _tied(table: ModeTable, d: list[float]) -> list[float]:
-    """A motion with the tied coordinates moved along."""
-    for i, weights, _ in table.ties:
-        d[i] = sum(w * d[j] for j, w in weights)
-    return d
+@dataclass(frozen=True, eq=False)
+class _Travellers:
+    """Objects of one mode on their way through a step.
+
+    Attributes:
+        mode: index of the mode.
+        rows: (k,) numbers of the objects.
+        x, d: (k, n) states, and motions of a whole step.
+        s: (k,) how much of the step lies behind them.
+        events: how many events they had.
+        instant: what has happened at the present instant; None: they are between two.
+    """
+
+    mode: int
+    rows: Ints
+    x: Floats
+    d: Floats
+    s: Floats
+    events: int
+    instant: _Instant | None = None
+
+    def where(self, chosen: Booleans) -> _Travellers:
+        """Some of them."""
+        if chosen.all():
+            return self
+        instant = None if self.instant is None else self.instant.where(chosen)
+        moved = self.x[chosen], self.d[chosen], self.s[chosen]
+        return _Travellers(self.mode, self.rows[chosen], *moved, self.events, instant)
 
 
-def _reset(chosen: Exit, x: list[float], u: list[float]) -> list[float]:
-    if chosen.reset is None:
-        return list(x)
-    A, B, offset = chosen.reset
-    return [a + b + c for a, b, c in zip(_times(A, x), _times(B, u), offset, strict=True)]
+@dataclass(frozen=True, eq=False)
+class _Instant:
+    """The events of k objects at one instant.
+
+    Attributes:
+        arrived: number of the exit whose guard they arrived at; -1 as soon as an exit was taken.
+        taken: (e, k) edges that were taken; entered: (q, k) modes that they were in.
+        walls: (w, k, n) orthonormal normals of the walls that they slide along.
+    """
+
+    arrived: int
+    taken: Booleans
+    entered: Booleans
+    walls: Floats
+
+    def where(self, chosen: Booleans) -> _Instant:
+        """The instant of some of the objects."""
+        return replace(self, taken=self.taken[:, chosen], entered=self.entered[:, chosen], walls=self.walls[:, chosen])
+
+    def after(self, edge: int, target: int) -> _Instant:
+        """The instant with one more edge taken, into a mode; walls are met anew there."""
+        taken, entered = self.taken.copy(), self.entered.copy()
+        taken[edge] = entered[target] = True
+        return _Instant(-1, taken, entered, self.walls[:0])
 
 
-def _times(matrix: list[list[float]], vector: list[float]) -> list[float]:
-    return [sum(w * v for w, v in zip(row, vector, strict=True)) for row in matrix]
+def _slid(group: _Travellers, normals: Floats) -> _Travellers:
+    """A group without what of its motion is normal to a wall, normals (k, n), and to those met before it."""
+    instant = group.instant
+    if instant is None:
+        raise ValueError("walls are met at an instant")
+    size = np.linalg.norm(normals, axis=1, keepdims=True)
+    for wall in instant.walls:
+        normals = normals - (normals * wall).sum(axis=1, keepdims=True) * wall
+    rest = np.linalg.norm(normals, axis=1, keepdims=True)
+    # Where the earlier walls leave no direction to give way in, all motion stops.
+    gives = rest > TOLERANCE * size
+    walls = np.concatenate([instant.walls, np.where(gives, normals / np.where(gives, rest, 1.0), 0.0)[None]])
+    d = group.d
+    for wall in walls:
+        d = d - (d * wall).sum(axis=1, keepdims=True) * wall
+    return replace(group, d=np.where(gives, d, 0.0), instant=replace(instant, walls=walls))
 
 
-def _values(value: ArrayLike, size: int, name: str) -> list[float]:
-    array = value if isinstance(value, np.ndarray) else np.asarray(value, dtype=float)
-    values: list[float] = array.tolist()
-    if array.shape != (size,) or not math.isfinite(sum(values)):
-        raise InputError(f"{name} must be {size} finite numbers. Got {shown(values)}")
-    return values
+def _values(value: ArrayLike, size: int, name: str) -> Floats:
+    array = np.array(value, dtype=float)
+    if array.shape != (size,) or not np.isfinite(array).all():
+        raise InputError(f"{name} must be {size} finite numbers. Got {shown(array.tolist())}")
+    return array
 
 
 def _rows(value: ArrayLike, width: int, name: str) -> Floats:
@@ -327,87 +521,25 @@ def _rows(value: ArrayLike, width: int, name: str) -> Floats:
     return array
 
 
-TOLERANCE = 1e-12
-Terms = tuple[tuple[int, float], ...]
-Rows = list[list[float]]
-
-
 @dataclass(frozen=True, slots=True)
-class Row:
+class _Row:
     """A scaled half-space: weights of states and inputs, threshold, whether strict, and the margin that counts as 0."""
 
-    states: Terms
-    inputs: Terms
+    states: tuple[float, ...]
+    inputs: tuple[float, ...]
     c: float
     strict: bool
     tolerance: float
 
 
-@dataclass(frozen=True, slots=True)
-class Exit:
-    """An edge as its source mode sees it. `reset` is (A, B, c), or None for the identity."""
-
-    edge: int
-    target: str
-    is_self: bool
-    rows: tuple[Row, ...]
-    reset: tuple[Rows, Rows, list[float]] | None
-
-
-@dataclass(frozen=True, slots=True)
-class ModeTable:
-    """A mode: the terms of B per coordinate (None: nothing moves it), and its exits, changes of the mode first.
-
-    `pins` are coordinates, their values, and the coordinate that adds to the value or None.
-    `effects` holds what changes the motion of a coordinate, by its index.
-    A tie is (coordinate, weights of the others, offset).
-    """
-
-    name: str
-    flow: tuple[Terms | None, ...]
-    exits: tuple[Exit, ...]
-    pins: tuple[tuple[int, float, int | None], ...]
-    effects: dict[int, CoordinateMotion]
-    ties: tuple[tuple[int, Terms, float], ...]
-
-    def pinned(self, x: list[float]) -> list[float]:
-        """x with the pinned and the tied coordinates at their values."""
-        if not self.pins and not self.ties:
-            return x
-        put = list(x)
-        for i, value, follows in self.pins:
-            put[i] = value if follows is None else value + x[follows]
-        for i, terms, offset in self.ties:
-            put[i] = offset + sum(w * put[j] for j, w in terms)
-        return put
-
-
-@memoised
-def mode_table(automaton: HybridAutomaton, name: str) -> ModeTable:
-    """The table of the mode of that name."""
-    mode = automaton.mode(name)
-    moved = [free and bool(own.unit) for free, own in zip(mode.free, automaton.coordinates, strict=True)]
-    exits = [_exit(automaton, number) for number, edge in enumerate(automaton.edges) if edge.source == name]
-    return ModeTable(
-        name,
-        flow=tuple(_terms(row) if moves else None for moves, row in zip(moved, mode.input_matrix, strict=True)),
-        exits=tuple(sorted(exits, key=lambda e: e.is_self)),
-        pins=tuple((pin.coordinate, pin.value, pin.follows) for pin in mode.pins),
-        effects=motions(automaton, mode),
-        ties=tuple((tie.coordinate, _terms(tie.weights), tie.offset) for tie in mode.ties),
-    )
-
-
-def _exit(automaton: HybridAutomaton, number: int) -> Exit:
-    edge = automaton.edges[number]
-    a, b, c = edge.reset.matrices(automaton.n, automaton.m)
-    reset = None if edge.reset.is_identity else (a.tolist(), b.tolist(), c.tolist())
-    return Exit(number, edge.target, edge.is_self_transition, tuple(map(_row, edge.guard.half_spaces)), reset)
+# Half-spaces that fill up guards with fewer than others, and stand for the exits of a mode without any.
+_ALWAYS = _Row((), (), -1.0, False, TOLERANCE)
+_NEVER = replace(_ALWAYS, c=1.0)
 
 
 # Objects with drawn thresholds share most of their half-spaces.
 @lru_cache(maxsize=4096)
-def _row(h: HalfSpace) -> Row:
+def _row(h: HalfSpace) -> _Row:
     """A half-space with its weights of states (of inputs, if there are only those) scaled to length 1.
 
     Margins are then distances [rad or m], so that the tolerance does not depend on how the half-space is written.
@@ -416,37 +548,8 @@ def _row(h: HalfSpace) -> Row:
     a, b, c = [w / size for w in h.a], [w / size for w in h.b], h.c / size
     if not math.isfinite(sum(map(abs, (*a, *b, c)))):  # weights next to 0 against a huge threshold
         a, b, c = list(h.a), list(h.b), h.c
-    return Row(_terms(a), _terms(b), c, h.strict, TOLERANCE * max(1.0, abs(c)))
+    return _Row(tuple(a), tuple(b), c, h.strict, TOLERANCE * max(1.0, abs(c)))
 
 
-def _terms(weights: Sequence[float]) -> Terms:
-    return tuple((i, float(w)) for i, w in enumerate(weights) if w)
-
-
-def entry(e: Exit, x: list[float], d: list[float], u: list[float], horizon: float) -> float | None:
-    """The first t in [0, horizon] at which the guard fires on x + t d; None if it does not."""
-    enter, leave = 0.0, math.inf
-    for row in e.rows:
-        margin, rate = margin_and_rate(row, x, d, u)
-        tolerance = row.tolerance
-        if rate > tolerance:
-            if margin < -tolerance:
-                if margin + horizon * rate < -tolerance:
-                    return None
-                enter = max(enter, min(-margin / rate, horizon))
-        elif rate < -tolerance:
-            leave = min(leave, (tolerance - margin) / rate)
-        elif margin < -tolerance or (row.strict and margin <= tolerance):
-            return None
-    return enter if enter < leave else None
-
-
-def margin_and_rate(row: Row, x: list[float], d: list[float], u: list[float]) -> tuple[float, float]:
-    """The margin of a half-space at (x, u), positive inside, and its rate along d."""
-    margin, rate = -row.c, 0.0
-    for i, w in row.states:
-        margin += w * x[i]
-        rate += w * d[i]
-    for j, w in row.inputs:
-        margin += w * u[j]
-    return margin, rate
+def _padded(weights: Sequence[float], width: int) -> Floats:
+    return np.array(weights) if len(weights) == width else np.zeros(width)

@@ -16,7 +16,7 @@ from micah_plan.automaton.input_memory import InputChannel, towards
 from micah_plan.automaton.lifted import drawn_shifts, threshold_stds
 from micah_plan.automaton.memo import sharing_motion
 from micah_plan.automaton.step_noise import drawn_gains
-from micah_plan.automaton.transition_batch import TransitionBatch
+from micah_plan.automaton.transition import TransitionBatch
 from micah_plan.belief.filter import initial_belief, predict, repeated, update
 from micah_plan.belief.hybrid_belief import BeliefBatch
 from micah_plan.planning.feedback import feedback_input, time_knots

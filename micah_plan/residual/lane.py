@@ -26,7 +26,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.lifted import threshold_stds
 from micah_plan.automaton.link_motion import LinkMotion, link_motions
 from micah_plan.automaton.tracks import Track, in_base_frame, measuring_links
-from micah_plan.automaton.transition_batch import TransitionBatch
+from micah_plan.automaton.transition import TransitionBatch
 from micah_plan.belief.filter import predict, update
 from micah_plan.errors import InputError
 from micah_plan.residual.prediction import first_belief, inputs_of

@@ -16,7 +16,7 @@ from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.lifted import threshold_stds
 from micah_plan.automaton.link_motion import link_motions
 from micah_plan.automaton.tracks import Track, configurations
-from micah_plan.automaton.transition_batch import TransitionBatch
+from micah_plan.automaton.transition import TransitionBatch
 from micah_plan.belief.filter import initial_belief, predict_each, update_each
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError

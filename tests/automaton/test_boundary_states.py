@@ -9,6 +9,7 @@ import pytest
 from automaton_examples import cabinet, detent, door, guard, plain, two_rails
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reference_step import step
 
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
@@ -23,8 +24,7 @@ from micah_plan.automaton.lifted import (
     with_boundary_states,
 )
 from micah_plan.automaton.region import HalfSpace
-from micah_plan.automaton.transition import step
-from micah_plan.automaton.transition_batch import TransitionBatch
+from micah_plan.automaton.transition import TransitionBatch
 
 
 def blurred(automaton: HybridAutomaton, std: float = 0.03) -> HybridAutomaton:

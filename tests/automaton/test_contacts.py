@@ -12,8 +12,7 @@ from micah_plan.automaton.contacts.touch import collision_regions, corners, move
 from micah_plan.automaton.contacts.values import Face
 from micah_plan.automaton.hybrid import Part, Primitive
 from micah_plan.automaton.lifted import threshold_stds
-from micah_plan.automaton.transition import simulate, step
-from micah_plan.automaton.transition_batch import TransitionBatch
+from micah_plan.automaton.transition import TransitionBatch, simulate, step
 from micah_plan.belief.filter import initial_belief, predict, repeated, update
 from micah_plan.errors import InputError
 from micah_plan.symbolic.compiled import compiled_mode

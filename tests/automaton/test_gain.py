@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from reference_step import step
 from scipy.spatial.transform import Rotation
 from uncertain_joints import LEVER, NAMES, POSE, known_to, swinging, unsure_door
 
@@ -11,8 +12,7 @@ from micah_plan.automaton.joint import Joint, axis_basis, prismatic, revolute, r
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.lifted import with_boundaries
 from micah_plan.automaton.step_noise import drawn_gains, gain_factors, gain_std, uncertain_gains, with_gains
-from micah_plan.automaton.transition import step
-from micah_plan.automaton.transition_batch import TransitionBatch
+from micah_plan.automaton.transition import TransitionBatch
 from micah_plan.learn.joints.parametrization import Chart, stepped
 
 HANDLE = (0.05, -0.12, 0.2)

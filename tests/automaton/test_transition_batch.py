@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from reference_step import step
 
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.input_memory import without_memory_states
 from micah_plan.automaton.lifted import threshold_stds, with_boundaries
 from micah_plan.automaton.region import Region
 from micah_plan.automaton.step_noise import drawn_gains, uncertain_gains, with_gains
-from micah_plan.automaton.transition import step
-from micah_plan.automaton.transition_batch import TransitionBatch
+from micah_plan.automaton.transition import TransitionBatch
 from micah_plan.documents.kind import kind_of
 from micah_plan.documents.problem import load_problem
 from micah_plan.planning.limits import limits_of
@@ -32,7 +32,11 @@ def same_as_one_by_one(
     stds = threshold_stds(automaton)
     shifts = stds * rng.standard_normal((len(x), stds.size))
     gains = drawn_gains(automaton, rng, len(x))
-    ends, states = TransitionBatch(automaton, shifts, gains).step(modes, x, u, pushed)
+    batch = TransitionBatch(automaton, shifts, gains)
+    ends, states = batch.step(modes, x, u, pushed)
+    happened = [list[tuple[str, float]]() for _ in modes]
+    for number, event in batch.travel(modes, x, u, pushed).events:
+        happened[number].append((event.name, event.fraction))
     names, events = [mode.name for mode in automaton.modes], []
     for i, mode in enumerate(modes):
         own = with_gains(automaton, gains[i]) if uncertain_gains(automaton) else automaton
@@ -40,6 +44,8 @@ def same_as_one_by_one(
         assert names[ends[i]] == after.mode
         assert states[i] == pytest.approx(after.x, abs=1e-10)
         events.append(len(after.events))
+        assert [name for name, _ in happened[i]] == [event.name for event in after.events]
+        assert [at for _, at in happened[i]] == pytest.approx([event.fraction for event in after.events], abs=1e-9)
     return sum(map(bool, events)), max(events)
 
 

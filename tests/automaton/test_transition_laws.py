@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import reference_step
 from automaton_examples import cabinet, chain, detent, naive
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from micah_plan.automaton.build import build_automaton
 from micah_plan.automaton.graph import KinematicEdge, KinematicGraph
-from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Pin, Reset, Tie
+from micah_plan.automaton.joint import prismatic
+from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.automaton.transition import Step, simulate, step
 
 lawful = settings(max_examples=120)
@@ -167,3 +170,63 @@ class TestSimulate:
         assert run.modes[-1] == "prismatic_2"
         assert run.states[-1] == pytest.approx([0.35], abs=1e-12)
         assert [event.target for _, event in run.events] == ["rigid", "prismatic_2"]
+
+
+def test_10_000_random_steps_are_those_of_the_reference() -> None:
+    """Of automata whose guards, resets, pins and ties chain, chatter and meet at walls."""
+    rng, events, walls = np.random.default_rng(0), 0, 0
+    for _ in range(250):
+        automaton = tangled(rng)
+        for _ in range(40):
+            mode = automaton.modes[int(rng.integers(len(automaton.modes)))].name
+            x, pushed = rng.choice(PLACES, automaton.n), rng.choice([0.0, 0.01], automaton.n)
+            u = rng.choice([0.0, 0.5, -0.5, 1.0, -1.0], automaton.m)
+            ours, theirs = step(automaton, mode, x, u, pushed), reference_step.step(automaton, mode, x, u, pushed)
+            assert (ours.mode, ours.complete) == (theirs.mode, theirs.complete)
+            assert [one.edge for one in ours.events] == [one.edge for one in theirs.events]
+            assert ours.x == pytest.approx(theirs.x, abs=1e-9)
+            for one, other in zip(ours.events, theirs.events, strict=True):
+                assert one.fraction == pytest.approx(other.fraction, abs=1e-9)
+                assert one.x_after == pytest.approx(other.x_after, abs=1e-9)
+            events += len(ours.events)
+            walls += not ours.events and not np.allclose(ours.x - x, automaton.mode(mode).B @ u + pushed)
+    assert events > 3000
+    assert walls > 100
+
+
+PLACES = (0.0, 0.25, 0.5, 0.75, 1.0)
+
+
+def tangled(rng: np.random.Generator) -> HybridAutomaton:
+    """A random automaton: nothing about it need make sense."""
+    n, q = int(rng.integers(1, 4)), int(rng.integers(1, 4))
+    coordinates = tuple(Coordinate(f"c{i}", "m") for i in range(n))
+    joints = tuple(prismatic((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)) for _ in range(n))
+    links = tuple(Link("base", f"part {i}", i) for i in range(n))
+    modes = []
+    for number in range(q):
+        pins = (Pin(0, float(rng.choice(PLACES)), 0.001),) if rng.random() < 0.2 else ()
+        weights = (0.0, *rng.choice([0.0, 1.0, -0.5], n - 1).tolist())
+        ties = (Tie(0, weights, 0.1),) if not pins and n > 1 and rng.random() < 0.2 else ()
+        B = np.where(np.arange(n)[:, None] < len(pins) + len(ties), 0.0, rng.choice([0.0, 1.0, 1.0, -1.0], (n, n)))
+        modes.append(Mode(f"mode {number}", joints, tuple(map(tuple, B.tolist())), Region(), Region(), pins, ties=ties))
+    edges = []
+    for _ in range(int(rng.integers(1, 6))):
+        source, target = rng.integers(q, size=2)
+        rows = []
+        for k in range(int(rng.integers(1, 3))):
+            a, b = rng.choice([0.0, 1.0, -1.0, 0.5], n), rng.choice([0.0, 0.0, 1.0], n)
+            a[k % n] = a[k % n] or 1.0
+            rows.append(
+                HalfSpace(
+                    tuple(a.tolist()), tuple(b.tolist()), float(rng.choice(PLACES)), bool(rng.random() < 0.5), f"h{k}"
+                )
+            )
+        puts = {int(rng.integers(n)): float(rng.choice(PLACES))} if rng.random() < 0.5 else {}
+        edges.append(
+            Edge(f"mode {source}", f"mode {target}", Region(tuple(rows)), Reset.to(puts, n) if puts else Reset())
+        )
+    return HybridAutomaton(
+        coordinates, coordinates, links, tuple(Part(f"part {i}") for i in range(n)), tuple(modes), tuple(edges),
+        Noise((0.0,) * n, (0.01,) * n),
+    )  # fmt: skip

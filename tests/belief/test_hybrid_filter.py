@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from reference_step import step
 
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Pin, Reset
 from micah_plan.automaton.region import Region, above, below, input_below
-from micah_plan.automaton.transition import step
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError

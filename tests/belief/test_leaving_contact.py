@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from reference_step import step
 from scalar_belief import scalar_filter as scalar
 
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.transition import step
 from micah_plan.belief import filter as batch
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.documents.model import load_model

@@ -7,7 +7,7 @@ import pytest
 from uncertain_joints import unsure_door
 
 from micah_plan.automaton.step_noise import drawn_gains
-from micah_plan.automaton.transition_batch import TransitionBatch
+from micah_plan.automaton.transition import TransitionBatch
 from micah_plan.belief import filter as batch
 from micah_plan.belief.filter import initial_belief, predict, update
 

@@ -16,8 +16,7 @@ from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segm
 from micah_plan.automaton.input_memory import InputChannel
 from micah_plan.automaton.joint import prismatic, revolute, rigid
 from micah_plan.automaton.kinematics import forward
-from micah_plan.automaton.transition import simulate, step
-from micah_plan.automaton.transition_batch import TransitionBatch
+from micah_plan.automaton.transition import TransitionBatch, simulate, step
 from micah_plan.belief.filter import initial_belief, predict
 from micah_plan.documents.model import model_text, usable_model
 from micah_plan.errors import InputError

@@ -15,11 +15,11 @@ from planning_examples import (
     planar_problem,
     with_settings,
 )
+from reference_step import step
 from scalar_belief import scalar_filter as scalar
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Light, Noise, Reset
 from micah_plan.automaton.lifted import threshold_stds, with_boundaries
-from micah_plan.automaton.transition import step
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.feedback import feedback_input, time_knots
 from micah_plan.planning.limits import limited_input, limits_of

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import planted_effects as plants
 import pytest
+from reference_step import step
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.build import build_automaton
@@ -14,7 +15,6 @@ from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segm
 from micah_plan.automaton.joint import prismatic, revolute, rigid
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.tracks import tracks
-from micah_plan.automaton.transition import step
 from micah_plan.errors import InputError
 from micah_plan.recording.value import Recording
 from micah_plan.residual.prediction import predict_recording, rmse
