@@ -24,6 +24,7 @@ from tempfile import TemporaryDirectory
 from time import process_time
 from typing import Any
 
+import baseline_rrt
 from saving import add_json, save_json
 
 from micah_plan.api.stages import execute, solve
@@ -68,7 +69,7 @@ def problem_for(path: Path, solver: str, seconds: float) -> Problem:
     if solver == "no-contact":
         return load_problem(path, {"hold.contacts": []})
     if solver == "rrt":
-        return load_problem(path, {"planner.method": "rrt", "planner.solve_time_limit_s": seconds})
+        return load_problem(path, {"planner.solve_time_limit_s": seconds})
     return load_problem(path)
 
 
@@ -81,7 +82,7 @@ def stored(path: Path) -> StoredPlan:
 def executed(path: Path, plant: PlantKind, seed: int) -> End:
     """One execution of a plan file. The RRT's plans are followed as they are, verified or not, and not replanned."""
     problem, plan = stored(path).problem, stored(path).plan
-    follow = run_trials if problem.settings.method == "rrt" else execute
+    follow = run_trials if path.stem == "rrt" else execute
     result = follow(problem, replace(plan, outcome="solved"), plant=plant, trials=1, seed=seed).results[0]
     held = {mode.name for mode in problem.automaton.modes if mode.pins}
     return End(seed, result.success, result.final_mode in held, result.replans, result.reason)
@@ -90,13 +91,13 @@ def executed(path: Path, plant: PlantKind, seed: int) -> End:
 def measure(path: Path, solver: str, seconds: float, asked: argparse.Namespace, pool: ProcessPoolExecutor) -> Row:
     """Solve by one solver, and execute what it found."""
     problem, began = problem_for(path, solver, seconds), process_time()
-    plan = solve(problem)
+    plan = solve(problem, planner=baseline_rrt.plan if solver == "rrt" else None)
     spent, wall = process_time() - began, plan.timings["total"]
     row = Row(path.stem, solver, plan.outcome, spent, wall, plan.success_probability, plan.reason.replace("\n", " "))
     if plan.trajectory is None:
         return row
     with TemporaryDirectory() as folder:
-        file = Path(folder) / "plan.json"
+        file = Path(folder) / f"{solver}.json"
         write_plan(plan, problem, file)
         model, physics = (
             tuple(pool.map(partial(executed, file, plant), range(asked.seed, asked.seed + count)))

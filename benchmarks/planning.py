@@ -30,8 +30,9 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from time import process_time
-from typing import get_args
 
+import baseline_direct
+import baseline_rrt
 import numpy as np
 from grid_search import searched
 from processor_clock import time_by_processor
@@ -50,9 +51,9 @@ from micah_plan.planning.roll_outs import RollOuts, are_in_goal, draw_chances, r
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import carrying
-from micah_plan.task.settings import Method
 
 ROOT = Path(__file__).resolve().parent.parent
+PLANNERS = {"pomdp-hd": None, "direct": baseline_direct.plan, "rrt": baseline_rrt.plan}
 # Added to the seed for the observed roll-outs, so that none of the plan's own are counted again.
 FRESH = 10_000
 # Walks down the tree of POMCP before each step.
@@ -92,14 +93,14 @@ class Row:
 def warm_up() -> None:
     """Load what planners load when they are first used, and let them time themselves by the processor."""
     time_by_processor()
-    for planner in get_args(Method):
-        solve(load_problem(ROOT / "problems" / "drawer_open.yaml", {"planner.method": planner}))
+    for planner in PLANNERS.values():
+        solve(load_problem(ROOT / "problems" / "drawer_open.yaml"), planner=planner)
 
 
 def measure(path: Path, planner: str, trials: int, executions: int, seed: int) -> Row:
     """Solve a problem by a planner, and roll the plan out with fresh seeds."""
-    problem = load_problem(path, {"planner.method": planner, "planner.solve_time_limit_s": TIME_LIMIT_S})
-    plan = solve(problem, seed=seed, advise=False)
+    problem = load_problem(path, {"planner.solve_time_limit_s": TIME_LIMIT_S})
+    plan = solve(problem, seed=seed, advise=False, planner=PLANNERS[planner])
     times = plan.timings
     basis = Row(
         problem=path.stem,
@@ -236,7 +237,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     add_json(parser)
-    planners = list(get_args(Method))
+    planners = list(PLANNERS)
     parser.add_argument("--planners", nargs="*", choices=planners, default=planners)
     options = parser.parse_args()
     paths = options.problems or sorted(p for p in (ROOT / "problems").glob("*.yaml") if kind_of(p) == "problem")

@@ -42,8 +42,8 @@ LAYERS: tuple[tuple[str, ...], ...] = (
 
 # Where each heavy library may be imported, and whether only one file there may.
 IMPORTERS: dict[str, tuple[tuple[str, ...], bool]] = {
-    "casadi": (("symbolic.", "planning.nlp", "planning.transcription.", "planning.baselines.direct"), False),
-    "ompl": (("planning.search.roadmap", "planning.baselines.rrt"), False),
+    "casadi": (("symbolic.", "planning.nlp", "planning.transcription."), False),
+    "ompl": (("planning.search.roadmap",), True),
     "pinocchio": (("robot.",), False),
     "coal": (("robot.",), False),
     "meshcat": (("view.",), True),

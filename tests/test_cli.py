@@ -11,9 +11,6 @@ import pytest
 
 from micah_plan import cli
 from micah_plan.api import stages
-from micah_plan.automaton.effects.add import with_effect
-from micah_plan.automaton.effects.value import Effect
-from micah_plan.documents.model import dump_model, load_model
 from micah_plan.recording.read import read_recording
 
 
@@ -179,19 +176,6 @@ def test_a_bad_problem_is_one_line_that_says_what_and_where(micah, edited, tmp_p
     for words in said:
         assert words in line
     assert not (tmp_path / "plan.json").exists()
-
-
-@pytest.mark.slow
-def test_what_planning_leaves_out_of_a_model_is_said(micah, repository, tmp_path):
-    drawer = load_model(repository / "models" / "drawer.yaml")
-    dump_model(with_effect(drawer, Effect("lag", "drawer", (("steps", 0.3),))), tmp_path / "lags.yaml")
-    solved = micah("solve", "problems/drawer_open.yaml", "--model", tmp_path / "lags.yaml", "--json",
-                   "--planner", "direct", "-o", tmp_path / "plan.json")  # fmt: skip
-    (told,) = only_json(solved)["warnings"]
-    assert "leave out the lag of drawer" in told
-    assert json.loads((tmp_path / "plan.json").read_text())["warnings"] == [told]
-    executed = micah("execute", tmp_path / "plan.json", "-o", tmp_path / "runs.csv", "--json")
-    assert solved.stderr == executed.stderr == f"warning: {told}\n"
 
 
 def test_without_a_plan_the_exit_code_is_1(micah, tmp_path, repository):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -30,3 +31,16 @@ def test_templates_and_the_marker_of_types_are_package_data() -> None:
     package = Path(micah_plan.__file__).parent
     assert (package / "py.typed").read_bytes() == b""
     assert {path.name for path in (package / "templates").glob("*.*")} >= {"model.yaml", "problem.yaml", "robot.urdf"}
+
+
+def test_every_library_at_run_time_is_bounded_and_has_its_licence_in_the_docs() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = ("sim", "ros", "rerun", "evo", "robots", "cluster", "parquet")
+    needed = {"": project["dependencies"], **{extra: project["optional-dependencies"][extra] for extra in extras}}
+    table = (ROOT / "docs" / "reference" / "dependencies.md").read_text()
+    rows = dict(re.findall(r"^\| ([\w.-]+) \| [^|]+ \| (?:`(\w+)`)? ?\| [^|]+ \|$", table, re.MULTILINE))
+    rows.pop("library", None)
+    names = {re.split(r"[>=<]", item)[0]: extra for extra, items in needed.items() for item in items}
+    assert rows == names
+    # Of calendar versions none says when something changes.
+    assert [item for items in needed.values() for item in items if "<" not in item] == ["distributed>=2025.1"]

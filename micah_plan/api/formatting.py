@@ -131,7 +131,7 @@ def _sizes(errors: Sequence[PredictionError]) -> tuple[float, float]:
 
 def calibrated_lines(found: Calibration) -> list[str]:
     """Verdict, effects, errors before and after, and the next experiment."""
-    from micah_plan.residual.trace import SENTENCES
+    from micah_plan.residual.verdict import SENTENCES
 
     lines = [f"{found.verdict}: {SENTENCES[found.verdict]}", *(f"  {effect_line(one)}" for one in found.effects)]
     return [*lines, *error_lines(found), f"  next: {found.experiment}"]

@@ -417,7 +417,7 @@ class CalibrationResult(Result):
     @property
     def reason(self) -> str:
         """The outcome as a sentence."""
-        from micah_plan.residual.trace import SENTENCES
+        from micah_plan.residual.verdict import SENTENCES
 
         return SENTENCES[self.found.verdict]
 

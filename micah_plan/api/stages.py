@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from micah_plan.residual.prediction import RunPrediction
     from micah_plan.task.experiment import Experiment, Scene
     from micah_plan.task.problem import Problem
-    from micah_plan.task.settings import Method as PlanningMethod
 
 Method = Literal["act-champ", "champ"]
 
@@ -102,11 +101,9 @@ def read_problem(path: str | Path, overrides: Mapping[str, Any] | None = None) -
     from micah_plan.documents.model import load_model
     from micah_plan.templates.first_problem import problem_for
 
-    if overrides.keys() - {"planner.method"}:
+    if overrides:
         raise InputError("a model is solved as it is", source=path, remedy="give a problem, or leave out the model")
     problem = problem_for(load_model(path), str(path))
-    if "planner.method" in overrides:
-        problem = replace(problem, settings=replace(problem.settings, method=overrides["planner.method"]))
     return problem, (_of_model(problem),)
 
 
@@ -185,12 +182,21 @@ def _matched_parts(graph: KinematicGraph, parts: Sequence[Part]) -> tuple[Part, 
     return tuple(parts)
 
 
-def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None, advise: bool = True) -> Plan:
-    """Plan by the settings' method and check the plan by rolling out the true hybrid system from sampled states.
+def solve(
+    problem: Problem,
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
+    advise: bool = True,
+    planner: Callable[..., Plan] | None = None,
+) -> Plan:
+    """Plan by POMDP-HD and check the plan by rolling out the true hybrid system from sampled states.
 
-    Where the roll-outs fail too often, POMDP-HD plans again with more room (`planning.tightening`).
+    Where the roll-outs fail too often, it plans again with more room (`planning.tightening`).
 
     Args:
+        planner: another one, whose plans are checked alike and as they are: called with the problem, and with `seed`,
+            `progress` and `deadline` by name (see `planning.attempt`).
         advise: if it fails, try what its remedies propose, so that they name numbers that help (`planning.remedies`):
             up to eight more solutions. False: remedies without numbers.
 
@@ -204,36 +210,31 @@ def solve(problem: Problem, *, seed: int = 0, progress: Progress | None = None, 
     from micah_plan.planning.tightening import verified_plan
     from micah_plan.planning.with_arm import planned_with_arm
 
-    method = problem.settings.method
-    rounds = problem.settings.tightening_rounds if method == "pomdp-hd" else 0
-    planner = partial(_planner(method), seed=seed, progress=progress)
+    own, rounds = _pomdp_hd() if planner is None else planner, problem.settings.tightening_rounds * (planner is None)
+    planned_by = partial(own, seed=seed, progress=progress)
     if problem.robot is not None:
         import micah_plan.robot.along_plan  # noqa: F401
     # Only now: what it takes to load libraries says nothing about the problem.
     deadline = Deadline(problem.settings.solve_time_limit_s)
 
     def planned(asked: Problem) -> Plan:
-        return verified_plan(asked, planner, seed, rounds, deadline)
+        return verified_plan(asked, planned_by, seed, rounds, deadline)
 
     found = planned_with_arm(problem, planned, seed, deadline)
-    warnings = (*doubts(problem.automaton.learned), *left_out(problem.automaton, method != "pomdp-hd"))
+    warnings = (*doubts(problem.automaton.learned), *left_out(problem.automaton, planner is not None))
     warnings += (*never_taken(problem.automaton), *unchecked(problem))
     answer = replace(found, warnings=warnings)
     if not advise or answer.outcome == "solved":
         return answer
     from micah_plan.planning.remedies import advised
 
-    return advised(problem, answer, partial(solve, advise=False), seed)
+    return advised(problem, answer, partial(solve, advise=False, planner=planner), seed)
 
 
-def _planner(method: PlanningMethod) -> Callable[..., Plan]:
-    """The planner of that name, loaded only now: each brings a heavy library along."""
-    if method == "direct":
-        from micah_plan.planning.baselines.direct import plan
-    elif method == "rrt":
-        from micah_plan.planning.baselines.rrt import plan
-    else:
-        from micah_plan.planning.pomdp_hd import plan
+def _pomdp_hd() -> Callable[..., Plan]:
+    """The planner, loaded only now: it brings heavy libraries along."""
+    from micah_plan.planning.pomdp_hd import plan
+
     return plan
 
 

@@ -41,7 +41,6 @@ from micah_plan.errors import InputError, MicahError, shown
 from micah_plan.files import FIGURE, PAGE, PLAN, RUNS, Output, check_outputs
 from micah_plan.quantities import LARGEST, duration
 from micah_plan.task.plants import BUILT_IN, DEFAULT_PLANT, SENTENCES
-from micah_plan.task.settings import Method
 
 if TYPE_CHECKING:
     from micah_plan.documents.plan import StoredPlan
@@ -60,7 +59,6 @@ def solve(
     ] = None,
     html: Annotated[Path | None, typer.Option(help="Write the plan as a page.")] = None,
     figure: Annotated[Path | None, typer.Option(help="Write the belief trajectory as PNG.")] = None,
-    planner: Annotated[Method | None, typer.Option(help="Planner to use instead of the problem's.")] = None,
     seed: Seed = 0,
     as_json: JsonFlag = False,
 ) -> None:
@@ -75,7 +73,6 @@ def solve(
     check_outputs((*files_named_by(problem), model), outputs)
     check_timings(output)
     overrides = {} if model is None else {"model": str(model.resolve())}
-    overrides |= {} if planner is None else {"planner.method": planner}
     asked, notes = stages.read_problem(problem, overrides)
     with progress_bar(as_json) as progress:
         plan = stages.solve(asked, seed=seed, progress=progress)

@@ -334,7 +334,7 @@ def _print_calibrated(
     summary: dict[str, Any], errors: Sequence[str], changes: Sequence[Difference], files: tuple[Path, ...]
 ) -> None:
     """Verdict, effects and errors of a calibration."""
-    from micah_plan.residual.trace import SENTENCES
+    from micah_plan.residual.verdict import SENTENCES
 
     out.print(f"{summary['verdict']}: {SENTENCES[summary['verdict']]}")
     if summary["effects"]:

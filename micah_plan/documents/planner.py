@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -11,7 +11,7 @@ from micah_plan.documents.fields import Distance, EachInput, NonNegative, Positi
 from micah_plan.documents.layout import Document, Scope, doc, plain
 from micah_plan.documents.located import Located
 from micah_plan.documents.validation import validated
-from micah_plan.task.settings import Method, PlannerSettings
+from micah_plan.task.settings import PlannerSettings
 
 Confidence = Annotated[float, Field(gt=0.5, lt=1.0)]
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
@@ -20,9 +20,7 @@ Count = Annotated[int, Field(ge=1, le=1_000_000)]
 class PlannerDocument(Document):
     makes = PlannerSettings
 
-    method: Method = doc(
-        "The planner: POMDP-HD, or a baseline to compare it with; all are verified alike.", PlannerSettings.method
-    )
+    method: Literal["pomdp-hd"] | None = doc("The one planner that there is, which older files name.", None)
     samples_per_mode: Count = doc("Roadmap states per mode of the high-level search.", PlannerSettings.samples_per_mode)
     search_limit: Count = doc(
         "Linear programmes that the search for sequences of grasps solves at most.", PlannerSettings.search_limit
@@ -66,8 +64,16 @@ class PlannerDocument(Document):
         PlannerSettings.replan_every,
     )
 
+    def meanings(self, at: Located, scope: Scope) -> dict[str, Any]:
+        """As of any layout, without what only older files say."""
+        return {key: value for key, value in super().meanings(at, scope).items() if key != "method"}
 
-PlannerDocument.always_written = PlannerDocument.model_fields.keys() - {"max_step"}
+    @classmethod
+    def written(cls, value: Any, scope: Scope) -> Mapping[str, Any]:
+        return {key: getattr(value, key) for key in cls.model_fields if key != "method"}
+
+
+PlannerDocument.always_written = PlannerDocument.model_fields.keys() - {"max_step", "method"}
 
 
 class SettingsDocument(PlannerDocument):

@@ -37,7 +37,8 @@ from micah_plan.residual.prediction import predict_recording, refused, rmse, rms
 from micah_plan.residual.search import Candidate, Search
 from micah_plan.residual.seen import Beyond, closed, sections, with_shifts, without_old_ends
 from micah_plan.residual.simulation import GATES
-from micah_plan.residual.trace import LEAST_EVIDENCE, Finding, LaneTrace, Verdict, may_remember, overall, trace
+from micah_plan.residual.trace import LEAST_EVIDENCE, Finding, LaneTrace, may_remember, trace
+from micah_plan.residual.verdict import Verdict, overall
 
 FEWEST_ROWS = 8
 # Width of an interval in standard deviations.

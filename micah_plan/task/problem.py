@@ -105,7 +105,6 @@ class Problem(Summarised):
                 "start": listed(start),
                 "goal": listed(goal),
                 "confidence": percent(self.settings.confidence),
-                "planner": self.settings.method,
                 "scene": listed([body.name for body in self.scene]),
                 "held by": "a hand" if self.hold is not None else "",
                 "robot": "" if self.robot is None else "an arm",

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
-
-Method = Literal["pomdp-hd", "direct", "rrt"]
 
 
 @dataclass(frozen=True)
@@ -13,8 +10,6 @@ class PlannerSettings:
     """Settings with defaults that serve ordinary problems.
 
     Attributes:
-        method: ``"pomdp-hd"``, or a baseline: ``"direct"`` (one optimisation over the soft mixture of all modes) or
-            ``"rrt"`` (kinodynamic RRT on the means). What each finds is verified alike.
         confidence: probability with which guards and invariants must hold, and roll-outs reach the goal.
         samples_per_mode: roadmap states per mode of the high-level search.
         search_limit: linear programmes that the search solves at most where the hand may leave objects anywhere; where
@@ -36,7 +31,6 @@ class PlannerSettings:
         replan_every: steps after which execution optimises the rest of the plan again (receding horizon); 0: never.
     """
 
-    method: Method = "pomdp-hd"
     confidence: float = 0.95
     samples_per_mode: int = 100
     search_limit: int = 2000

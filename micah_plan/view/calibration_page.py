@@ -10,7 +10,8 @@ from micah_plan.arrays import Floats
 from micah_plan.quantities import count, interval, percent, plain, quantity, with_spread
 from micah_plan.residual.calibrate import Calibration, FoundEffect
 from micah_plan.residual.lane import Lane
-from micah_plan.residual.trace import SENTENCES, LaneTrace, Verdict
+from micah_plan.residual.trace import LaneTrace
+from micah_plan.residual.verdict import SENTENCES, Verdict
 from micah_plan.view.learned import capital
 from micah_plan.view.page import Bar, Bars, Status, Table, render
 from micah_plan.view.palette import BLUE, INK, ORANGE

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import baseline_direct as direct
 import casadi as ca
 import numpy as np
 import pytest
+from baseline_direct import mixture_step
 from scalar_belief import scalar_gaussian as gaussian
 from scalar_belief.one_at_a_time import truncate
 from scipy.special import log_ndtr
@@ -15,8 +17,6 @@ from uncertain_joints import SHUT, unsure_door
 
 from micah_plan.automaton.region import above
 from micah_plan.belief.filter import initial_belief, update
-from micah_plan.planning.baselines import direct
-from micah_plan.planning.baselines.direct import mixture_step
 from micah_plan.planning.limits import Limits
 
 SIGMAS = np.concatenate([np.linspace(-30.0, 8.0, 96), [-5.0 - 1e-9, -5.0, -5.0 + 1e-9]])

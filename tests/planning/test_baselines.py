@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
+import baseline_direct
+import baseline_rrt
 import numpy as np
 import pytest
+from baseline_direct import mixture_step, nominal_trajectory
 from planning_examples import DOOR_SHUT, door_problem, drawer_problem, planar_problem, with_settings
 
 from micah_plan.api.stages import solve
+from micah_plan.automaton.effects.add import with_effect
+from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.transition import simulate
 from micah_plan.belief.filter import initial_belief, predict, update
-from micah_plan.cli import main
 from micah_plan.documents.problem import load_problem
-from micah_plan.planning.baselines.direct import mixture_step, nominal_trajectory
+from micah_plan.errors import InputError
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.path_constraints import cost_of
 from micah_plan.planning.pomdp_hd import plan as plan_pomdp_hd
@@ -26,15 +29,18 @@ from micah_plan.task.problem import Problem
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 
 
-def solved_by(problem: Problem, method: str, **changes: object) -> Plan:
-    return solve(with_settings(problem, method=method, **changes))
+PLANNERS = {"direct": baseline_direct.plan, "rrt": baseline_rrt.plan}
+
+
+def solved_by(problem: Problem, name: str, seed: int = 0, **changes: object) -> Plan:
+    return solve(with_settings(problem, **changes), planner=PLANNERS[name], seed=seed)
 
 
 @pytest.mark.parametrize("method", ["direct", "rrt"])
 @pytest.mark.parametrize("name", ["drawer_open", "microwave_close"])
 def test_baselines_solve_the_easy_problems(method: str, name: str) -> None:
-    problem = load_problem(PROBLEMS / f"{name}.yaml", {"planner.method": method})
-    found = solve(problem)
+    problem = load_problem(PROBLEMS / f"{name}.yaml")
+    found = solved_by(problem, method)
     assert found.outcome == "solved"
     assert found.trajectory is not None
     assert found.success_probability is not None
@@ -57,10 +63,10 @@ def test_the_tree_goes_through_the_gate_and_past_the_trap() -> None:
 
 
 def test_the_same_seed_gives_the_same_tree_whatever_ran_before() -> None:
-    problem = with_settings(planar_problem(), method="rrt", verification_trials=1)
-    first = solve(problem, seed=3)
-    solve(problem, seed=4)
-    again = solve(problem, seed=3)
+    problem = with_settings(planar_problem(), verification_trials=1)
+    first = solved_by(problem, "rrt", 3)
+    solved_by(problem, "rrt", 4)
+    again = solved_by(problem, "rrt", 3)
     assert first.trajectory is not None
     assert again.trajectory is not None
     assert first.trajectory.inputs.tobytes() == again.trajectory.inputs.tobytes()
@@ -70,7 +76,7 @@ def test_the_same_seed_gives_the_same_tree_whatever_ran_before() -> None:
 def test_the_direct_planner_does_not_see_the_way_around_a_wall() -> None:
     """The straight start runs against the trap, from which no gradient leads to the gate: what the modes are for."""
     problem = with_settings(planar_problem(), verification_trials=200)
-    hierarchical, direct = (solve(with_settings(problem, method=method)) for method in ("pomdp-hd", "direct"))
+    hierarchical, direct = solve(problem), solved_by(problem, "direct")
     assert hierarchical.outcome == "solved"
     assert direct.outcome != "solved"
 
@@ -139,14 +145,19 @@ def test_the_mixture_step_agrees_with_the_filter_far_from_guards_and_moves_weigh
     assert z[0] == pytest.approx(DOOR_SHUT, abs=0.02)
 
 
-def test_the_command_line_chooses_the_planner(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plan = tmp_path / "plan.json"
-    problem = str(PROBLEMS / "drawer_open.yaml")
-    monkeypatch.setattr("sys.argv", ["micah-plan", "solve", problem, "-o", str(plan), "--planner", "rrt", "--json"])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 0
-    assert json.loads(capsys.readouterr().out)["outcome"] == "solved"
-    assert json.loads(plan.read_text())["problem"]["planner"]["method"] == "rrt"
+def test_what_planning_leaves_out_of_a_model_is_said() -> None:
+    problem = drawer_problem(0.05, 0.3)
+    lags = with_effect(problem.automaton, Effect("lag", "drawer", (("steps", 0.3),)))
+    (told,) = solved_by(replace(problem, automaton=lags), "direct").warnings
+    assert "leave out the lag of drawer" in told
+
+
+@pytest.mark.parametrize(("value", "said"), [("rrt", "expected 'pomdp-hd'"), ("pomdp-hd", "")])
+def test_files_that_name_the_planner_are_read_if_it_is_the_one(tmp_path: Path, value: str, said: str) -> None:
+    text = (PROBLEMS / "drawer_open.yaml").read_text().replace("../models", str(PROBLEMS.parent / "models"))
+    (tmp_path / "p.yaml").write_text(text.replace("planner:\n", f"planner:\n  method: {value}\n", 1))
+    if said:
+        with pytest.raises(InputError, match=said):
+            load_problem(tmp_path / "p.yaml")
+    else:
+        assert load_problem(tmp_path / "p.yaml").settings == load_problem(PROBLEMS / "drawer_open.yaml").settings

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from functools import partial
 from time import sleep
 
+import baseline_direct
+import baseline_rrt
 import pytest
 from planning_examples import planar_problem, with_settings
 
@@ -17,7 +19,6 @@ from micah_plan.planning.tightening import verified_plan
 from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
-from micah_plan.task.settings import Method
 
 
 def solved_within(ticks: int) -> tuple[Plan, int]:
@@ -55,17 +56,17 @@ def test_loading_libraries_is_not_counted(monkeypatch: pytest.MonkeyPatch) -> No
         left.append(deadline.left_s)
         return Plan("no_plan", "none")
 
-    def load(_: str) -> Callable[..., Plan]:
+    def load() -> Callable[..., Plan]:
         sleep(0.3)
         return planner
 
-    monkeypatch.setattr(stages, "_planner", load)
+    monkeypatch.setattr(stages, "_pomdp_hd", load)
     solve(with_settings(planar_problem(), solve_time_limit_s=1.0))
     assert left[0] > 0.8
 
 
-@pytest.mark.parametrize("method", ["pomdp-hd", "direct", "rrt"])
-def test_a_tiny_limit_is_an_answer(method: Method) -> None:
-    found = solve(with_settings(planar_problem(), method=method, solve_time_limit_s=1e-9))
+@pytest.mark.parametrize("planner", [None, baseline_direct.plan, baseline_rrt.plan])
+def test_a_tiny_limit_is_an_answer(planner: Callable[..., Plan] | None) -> None:
+    found = solve(with_settings(planar_problem(), solve_time_limit_s=1e-9), planner=planner)
     assert found.outcome == "no_plan"
     assert "time limit" in found.reason

@@ -189,7 +189,7 @@ def test_a_dask_cluster_that_loses_a_worker_gives_the_same_table(
 def test_other_planners_plants_and_orders_leave_no_trace_in_a_process(tmp_path: Path) -> None:
     pytest.importorskip("mujoco", reason="the plant needs the extra 'sim'")
     names = [f"problems/{name}.yaml" for name in ("drawer_open", "microwave_close_by_arm", "drawer_behind_door")]
-    grid = {"planner.method": ["rrt", "pomdp-hd"], "planner.verification_trials": [100]}
+    grid = {"planner.candidates": [1, 2], "planner.verification_trials": [100]}
     execute = {"plant": "mujoco", "trials": 1}
     sweep = sweep_of({"format": "micah-plan/sweep/1", "problems": names, "grid": grid, "execute": execute}, ROOT)
     run_sweep(sweep, tmp_path / "r.csv", workers=2)

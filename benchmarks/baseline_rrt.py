@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from baseline_direct import plan_along
 from ompl import base as ob
 from ompl import control as oc
 from ompl import util as ou
@@ -17,7 +18,6 @@ from ompl import util as ou
 from micah_plan.arrays import Floats
 from micah_plan.automaton.transition import step
 from micah_plan.planning.attempt import Attempt, attempted
-from micah_plan.planning.baselines.direct import plan_along
 from micah_plan.planning.limits import Limits, NoWayError, limited_input
 from micah_plan.planning.search.polytope import nominal_start
 from micah_plan.planning.search.roadmap import box

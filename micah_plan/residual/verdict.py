@@ -1,0 +1,122 @@
+"""What a calibration concludes of a coordinate: ordered outcomes, of which the first that the facts allow is told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+Verdict = Literal["none", "explained", "partly", "unexplained"]
+SENTENCES: dict[Verdict, str] = {
+    "none": "The model lacks nothing that this recording can show.",
+    "explained": "The effects below explain what the model lacked.",
+    "partly": "The effects below explain a part of what the model lacks.",
+    "unexplained": "The model lacks something that no effect of the library explains.",
+}
+
+# Shares of the explainable residual that effects leave to a correction without a name: up to here it is explained, from
+# there on it is not.
+_EXPLAINED = 0.03
+_UNEXPLAINED = 0.5
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What is known of a coordinate once effects were looked for.
+
+    Attributes:
+        effects: how many have a name; modes: how many the automaton lacks.
+        is_open: whether an effect may come from this command or from earlier ones.
+        is_blocked: whether the effects help single steps and make whole roll-outs longer.
+        is_contradicted: whether one of few runs is predicted no better by effects fitted to the others.
+        is_single: whether there is one run of few motions alone, which no other run can confirm.
+        smooth: share of the explainable residual that a correction without a name takes out on top; 0: none.
+        is_left: whether innovations are no noise: they follow commands, places, time or earlier innovations.
+        is_corrected: whether the model came with a correction without a name.
+    """
+
+    effects: int
+    modes: int
+    is_open: bool
+    is_blocked: bool
+    smooth: float
+    is_left: bool
+    is_corrected: bool = False
+    is_contradicted: bool = False
+    is_single: bool = False
+
+    @property
+    def is_kept_out(self) -> bool:
+        """Whether a wrong guess would do more harm than the model as it is."""
+        return self.is_open or self.is_blocked or self.is_contradicted
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A conclusion.
+
+    Attributes:
+        sentence: of a coordinate, in plain words.
+        holds: whether the facts allow it.
+    """
+
+    name: str
+    verdict: Verdict
+    sentence: str
+    holds: Callable[[Facts], bool]
+
+
+OUTCOMES: tuple[Outcome, ...] = (
+    Outcome("mode", "partly", "a mode of its own is missing", lambda f: f.modes > 0),
+    Outcome(
+        "unnamed",
+        "unexplained",
+        "what is left follows something that no effect names",
+        lambda f: f.smooth > _UNEXPLAINED or (not f.effects and (f.smooth > 0 or f.is_left or f.is_corrected)),
+    ),
+    Outcome(
+        "remembered",
+        "partly",
+        "with runs like these the effect may as well come from earlier commands",
+        lambda f: f.is_open,
+    ),
+    Outcome(
+        "steps_only",
+        "partly",
+        "single steps get better but the roll-out worse, so something else is missing as well",
+        lambda f: f.is_blocked,
+    ),
+    Outcome(
+        "more",
+        "partly",
+        "the effects leave something that is no noise",
+        lambda f: f.smooth > _EXPLAINED or f.is_left or f.is_corrected,
+    ),
+    Outcome(
+        "contradicted",
+        "partly",
+        "one of so few runs is predicted no better by what the others show, so more runs must tell",
+        lambda f: f.is_contradicted,
+    ),
+    Outcome(
+        "single",
+        "partly",
+        "one run of a few motions shows it, and no other run can confirm it",
+        lambda f: f.effects > 0 and f.is_single,
+    ),
+    Outcome("named", "explained", "the effects leave noise alone", lambda f: f.effects > 0),
+    Outcome("nothing", "none", "the model leaves noise alone", lambda _: True),
+)
+
+
+def outcome_of(facts: Facts) -> Outcome:
+    """The first outcome that the facts allow."""
+    return next(outcome for outcome in OUTCOMES if outcome.holds(facts))
+
+
+def overall(verdicts: list[Verdict]) -> Verdict:
+    """One answer for several coordinates: `none` says nothing, and differing answers make `partly`."""
+    said = {one for one in verdicts if one != "none"}
+    if not said:
+        return "none"
+    return said.pop() if len(said) == 1 else "partly"
