@@ -44,3 +44,12 @@ def test_every_library_at_run_time_is_bounded_and_has_its_licence_in_the_docs() 
     assert rows == names
     # Of calendar versions none says when something changes.
     assert [item for items in needed.values() for item in items if "<" not in item] == ["distributed>=2025.1"]
+
+
+def test_the_oldest_versions_are_those_that_are_allowed() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    lines = [line for line in (ROOT / ".ci" / "oldest.txt").read_text().splitlines() if not line.startswith("#")]
+    oldest = dict(line.split("==") for line in lines)
+    for item in [*project["dependencies"], *project["optional-dependencies"]["sim"]]:
+        name, least = re.split(r">=|,", item)[:2]
+        assert oldest[name] == least or oldest[name].startswith(f"{least}."), name
