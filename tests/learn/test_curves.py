@@ -58,7 +58,10 @@ def answer(recording):
     return ["none" if one.misfit is not None else one.joint.kind for one in edge.segments if one.joint.moves]
 
 
-@pytest.mark.parametrize(("tilt", "times"), [(0.6, 2), (0.6, 3), (0.7, 4)])
+@pytest.mark.parametrize(
+    ("tilt", "times"),
+    [(0.6, 2), pytest.param(0.6, 3, marks=pytest.mark.slow), pytest.param(0.7, 4, marks=pytest.mark.evidence)],
+)
 def test_a_part_that_tilts_while_it_slides_moves_along_a_path(tilt, times) -> None:
     assert answer(tilting(tilt, times, seed=times)) == ["path"]
 

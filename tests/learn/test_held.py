@@ -73,7 +73,11 @@ def test_a_part_opened_and_shut_several_times_has_a_stop_each_time(kind: str, nu
 
 @pytest.mark.parametrize(
     ("kind", "variant"),
-    [("revolute", "3 mm"), ("prismatic", "plain"), pytest.param("prismatic", "late by 2 rows", marks=pytest.mark.slow)],
+    [
+        ("revolute", "3 mm"),
+        pytest.param("prismatic", "plain", marks=pytest.mark.slow),
+        pytest.param("prismatic", "late by 2 rows", marks=pytest.mark.slow),
+    ],
 )
 def test_a_long_run_has_its_stops_too(kind: str, variant: str, cycles: ModuleType) -> None:
     """How often something happens does not matter: segments may last as long as they do where it happens once."""
