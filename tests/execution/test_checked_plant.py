@@ -310,3 +310,25 @@ def test_many_episodes_share_the_calls_to_filter_and_plants():
     together = [episode.result() for episode in episodes]
     assert [one.recording.digest() for one in together] == [one.recording.digest() for one in alone.results]
     assert [one.reason for one in together] == [one.reason for one in alone.results]
+
+
+@pytest.mark.parametrize("name", ["input", "origin", "handle"])
+def test_a_plant_cannot_write_to_what_it_is_told(name):
+    class Scales(Blind):
+        def apply(self, command):
+            values = getattr(command, name)
+            values *= 1000.0  # to millimetres, in place
+            return super().apply(command)
+
+    found, plant, _ = trials(Scales)
+    assert isinstance(found, InputError)
+    assert "read-only" in str(found)
+    assert plant.closed == 1
+
+    class ScalesACopy(Blind):
+        def apply(self, command):
+            assert (1000.0 * getattr(command, name)).flags.writeable
+            return super().apply(command)
+
+    found, _, _ = trials(ScalesACopy)
+    assert [result.steps for result in found.results] == [STEPS, STEPS]
