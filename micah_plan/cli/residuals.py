@@ -338,7 +338,7 @@ def _print_calibrated(
 
     out.print(f"{summary['verdict']}: {SENTENCES[summary['verdict']]}")
     if summary["effects"]:
-        shown = table("effect", "parameters", "evidence \\[nats]", "or instead")
+        shown = table("effect", "parameters", "evidence [nats]", "or instead")
         for effect in summary["effects"]:
             units = effect["units"]
             values = [f"{name} {quantity(value, units[name])}" for name, value in effect["parameters"].items()]

@@ -10,7 +10,6 @@ import inspect
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pkgutil import resolve_name
 from types import TracebackType
 from typing import Any
@@ -70,10 +69,12 @@ class CheckedPlant:
 
     def apply(self, command: Command) -> Measurement:
         """The measurement after a control step; the plant gets copies, which it cannot write to."""
-        arrays = {name: value.copy() for name, value in vars(command).items() if isinstance(value, np.ndarray)}
-        for array in arrays.values():
-            array.setflags(write=False)
-        return self._measured("apply", replace(command, **arrays))
+        told: dict[str, Any] = dict(vars(command))
+        for name, value in vars(command).items():
+            if isinstance(value, np.ndarray):
+                told[name] = value.copy()
+                told[name].setflags(write=False)
+        return self._measured("apply", Command(**told))
 
     def truth(self) -> Truth | None:
         """The true state now; None if the plant is no referee."""

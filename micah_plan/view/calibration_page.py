@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from micah_plan.arrays import Floats
-from micah_plan.quantities import count, interval, percent, plain, quantity, with_spread
+from micah_plan.quantities import count, interval, listed, percent, plain, quantity, with_spread
 from micah_plan.residual.calibrate import Calibration, FoundEffect
 from micah_plan.residual.lane import Lane
 from micah_plan.residual.trace import LaneTrace
@@ -27,6 +27,8 @@ _MOST_RUNS, _MOST_BARS, _MOST_DRAWN = 60, 12, 4
 _WIDTH, _HEIGHT = 400.0, 140.0
 _LEFT, _RIGHT, _TOP = 66.0, 10.0, 10.0
 _SHARE_SHOWN = 0.995
+_SIGMAS = 1.96
+"""From the middle of a 95 % interval to its ends."""
 _SIDE = 1.5
 """Where the axis of directions ends: dots of commands forward lie around 1, those backward around -1."""
 
@@ -36,9 +38,10 @@ def calibration_page(found: Calibration, title: str) -> str:
     modes = [mode for one in found.traces for mode in one.missing_modes]
     gain = "It predicts {} nats better than any gradual change."
     page = {
-        "title": title,
-        "kind": "calibration: measured motion against the model",
+        "title": f"{listed([one.lane.coordinate for one in found.traces])}: measured motion against the model",
+        "kind": f"calibration with {title}",
         "badge": _badge(found),
+        "headline": _headline(found),
         "message": SENTENCES[found.verdict],
         "notes": found.notes,
         "modes": [f"{capital(str(mode))}. {gain.format(plain(mode.evidence))}" for mode in modes],
@@ -49,9 +52,41 @@ def calibration_page(found: Calibration, title: str) -> str:
         "unexplained": f"Left unexplained: {percent(found.unexplained_fraction, 0)} of the error that could be "
         "explained.",
         "coordinates": [_coordinate(one) for one in found.traces],
+        "first": _motion(max(found.traces, key=_worth))[:2],
         "experiment": f"{capital(found.experiment)}.",
     }
     return render("calibration.html.j2", page=page)
+
+
+def _headline(found: Calibration) -> str:
+    """What was found and what it is worth, in a sentence or two."""
+    runs = count(len(found.recording.runs), "run")
+    added = [one for one in found.effects if one.is_added]
+    changes = []
+    for own in found.errors:
+        of = f" of {own.of}" if own.of else ""
+        for what, name in (("roll-outs", "rollout"), ("single steps", "one_step")):
+            before, after = (quantity(getattr(size, name), own.unit) for size in (own.before, own.after))
+            changes.append(f"{what}{of} from {before} to {after}" if added else f"{before} in {what}{of}")
+    if not added:
+        return f"Over {runs} the model misses by {listed(changes)}."
+    named = listed([f"{one.effect.name} ({_values(one)})" for one in added])
+    return f"Over {runs}: {named}. Errors on rows that no fit saw: {listed(changes)}."
+
+
+def _values(one: FoundEffect) -> str:
+    """The parameters of an effect, each with its spread where it was fitted."""
+    texts = []
+    for (name, value), unit, (low, high) in zip(one.effect.parameters, one.units, one.interval, strict=True):
+        std = (high - low) / (2.0 * _SIGMAS)
+        number = with_spread(value, std, unit, degrees=False) if std > 0 else quantity(value, unit, degrees=False)
+        texts.append(f"{name} {number}")
+    return ", ".join(texts)
+
+
+def _worth(one: LaneTrace) -> float:
+    """How much better the model became for a coordinate [nats]."""
+    return one.final.over(one.nominal)[0]
 
 
 def _badge(found: Calibration) -> tuple[str, Status]:

@@ -82,7 +82,7 @@ def report(text: str) -> dict[str, object]:
     return {
         "title": text, "kind": text, "badge": (text, "good"), "message": text, "notes": [text], "modes": [text],
         "parameters": table, "effects": [effect], "errors": table, "poses": table, "unexplained": text,
-        "coordinates": [coordinate], "experiment": text,
+        "coordinates": [coordinate], "experiment": text, "headline": text, "first": [Svg()],
     }  # fmt: skip
 
 
