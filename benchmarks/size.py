@@ -22,7 +22,7 @@ from statistics import median
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "micah_plan"
-RENAMED = {"spec": "documents"}
+RENAMED = {"spec": "documents", "front": "api", "ros": "recording", "scene": "task"}
 # Packages that the restructuring left alone.
 APART = ("learn", "residual")
 
