@@ -93,7 +93,7 @@ def test_a_plan_whose_arm_had_no_time_is_not_verified(problem: Problem, monkeypa
     hasty = replace(problem, settings=replace(problem.settings, solve_time_limit_s=1e-9, tightening_rounds=0))
     unchecked = partial(verified_plan, verifier=lambda _problem, plan, *_, **__: plan)
     monkeypatch.setattr("micah_plan.planning.tightening.verified_plan", unchecked)
-    monkeypatch.setattr("micah_plan.api.stages._planner", lambda _method: whatever_time)
+    monkeypatch.setattr("micah_plan.api.stages._pomdp_hd", lambda: whatever_time)
     found = solve(hasty)
     assert found.outcome == "not_verified"
     assert found.arm is None
