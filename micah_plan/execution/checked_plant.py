@@ -68,12 +68,12 @@ class CheckedPlant:
         return self._measured("reset", rng)
 
     def apply(self, command: Command) -> Measurement:
-        """The measurement after a control step; the plant gets copies, which it cannot write to."""
+        """The measurement after a control step; the plant gets copies: what it does to them changes no belief.
+
+        They can be written to, since SciPy's rotations take no arrays that cannot.
+        """
         told: dict[str, Any] = dict(vars(command))
-        for name, value in vars(command).items():
-            if isinstance(value, np.ndarray):
-                told[name] = value.copy()
-                told[name].setflags(write=False)
+        told |= {name: value.copy() for name, value in told.items() if isinstance(value, np.ndarray)}
         return self._measured("apply", Command(**told))
 
     def truth(self) -> Truth | None:

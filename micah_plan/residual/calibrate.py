@@ -181,7 +181,7 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
     aside = [one.run for one in faulty if not one.is_lasting]
     if aside:
         found = _calibrated(automaton, recording.rows(~np.isin(recording.run, aside)), progress)
-    return replace(found, notes=(*map(str, faulty), *found.notes))
+    return replace(found, notes=(*(one.advice for one in faulty), *found.notes))
 
 
 def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Progress | None) -> Calibration:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fdtrc
 
+from micah_plan.arrays import Floats
 from micah_plan.quantities import quantity
 from micah_plan.residual.trace import LaneTrace
 
@@ -40,17 +41,26 @@ class FaultyRun:
 
     def __str__(self) -> str:
         error, usual = (quantity(size, self.unit, digits=2) for size in (self.error, self.usual))
-        told = f"{self.coordinate}: run {self.run} is unlike the others, {error} per step where they miss by {usual}"
+        return f"{self.coordinate}: run {self.run} is unlike the others, {error} per step where they miss by {usual}"
+
+    @property
+    def advice(self) -> str:
+        """The same, and what was done or is to be done about it."""
         if self.is_lasting:
-            return f"{told}; no run after it is like those before: record more runs to see whether it stays so"
-        return f"{told}; it was left out: was something in the way, or the tracker lost?"
+            return f"{self}; no run after it is like those before: record more runs to see whether it stays so"
+        return f"{self}; it was left out: was something in the way, or the tracker lost?"
 
 
 def faulty_runs(traces: Sequence[LaneTrace]) -> tuple[FaultyRun, ...]:
     """The runs that no effect explains and that are few, each for the coordinate where it is worst."""
     found: dict[int, FaultyRun] = {}
     for one in traces:
-        for faulty in _of_lane(one):
+        if one.outcome.verdict in ("none", "explained"):
+            continue
+        lane, runs = one.lane, np.unique(one.lane.run)
+        errors = one.search.errors(one.chosen, "one_step")
+        own = [errors[lane.run == run][lane.counted[lane.run == run]] for run in runs]
+        for faulty in unlike_others(runs.tolist(), own, lane.coordinate, lane.unit):
             if (
                 faulty.run not in found
                 or faulty.error / faulty.usual > found[faulty.run].error / found[faulty.run].usual
@@ -59,15 +69,13 @@ def faulty_runs(traces: Sequence[LaneTrace]) -> tuple[FaultyRun, ...]:
     return tuple(found[run] for run in sorted(found))
 
 
-def _of_lane(one: LaneTrace) -> list[FaultyRun]:
-    lane, runs = one.lane, np.unique(one.lane.run)
-    if len(runs) < FEWEST_RUNS or one.outcome.verdict in ("none", "explained"):
+def unlike_others(runs: Sequence[int], errors: Sequence[Floats], coordinate: str, unit: str) -> list[FaultyRun]:
+    """Those of some runs whose errors of one step, one array per run [rad or m], are much larger than the others'."""
+    if len(runs) < FEWEST_RUNS:
         return []
-    errors = one.search.errors(one.chosen, "one_step")
-    own = [errors[lane.run == run][lane.counted[lane.run == run]] for run in runs]
-    rows = np.array([len(each) for each in own])
-    squares = np.array([float(np.mean(each**2)) if len(each) else 0.0 for each in own])
-    usual = float(np.median(squares[rows > 0]))
+    rows = np.array([len(own) for own in errors])
+    squares = np.array([float(np.mean(own**2)) if len(own) else 0.0 for own in errors])
+    usual = float(np.median(squares[rows > 0])) if rows.any() else 0.0
     if usual <= 0.0:
         return []
     ratio = squares / usual
@@ -76,8 +84,6 @@ def _of_lane(one: LaneTrace) -> list[FaultyRun]:
         return []
     is_lasting = bool(is_odd[int(np.argmax(is_odd)) :].all())
     return [
-        FaultyRun(
-            int(runs[k]), lane.coordinate, lane.unit, float(np.sqrt(squares[k])), float(np.sqrt(usual)), is_lasting
-        )
-        for k in np.flatnonzero(is_odd)
+        FaultyRun(runs[k], coordinate, unit, float(np.sqrt(squares[k])), float(np.sqrt(usual)), is_lasting)
+        for k in np.flatnonzero(is_odd).tolist()
     ]

@@ -13,6 +13,7 @@ from micah_plan.automaton.link_motion import link_motions
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import told_of_late
 from micah_plan.residual.examined import Examined, examined
+from micah_plan.residual.faulty_runs import FaultyRun, unlike_others
 from micah_plan.residual.leftover import Circumstances, Leftover, lagged, leftover
 from micah_plan.residual.prediction import RunPrediction
 
@@ -76,18 +77,28 @@ def judge(automaton: HybridAutomaton, recording: Recording, runs: Sequence[RunPr
         return Judgement(None, None, None, "too few rows to tell errors from noise", (), correlation, changes)
     one_step, rollout = _floors(automaton, runs, known)
     seen = examined(automaton, recording)
-    told = _sentence(seen)
+    told = _sentence(seen, () if seen.is_noise else _faulty(automaton, runs))
     told = f"{told_of_late(seen.late)}. {told}" if seen.late else told
     follows = tuple((search.lane.coordinate, *one) for search, left in seen.left if left for one in left.follows)
     return Judgement(one_step, rollout, seen.is_noise, told, follows, correlation, changes)
 
 
-def _sentence(seen: Examined) -> str:
+def _faulty(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> list[FaultyRun]:
+    """Runs whose errors are unlike those of the others, each for every coordinate that shows it."""
+    numbers = list(dict.fromkeys(run.run for run in runs))
+    found = []
+    for i, coordinate in enumerate(automaton.coordinates):
+        parts = [[run.one_step.configuration[:, i] for run in runs if run.run == number] for number in numbers]
+        found += unlike_others(numbers, [np.concatenate(own) for own in parts], coordinate.name, coordinate.unit)
+    return found
+
+
+def _sentence(seen: Examined, faulty: Sequence[FaultyRun]) -> str:
     if seen.is_noise:
         return "errors look like noise: this recording shows nothing that the model lacks"
     told = [f"those of {search.lane.coordinate} follow {left}" for search, left in seen.left if left and left.is_more]
     said = [f"errors are not noise: {'; '.join(told)}"] if told else []
-    said += map(str, seen.beside)
+    said += map(str, (*seen.beside, *faulty))
     named = [f"{one.effect.name} of {one.effect.coordinate}" for one in seen.direct]
     said += [f"poses and readings ask for {', '.join(named)}"] if named else []
     if not said and not seen.searches:

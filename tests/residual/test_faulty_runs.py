@@ -6,6 +6,8 @@ import planted_effects as plants
 import pytest
 
 from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.judgement import judge
+from micah_plan.residual.prediction import predict_recording
 
 
 def slipping_in(runs, plant=plants.honest):
@@ -31,6 +33,9 @@ def test_a_faulty_run_is_named_and_left_out(door, runs, plant, count, verdict) -
     found = calibrate(door, recording)
     numbers = [recording.runs[run] for run in runs]
     assert found.verdict == verdict
+    judged = judge(door, recording, predict_recording(door, recording)).sentence
+    # Where every run misses by much, one that misses otherwise is no exception to `predict`.
+    assert ("is unlike the others" in judged) == (plant is plants.honest)
     assert [f"run {number} is unlike" in note for note, number in zip(told(found), numbers, strict=True)] == [
         True
     ] * len(runs)

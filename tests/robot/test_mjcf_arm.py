@@ -134,5 +134,5 @@ def test_mistakes_are_told_in_one_line(text: str, told: str) -> None:
 
 def test_without_mujoco_the_sentence_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(MissingDependencyError, match="an arm in MJCF needs MuJoCo: pip install 'mujoco>="):
+    with pytest.raises(MissingDependencyError, match="an arm in MJCF needs MuJoCo: pip install 'mujoco"):
         load_arm(described(FORMS["quaternion"], "grip"))

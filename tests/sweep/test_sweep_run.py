@@ -159,7 +159,7 @@ def test_parquet_without_its_library_is_refused_before_any_work(
 ) -> None:
     monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
     executor = Inline()
-    with pytest.raises(MissingDependencyError, match=r"pip install 'pyarrow>=\d"):
+    with pytest.raises(MissingDependencyError, match=r"pip install 'pyarrow"):
         run_sweep(small(), tmp_path / "r.parquet", executor=executor)
     assert executor.submitted == 0
     assert list(tmp_path.iterdir()) == []
