@@ -260,7 +260,7 @@ def test_pages_of_an_arm_and_of_a_calibration_open_without_errors(show: Any, rep
     drawer = load_problem(repository / "problems" / "drawer_open.yaml")
     runs = stages.execute(drawer, stages.solve(drawer), trials=4).recording
     shown = show(calibration_page(stages.calibrate(drawer.automaton, runs), "drawer"), "")
-    assert shown.page.inner_text("h1") == "drawer"
+    assert shown.page.inner_text("h1") == "drawer: measured motion against the model"
     assert shown.page.locator("svg").count() > 0
 
 
