@@ -94,6 +94,7 @@ def test_a_wave_is_no_chain_of_joints_and_a_chain_of_slides_is() -> None:
     assert kinds(seen(bent(corners=True), None, 0.001)) == ["prismatic"] * 3
 
 
+@pytest.mark.slow
 def test_a_stream_goes_on_after_rows_that_no_joint_holds() -> None:
     learner = OnlineLearner(LearnSettings(window=256, resolution=32), "champ")
     rows = seen(np.tile(bent(corners=False), (12, 1)) + np.outer(np.arange(12 * 126), [1e-3, 0, 1e-3]), None, 0.001)

@@ -58,6 +58,7 @@ def test_what_lasts_to_the_end_is_told_and_kept(door, last) -> None:
     assert found.verdict != "none"
 
 
+@pytest.mark.slow
 def test_of_four_runs_none_is_the_exception(door) -> None:
     recording = plants.door_recording(plants.runs_of(slipping_in((1,)), 4, 40, 1))
     assert told(calibrate(door, recording)) == []

@@ -45,7 +45,11 @@ def test_a_model_that_refuses_runs_says_which(door, honest) -> None:
 
 
 @pytest.mark.parametrize(
-    ("factor", "unit"), [(1000.0, "millimetres"), pytest.param(100.0, "centimetres", marks=pytest.mark.evidence)]
+    ("factor", "unit"),
+    [
+        pytest.param(1000.0, "millimetres", marks=pytest.mark.slow),
+        pytest.param(100.0, "centimetres", marks=pytest.mark.evidence),
+    ],
 )
 def test_commands_in_other_units_are_named(door, honest, factor, unit) -> None:
     found = calibrate(door, replace(honest, action=factor * np.array(honest.action)))
