@@ -31,7 +31,7 @@ from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.faulty_runs import faulty_runs
 from micah_plan.residual.fit import CONFIDENCE
 from micah_plan.residual.geometry import DirectFinding, lasting_across, scatter_across
-from micah_plan.residual.lane import ENOUGH_RUNS, MOST_ROWS, Lane, lanes
+from micah_plan.residual.lane import MOST_ROWS, Lane, lanes
 from micah_plan.residual.missing_mode import MissingMode
 from micah_plan.residual.prediction import predict_recording, refused, rmse, rmse_of_coordinates
 from micah_plan.residual.search import Candidate, Search
@@ -588,9 +588,8 @@ def notes_on(traces: Sequence[LaneTrace]) -> tuple[str, ...]:
         notes += [*_units(one), *_at_bounds(one)]
         lane, name = one.lane, one.lane.coordinate
         runs = len(np.unique(lane.run))
-        if runs < ENOUGH_RUNS:
-            which = "one run" if runs == 1 else f"{runs} runs"
-            notes.append(f"{name}: {which} only; stretches were held out, so what differs from run to run is unknown")
+        if runs == 1:
+            notes.append(f"{name}: one run only; stretches were held out, so what differs from run to run is unknown")
         u = lane.u[lane.counted_starts]
         moving = u[np.abs(u) > 0.05 * lane.command_size]
         if moving.size and (np.mean(moving > 0) < 0.05 or np.mean(moving > 0) > 0.95):

@@ -16,9 +16,8 @@ from scipy.special import fdtrc
 
 from micah_plan.arrays import Floats
 from micah_plan.quantities import quantity
-from micah_plan.residual.trace import LaneTrace
+from micah_plan.residual.trace import ENOUGH_INDEPENDENT, LaneTrace
 
-FEWEST_RUNS = 5
 _MOST_SHARE = 0.25  # of the runs: more of them are no exception
 _LEAST_RATIO = 3.0  # of the errors: what every effect looks like in the run that shows it most
 _CHANCE = 1e-6  # of one such run among all, if errors are noise
@@ -71,7 +70,7 @@ def faulty_runs(traces: Sequence[LaneTrace]) -> tuple[FaultyRun, ...]:
 
 def unlike_others(runs: Sequence[int], errors: Sequence[Floats], coordinate: str, unit: str) -> list[FaultyRun]:
     """Those of some runs whose errors of one step, one array per run [rad or m], are much larger than the others'."""
-    if len(runs) < FEWEST_RUNS:
+    if len(runs) < ENOUGH_INDEPENDENT:
         return []
     rows = np.array([len(own) for own in errors])
     squares = np.array([float(np.mean(own**2)) if len(own) else 0.0 for own in errors])

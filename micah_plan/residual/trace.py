@@ -61,7 +61,7 @@ from micah_plan.residual.verdict import Facts, Outcome, outcome_of
 _ERRORS = 2.0
 _SLACK = 0.5
 # Independent runs, or motions of the only run, from which on evidence of rows is evidence.
-_ENOUGH_INDEPENDENT = 5
+ENOUGH_INDEPENDENT = 5
 # A motion is one from end to end of at least this share of where the part was.
 _A_MOTION = 0.2
 # Steps that a smooth function of the configuration needs at least.
@@ -148,13 +148,15 @@ def trace(search: Search, progress: Progress | None = None) -> LaneTrace:
     remaining = chosen if is_enough else loose if chosen is search.nominal else _smoothed(search, chosen)
     named = chosen if chosen.parts or growth.blocked is None else growth.blocked
     findings = _findings(search, nominal, named, growth.alternatives)
+    # Commands that are places make a model of their own, which runs bear out or not as they do effects on top of it.
+    base = nominal if named is search.nominal else search.nominal
     left, is_worth_it = search.left_by(chosen), is_worth(remaining, chosen, lane)
     facts = Facts(
         effects=len(named.parts),
         modes=len(modes),
         is_open=any(may_remember(lane, one) for one in findings),
         is_blocked=named is not chosen,
-        is_contradicted=_is_contradicted(search, named),
+        is_contradicted=_is_contradicted(search, named, base),
         is_single=_is_single(lane),
         smooth=_fraction_left(nominal, named, [loose, remaining]) if is_worth_it and not modes else 0.0,
         is_left=left is not None and left.is_more,
@@ -168,7 +170,7 @@ def trace(search: Search, progress: Progress | None = None) -> LaneTrace:
         search=search,
         nominal=nominal,
         chosen=chosen,
-        final=search.nominal if facts.is_open or facts.is_contradicted else final,
+        final=base if facts.is_contradicted else search.nominal if facts.is_open else final,
         findings=tuple(replace(one, is_added=not facts.is_kept_out) for one in findings),
         ranking=() if is_quiet else _ranking(nominal, [*singles, loose]),
         missing_modes=modes,
@@ -183,15 +185,15 @@ def trace(search: Search, progress: Progress | None = None) -> LaneTrace:
     )
 
 
-def _is_contradicted(search: Search, named: Scored) -> bool:
+def _is_contradicted(search: Search, named: Scored, base: Scored) -> bool:
     """Whether one of few runs is predicted no better by effects that were fitted to the others.
 
     Rows of one run share what is particular to it, so few runs show what many rows of them do not.
     """
     runs = len(np.unique(search.lane.run))
-    if not named.parts or not 1 < runs < _ENOUGH_INDEPENDENT:
+    if named is base or not 1 < runs < ENOUGH_INDEPENDENT:
         return False
-    return bool(np.any(search.density_by_run(named) <= search.density_by_run(search.nominal)))
+    return bool(np.any(search.density_by_run(named) <= search.density_by_run(base)))
 
 
 def _is_single(lane: Lane) -> bool:
@@ -206,7 +208,7 @@ def _is_single(lane: Lane) -> bool:
             turn = place
         elif abs(way) > least:
             turn, direction, motions = place, float(np.sign(way)), motions + 1
-    return motions < _ENOUGH_INDEPENDENT
+    return motions < ENOUGH_INDEPENDENT
 
 
 def _ranking(nominal: Scored, models: Sequence[Scored]) -> tuple[tuple[str, float, float], ...]:

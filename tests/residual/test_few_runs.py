@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import planted_effects as plants
 import pytest
 
@@ -37,3 +38,26 @@ def test_one_run_explains_only_by_many_motions(door, rows, verdict) -> None:
     found = calibrate(door, plants.door_recording(plants.runs_of(plants.weak, 1, rows, 1)))
     assert found.verdict == verdict
     assert [one.is_added for one in found.effects] == [True]
+
+
+def led_to_places(runs, rows=80, share=0.35):
+    """A machine under position control: the part goes a share of the way to a place that is told in each row."""
+    rng, found = np.random.default_rng(1), []
+    for _ in range(runs):
+        c = place = rng.uniform(0.2, 0.5)
+        goal, z, u = rng.uniform(0.3, 0.9), np.zeros(rows), np.zeros(rows)
+        for k in range(rows):
+            z[k] = c + 0.003 * rng.standard_normal()
+            goal = rng.uniform(0.3, 0.9) if abs(goal - place) < 0.03 else goal
+            place += np.clip(goal - place, -0.03, 0.03)
+            u[k] = place - z[k]
+            c += share * (place - c)
+        found.append((z, u))
+    return found
+
+
+@pytest.mark.parametrize("runs", [3, pytest.param(2, marks=pytest.mark.slow), pytest.param(6, marks=pytest.mark.slow)])
+def test_few_runs_of_a_machine_that_is_led_to_places_bear_that_out(door, runs) -> None:
+    found = calibrate(door, plants.door_recording(led_to_places(runs)))
+    assert found.verdict == "explained"
+    assert [(one.effect.name, one.is_added) for one in found.effects] == [("follow", True)]
