@@ -19,65 +19,8 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import passed_on
 from micah_plan.automaton.memo import memoised
 from micah_plan.automaton.region import HalfSpace
+from micah_plan.automaton.transition import MOST_EVENTS, Event, Step
 from micah_plan.errors import InputError, shown
-
-MOST_EVENTS = 256
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Event:
-    """A transition that happened within a step.
-
-    Attributes:
-        edge: index into the automaton's edges.
-        fraction: s in [0, 1] of the step at which it happened.
-        x_before, x_after: (n,) state before and after the reset [rad or m].
-        source, target: modes; equal for a self transition.
-    """
-
-    edge: int
-    fraction: float
-    x_before: Floats
-    x_after: Floats
-    source: str
-    target: str
-
-    @property
-    def name(self) -> str:
-        return f"{self.source} -> {self.target}"
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Step:
-    """The result of one step.
-
-    Attributes:
-        mode, x: at the end of the step; x is (n,).
-        events: in the order in which they happened.
-        complete: false if the limit on events ended the motion early.
-    """
-
-    mode: str
-    x: Floats
-    events: tuple[Event, ...] = ()
-    complete: bool = True
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """The result of `simulate` over k steps.
-
-    Attributes:
-        modes: (k+1,) from the initial mode on.
-        states: (k+1, n) from the initial state on [rad or m].
-        events: (step, event) of all events, step counted from 0.
-        complete: whether all steps were.
-    """
-
-    modes: tuple[str, ...]
-    states: Floats
-    events: tuple[tuple[int, Event], ...]
-    complete: bool
 
 
 def step(
@@ -103,29 +46,6 @@ def step(
     for i, value in after.items():  # memories take their next values when the step ends
         final[i] = value
     return Step(travel.table.name, final, tuple(travel.events), complete)
-
-
-def simulate(
-    automaton: HybridAutomaton, mode: str, x0: ArrayLike, inputs: ArrayLike, disturbances: ArrayLike | None = None
-) -> Run:
-    """`step` after `step` with inputs (k, m) and disturbances (k, n), from x0 (n,) in `mode`.
-
-    Raises:
-        InputError: as `step`, or the number of disturbances is not that of inputs.
-    """
-    rows = _rows(inputs, automaton.m, "inputs")
-    pushes = [None] * len(rows) if disturbances is None else _rows(disturbances, automaton.n, "disturbances")
-    if len(pushes) != len(rows):
-        raise InputError(f"disturbances must have as many rows as inputs, {len(rows)}. Got {len(pushes)}")
-    steps = [Step(automaton.mode(mode).name, np.array(_values(x0, automaton.n, "x0")))]
-    for u, pushed in zip(rows, pushes, strict=True):
-        steps.append(step(automaton, steps[-1].mode, steps[-1].x, u, pushed))
-    return Run(
-        tuple(each.mode for each in steps),
-        np.array([each.x for each in steps]),
-        tuple((k, event) for k, each in enumerate(steps[1:]) for event in each.events),
-        all(each.complete for each in steps),
-    )
 
 
 @dataclass(slots=True)
@@ -276,13 +196,6 @@ def _values(value: ArrayLike, size: int, name: str) -> list[float]:
     if array.shape != (size,) or not math.isfinite(sum(values)):
         raise InputError(f"{name} must be {size} finite numbers. Got {shown(values)}")
     return values
-
-
-def _rows(value: ArrayLike, width: int, name: str) -> Floats:
-    array = np.asarray(value, dtype=float)
-    if array.ndim != 2 or array.shape[1] != width or not np.isfinite(array).all():
-        raise InputError(f"{name} must be finite and have shape (k, {width}). Got shape {array.shape}")
-    return array
 
 
 TOLERANCE = 1e-12

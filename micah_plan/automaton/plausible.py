@@ -55,15 +55,17 @@ class Amount:
 
 def implausible(amounts: Iterable[Amount]) -> Iterator[str]:
     """One line for each amount that is beyond its scale: place, amount, scale, remedy."""
-    for one in amounts:
-        size, told = abs(one.size), quantity(abs(one.size), one.unit)
-        if size > one.most and 0.0 < one.most < math.inf:
-            if one.than:
-                yield f"{one.place}: {told} is more than {one.than}, {quantity(one.most, one.unit)}; check the unit"
+    for amount in amounts:
+        size = abs(amount.size)
+        place_and_size = f"{amount.place}: {quantity(size, amount.unit)}"
+        if size > amount.most and 0.0 < amount.most < math.inf:
+            if amount.than:
+                most = quantity(amount.most, amount.unit)
+                yield f"{place_and_size} is more than {amount.than}, {most}; check the unit"
             else:
-                yield f"{one.place}: {told} is farther than a room is wide; {_IN_METRES}"
-        elif 0.0 < size < one.least:
-            yield f"{one.place}: {told} is less than the least, {quantity(one.least, one.unit)}; check the unit"
+                yield f"{place_and_size} is farther than a room is wide; {_IN_METRES}"
+        elif 0.0 < size < amount.least:
+            yield f"{place_and_size} is less than the least, {quantity(amount.least, amount.unit)}; check the unit"
 
 
 def suspicions(automaton: HybridAutomaton) -> tuple[str, ...]:
@@ -77,8 +79,8 @@ def part_amounts(parts: Iterable[Part]) -> Iterator[Amount]:
     """Handles and solids of parts against a room."""
     for part in parts:
         if part.handle is not None:
-            yield Amount(f"parts.{part.name}.handle", _length(part.handle), "m", FARTHEST_M)
-        yield from solid_amounts(f"parts.{part.name}", [one for one in part.shapes if isinstance(one, Primitive)])
+            yield Amount(f"parts.{part.name}.handle", length(part.handle), "m", FARTHEST_M)
+        yield from solid_amounts(f"parts.{part.name}", [shape for shape in part.shapes if isinstance(shape, Primitive)])
 
 
 def solid_amounts(place: str, shapes: Sequence[Primitive]) -> Iterator[Amount]:
@@ -86,7 +88,7 @@ def solid_amounts(place: str, shapes: Sequence[Primitive]) -> Iterator[Amount]:
     for i, shape in enumerate(shapes):
         for size in shape.size:
             yield Amount(f"{place}.shapes.{i}.size", size, "m", FARTHEST_SOLID_M, least=_THINNEST_M)
-        yield Amount(f"{place}.shapes.{i}.position", _length(shape.position), "m", FARTHEST_SOLID_M)
+        yield Amount(f"{place}.shapes.{i}.position", length(shape.position), "m", FARTHEST_SOLID_M)
 
 
 def whole_range(automaton: HybridAutomaton, i: int) -> float:
@@ -95,7 +97,8 @@ def whole_range(automaton: HybridAutomaton, i: int) -> float:
     return ranges[-1][1] - ranges[0][0] if ranges else math.inf
 
 
-def _length(vector: Sequence[float]) -> float:
+def length(vector: Sequence[float]) -> float:
+    """Of a vector, in its unit."""
     return float(np.linalg.norm(vector))
 
 
@@ -103,7 +106,7 @@ def _distances(automaton: HybridAutomaton) -> Iterator[Amount]:
     for mode in automaton.modes:
         for link, joint in zip(automaton.links, mode.joints, strict=True):
             place = f"modes.{mode.name}.joints.{link.child}"
-            yield Amount(place, _length(joint.position), "m", FARTHEST_M)
+            yield Amount(place, length(joint.position), "m", FARTHEST_M)
 
 
 def _of_actions(automaton: HybridAutomaton) -> Iterator[Amount]:
@@ -113,7 +116,7 @@ def _of_actions(automaton: HybridAutomaton) -> Iterator[Amount]:
             place, channel = f"learned.{i}.actions", edge.certainty.channel
             yield Amount(f"{place}.gain", channel.gain, "", 100.0, "a hand can gain")
             yield Amount(f"{place}.delay", channel.delay, "s", 60.0, "an object waits for")
-            yield Amount(f"{place}.frame_rotation", _length(channel.frame_rotation), "rad", 2.0 * math.pi, "a turn")
+            yield Amount(f"{place}.frame_rotation", length(channel.frame_rotation), "rad", 2.0 * math.pi, "a turn")
 
 
 def _along_coordinates(automaton: HybridAutomaton) -> Iterator[Amount]:

@@ -15,7 +15,7 @@ def main() -> None:
     """Entry point of `micah-plan`. Ctrl-C is answered with one line from here on, also while libraries are loaded."""
     # Plugins of pydantic are looked for in the metadata of all installed packages, and none has a say in these files.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-    # Matrices are small here: threads of the linear algebra wait for each other (a push of `explore`: 18 s for 2 s).
+    # Matrices are small here: threads of the linear algebra only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         from micah_plan.cli.application import main as run

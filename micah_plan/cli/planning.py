@@ -64,13 +64,12 @@ def solve(
 ) -> None:
     """Plan in belief space; exit code 1 if there is no plan."""
     from micah_plan.api import stages
-    from micah_plan.documents.kind import files_named_by
     from micah_plan.documents.plan import check_timings, plan_text, timings_path, timings_text
     from micah_plan.files import replace_files
 
     outputs = [Output("-o", output, PLAN), Output("--html", html, PAGE), Output("--figure", figure, FIGURE)]
     outputs += [Output("the times of -o", timings_path(output), PLAN)] if output.suffix else []
-    check_outputs((*files_named_by(problem), model), outputs)
+    check_outputs((problem, model), outputs)  # which end otherwise than what a problem names
     check_timings(output)
     overrides = {} if model is None else {"model": str(model.resolve())}
     asked, notes = stages.read_problem(problem, overrides)

@@ -21,6 +21,7 @@ _YAML_KINDS: tuple[FileKind, ...] = ("model", "parts", "problem", "scene", "swee
 
 _YAML = (".yaml", ".yml")
 _MOST_NAMED = 1000
+_NAME_NOTHING = ("model", "parts", "conventions")  # models may be large, and are read once
 
 
 def kind_of(path: str | Path) -> FileKind:
@@ -57,8 +58,8 @@ def files_named_by(path: str | Path) -> list[Path]:
         if os.path.realpath(file) in found or len(found) >= _MOST_NAMED:
             continue
         found[os.path.realpath(file)] = file
-        if file.suffix.lower() in _YAML:
-            with suppress(InputError, OSError, ValueError):
+        with suppress(InputError, OSError, ValueError):
+            if file.suffix.lower() in _YAML and kind_of(file) not in _NAME_NOTHING:
                 texts = _texts(read_yaml_file(file).data)
                 waiting += [file.parent / text for text in texts if len(text) < 300 and (file.parent / text).is_file()]
     return list(found.values())

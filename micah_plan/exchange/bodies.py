@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -16,6 +15,7 @@ from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import Interval
 from micah_plan.errors import InputError
 from micah_plan.quantities import count
+from micah_plan.task.body import volume
 
 DENSITY = 500.0
 """Of wood, kg/m^3: nobody has weighed the object."""
@@ -110,8 +110,8 @@ def _moving_joint(automaton: HybridAutomaton, k: int, screws: bool) -> Joint:
 def inertia_of(part: Part, density: float) -> Inertia:
     """Of all shapes of a part, each solid and of that density [kg/m^3]; a small ball where it has none."""
     shapes = part.shapes or (Primitive("sphere", (_BARE_RADIUS,)),)
-    scale = density if part.shapes else _BARE_MASS / _volume(shapes[0])
-    masses = np.array([scale * _volume(shape) for shape in shapes])
+    scale = density if part.shapes else _BARE_MASS / volume(shapes[0])
+    masses = np.array([scale * volume(shape) for shape in shapes])
     centers = np.array([shape.position for shape in shapes], dtype=float)
     center = masses @ centers / masses.sum()
     moments = np.zeros((3, 3))
@@ -120,13 +120,6 @@ def inertia_of(part: Part, density: float) -> Inertia:
         own = turn @ np.diag(mass * np.array(_squares(shape))) @ turn.T
         moments += own + mass * (at @ at * np.eye(3) - np.outer(at, at))
     return Inertia(float(masses.sum()), center, moments)
-
-
-def _volume(shape: Primitive) -> float:
-    if shape.kind == "box":
-        return math.prod(shape.size)
-    radius = shape.size[0]
-    return math.pi * radius**2 * shape.size[1] if shape.kind == "cylinder" else 4.0 / 3.0 * math.pi * radius**3
 
 
 def _squares(shape: Primitive) -> Sequence[float]:

@@ -52,28 +52,26 @@ class FaultyRun:
 
 def faulty_runs(traces: Sequence[LaneTrace]) -> tuple[FaultyRun, ...]:
     """The runs that no effect explains and that are few, each for the coordinate where it is worst."""
-    found: dict[int, FaultyRun] = {}
-    for one in traces:
-        if one.outcome.verdict in ("none", "explained"):
+    worst: dict[int, FaultyRun] = {}
+    for trace in traces:
+        if trace.outcome.verdict in ("none", "explained"):
             continue
-        lane, runs = one.lane, np.unique(one.lane.run)
-        errors = one.search.errors(one.chosen, "one_step")
-        own = [errors[lane.run == run][lane.counted[lane.run == run]] for run in runs]
-        for faulty in unlike_others(runs.tolist(), own, lane.coordinate, lane.unit):
-            if (
-                faulty.run not in found
-                or faulty.error / faulty.usual > found[faulty.run].error / found[faulty.run].usual
-            ):
-                found[faulty.run] = faulty
-    return tuple(found[run] for run in sorted(found))
+        lane, runs = trace.lane, np.unique(trace.lane.run)
+        errors = trace.search.errors(trace.chosen, "one_step")
+        by_run = [errors[lane.run == run][lane.counted[lane.run == run]] for run in runs]
+        for faulty in unlike_others(runs.tolist(), by_run, lane.coordinate, lane.unit):
+            before = worst.get(faulty.run)
+            if before is None or faulty.error / faulty.usual > before.error / before.usual:
+                worst[faulty.run] = faulty
+    return tuple(worst[run] for run in sorted(worst))
 
 
 def unlike_others(runs: Sequence[int], errors: Sequence[Floats], coordinate: str, unit: str) -> list[FaultyRun]:
     """Those of some runs whose errors of one step, one array per run [rad or m], are much larger than the others'."""
     if len(runs) < ENOUGH_INDEPENDENT:
         return []
-    rows = np.array([len(own) for own in errors])
-    squares = np.array([float(np.mean(own**2)) if len(own) else 0.0 for own in errors])
+    rows = np.array([len(run) for run in errors])
+    squares = np.array([float(np.mean(run**2)) if len(run) else 0.0 for run in errors])
     usual = float(np.median(squares[rows > 0])) if rows.any() else 0.0
     if usual <= 0.0:
         return []

@@ -89,7 +89,7 @@ class Search:
     Attributes:
         nominal: the model that effects are added to: as it is, or with commands that are places (see `trace`).
         given: the effects that the model has already, with their values; no part of what is scored here.
-        smoothed: (model, the same with the smooth correction) by the model's identity: each is fitted once.
+        smoothed: models with the smooth correction, by those without: each is fitted once.
     """
 
     def __init__(self, lane: Lane) -> None:
@@ -97,9 +97,9 @@ class Search:
         self.given: Model = tuple(Term(form(effect.name), effect.modes) for effect in lane.effects)
         self._given = np.array([v for effect in lane.effects for v in (*effect.values, *NEVER_GATED)])[None]
         self.freedom = _FREEDOMS[0]
-        self._rolled: dict[int, tuple[Scored, Floats]] = {}
-        self.smoothed: dict[int, tuple[Scored, Scored]] = {}
-        self._left: dict[int, tuple[Scored, Leftover | None]] = {}
+        self._rolled: dict[Scored, Floats] = {}
+        self.smoothed: dict[Scored, Scored] = {}
+        self._left: dict[Scored, Leftover | None] = {}
         runs = {run: number for number, run in enumerate(np.unique(lane.run).tolist())}
         count = len(lane.run)
         self.folds = min(FOLDS, count)
@@ -154,13 +154,12 @@ class Search:
         whole = self.lane.whole
         if whole is None or whole.stretch is None:
             return self.errors(scored, "rollout")[self.lane.counted]
-        key = id(scored)
-        if key not in self._rolled:
+        if scored not in self._rolled:
             problem = replace(self.problem(scored.parts), lane=whole)
             _, errors = held_out(problem, scored.folds, "rollout")
             runs, rows = np.nonzero(whole.counted)
-            self._rolled[key] = scored, np.asarray(errors[self.fold[whole.stretch[runs, rows]], runs, rows])
-        return self._rolled[key][1]
+            self._rolled[scored] = np.asarray(errors[self.fold[whole.stretch[runs, rows]], runs, rows])
+        return self._rolled[scored]
 
     def innovations(self, scored: Scored) -> Floats:
         """(S, T) innovations, held out as in `errors`."""
@@ -284,9 +283,9 @@ class Search:
 
     def left_by(self, scored: Scored) -> Leftover | None:
         """What the innovations follow: commands, places, time, and innovations before them."""
-        if id(scored) not in self._left:
-            self._left[id(scored)] = scored, self._left_by(scored)
-        return self._left[id(scored)][1]
+        if scored not in self._left:
+            self._left[scored] = self._left_by(scored)
+        return self._left[scored]
 
     def _left_by(self, scored: Scored) -> Leftover | None:
         lane = self.lane

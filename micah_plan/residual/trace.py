@@ -282,14 +282,14 @@ def _silent(message: str, fraction: float) -> None:
 
 def _smoothed(search: Search, base: Scored) -> Scored:
     """A model with the smooth correction on top: all of it, or only what depends on the command if that is better."""
-    if id(base) not in search.smoothed:
+    if base not in search.smoothed:
         lane = search.lane
         # Where all runs are alike a function of the place could be one of time.
         is_enough = lane.counted.sum() >= _ROWS_FOR_SMOOTH and not lane.repeats_one_motion
         kinds = (True, False) if is_enough else (True,)
         found = [search.score((*base.parts, smooth(lane, is_lean=is_lean)), base) for is_lean in kinds]
-        search.smoothed[id(base)] = base, ranked(found)[0]
-    return search.smoothed[id(base)][1]
+        search.smoothed[base] = ranked(found)[0]
+    return search.smoothed[base]
 
 
 def _fraction_left(nominal: Scored, chosen: Scored, smoother: Sequence[Scored]) -> float:

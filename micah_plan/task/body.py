@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -55,6 +56,16 @@ class Body:
     def pose(self) -> RigidTransform:
         """Pose of the body's frame in the base frame (single)."""
         return transform(self.position, self.quaternion)
+
+
+def volume(shape: Shape) -> float:
+    """Of a solid [m^3]; of a mesh that of the box around it."""
+    if isinstance(shape, Hull):
+        return float(np.prod(np.ptp(np.array(shape.vertices), axis=0)))
+    if shape.kind == "box":
+        return math.prod(shape.size)
+    radius = shape.size[0]
+    return math.pi * radius**2 * shape.size[1] if shape.kind == "cylinder" else 4.0 / 3.0 * math.pi * radius**3
 
 
 def transform(position: Vector3, quaternion: Quaternion) -> RigidTransform:

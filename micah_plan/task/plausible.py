@@ -11,19 +11,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.automaton.plausible import (
     FARTHEST_M,
     FARTHEST_SOLID_M,
     Amount,
     implausible,
+    length,
     part_amounts,
     solid_amounts,
     whole_range,
 )
-from micah_plan.task.body import Body, Shape
+from micah_plan.task.body import Body, volume
 from micah_plan.task.experiment import Experiment, Scene
 from micah_plan.task.problem import Hold, Problem, Release
 
@@ -103,51 +102,39 @@ def _scale(problem: Problem, i: int) -> tuple[float, str]:
 
 def _steps(problem: Problem) -> dict[str, float]:
     """The largest step of each input coordinate that the problem states [rad or m], by the name that both have."""
-    return dict(zip((one.name for one in problem.automaton.inputs), problem.settings.max_step or (), strict=False))
+    return dict(
+        zip((coordinate.name for coordinate in problem.automaton.inputs), problem.settings.max_step or (), strict=False)
+    )
 
 
 def _places(problem: Problem) -> Iterator[Amount]:
     places = {} if problem.robot is None else {"robot.position": problem.robot.position}
     places |= {} if problem.grasp is None else {"grasp.position": problem.grasp.position}
     for key, place in places.items():
-        yield Amount(key, _length(place), "m", FARTHEST_M)
+        yield Amount(key, length(place), "m", FARTHEST_M)
 
 
 def _of_scene(bodies: Sequence[Body]) -> Iterator[Amount]:
     for body in bodies:
         key = f"scene.{body.name}"
-        yield Amount(f"{key}.position", _length(body.position), "m", FARTHEST_SOLID_M)
-        yield from solid_amounts(key, [one for one in body.shapes if isinstance(one, Primitive)])
+        yield Amount(f"{key}.position", length(body.position), "m", FARTHEST_SOLID_M)
+        yield from solid_amounts(key, [shape for shape in body.shapes if isinstance(shape, Primitive)])
         if body.mass is not None:
-            volume = sum(map(_volume, body.shapes))
-            dense, light = _DENSEST * volume, _LIGHTEST * volume
+            size = sum(map(volume, body.shapes))
+            dense, light = _DENSEST * size, _LIGHTEST * size
             yield Amount(f"{key}.mass", body.mass, "kg", dense, "the densest metal of its size weighs", light)
 
 
 def _of_hold(hold: Hold) -> Iterator[Amount]:
     yield from part_amounts((hold.grip.held, hold.grip.moving))
     for key, place in {"point": hold.grip.point, "reach.lower": hold.lower, "reach.upper": hold.upper}.items():
-        yield Amount(f"hold.{key}", _length(place), "m", FARTHEST_M)
-    yield Amount("hold.rotation", _length(hold.grip.rotation), "rad", _WHOLE_TURN, "a whole turn")
+        yield Amount(f"hold.{key}", length(place), "m", FARTHEST_M)
+    yield Amount("hold.rotation", length(hold.grip.rotation), "rad", _WHOLE_TURN, "a whole turn")
 
 
 def _of_release(release: Release) -> Iterator[Amount]:
     lengths = {name: getattr(release, name) for name in ("support_std", "step", "shift_std", "withdraw")}
-    lengths |= {f"fingers.{joint}": position for joint, position in release.fingers}
     for key, size in lengths.items():
-        yield Amount(f"release.{key}", size, "m", 1.0, "a hand can open or feel")
-
-
-def _volume(shape: Shape) -> float:
-    """Of a solid [m^3]; of the box around a mesh."""
-    if not isinstance(shape, Primitive):
-        return float(np.prod(np.ptp(np.array(shape.vertices), axis=0)))
-    if shape.kind == "box":
-        return float(np.prod(shape.size))
-    if shape.kind == "cylinder":
-        return math.pi * shape.size[0] ** 2 * shape.size[1]
-    return 4.0 / 3.0 * math.pi * shape.size[0] ** 3
-
-
-def _length(vector: Sequence[float]) -> float:
-    return float(np.linalg.norm(vector))
+        yield Amount(f"release.{key}", size, "m", 1.0, "a hand can feel or move away")
+    for joint, position in release.fingers:  # whether it slides or turns only its file says
+        yield Amount(f"release.fingers.{joint}", position, "", _WHOLE_TURN, "any joint of a gripper opens")

@@ -37,6 +37,7 @@ def calibration_page(found: Calibration, title: str) -> str:
     """The page as HTML text: self-contained, fetches nothing, the same value gives the same bytes."""
     modes = [mode for one in found.traces for mode in one.missing_modes]
     gain = "It predicts {} nats better than any gradual change."
+    coordinates = [_coordinate(one) for one in found.traces]
     page = {
         "title": f"{listed([one.lane.coordinate for one in found.traces])}: measured motion against the model",
         "kind": f"calibration with {title}",
@@ -51,8 +52,8 @@ def calibration_page(found: Calibration, title: str) -> str:
         "poses": _poses(found),
         "unexplained": f"Left unexplained: {percent(found.unexplained_fraction, 0)} of the error that could be "
         "explained.",
-        "coordinates": [_coordinate(one) for one in found.traces],
-        "first": _motion(max(found.traces, key=_worth))[:2],
+        "coordinates": coordinates,
+        "first": coordinates[max(range(len(coordinates)), key=lambda k: _worth(found.traces[k]))]["motion"][:2],
         "experiment": f"{capital(found.experiment)}.",
     }
     return render("calibration.html.j2", page=page)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from ruamel.yaml import YAML
 from micah_plan.checking import check_file
 from micah_plan.documents.model import load_model
 from micah_plan.documents.problem import load_problem
+from micah_plan.task.plausible import suspicions
 
 ROOT = Path(__file__).resolve().parents[2]
 # One edit of a shipped file each: what is replaced, by what, where the line says it is, and what it says.
@@ -207,3 +209,13 @@ def test_a_number_10_000_times_too_large_is_told(tmp_path: Path, name: str) -> N
         if not found.faults and not found.warnings:
             assert any(fnmatch(key, pattern) for pattern in UNBOUNDED), key
     assert len(tried) >= 4
+
+
+@pytest.mark.parametrize(("position", "lines"), [(0.04, 0), (1.2, 0), (15.0, 1)])
+def test_fingers_slide_or_turn(position: float, lines: int) -> None:
+    """Only the file of the robot says which, so a finger may open by as much as a joint turns."""
+    problem = load_problem(ROOT / "problems" / "stapler_on_books.yaml")
+    assert problem.release is not None
+    (name, _), *others = problem.release.fingers
+    opened = replace(problem, release=replace(problem.release, fingers=((name, position), *others)))
+    assert [line.startswith(f"release.fingers.{name}: ") for line in suspicions(opened)] == [True] * lines

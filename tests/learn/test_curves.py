@@ -60,7 +60,7 @@ def answer(recording):
 
 @pytest.mark.parametrize(
     ("tilt", "times"),
-    [(0.6, 2), pytest.param(0.6, 3, marks=pytest.mark.slow), pytest.param(0.7, 4, marks=pytest.mark.evidence)],
+    [(0.6, 2), pytest.param(0.6, 3, marks=pytest.mark.slow), pytest.param(0.7, 4, marks=pytest.mark.slow)],
 )
 def test_a_part_that_tilts_while_it_slides_moves_along_a_path(tilt, times) -> None:
     assert answer(tilting(tilt, times, seed=times)) == ["path"]

@@ -89,11 +89,13 @@ def test_every_number_in_a_remedy_works_when_it_is_followed(name: str) -> None:
         assert solve(other, advise=False).outcome == "solved"
 
 
-def test_without_advice_no_number_is_named() -> None:
-    for name in QUICK:
-        problem = FAILING[name]()
-        for finding in solve(problem, advise=False).findings:
-            assert not taken(problem, finding)
+@pytest.mark.parametrize(
+    "name", [one if one in QUICK else pytest.param(one, marks=pytest.mark.slow) for one in FAILING]
+)
+def test_without_advice_no_number_is_named(name: str) -> None:
+    problem = FAILING[name]()
+    for finding in solve(problem, advise=False).findings:
+        assert not taken(problem, finding)
 
 
 def test_an_offer_changes_what_it_says_and_nothing_else() -> None:
