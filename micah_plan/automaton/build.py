@@ -311,7 +311,8 @@ def _rounded(certainty: SegmentCertainty | None) -> SegmentCertainty | None:
         pairs = [(row, _probability(p)) for row, p in zip(start.rows, start.probabilities, strict=True)]
         pairs = [pair for pair in pairs if pair[1] > 0]
         start = RowPosterior(tuple(row for row, _ in pairs), tuple(p for _, p in pairs))
-    return replace(certainty, start=start, kinds=tuple((kind, _probability(p)) for kind, p in certainty.kinds))
+    kinds = tuple((kind, _probability(p)) for kind, p in certainty.kinds)
+    return replace(certainty, start=start, kinds=kinds, deviation=None)
 
 
 def _probability(value: float) -> float:

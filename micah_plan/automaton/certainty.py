@@ -61,6 +61,20 @@ class Misfit:
 
 
 @dataclass(frozen=True)
+class Deviation:
+    """How far a part leaves its joint, smoothly and alike whenever it comes to the same place.
+
+    Attributes:
+        position, rotation: typical size in one direction [m, rad]; rotation is 0 where it was not measured.
+        probability: that it is larger than what real joints and trackers usually show.
+    """
+
+    position: float
+    rotation: float
+    probability: float
+
+
+@dataclass(frozen=True)
 class ActionChannel:
     """The command that a recorded action a stands for: gain · R(frame_rotation) a, `delay` later.
 
@@ -121,13 +135,16 @@ class SegmentCertainty:
 
     Attributes:
         start: where it starts; None for the first of a run.
-        kinds: probability of every kind of joint for the segment's rows; they sum to 1 minus that of free motion.
+        kinds: probability of every kind of joint for the segment's rows; they sum to 1 minus that of no single joint:
+            free motion, or a mechanism of more than one axis.
         misfit: why no single joint explains the rows; None if the segment's joint does.
+        deviation: of the segment's joint; None where it does not move, or the rows are too few. Not saved with a model.
     """
 
     start: RowPosterior | None
     kinds: tuple[tuple[JointKind, float], ...]
     misfit: Misfit | None = None
+    deviation: Deviation | None = None
 
 
 @dataclass(frozen=True)

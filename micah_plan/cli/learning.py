@@ -36,7 +36,7 @@ from micah_plan.task.plants import DEFAULT_PLANT
 
 if TYPE_CHECKING:
     from micah_plan.api.stages import Learned
-    from micah_plan.automaton.certainty import ActionChannel
+    from micah_plan.automaton.certainty import ActionChannel, Deviation
     from micah_plan.automaton.graph import KinematicEdge, Segment
     from micah_plan.automaton.joint import Joint
     from micah_plan.explore.run import Exploration
@@ -244,6 +244,7 @@ def _segment(segment: Segment) -> dict[str, Any]:
         "configuration": [segment.configuration_start, segment.configuration_end],
         "probability": segment.probability,
         "probabilities": None if sure is None else dict(sure.kinds),
+        "deviation": None if sure is None or sure.deviation is None else _deviation(sure.deviation),
     }
     if misfit is None:
         return data | fitted
@@ -256,6 +257,10 @@ def _segment(segment: Segment) -> dict[str, Any]:
     }
     best = {"model": segment.joint.kind, **fitted}
     return data | {"model": "none", "parameters": {}, "best": best, "misfit": misses}
+
+
+def _deviation(found: Deviation) -> dict[str, Any]:
+    return {"position_m": found.position, "rotation_rad": found.rotation, "probability": found.probability}
 
 
 def _parameters(joint: Joint) -> dict[str, Any]:
@@ -299,7 +304,7 @@ def _stds(matrix: Sequence[Sequence[float]]) -> list[float]:
 
 def _print_learned(learned: Learned, files: tuple[Path | None, ...]) -> None:
     """A table of the segments of every edge, how its actions move it, and what was written."""
-    from micah_plan.view.learned import action_words
+    from micah_plan.view.learned import action_words, deviation_words
 
     line = " " if out.width >= _WIDE else "\n"
     for edge in learned.graph.edges:
@@ -310,6 +315,7 @@ def _print_learned(learned: Learned, files: tuple[Path | None, ...]) -> None:
         for segment in edge.segments:
             shown.add_row(*(cell.replace("\n", line) for cell in segment_row(segment)))
         out.print(shown)
+        print_lines(tuple(dict.fromkeys(line for segment in edge.segments if (line := deviation_words(segment)))))
         if edge.certainty is not None and edge.certainty.channel is not None:
             print_lines((f"actions: {action_words(edge.certainty.channel)}",))
     if learned.graph.probability is not None:

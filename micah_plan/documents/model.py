@@ -89,7 +89,7 @@ class LearnedSegmentDocument(Document):
         "First and last row (inclusive), counted within the whole recording."
     )
     probabilities: Annotated[dict[JointKind, Probability], ITEMS] | None = doc(
-        "Probability of every kind of joint; the rest to 1 is that of free motion.", None
+        "Probability of every kind of joint; the rest to 1 is that of no single joint.", None
     )
     start: StartDocument | None = doc("Where it starts; absent for the first of a run.", None)
 

@@ -496,10 +496,10 @@ def learn_onward(
     for piece, one, place in zip(pieces, fitted, [state.start, *places[1:]], strict=True):
         same = settled[piece.hypothesis] if piece.hypothesis < len(settled) else None
         if same is None:
-            kinds = kind_probabilities(found, piece.hypothesis, settings.kinds, free, one.screw_log_odds)
+            kinds = kind_probabilities(found, piece.hypothesis, settings.kinds, free, one.doubts)
         else:
             kinds = same.kinds
-        certainties.append(SegmentCertainty(place, kinds, misfit))
+        certainties.append(SegmentCertainty(place, kinds, misfit, one.doubts.deviation))
         of_piece.append(same)
     return LearnedWindow(
         rows=rows,

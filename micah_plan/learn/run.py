@@ -21,7 +21,7 @@ from micah_plan.automaton.certainty import CHANNEL_NAMES, ActionChannel, Evidenc
 from micah_plan.automaton.joint import Joint, JointKind
 from micah_plan.learn.actions.channel import estimate_channel, with_delayed_actions
 from micah_plan.learn.doubt import doubt_of, misfit_of
-from micah_plan.learn.joints.final_fit import fit_joint
+from micah_plan.learn.joints.final_fit import NO_DOUBTS, JointDoubts, fit_joint
 from micah_plan.learn.joints.joint_arrays import compare_all
 from micah_plan.learn.segmenting.changepoints import Piece
 from micah_plan.learn.segmenting.noise import MeasurementNoise
@@ -143,7 +143,7 @@ def with_joints(found: SegmentedRun, settings: LearnSettings, rng: np.random.Gen
     pieces = segmented.segmentation.pieces
     against = -np.inf if doubt is None else doubt.log_odds
     kinds = [
-        kind_probabilities(segmented, p.hypothesis, settings.kinds, against, one.screw_log_odds)
+        kind_probabilities(segmented, p.hypothesis, settings.kinds, against, one.doubts)
         for p, one in zip(pieces, fitted, strict=True)
     ]
     if doubt is not None and doubt.path is not None:
@@ -153,7 +153,10 @@ def with_joints(found: SegmentedRun, settings: LearnSettings, rng: np.random.Gen
         kinds = [(*shares, ("path", rest))]
         posterior = without_changepoints(posterior, rest)
     chain = chained(fitted, track, inlier, noise)
-    certainties = tuple(SegmentCertainty(place, kind, misfit) for place, kind in zip(places, kinds, strict=True))
+    certainties = tuple(
+        SegmentCertainty(place, kind, misfit, one.doubts.deviation)
+        for place, kind, one in zip(places, kinds, fitted, strict=True)
+    )
     trace = _trace(segmented, posterior, settings)
     hypotheses = tuple(piece.hypothesis for piece in pieces)
     return LearnedRun(track, inlier, noise, tuple(chain), certainties, hypotheses, posterior, trace, segmented)
@@ -192,7 +195,7 @@ def fitted_pieces(
             leader=_leader(p, segmented),
             log_evidence=p.log_evidence,
             settled=p.hypothesis < len(settled),
-            screw_log_odds=joints[p.hypothesis][1],
+            doubts=joints[p.hypothesis][1],
         )
         for p, (a, b) in zip(pieces, spans, strict=True)
     ]
@@ -230,12 +233,12 @@ def _joints(
     settings: LearnSettings,
     rng: np.random.Generator,
     settled: Sequence[Joint],
-) -> dict[int, tuple[Joint, float | None]]:
+) -> dict[int, tuple[Joint, JointDoubts]]:
     """Joints by hypothesis, each fitted to all rows of all pieces that share it: MLESAC from the one that won.
 
-    Beside them the log odds of a screw against a hinge.
+    Beside them what the rows say against them.
     """
-    found: dict[int, tuple[Joint, float | None]] = {i: (joint, None) for i, joint in enumerate(settled)}
+    found: dict[int, tuple[Joint, JointDoubts]] = {i: (joint, NO_DOUBTS) for i, joint in enumerate(settled)}
     for hypothesis in dict.fromkeys(piece.hypothesis for piece in pieces if piece.hypothesis >= len(settled)):
         rows = np.concatenate(
             [np.arange(a, b + 1) for p, (a, b) in zip(pieces, spans, strict=True) if p.hypothesis == hypothesis]
@@ -249,7 +252,7 @@ def _joints(
             rng,
             settings,
         )
-        found[hypothesis] = fitted.joint, fitted.screw_log_odds
+        found[hypothesis] = fitted.joint, fitted.doubts
     return found
 
 

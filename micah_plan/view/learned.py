@@ -341,6 +341,7 @@ LEVELS = 2
 """Rows of names above a chart: what would overlap goes to the second."""
 
 _AT_FLOOR = 0.5
+_TOLD = 0.5  # probability of a deviation from which on it is told
 _LINE_OF_NAMES = 17  # letters
 
 
@@ -358,9 +359,14 @@ def block_words(learned: LearnedRun) -> list[str]:
 
 
 def block_notes(learned: LearnedRun, *, recorded: bool) -> list[str]:
-    """What no joint explains, and how actions move the part, one sentence each; `recorded`: whether there are any."""
+    """What joints explain badly or not at all, and how actions move the part, one sentence each.
+
+    Args:
+        recorded: whether there are actions.
+    """
     notes = [
         *(misfit_words(stretch.segment) for stretch in learned.stretches),
+        *(deviation_words(stretch.segment) for stretch in learned.stretches),
         channel_words(learned, recorded=recorded),
     ]
     return [capital(note) for note in notes if note]
@@ -422,6 +428,19 @@ def misfit_words(segment: Segment) -> str:
     return (
         f"{NO_FIT} rows {segment.start} to {segment.end}: the best, {segment.joint.kind}, misses by {missed}; "
         f"log odds of free motion against it: {misfit.log_odds:+.0f} nats"
+    )
+
+
+def deviation_words(segment: Segment) -> str:
+    """How far a part leaves its joint, if that is further than usual; else empty."""
+    found = None if segment.certainty is None or segment.misfit is not None else segment.certainty.deviation
+    if found is None or found.probability < _TOLD:
+        return ""
+    off = quantity(found.position, "m", digits=2)
+    off += f" and {in_degrees(found.rotation, digits=2)}" if found.rotation else ""
+    return (
+        f"rows {segment.start} to {segment.end} lie off this {segment.joint.kind} joint by {off}, further than real "
+        "joints usually do: it may be a mechanism of more than one axis"
     )
 
 
@@ -542,10 +561,10 @@ def model_name(model: str) -> str:
 
 
 def kind_probabilities(segment: Segment) -> list[tuple[str, float]]:
-    """Kinds of joint and free motion with their probabilities, the most probable first."""
+    """Kinds of joint, and no single joint, with their probabilities, the most probable first."""
     kinds = [] if segment.certainty is None else [(str(kind), p) for kind, p in segment.certainty.kinds]
-    free = max(0.0, 1.0 - sum(p for _, p in kinds))
-    return sorted([*kinds, ("free motion", free)], key=lambda pair: -pair[1])
+    none = max(0.0, 1.0 - sum(p for _, p in kinds))
+    return sorted([*kinds, ("no single joint", none)], key=lambda pair: -pair[1])
 
 
 def kind_words(segment: Segment) -> tuple[str, str]:

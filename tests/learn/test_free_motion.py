@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -12,10 +13,12 @@ import pytest
 from planted import JOINTS, Noise, moving_then_held, recorded
 
 from micah_plan.automaton.certainty import Misfit
+from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.kinematics import forward
 from micah_plan.learn.learn import learn_graph
 from micah_plan.recording.read import read_recording
 from micah_plan.recording.value import Recording
+from micah_plan.view.learned import deviation_words
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 MOTIONS = ("plane", "turning plane", "ball", "sliding door on a hinge", "deforming path", "free hand")
@@ -86,7 +89,32 @@ def test_a_sound_joint_says_that_it_fits(kind: str) -> None:
     segments = learn_graph(recording).edges[0].segments
     for segment in segments:
         assert segment.certainty.misfit is None
-        assert sum(p for _, p in segment.certainty.kinds) == pytest.approx(1.0)
+        assert segment.certainty.deviation is None or segment.certainty.deviation.probability < 0.05
+        assert sum(p for _, p in segment.certainty.kinds) == pytest.approx(1.0, abs=0.005)
+
+
+def test_a_hinge_in_two_stages_is_told_by_how_far_rows_lie_off_one() -> None:
+    c = np.concatenate([np.linspace(0.0, 0.8, 60), np.linspace(0.8, 1.6, 60)])
+    first = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.4, 0.0, 0.0))
+    met = forward(first, np.array([0.8]))
+    second = replace(
+        first, center=(0.0, -0.1, 0.0), position=tuple(met.translation[0]), quaternion=tuple(met.rotation.as_quat()[0])
+    )
+    recording = recorded([(first, c[:60]), (second, c[60:] - 0.8)], np.random.default_rng(0), Noise(0.0005, 0.003))
+    (segment,) = learn_graph(recording).edges[0].segments
+    deviation = segment.certainty.deviation
+    assert segment.joint.kind == "revolute"
+    assert deviation.probability > 0.9
+    assert 0.002 < deviation.position < 0.03
+    assert deviation.rotation < 0.002
+    assert segment.probability < 0.92
+    # Said where people read it; of the first stage alone there is nothing to say.
+    assert "may be a mechanism of more than one axis" in deviation_words(segment)
+    (alone,) = (
+        learn_graph(recorded([(first, c[:60])], np.random.default_rng(0), Noise(0.0005, 0.003))).edges[0].segments
+    )
+    assert alone.probability > 0.98
+    assert deviation_words(alone) == ""
 
 
 @pytest.mark.slow

@@ -27,6 +27,7 @@ from micah_plan.learn.segmenting.noise_fit import first_noise
 from micah_plan.learn.segmenting.pool import refitted, window_hypotheses
 from micah_plan.learn.segmenting.posterior import (
     LOG_ODDS_OVERSTATED,
+    OTHER_MECHANISM,
     ChangepointPosterior,
     changepoint_posterior,
     kind_probabilities,
@@ -135,8 +136,10 @@ def test_probabilities_are_probabilities(kind: str, method: Method) -> None:
     assert int(np.argmax(counts)) == len(edge.segments) - 1
     assert np.isfinite(edge.certainty.log_evidence)
     for segment in edge.segments:
-        chances = dict(segment.certainty.kinds)
-        assert sum(chances.values()) == pytest.approx(1.0)
+        chances, deviation = dict(segment.certainty.kinds), segment.certainty.deviation
+        assert (deviation is None) == (segment.joint.kind == "rigid")
+        unusual = 0.0 if deviation is None else deviation.probability
+        assert sum(chances.values()) == pytest.approx(1.0 - OTHER_MECHANISM * unusual)
         assert segment.probability == chances[segment.joint.kind] == max(chances.values())
     start = edge.segments[1].certainty.start
     assert sum(start.probabilities) == pytest.approx(1.0)

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.arrays import Floats
+from micah_plan.automaton.certainty import Deviation
 from micah_plan.automaton.joint import IDENTITY, KINDS, Joint, JointKind, twisting
 from micah_plan.automaton.kinematics import reversed_direction, shifted
 from micah_plan.learn.joints.helix_fit import fit_helix
@@ -63,6 +64,22 @@ _ROUGH = 0.05  # nats
 _FAR = 4.0  # stds that better weights may move an axis by
 
 
+@dataclass(frozen=True)
+class JointDoubts:
+    """What all rows say against a joint that was fitted to them.
+
+    Attributes:
+        screw_log_odds: of a screw against the hinge, as likely before; None where no hinge was asked for.
+        deviation: how far the part leaves the joint; None where it does not move, or the rows are too few.
+    """
+
+    screw_log_odds: float | None = None
+    deviation: Deviation | None = None
+
+
+NO_DOUBTS = JointDoubts()
+
+
 @dataclass(frozen=True, eq=False)
 class FittedJoint:
     """A joint fitted to rows.
@@ -74,7 +91,7 @@ class FittedJoint:
         position_std: total std of a position per axis [m], white and wandering.
         rotation_std: the same of a rotation [rad]; 0 without orientations.
         log_likelihood: of the mixture, with the prior of γ, rows taken as independent.
-        screw_log_odds: of a screw against the hinge, as likely before; None where no hinge was asked for.
+        doubts: what the rows say against it.
     """
 
     joint: Joint
@@ -83,7 +100,7 @@ class FittedJoint:
     position_std: float
     rotation_std: float
     log_likelihood: float
-    screw_log_odds: float | None = None
+    doubts: JointDoubts = NO_DOUBTS
 
 
 def fit_joint(
@@ -140,7 +157,16 @@ def fit_joint(
     joint, noise = helix or (_refined(before, *rows.of(kept), noise, posterior), noise)
     judged = _fitted(joint, rows.mixture(joint, noise.stds), quaternion is not None)
     rotation_std = noise.stds[0] if quaternion is not None else 0.0
-    return replace(judged, position_std=noise.stds[1], rotation_std=rotation_std, screw_log_odds=log_odds)
+    doubts = JointDoubts(log_odds, _deviation(posterior, scales) if joint.moves else None)
+    return replace(judged, position_std=noise.stds[1], rotation_std=rotation_std, doubts=doubts)
+
+
+def _deviation(posterior: ErrorPosterior, scales: Scales) -> Deviation:
+    """How far a part leaves its joint, by what a fit leaves."""
+    sizes = np.sqrt([posterior.rotation, posterior.position])
+    unusual = (sizes > np.array(scales.misfit)[:, None]).any(axis=0)
+    rotation, position = sizes @ posterior.chance
+    return Deviation(float(position), float(rotation), float(posterior.chance[unusual].sum()))
 
 
 def _left_by(fit: Fit, time: Floats, stds: tuple[float, float], scales: Scales) -> ErrorPosterior | None:

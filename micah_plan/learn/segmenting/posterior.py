@@ -17,7 +17,7 @@ from scipy.special import expit
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import JointKind
-from micah_plan.learn.joints.final_fit import RARE_SCREW, SCREW_CHOSEN
+from micah_plan.learn.joints.final_fit import NO_DOUBTS, RARE_SCREW, SCREW_CHOSEN, JointDoubts
 from micah_plan.learn.segmenting.changepoints import LengthPrior, reached
 from micah_plan.learn.segmenting.segmentation import ANOTHER_JOINT, Alternative, Segmented, rests_in_the_end
 from micah_plan.learn.settings import LearnSettings
@@ -126,6 +126,9 @@ _SAME_ROWS = 0.6  # of the rows of either
 # (reliability.py).
 _ENDS_AT_REST = 2.7  # nats
 LOG_ODDS_OVERSTATED = 6.0
+# How many of the parts that leave their joint further than usual are on a mechanism of more than one axis. A hinge in
+# two stages looks like one that is not ideal, of which real recordings are full.
+OTHER_MECHANISM = 0.1
 
 
 def posterior_of(found: Segmented, settings: LearnSettings) -> ChangepointPosterior:
@@ -189,13 +192,13 @@ def kind_probabilities(
     hypothesis: int,
     kinds: Sequence[JointKind],
     free: float,
-    screw: float | None = None,
+    doubts: JointDoubts = NO_DOUBTS,
 ) -> tuple[tuple[JointKind, float], ...]:
     """Probability of every kind of joint for all rows of one joint.
 
     Args:
         free: log odds of free motion against all segments together [nats].
-        screw: of a screw against a hinge, as likely before, as the joint's last fit has them; None: as the steps do.
+        doubts: what all rows say against the joint, as its last fit has them.
     """
     table, pieces = found.table, found.segmentation.pieces
     names, moving = table.pool.hypotheses.joints.kinds, table.pool.moving
@@ -231,9 +234,11 @@ def kind_probabilities(
         there = list(kinds).index(one.kinds[int(np.argmax(np.bincount(one.of_row[governed])))])
         if there != own:
             share[there] = max(share[there], _odds(one, found) * share[own])
-    if screw is not None:
+    if doubts.screw_log_odds is not None:
         hinge_or_screw = [list(kinds).index("revolute"), list(kinds).index("screw")]
-        advancing = float(expit(screw - RARE_SCREW))
+        advancing = float(expit(doubts.screw_log_odds - RARE_SCREW))
         share[hinge_or_screw] = share[hinge_or_screw].sum() * np.array([1 - advancing, advancing])
     share = share / share.sum() / (1 + np.exp(min(free / LOG_ODDS_OVERSTATED, 700.0)))
+    if doubts.deviation is not None:
+        share = share * (1 - OTHER_MECHANISM * doubts.deviation.probability)
     return tuple((kind, float(value)) for kind, value in zip(kinds, share, strict=True))
