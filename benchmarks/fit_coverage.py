@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.joint import (
-    JOINT_KINDS,
+    SCREW_KINDS,
     Joint,
     JointKind,
     axis_basis,
@@ -219,7 +219,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0, help="the first of the seeds, one per trial")
-    parser.add_argument("--kind", nargs="+", choices=JOINT_KINDS, default=list(JOINT_KINDS))
+    parser.add_argument("--kind", nargs="+", choices=SCREW_KINDS, default=list(SCREW_KINDS))
     parser.add_argument("--scan", action="store_true", help="where it ends instead of the table")
     options = parser.parse_args()
     print(f"{'case':66} mean  least most  claimed/real std  bias/se  ms")

@@ -173,6 +173,19 @@ def explains(automaton: HybridAutomaton, belief: HybridBelief, z: Floats) -> boo
     return bool(np.all(2 * ndtr(-away[np.isfinite(away)]) >= NEGLIGIBLE))
 
 
+def innovations(automaton: HybridAutomaton, belief: HybridBelief, z: Floats) -> Floats:
+    """(k,) how far a measurement z (k,) lies from where the likeliest mode of the belief before it expects it, in stds.
+
+    Of a model that holds they are independent, with mean 0 and std 1. NaN where nothing was measured.
+    """
+    layout, mode = layout_of(automaton), np.array([belief.most_likely])
+    mean = np.zeros((layout.n, 1))
+    mean[: len(z), 0] = belief.means[mode[0], : len(z)]
+    std = np.linalg.norm(belief.factors[mode[0], : len(z)], axis=1)
+    sensed = _sensing_std(layout, mode, mean)[: len(z), 0]
+    return np.asarray((z - mean[: len(z), 0]) / np.maximum(np.hypot(std, sensed), SMALLEST_STD))
+
+
 def _predicted(layout: Layout, beliefs: BeliefBatch, u: Floats) -> BeliefBatch:
     """The beliefs after one step with inputs u (m, t)."""
     registers, count = layout.automaton.input_memories, len(beliefs.weights)

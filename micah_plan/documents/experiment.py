@@ -123,6 +123,11 @@ class SceneDocument(Document):
 
     format: Literal["micah-plan/scene/1"] = doc("Format and version of this file.")
     largest_force: Positive = doc("The largest force that the hand may exert [N].", 45.0)
+    largest_stiffness: Positive | None = doc(
+        "The largest stiffness of the hand, as its controller is set [N/m]: commands stay below the largest force with "
+        "it, whatever the force sensor tells. Absent: as pushes tell it.",
+        None,
+    )
     largest_step: Distance = doc("The largest displacement of the hand that one command may ask for [m].", 0.05)
     steps: Annotated[int, Field(ge=1, le=10_000)] = doc("How many commands may be given.", 300)
     opening: Distance = doc("The way of the handle after which the object counts as opened [m].", 0.2)
@@ -155,6 +160,7 @@ class SceneDocument(Document):
                 raise at.at("simulated").error("expected an object that stands and has one moving part", "name another")
         return Scene(
             largest_force=self.largest_force,
+            largest_stiffness=self.largest_stiffness,
             largest_step=self.largest_step,
             steps=self.steps,
             opening=self.opening,

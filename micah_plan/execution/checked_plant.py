@@ -7,23 +7,27 @@ one of the planner.
 from __future__ import annotations
 
 import inspect
+import signal
+import threading
 import traceback
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pkgutil import resolve_name
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import Any
 
 import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.errors import InputError, MicahError, shown
-from micah_plan.execution.plant import Command, Measurement, Plant, PlantMaker, Referee, Truth
+from micah_plan.execution.plant import Command, Measurement, Plant, PlantError, PlantMaker, Referee, Truth
 from micah_plan.recording.checks import LARGEST, NORM_TOLERANCE
 from micah_plan.task.plants import BUILT_IN
 from micah_plan.task.problem import Problem
 
 _METHODS = ("reset", "apply", "close")
+_PATIENCE = 60.0  # s
 
 
 def make_plant(problem: Problem, kind: str | PlantMaker) -> Plant:
@@ -61,6 +65,7 @@ class CheckedPlant:
         self._plant = plant
         self._parts = parts
         self._time = -np.inf
+        self._last: Measurement | None = None
 
     def reset(self, rng: np.random.Generator) -> Measurement:
         """The first measurement of a trial."""
@@ -96,14 +101,66 @@ class CheckedPlant:
                 self._plant.close()
 
     def ask(self, method: str, *arguments: object) -> object:
-        """What a method of the plant answers, unchecked; an exception of its code becomes one line."""
+        """What a method of the plant answers, unchecked; an exception of its code becomes one line.
+
+        Raises:
+            PlantError: if it does not answer within the plant's `patience` [s], 60 if it has none; None: for ever.
+        """
         kind = type(self._plant)
-        return _called(kind, f"{kind.__name__}.{method}", getattr(self._plant, method), *arguments)
+        what = f"{kind.__name__}.{method}"
+        with _watched(what, getattr(self._plant, "patience", _PATIENCE)):
+            return _called(kind, what, getattr(self._plant, method), *arguments)
 
     def _measured(self, method: str, argument: object) -> Measurement:
-        measurement = checked(self.ask(method, argument), self._parts, self._time)
-        self._time = measurement.time
-        return measurement
+        answer = self.ask(method, argument)
+        if method == "apply" and self._last is not None:
+            answer = _filled(answer, self._last)
+        self._last = checked(answer, self._parts, self._time)
+        self._time = self._last.time
+        return self._last
+
+
+def _filled(answer: object, last: Measurement) -> object:
+    """An answer with the last poses of parts that have NaN for theirs, which are then `unseen`."""
+    if not isinstance(answer, Measurement):
+        return answer
+    try:
+        position, quaternion = np.array(answer.position, dtype=float), np.array(answer.quaternion, dtype=float)
+        unseen = np.isnan(position).any(axis=1) | np.isnan(quaternion).any(axis=1)
+        position[unseen], quaternion[unseen] = last.position[unseen], last.quaternion[unseen]
+    except (TypeError, ValueError, IndexError):
+        return answer  # no such numbers: the check says so
+    return replace(answer, position=position, quaternion=quaternion, unseen=unseen) if unseen.any() else answer
+
+
+@contextmanager
+def _watched(what: str, patience: float | None) -> Iterator[None]:
+    """Break off what takes longer [s], where this can be done: in the main thread, on systems with alarms."""
+    in_main = threading.current_thread() is threading.main_thread()
+    if patience is None or not in_main or not hasattr(signal, "setitimer"):
+        yield
+        return
+
+    failure = PlantError(f"{what} has not answered for {patience:g} s")
+    is_late = False
+
+    def break_off(_signal: int, _frame: FrameType | None) -> None:
+        nonlocal is_late
+        is_late = True
+        raise failure
+
+    before = signal.signal(signal.SIGALRM, break_off)
+    # Again and again, should the plant's code catch the first one. What it answers then is late all the same.
+    left = signal.setitimer(signal.ITIMER_REAL, patience, patience)
+    try:
+        yield
+        if is_late:
+            raise failure
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+        if left[0]:
+            signal.setitimer(signal.ITIMER_REAL, *left)
 
 
 def checked(answer: object, parts: Sequence[str], after: float = -np.inf) -> Measurement:
@@ -140,6 +197,7 @@ def checked(answer: object, parts: Sequence[str], after: float = -np.inf) -> Mea
         quaternion=quaternion,
         force=None if answer.force is None else _array(answer.force, "force", (rows, 3), "fx"),
         joints=None if answer.joints is None else _array(answer.joints, "joints", None, "x"),
+        unseen=answer.unseen,
     )
 
 

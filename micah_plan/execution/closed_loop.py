@@ -22,8 +22,9 @@ from micah_plan.execution.checked_plant import CheckedPlant
 from micah_plan.execution.log import RunLog
 from micah_plan.execution.pilot import MOST_REPLANS, Pilot, Replanning
 from micah_plan.execution.plant import Command, Measurement, Plant, PlantError, Truth
-from micah_plan.execution.pose import command, configuration
+from micah_plan.execution.pose import chain, command, configuration, moving_joints
 from micah_plan.execution.release import LettingGo
+from micah_plan.execution.watch import Watch
 from micah_plan.planning.limits import coasted, with_input_memory
 from micah_plan.planning.path_constraints import PathRecord
 from micah_plan.quantities import percent, quantity
@@ -34,6 +35,7 @@ from micah_plan.task.problem import Problem
 from micah_plan.task.release import carrying
 
 _SPARE_STEPS = 20
+_BEHIND = "; its steps were not as the model has them: calibrate the model with this run"
 _LOST = "; what was measured is not where the model has it: calibrate the model with this run"
 
 
@@ -131,6 +133,7 @@ class Episode:
         self._log = RunLog(problem.automaton)
         self._beliefs: list[HybridBelief] = []
         self._confidence, self._is_lost = 0.0, False
+        self._watch = Watch(self.automaton)
         self._truth: Truth | None = None
         self._path = PathRecord(problem, 1)
         self._commanded: Floats | None = None
@@ -151,13 +154,27 @@ class Episode:
         Args:
             belief: before it, to tell whole turns apart and for the joints of the most likely mode.
         """
-        if self._letting is not None and self._letting.phase == "withdrawing":
+        if self._is_away:
             return np.full(self.automaton.n, np.nan)  # the parts are no longer where the hand is
         plain, mode = self._problem.automaton, belief.most_likely
         near = belief.means[mode, : plain.n]
-        z = configuration(plain, plain.modes[mode].name, measurement.position, measurement.quaternion, near)
+        name, unseen = plain.modes[mode].name, measurement.unseen
+        z = configuration(plain, name, measurement.position, measurement.quaternion, near, unseen)
         z = read_by_sensors(plain, z[None], np.array([measurement.time]))[0]
         return np.concatenate([z, np.full(self.automaton.n - plain.n, np.nan)])
+
+    def expected(self, belief: HybridBelief, measurement: Measurement) -> Floats:
+        """The `reading` of a measurement, with the belief before it; how far the two are apart is remembered."""
+        z = self.reading(belief, measurement)
+        self._watch.expected(belief, z)
+        plain, mode = self._problem.automaton, belief.most_likely
+        x = np.where(np.isfinite(z), z, belief.means[mode, : len(z)])[: plain.n]
+        places = chain(plain, moving_joints(plain, plain.modes[mode].name), x)[:, :3, 3]
+        shown = ~measurement.unseen if measurement.unseen is not None else np.ones(len(places), dtype=bool)
+        off = np.linalg.norm(places - measurement.position, axis=1)[shown]
+        if off.size and not self._is_away:
+            self._watch.placed(belief, float(off.max()))
+        return z
 
     def decide(self, belief: HybridBelief, measurement: Measurement, truth: Truth | None = None) -> Command | None:
         """The next command, or None if the execution has ended.
@@ -170,7 +187,8 @@ class Episode:
         if self._letting is not None and self._putting_down:
             return self._letting.command(belief, measurement)
         self._beliefs.append(belief)
-        self._is_lost = not explains(self.automaton, belief, self.reading(belief, measurement))
+        reading = self.reading(belief, measurement)
+        self._is_lost = not explains(self.automaton, belief, reading)
         self._confidence = 0.0 if self._is_lost else lasting_probability(self.automaton, self._problem.goal, belief)
         plain, likely = self._problem.automaton, belief.most_likely
         mode, x = self._state(belief)
@@ -178,11 +196,14 @@ class Episode:
             arrived = plain.mode_index(mode) if mode in plain.mode_names else likely
             self._path.add(np.array([arrived]), x[None], self._commanded[None], belief.factors[[likely]])
         true_x = None if truth is None else x
-        if self._has_ended(belief):
+        unseen, ends = measurement.unseen, self._is_done(belief)
+        holds = self._watch.looks_again(belief, is_lost=self._is_lost, unseen=unseen, ends=ends)
+        if self._is_over or (ends and not holds):
             self._log.add(measurement, belief, true_x, None)
             self._putting_down = self._letting is not None and self._is_confident
             return self._letting.command(belief, measurement) if self._letting and self._putting_down else None
-        u = self._commanded = self._pilot.input(belief, measurement.joints)
+        u = np.zeros(plain.m) if holds else self._pilot.input(belief, measurement.joints)
+        self._commanded = u
         order = command(plain, plain.modes[likely].name, belief.means[likely, : plain.n], u)
         self._log.add(measurement, belief, true_x, order.origin)
         return replace(order, posture=self._pilot.posture)
@@ -230,6 +251,11 @@ class Episode:
         )
 
     @property
+    def _is_away(self) -> bool:
+        """Whether the hand has left the object, and the parts are no longer where it is."""
+        return self._letting is not None and self._letting.phase == "withdrawing"
+
+    @property
     def _is_open(self) -> bool:
         """Whether the gripper was opened."""
         return self._letting is not None and self._letting.felt
@@ -254,16 +280,22 @@ class Episode:
     def _is_confident(self) -> bool:
         return self._confidence >= self._problem.settings.confidence
 
-    def _has_ended(self, belief: HybridBelief) -> bool:
-        """Whether the goal is believed reached with the plan done, the plan is lost, or the steps are used up."""
-        if len(self._beliefs) > self._longest or self._pilot.is_lost:
-            return True
+    @property
+    def _is_over(self) -> bool:
+        """Whether the plan or the parts are lost, or the steps used up."""
+        return len(self._beliefs) > self._longest or self._pilot.is_lost or bool(self._watch.failure)
+
+    def _is_done(self, belief: HybridBelief) -> bool:
+        """Whether the goal is believed reached with the plan done."""
         return self._is_confident and (len(self._beliefs) == 1 or self._pilot.is_finished(belief))
 
     def _ending(self) -> str:
         """Why the execution ended."""
         pilot, steps = self._pilot, len(self._beliefs) - 1
-        refused = _LOST if self._is_lost or any(belief.is_anew for belief in self._beliefs) else ""
+        lost = self._is_lost or any(belief.is_anew for belief in self._beliefs)
+        refused = _LOST if lost else _BEHIND if self._watch.is_biased else ""
+        if self._watch.failure:
+            return f"stopped after {steps} steps: {self._watch.failure}{refused}"
         if self._is_confident:
             return f"stopped with {percent(self._confidence)} probability of the goal"
         if pilot.refusals:
@@ -327,7 +359,7 @@ def execute_abreast(
     seen = {number: machine.reset(rng) for number, (machine, rng) in enumerate(zip(machines, rngs, strict=True))}
     while beliefs:
         orders: dict[int, Command] = {}
-        readings = {i: episodes[i].reading(belief, seen[i]) for i, belief in beliefs.items()}
+        readings = {i: episodes[i].expected(belief, seen[i]) for i, belief in beliefs.items()}
         alike: dict[bytes, list[int]] = {}  # numbers of the readings that show the same coordinates
         for i, reading in readings.items():
             alike.setdefault(np.isnan(reading).tobytes(), []).append(i)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.errors import MicahError
 from micah_plan.task.problem import Problem
 
@@ -41,6 +41,8 @@ class Measurement:
             object that is let go needs that at the part in the hand, with its weight or without; after a step with a
             limit of force at least that at which the hand stopped.
         joints: (J,) what the encoders of the arm say [rad or m]; None if there is no arm.
+        unseen: (l,) parts that this measurement does not show, with their last pose. A plant need not tell: it answers
+            NaN for the pose of such a part.
     """
 
     time: float
@@ -48,6 +50,7 @@ class Measurement:
     quaternion: Floats
     force: Floats | None = None
     joints: Floats | None = None
+    unseen: Booleans | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +103,11 @@ class Truth:
 
 @runtime_checkable
 class Plant(Protocol):
-    """Something that a plan can be executed on. `conformance.check_plant` tries whether a plant keeps to this."""
+    """Something that a plan can be executed on. `conformance.check_plant` tries whether a plant keeps to this.
+
+    One that may take longer than a minute to answer says so by an attribute ``patience`` [s]; None: however long. What
+    does not answer by then has failed.
+    """
 
     def reset(self, rng: np.random.Generator) -> Measurement:
         """Bring the object to the start of a trial and measure it.

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint
@@ -77,20 +77,31 @@ def components(poses: Floats) -> tuple[Floats, Floats]:
     return poses[:, :3, 3].copy(), turns
 
 
-def configuration(automaton: HybridAutomaton, mode: str, position: Floats, quaternion: Floats, near: Floats) -> Floats:
+def configuration(
+    automaton: HybridAutomaton,
+    mode: str,
+    position: Floats,
+    quaternion: Floats,
+    near: Floats,
+    unseen: Booleans | None = None,
+) -> Floats:
     """The configuration that measured poses show, by each link's inverse kinematics.
 
     Args:
         mode: whose joints are used; a rigid joint does not show the configuration, so a moving one replaces it.
         position, quaternion: (l, 3) [m] and (l, 4), base frame.
         near: (n,) estimate, to tell whole turns apart.
+        unseen: (l,) links whose pose is none; None: none of them.
 
     Returns:
-        (n,) [rad or m]; NaN for coordinates of no link.
+        (n,) [rad or m]; NaN for coordinates of no link, and of links that are not seen, or whose parent is not.
     """
     x, joints = np.full(automaton.n, np.nan), moving_joints(automaton, mode)
     poses = relative(automaton, position, quaternion)
+    hidden = set() if unseen is None else {link.child for link, one in zip(automaton.links, unseen, strict=True) if one}
     for number, link in measuring_links(automaton):
+        if {link.child, link.parent} & hidden:
+            continue
         place, turn = poses[number][:3, 3], Rotation.from_matrix(poses[number][:3, :3])
         x[link.coordinate] = inverse(joints[number], place, turn, near=near[link.coordinate])[0]
     return x

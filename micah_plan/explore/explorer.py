@@ -39,7 +39,9 @@ from micah_plan.task.experiment import Scene
 
 Outcome = Literal["opened", "held", "gave_up"]
 
-_PUSHES, _FIRST_PUSH, _PUSH_FORCE, _GROWTH = 6, 0.001, 6.0, 4.0
+_PUSHES, _FIRST_PUSH, _PUSH_FORCE = 6, 0.001, 6.0
+# An answer may be that of the push before, of which this is larger: the two stay within the largest force together.
+_PUSH_SHARE, _GROWTH = 0.35, 2.5
 _AHEAD = 0.02  # m
 _SURE = 0.6  # of a motion: then the handle is led on
 _CHANGE = 0.03  # probability per step that another joint takes over
@@ -51,6 +53,7 @@ _PROGRESS = 0.004  # m
 _GENTLE = 3.0  # times the friction of the way, and 3 N: what is pushed with before the other end is tried
 _BENT = 0.35  # of the largest force, with which a panel may be bent that has to come back first
 _NO_FORCE = 1.0  # N
+_LEAPT = 0.03  # m, further than first pushes move anything, and than trackers are noisy
 _TANGENTS, _BLIND = 12, 60
 _LEAST_SPREAD, _LARGEST_SPREAD = 0.01, 0.14  # of the direction ahead [rad]
 
@@ -124,7 +127,8 @@ class Explorer:
         if self._has_ended():
             return None
         size = float(np.linalg.norm(lead))
-        return self.record.command(lead * min(1.0, self.scene.largest_step / max(size, 1e-9)), led)
+        most = self.scene.largest_step if self.moves is None else self._most()
+        return self.record.command(lead * min(1.0, self.scene.largest_step / max(size, 1e-9)), led, most)
 
     def _has_ended(self) -> bool:
         return self.outcome is not None
@@ -177,11 +181,12 @@ class Explorer:
 
     def _probe(self) -> Floats:
         """A push along an axis of the handle, as strong as what is known of the hand makes safe."""
-        size, record = min(_FIRST_PUSH, 0.5 * self.scene.largest_force / UNKNOWN.stiffness), self.record
+        record, stiffness = self.record, self.scene.largest_stiffness or UNKNOWN.stiffness
+        size = min(_FIRST_PUSH, 0.5 * self.scene.largest_force / stiffness)
         if record.forces:
             last = max(float(np.linalg.norm(command)) for command in record.commands)
-            force = min(_PUSH_FORCE, 0.5 * self.scene.largest_force)
-            size = min(force / stiffest(*record.pushes()), _GROWTH * last)
+            force = min(_PUSH_FORCE, _PUSH_SHARE * self.scene.largest_force)
+            size = min(force / max(stiffest(*record.pushes()), self.scene.largest_stiffness or 0.0), _GROWTH * last)
         return np.asarray(size * self._axes[self.steps % _PUSHES])
 
     def _ahead(self, chain: Chain) -> Floats:
@@ -226,6 +231,9 @@ class Explorer:
             self._end("gave_up", f"the tracker has not seen the handle for {record.blind} steps")
         elif record.lost:
             self._end("gave_up", "the hand has lost the handle: commands meet no force, and it does not follow them")
+        elif (met := float(np.linalg.norm(record.forces[-1]))) > self.scene.largest_force:
+            told = "it, its sensor or what commands count from is not what the pushes before told"
+            self._end("gave_up", f"the hand met {met:.3g} N, more than it may exert: {told}")
         elif (pull := self._pull()) > self.scene.largest_force:
             told = "the tracker sees the handle elsewhere than its force tells, and commands count from there"
             self._end("gave_up", f"{told}: even to stay would pull with {pull:.3g} N")
@@ -239,8 +247,13 @@ class Explorer:
     def _pull(self) -> float:
         """With what force a command to stay would pull: where it counts from was measured [N]."""
         record = self.record
+        if record.blind:
+            return 0.0
+        if record.hand is UNKNOWN:  # perhaps it counts from there
+            leapt = float(np.linalg.norm(record.last_seen - record.first_seen))
+            return leapt * stiffest(*record.pushes()) if leapt > _LEAPT else 0.0
         away = record.last_seen - record.place - record.slips.expected
-        counts = record.hand.from_measured and not record.blind
+        counts = record.hand.from_measured or record.hand.perhaps_measured
         return float(np.linalg.norm(away)) * record.hand.stiffness if counts else 0.0
 
     def _hold_at(self, slip: Floats) -> None:
@@ -414,10 +427,12 @@ def largest_lead(scene: Scene, hand: Hand, leads: Floats, forces: Floats, doubt:
         leads, forces: (k, 3) of pushes so far; none may have met more force per lead than is reckoned with.
         doubt: std of a lead [m].
     """
-    surely = hand.compliance * (1.0 - 2.0 * hand.spread)
+    surely = min(hand.compliance, 1.0 / max(hand.stiffest, 1e-9)) * (1.0 - 2.0 * hand.spread)
     sizes, met = np.linalg.norm(leads, axis=1), np.linalg.norm(forces, axis=1)
     strong = met > 5.0 + 5.0 * hand.force_std
     surely = min(surely, float(((sizes[strong] + 2.0 * doubt) / met[strong]).min(initial=np.inf)))
+    if scene.largest_stiffness is not None:
+        surely = min(surely, 1.0 / scene.largest_stiffness)
     return max(min(scene.largest_step, surely * (_SAFE * scene.largest_force - 3.0 * hand.force_std)), 0.0)
 
 

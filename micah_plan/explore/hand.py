@@ -7,15 +7,19 @@ so p = E - c F with c = 1/K: with c known, force is an odometer.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from micah_plan.arrays import Floats
+from micah_plan.quantities import quantity
 
 _SOFTEST, _STIFFEST = 100.0, 20000.0
 _LEAST_STD = 0.02  # of the compliance, as a share
 _FEWEST, _SURE = 3, 5.0  # std
+_ALIKE = 1.5  # times, by which a hand may be stiffer in one direction
+_BEFORE = 0.1  # of the squares that forces leave, if they belong to the command before
+_TURNED = 0.5  # of a map's size, how far it is from symmetric where forces are in another frame
 
 
 @dataclass(frozen=True)
@@ -27,6 +31,8 @@ class Hand:
         spread: its std as a share of it.
         force_std: per axis of a measured force [N].
         from_measured: whether commands count from the measured place of the handle, noise included.
+        perhaps_measured: whether they may: pushes tell neither.
+        stiffest: largest stiffness that pushes showed in any direction [N/m]; 0 before any.
         complaint: what contradicts the meaning of forces; empty if nothing does.
     """
 
@@ -34,6 +40,8 @@ class Hand:
     spread: float
     force_std: float
     from_measured: bool = False
+    perhaps_measured: bool = False
+    stiffest: float = 0.0
     complaint: str = ""
 
     @property
@@ -72,15 +80,16 @@ def hand_of(commands: Floats, places: Floats, forces: Floats) -> Hand:
         forces: (k, 3) after each of them [N].
     """
     plain = _fitted(commands, forces)
+    if len(commands) > _FEWEST + 2 and _fitted(commands[:-1], forces[1:])[1] < _BEFORE * plain[1]:
+        return replace(plain[0], complaint="forces are those of the command before: answer when all rests again")
     seen = np.isfinite(places).all(axis=1)
     if seen.sum() < 2 * _FEWEST:
-        return plain[0]
+        return replace(plain[0], perhaps_measured=True)
     absolute = commands[seen] + places[seen]
     other = _fitted(np.hstack([absolute - absolute.mean(axis=0), np.ones((int(seen.sum()), 1))]), forces[seen])
     if other[1] < 0.5 * plain[1]:
-        hand = other[0]
-        return Hand(hand.compliance, hand.spread, hand.force_std, True, hand.complaint)
-    return plain[0]
+        return replace(other[0], from_measured=True)
+    return replace(plain[0], perhaps_measured=bool(plain[1] > 0.5 * other[1]))
 
 
 def _fitted(given: Floats, forces: Floats) -> tuple[Hand, float]:
@@ -102,6 +111,10 @@ def _fitted(given: Floats, forces: Floats) -> tuple[Hand, float]:
         complaint = "the measured forces point against the commands: give the force that the hand exerts at the handle"
     elif values[1] < _SOFTEST:
         complaint = "pushes meet hardly any force: the hand does not hold the handle, or nothing holds the object"
-    elif np.linalg.norm(matrix - matrix.T) > 0.8 * np.linalg.norm(matrix) + _SURE * doubt:
+    elif np.linalg.norm(matrix - matrix.T) > _TURNED * np.linalg.norm(matrix) + _SURE * doubt:
         complaint = "the measured forces are turned against the commands: give both in the base frame"
-    return Hand(1.0 / stiffness, min(spread, 0.5), force_std, False, complaint), variance
+    elif values[0] > _ALIKE * values[1] + _SURE * doubt:  # what moves makes it softer along one line only
+        least, most = (quantity(float(value), "N/m") for value in values[1::-1])
+        complaint = f"the hand is a spring of {least} in one direction and of {most} in another: make it alike in all"
+    found = Hand(1.0 / stiffness, min(spread, 0.5), force_std, stiffest=float(values[0]), complaint=complaint)
+    return found, variance

@@ -93,12 +93,17 @@ class Record:
     def doubtful(self) -> bool:
         return self._off > _PERHAPS_OFF
 
-    def command(self, lead: Floats, led: bool) -> Floats:
-        """(3,) the command for a lead, noted."""
+    def command(self, lead: Floats, led: bool, most: float) -> Floats:
+        """(3,) the command for a lead, noted.
+
+        Args:
+            most: the largest that is safe [m], whether the tracker is right on where the handle is or the odometer.
+        """
         given, self._rests = lead, 0 if lead.any() else self._rests + 1
         if self.hand.from_measured and not self.blind:
             off = self.place + self.slips.expected - self._reference
             given = lead + off * min(1.0, _CONTRADICTS * self.place_std / max(float(np.linalg.norm(off)), 1e-9))
+            given = given * min(1.0, (most + self.place_std) / max(float(np.linalg.norm(given)), 1e-9))
             lead = given + self._reference - self.place
         self.leads.append(lead)
         self.commands.append(given)

@@ -87,6 +87,7 @@ class Scene:
 
     Attributes:
         largest_force: that the hand may exert [N].
+        largest_stiffness: of the hand, as its controller is set [N/m]; None: not known, as pushes tell it.
         largest_step: largest displacement that one command may ask for [m].
         steps: commands allowed.
         opening: way of the handle that counts as open [m].
@@ -96,6 +97,7 @@ class Scene:
     """
 
     largest_force: float = 45.0
+    largest_stiffness: float | None = None
     largest_step: float = 0.05
     steps: int = 300
     opening: float = 0.2
@@ -106,8 +108,8 @@ class Scene:
     simulated: Problem | None = None
 
     def __post_init__(self) -> None:
-        for name in ("largest_force", "largest_step", "opening"):
-            if not 0.0 < getattr(self, name) < float("inf"):
+        for name in ("largest_force", "largest_stiffness", "largest_step", "opening"):
+            if getattr(self, name) is not None and not 0.0 < getattr(self, name) < float("inf"):
                 raise InputError(f"{name} must be a number > 0. Got {shown(getattr(self, name))}")
         if self.steps < 1:
             raise InputError(f"steps must be at least 1. Got {shown(self.steps)}")

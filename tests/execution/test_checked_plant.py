@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+import time
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -50,6 +53,29 @@ class Blind:
 
     def close(self):
         self.closed += 1
+
+
+class Slow(Blind):
+    """Takes a quarter of a second for a step, and catches what its driver raises."""
+
+    patience: float | None = 0.05
+
+    def before(self):
+        for _ in range(2 if self.step == 3 else 0):
+            with suppress(Exception):
+                time.sleep(0.25)
+
+
+class SlowToReset(Blind):
+    patience = 0.05
+
+    def reset(self, rng):
+        time.sleep(2.0)
+        return super().reset(rng)
+
+
+class Patient(Slow):
+    patience = None
 
 
 class Slips(Blind):
@@ -325,3 +351,26 @@ def test_what_a_plant_does_to_its_command_changes_nothing_but_its_own(name):
     for column in ("position", "action"):
         np.testing.assert_array_equal(getattr(scaled, column), getattr(plain, column))
     assert scaled.extra == plain.extra
+
+
+def test_a_machine_that_does_not_answer_is_given_up() -> None:
+    machines = []
+
+    def made(problem):
+        machines.append(Slow(problem))
+        return machines[-1]
+
+    statistics = run_trials(PULL, PLAN, plant=made, trials=2)
+    (machine,) = machines
+    assert [reason for _, reason in statistics.failures] == [
+        "the machine failed in step 3: Slow.apply has not answered for 0.05 s"
+    ] * 2
+    assert all(result.steps == 2 for result in statistics.results)
+    assert machine.closed == 1
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+    with pytest.raises(PlantError, match="SlowToReset"):
+        run_trials(PULL, PLAN, plant=SlowToReset)
+
+
+def test_a_machine_may_ask_for_patience() -> None:
+    assert run_trials(PULL, PLAN, plant=Patient).successes == 1

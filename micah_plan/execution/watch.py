@@ -1,0 +1,103 @@
+"""Whether what a machine measures can be acted on: what the belief excludes, or nobody saw, is looked at again first.
+
+A tracker leaps, freezes, answers in millimetres or sees nothing. The filter then begins anew from what was measured,
+or goes on without it, and is as sure as before. So the machine holds still and measures again. What stays where it was
+is believed, as of a part that is elsewhere than planned; what goes on leaping, or stays unseen, ends the execution.
+
+A belief can also be wrong without any measurement that it excludes: commands go half as far as the model says, or
+measurements come a step late. Then the filter is behind the state for as long as it moves, always to the same side. The
+sum of its innovations shows it (Page, "Continuous inspection schemes", Biometrika 1954); at rest it catches up.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from micah_plan.arrays import Booleans, Floats
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.belief.filter import innovations
+from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.quantities import count
+
+_LOOKS, _MOST_EXCLUDED = 3, 8  # measurements that the belief excludes, in a row and in all
+_BLIND = 10  # steps in which nothing is seen
+_BIASED, _SURPRISING = 4.5, 3.5  # stds of a sum of innovations, and of one: in one of 2,000 steps
+_FEWEST = 4  # innovations, or distances
+_BESIDE, _BESIDE_ANYHOW = 5.0, 0.02  # of the usual distance from a joint, and m; noise alone reaches three times
+_SETTLES, _CALM = 6, 2  # looks before a filter that was behind is believed; so many in a row, within 2 stds, are enough
+
+
+class Watch:
+    """Watches the measurements of one execution.
+
+    Attributes:
+        failure: why it ends; empty while it need not.
+    """
+
+    def __init__(self, automaton: HybridAutomaton) -> None:
+        self.failure = ""
+        self._automaton = automaton
+        self._sums, self._numbers = np.zeros(automaton.n), np.zeros(automaton.n)
+        self._excluded = self._excluded_in_all = self._unseen = self._settled = self._calm = 0
+        self._moves = self._was_surprised = self._is_off = False
+        self._off: list[float] = []
+
+    @property
+    def is_biased(self) -> bool:
+        """Whether measurements lie to one side of what the filter expects, again and again or far once."""
+        enough = self._numbers >= _FEWEST
+        off = np.abs(self._sums[enough]) > _BIASED * np.sqrt(self._numbers[enough])
+        return self._was_surprised or bool(off.any())
+
+    def expected(self, belief: HybridBelief, z: Floats) -> None:
+        """A measurement z (n,) [rad or m] and the belief before it; what followed no command shows no bias.
+
+        Nor does what is measured with a noise that depends on the place: in the dark, another look tells nothing.
+        """
+        if not self._is_uniform(belief):
+            return
+        found = innovations(self._automaton, belief, z)
+        told = np.isfinite(found)
+        self._calm = self._calm + 1 if (np.abs(found[told]) < _CALM).all() else 0
+        if self._moves:
+            self._was_surprised |= bool((np.abs(found[told]) > _SURPRISING).any())
+            self._sums[told] += np.clip(found[told], -_BIASED, _BIASED)
+            self._numbers[told] += 1
+
+    def placed(self, belief: HybridBelief, off: float) -> None:
+        """By how much parts were measured beside where their joints have them at the measured configuration [m].
+
+        Where noise depends on the place, which is not known, this says nothing.
+        """
+        usual = float(np.median(self._off)) if len(self._off) >= _FEWEST else np.inf
+        self._is_off = self._is_uniform(belief) and off > _BESIDE * usual + _BESIDE_ANYHOW
+        self._off += [] if self._is_off else [off]
+
+    def looks_again(self, belief: HybridBelief, *, is_lost: bool, unseen: Booleans | None, ends: bool) -> bool:
+        """Whether the machine holds still and measures again.
+
+        Args:
+            belief: after the measurement.
+            is_lost: whether the belief excludes the measurement still, though it began anew.
+            unseen: (l,) parts that were not measured; None: all were.
+            ends: whether the goal would be believed now.
+        """
+        is_excluded = self._is_uniform(belief) and (is_lost or belief.is_anew or self._is_off)
+        self._excluded = self._excluded + 1 if is_excluded else 0
+        self._excluded_in_all += is_excluded
+        self._unseen = self._unseen + 1 if unseen is not None and unseen.all() else 0
+        if self._excluded > _LOOKS:
+            self.failure = f"in {count(self._excluded, 'look')} in a row, what was measured was elsewhere than can be"
+        elif self._excluded_in_all > _MOST_EXCLUDED:
+            self.failure = f"{count(self._excluded_in_all, 'time')} what was measured was elsewhere than can be"
+        elif self._unseen >= _BLIND:
+            self.failure = f"nothing was seen for {self._unseen} steps"
+        enough = self._settled >= _SETTLES or (self._settled >= _CALM and self._calm >= _CALM)
+        settles = ends and self.is_biased and not enough
+        self._settled = self._settled + 1 if settles else 0
+        holds = not self.failure and (self._excluded > 0 or self._unseen > 0 or settles)
+        self._moves = not holds
+        return holds
+
+    def _is_uniform(self, belief: HybridBelief) -> bool:
+        return self._automaton.sensing(self._automaton.modes[belief.most_likely]).is_uniform
