@@ -345,7 +345,8 @@ def transition(layout: Layout, mode: ModeLayout, pieces: Pieces, way: Exit, bind
     met += after
     ahead[:] = after
     if binding is not None:
-        met -= motion[:, None] * (binding.along(met) * per_way)
+        later = binding.along(met) * per_way  # by how much of the step the event comes earlier: derivative of `share`
+        met -= motion[:, None] * later
     if way.reset is not None:
         behind = after - met
         a, b, c = way.reset
@@ -362,7 +363,7 @@ def transition(layout: Layout, mode: ModeLayout, pieces: Pieces, way: Exit, bind
         change, displacement = nominal - pieces.displacement, share * nominal
         mean[1] += share * change
         if binding is not None:
-            ahead += change[:, None] * (binding.along(after) * per_way)
+            ahead += change[:, None] * later
     at_once = share > 1.0 - 1e-9
     entered = pieces.entered & at_once
     entered[mode.index] = entered[way.target] = True

@@ -190,11 +190,6 @@ def _event(automaton: HybridAutomaton, piece: Piece, edge: Edge, u: Floats, bind
     start, end = np.eye(n, 2 * n), np.eye(n, 2 * n, n)
     behind_mean, behind = share * motion, share * (end - start) + np.outer(motion, slope)
     met_mean, met = piece.mean[n:] - behind_mean, end - behind
-    if share < 1.0 and binding is not None:
-        # Linearised products leave a little spread across the guard; the event lies on it.
-        along = motion / (np.array(binding.a) @ motion)
-        met = met - np.outer(along, np.array(binding.a) @ met)
-        behind = end - met
     new_start_mean, new_start = a @ met_mean + b @ u + c, a @ met
     if edge.is_self_transition:
         displacement = share * (a @ piece.displacement)
@@ -240,7 +235,8 @@ def _share_behind(piece: Piece, binding: HalfSpace | None, u: Floats) -> tuple[f
     before, after = weights0 @ piece.mean - offset, weights1 @ piece.mean - offset
     if before >= 0 or after - before <= SMALLEST_STD:
         return 1.0, constant
-    return float(after / (after - before)), weights1 / (after - before)
+    share = float(after / (after - before))
+    return share, (weights1 - share * (weights1 - weights0)) / (after - before)
 
 
 def _entered(automaton: HybridAutomaton, piece: Piece, edge: Edge, u: Floats) -> Piece:
