@@ -22,7 +22,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.certainty import LearnedEdge
@@ -347,6 +347,50 @@ class HybridAutomaton(Summarised):
         """
         return _number(coordinate, self.coordinate_names, "coordinate")
 
+    def state(self, values: Mapping[str, float] | ArrayLike) -> Floats:
+        """(n,) a state from values by the names of coordinates, or in their order [rad or m].
+
+        Raises:
+            InputError: an unknown or a missing name, a wrong number of values, or one that is not finite.
+        """
+        found = _vector(values, self.coordinate_names, "x", "coordinate")
+        missing = [name for name in self.coordinate_names if isinstance(values, Mapping) and name not in values]
+        if missing:
+            raise InputError(f"the state has no value of {', '.join(missing)}", remedy="give one of each coordinate")
+        return found
+
+    def input(self, values: Mapping[str, float] | ArrayLike) -> Floats:
+        """(m,) an input from values by the names of inputs, 0 where there is none; or in their order [rad or m].
+
+        Raises:
+            InputError: an unknown name, a wrong number of values, or one that is not finite.
+        """
+        return _vector(values, self.input_names, "u", "input")
+
+    def named(self, x: ArrayLike) -> dict[str, float]:
+        """The values of a state (n,) by the names of their coordinates [rad or m]."""
+        return dict(zip(self.coordinate_names, self.state(x).tolist(), strict=True))
+
+    def edge(self, name: str, number: int | None = None) -> Edge:
+        """The transition ``"source -> target"``.
+
+        Args:
+            number: which of several of that name, in order of priority, from 0; None: there is one.
+
+        Raises:
+            InputError: if there is none, or several and no number.
+        """
+        known = tuple(edge.name for edge in self.edges)
+        _number(name, known, "transition")
+        found = [edge for edge in self.edges if edge.name == name]
+        if number is None and len(found) > 1:
+            raise InputError(f"{len(found)} transitions are {shown(name)}", remedy="say which by a number from 0")
+        if not 0 <= (number or 0) < len(found):
+            raise InputError(
+                f"there is no transition {shown(name)} number {number}", remedy=f"give 0 to {len(found) - 1}"
+            )
+        return found[number or 0]
+
     def edges_from(self, name: str) -> tuple[Edge, ...]:
         """All edges that leave a mode, self transitions included, in order of priority."""
         return self._edges_by_source.get(name, ())
@@ -410,8 +454,25 @@ class HybridAutomaton(Summarised):
 
 def _number(name: str, names: tuple[str, ...], what: str) -> int:
     if name not in names:
-        raise InputError(f"unknown {what} {shown(name)}", remedy=f"choose one of {', '.join(names)}")
+        known = f"choose one of {', '.join(dict.fromkeys(names))}" if names else f"the model has no {what}"
+        raise InputError(f"unknown {what} {shown(name)}", remedy=known)
     return names.index(name)
+
+
+def _vector(values: Mapping[str, float] | ArrayLike, names: tuple[str, ...], symbol: str, what: str) -> Floats:
+    """Finite values by names, 0 where there is none, or in their order."""
+    if isinstance(values, Mapping):
+        for name in values:
+            _number(name, names, what)
+        values = [values.get(name, 0.0) for name in names]
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        array = np.full(0, np.nan)
+    if array.shape != (len(names),) or not np.isfinite(array).all():
+        shown_values = values.tolist() if isinstance(values, np.ndarray) else values
+        raise InputError(f"{symbol} must be {len(names)} finite numbers. Got {shown(shown_values)}")
+    return array
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:

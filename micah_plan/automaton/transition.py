@@ -47,9 +47,10 @@ batch of one. Objects differ in the places of their boundaries, which are a part
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -63,6 +64,9 @@ from micah_plan.automaton.memo import memoised
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.automaton.step_noise import gain_factors, uncertain_gains
 from micah_plan.errors import InputError, shown
+
+Values = Mapping[str, float] | ArrayLike
+"""Of coordinates or inputs: by name, or in order."""
 
 MOST_EVENTS = 256
 TOLERANCE = 1e-12
@@ -124,18 +128,17 @@ class Run:
     complete: bool
 
 
-def step(
-    automaton: HybridAutomaton, mode: str, x: ArrayLike, u: ArrayLike, disturbance: ArrayLike | None = None
-) -> Step:
+def step(automaton: HybridAutomaton, mode: str, x: Values, u: Values, disturbance: ArrayLike | None = None) -> Step:
     """The state after one step from x (n,) in `mode` with the input u (m,), as the module's docstring defines it.
 
     Args:
+        x, u: in order, or by name: ``{"door": 1.2}``; of an input, what is not named is 0.
         disturbance: (n,) displacement over the whole step that adds to the flow [rad or m].
 
     Raises:
         InputError: unknown mode, wrong number of values, or a value that is not finite.
     """
-    start, given = _values(x, automaton.n, "x"), _values(u, automaton.m, "u")
+    start, given = automaton.state(x), automaton.input(u)
     pushed = np.zeros(automaton.n) if disturbance is None else _values(disturbance, automaton.n, "disturbance")
     index, after = automaton.mode_index(mode), dict[int, float]()
     if automaton.input_memories:
@@ -156,18 +159,24 @@ def _alone(automaton: HybridAutomaton) -> TransitionBatch:
 
 
 def simulate(
-    automaton: HybridAutomaton, mode: str, x0: ArrayLike, inputs: ArrayLike, disturbances: ArrayLike | None = None
+    automaton: HybridAutomaton,
+    mode: str,
+    x0: Values,
+    inputs: ArrayLike | Sequence[Values],
+    disturbances: ArrayLike | None = None,
 ) -> Run:
-    """`step` after `step` with inputs (k, m) and disturbances (k, n), from x0 (n,) in `mode`.
+    """`step` after `step` with inputs (k, m) and disturbances (k, n), from x0 (n,) in `mode`; values by name as there.
 
     Raises:
         InputError: as `step`, or the number of disturbances is not that of inputs.
     """
-    rows = _rows(inputs, automaton.m, "inputs")
+    if isinstance(inputs, Sequence) and any(isinstance(one, Mapping) for one in inputs):
+        inputs = np.array([automaton.input(one) for one in inputs])
+    rows = _rows(cast("ArrayLike", inputs), automaton.m, "inputs")
     pushes = [None] * len(rows) if disturbances is None else _rows(disturbances, automaton.n, "disturbances")
     if len(pushes) != len(rows):
         raise InputError(f"disturbances must have as many rows as inputs, {len(rows)}. Got {len(pushes)}")
-    steps = [Step(automaton.mode(mode).name, _values(x0, automaton.n, "x0"))]
+    steps = [Step(automaton.mode(mode).name, automaton.state(x0))]
     for u, pushed in zip(rows, pushes, strict=True):
         steps.append(step(automaton, steps[-1].mode, steps[-1].x, u, pushed))
     return Run(
