@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from itertools import accumulate
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.arrays import Floats, Ints
@@ -181,7 +182,7 @@ class LearnedRun:
 
     Attributes:
         edge, run: the part and the run.
-        rows: (n,) rows of the recording.
+        rows, time: (n,) rows of the recording, and when they were measured [s].
         position: (n, 3) of the part's origin in the frame of its parent [m].
         stretches: its segments.
         quantity, unit: what `measured` counts: ``"configuration"`` or ``"displacement"``, in rad, m, "rad or m".
@@ -195,6 +196,7 @@ class LearnedRun:
     edge: KinematicEdge
     run: int
     rows: Ints
+    time: Floats
     position: Floats
     stretches: tuple[Stretch, ...]
     quantity: str
@@ -205,6 +207,22 @@ class LearnedRun:
     counts: tuple[float, ...]
     channel: ActionChannel | None
     assessed: bool
+
+    def when(self, rows: ArrayLike) -> Floats:
+        """When rows were measured [s]; halves of a row are half-way to the next one."""
+        wanted = np.asarray(rows, dtype=float)
+        if len(self.rows) < 2:
+            return np.asarray(self.time[0] + (wanted - self.rows[0]))
+        step = float(np.median(np.diff(self.time))) / max(float(np.median(np.diff(self.rows))), 1.0)
+        inside = np.interp(wanted, self.rows, self.time)
+        outside = wanted - np.clip(wanted, self.rows[0], self.rows[-1])
+        return np.asarray(inside + outside * step)
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """From half a row before the first row to half a row after the last one [s]."""
+        first, last = self.when([self.rows[0] - 0.5, self.rows[-1] + 0.5])
+        return float(first), float(last)
 
     @property
     def evidence_range(self) -> tuple[float, float]:
@@ -257,7 +275,7 @@ def _learned_run(
     counts = certainty.changepoint_counts if certainty is not None else ()
     units = dict.fromkeys(s.joint.unit for s in moving)
     return LearnedRun(
-        edge, run, rows, poses.translation, tuple(stretches),
+        edge, run, rows, recording.time[rows], poses.translation, tuple(stretches),
         "configuration" if moving else "displacement", " or ".join(units) if moving else "m",
         trace_rows, lines, changes, counts[number] if number < len(counts) else (),
         None if certainty is None else certainty.channel, certainty is not None,
@@ -500,16 +518,20 @@ def _spread(joint: Joint, name: str) -> float | None:
 
 @dataclass(frozen=True)
 class SegmentLabel:
-    """A segment's name and probability, centred at a row, on a level above the panel (0 is the lowest)."""
+    """A segment's name and probability, centred at a time [s], on a level above the panel (0 is the lowest)."""
 
     text: str
-    row: float
+    time: float
     level: int
     misfit: bool
 
 
-def segment_labels(learned: LearnedRun, rows_per_letter: float) -> tuple[SegmentLabel, ...]:
-    """Names of the segments; what would overlap goes a level up, or away."""
+def segment_labels(learned: LearnedRun, letter: float) -> tuple[SegmentLabel, ...]:
+    """Names of the segments; what would overlap goes a level up, or away.
+
+    Args:
+        letter: how long one is on the axis [s].
+    """
     ends = [-float("inf")] * LEVELS
     found = []
     for stretch in learned.stretches:
@@ -517,9 +539,10 @@ def segment_labels(learned: LearnedRun, rows_per_letter: float) -> tuple[Segment
         wrong = is_misfit(segment)
         own = dict(kind_probabilities(segment)).get(segment.joint.kind, segment.probability)
         text = NO_FIT if wrong else f"{segment.joint.kind} {percent(own, 0)}"
-        half = rows_per_letter * len(text) / 2
-        first, last = float(learned.rows[0]), float(learned.rows[-1])
-        middle = min(max((segment.start + segment.end) / 2, first + half), max(last - half, first))
+        half = letter * len(text) / 2
+        first, last = float(learned.time[0]), float(learned.time[-1])
+        middle = float(np.mean(learned.when([segment.start, segment.end])))
+        middle = min(max(middle, first + half), max(last - half, first))
         level = next((i for i, end in enumerate(ends) if middle - half > end), None)
         if level is not None:
             ends[level] = middle + half

@@ -65,17 +65,17 @@ def learning_chart(recording: Recording, learned: LearnedRun, shown: Floats, *, 
     return Chart(
         block_title(learned, several_runs=several_runs),
         tuple(map(capital, block_words(learned))),
-        played(_WIDTH, panels, parts, "row of the recording", f"{headline(learned)} over rows"),
+        played(_WIDTH, panels, parts, "time [s]", f"{headline(learned)} over time"),
         tuple(bars for bars in (_counts(learned), _kinds(learned)) if bars.rows),
         tuple(block_notes(learned, recorded=recording.has_actions)),
         has_misfit(learned),
-        tuple((float(shown[row]), panels[0].x(float(row))) for row in rows),
+        tuple((float(shown[row]), panels[0].x(float(at))) for row, at in zip(rows, learned.when(rows), strict=True)),
     )
 
 
 def _panels(learned: LearnedRun) -> list[Panel]:
-    """Configuration, and where learning traced them evidence and changepoint, all over the rows."""
-    first, last = float(learned.rows[0]) - 0.5, float(learned.rows[-1]) + 0.5
+    """Configuration, and where learning traced them evidence and changepoint, all over time."""
+    first, last = learned.span
     width = _WIDTH - _LEFT - (_NAMES if learned.evidence else _RIGHT)
     measured = np.concatenate([stretch.measured for stretch in learned.stretches])
     low, high = float(measured.min()), float(measured.max())
@@ -90,11 +90,12 @@ def _panels(learned: LearnedRun) -> list[Panel]:
 def _shades(panel: Panel, learned: LearnedRun) -> Svg:
     parts = []
     for number, stretch in enumerate(learned.stretches):
-        left, right = stretch.segment.start - 0.5, stretch.segment.end + 0.5
+        left, right = learned.when([stretch.segment.start - 0.5, stretch.segment.end + 0.5]).tolist()
         kind = "shade misfit" if is_misfit(stretch.segment) else "shade"
         parts.append(panel.band(left, right, kind, stretch.colored.color))
         if number and stretch.interval is not None:
-            parts.append(panel.band(stretch.interval[0] - 0.5, stretch.interval[1] + 0.5, "interval"))
+            low, high = learned.when([stretch.interval[0] - 0.5, stretch.interval[1] + 0.5]).tolist()
+            parts.append(panel.band(low, high, "interval"))
         if number:
             parts.append(panel.vertical(left, "change"))
     return Svg("".join(parts))
@@ -104,10 +105,11 @@ def _configuration(panel: Panel, learned: LearnedRun) -> Svg:
     parts = [panel.y_axis(f"{learned.quantity} [{learned.unit}]", 5)]
     for stretch in learned.stretches:
         if is_misfit(stretch.segment):
-            parts.append(panel.curve(stretch.rows, stretch.measured, "dots rim", dots=True))
-        parts.append(panel.curve(stretch.rows, stretch.measured, "dots", stretch.colored.color, dots=True))
+            parts.append(panel.curve(learned.when(stretch.rows), stretch.measured, "dots rim", dots=True))
+        times, color = learned.when(stretch.rows), stretch.colored.color
+        parts.append(panel.curve(times, stretch.measured, "dots", color, dots=True))
     for label in segment_labels(learned, _LETTER * (panel.x1 - panel.x0) / panel.width):
-        x, y = panel.x(label.row), panel.top - 6 - 15 * label.level
+        x, y = panel.x(label.time), panel.top - 6 - 15 * label.level
         if label.misfit:
             half = _LETTER * len(label.text) / 2
             parts.append(rectangle(x - half, y - 12, 2 * half, 16, "badge-box", MISFIT))
@@ -119,7 +121,7 @@ def _evidence(panel: Panel, learned: LearnedRun) -> Svg:
     parts = [panel.y_axis("evidence against\nbest single [nats]")]
     for line in sorted(learned.evidence, key=lambda line: line.color is not None):
         kind = "line" if line.color else "line other"
-        parts.append(panel.curve(learned.evidence_rows, line.values, kind, line.color or ""))
+        parts.append(panel.curve(learned.when(learned.evidence_rows), line.values, kind, line.color or ""))
     step = _LINE * (panel.y1 - panel.y0) / panel.height
     for place, name, used in line_labels(learned.evidence, step):
         parts.append(text(panel.right + 5, panel.y(place) + 4, name, "name" if used else "number"))
@@ -131,10 +133,11 @@ def _changepoint(panel: Panel, learned: LearnedRun) -> Svg:
     for bar in learned.changepoints:
         if bar.probability >= 1e-4:
             top = panel.y(bar.probability)
-            width = max(bar.width * panel.width / (panel.x1 - panel.x0), 1.0)
-            parts.append(rectangle(panel.x(bar.row) - width / 2, top, width, panel.bottom - top, "bar"))
+            half = 0.5 * bar.width
+            left, right = map(panel.x, learned.when([bar.row - half, bar.row + half]).tolist())
+            parts.append(rectangle(left, top, max(right - left, 1.0), panel.bottom - top, "bar"))
     for first, name in interval_labels(learned):
-        parts.append(text(panel.x(first - 0.5) - 5, panel.top + 12, name, "number end"))
+        parts.append(text(panel.x(float(learned.when(first - 0.5))) - 5, panel.top + 12, name, "number end"))
     return Svg("".join(parts))
 
 

@@ -139,7 +139,7 @@ def _draw_block(figure: Figure, block: _Block, top: float, *, several_runs: bool
         shade_segments(panel, learned)
         panel.tick_params(labelbottom=panel is axes[-1])
         panel.yaxis.set_label_coords(-0.62 / width, 0.5)
-    axes[-1].set_xlabel("row of the recording", color=PANEL_INK)
+    axes[-1].set_xlabel("time [s]", color=PANEL_INK)
     space_bottom = bottom + (_BARS + 0.25 if block.bars else -0.35)
     plot_track(_space(figure, 0.2, space_bottom, _SPLIT - 1.15, top - _HEADER + 0.35 - space_bottom), learned)
     if learned.counts:
@@ -273,21 +273,21 @@ def plot_configuration(axes: Axes, learned: LearnedRun, width: float) -> None:
     """
     size = 4.2 if len(learned.rows) <= _FEW_ROWS else 2.6
     for stretch in learned.stretches:
-        color = stretch.colored.color
+        color, times = stretch.colored.color, learned.when(stretch.rows)
         edge = INK if is_misfit(stretch.segment) else color
-        axes.plot(stretch.rows, stretch.measured, "o", ms=size, mew=0.6, color=color, mec=edge, zorder=3)
+        axes.plot(times, stretch.measured, "o", ms=size, mew=0.6, color=color, mec=edge, zorder=3)
         if not stretch.segment.joint.moves and learned.quantity == "configuration" and len(stretch.rows):
             resting = stretch.segment.configuration_start
-            axes.plot(stretch.rows[[0, -1]], [resting, resting], color=INK, lw=1.2, zorder=4)
+            axes.plot(times[[0, -1]], [resting, resting], color=INK, lw=1.2, zorder=4)
     axes.set_ylabel(f"{learned.quantity} [{learned.unit}]", color=PANEL_INK)
     axes.margins(y=0.1)
-    first, last = (learned.rows[0] - 0.5, learned.rows[-1] + 0.5) if len(learned.rows) else (-0.5, 0.5)
+    first, last = learned.span
     axes.set_xlim(first, last)
-    axes.xaxis.set_major_locator(MaxNLocator(nbins=9, integer=True, steps=[1, 2, 5, 10]))
-    for label in segment_labels(learned, _LETTER * max(last - first, 1.0) / width):
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=9, steps=[1, 2, 5, 10]))
+    for label in segment_labels(learned, _LETTER * (last - first) / width):
         box = {"facecolor": MISFIT, "edgecolor": "none", "pad": 1.5} if label.misfit else None
         axes.annotate(
-            label.text, (label.row, 1.0), xytext=(0, 5 + 14 * label.level), xycoords=("data", "axes fraction"),
+            label.text, (label.time, 1.0), xytext=(0, 5 + 14 * label.level), xycoords=("data", "axes fraction"),
             textcoords="offset points", ha="center", fontsize=9.5, weight="bold", color=INK, bbox=box,
         )  # fmt: skip
 
@@ -295,15 +295,15 @@ def plot_configuration(axes: Axes, learned: LearnedRun, width: float) -> None:
 def shade_segments(axes: Axes, learned: LearnedRun) -> None:
     """The segments' colours behind a panel; a line at every changepoint, in the band of its 95 % interval."""
     for number, stretch in enumerate(learned.stretches):
-        left, right = stretch.segment.start - 0.5, stretch.segment.end + 0.5
+        left, right = learned.when([stretch.segment.start - 0.5, stretch.segment.end + 0.5]).tolist()
         if is_misfit(stretch.segment):
             axes.axvspan(left, right, facecolor=MISFIT, alpha=0.28, lw=0, zorder=0)
             axes.axvspan(left, right, facecolor="none", edgecolor=MISFIT, hatch="///", alpha=0.5, lw=0, zorder=0)
         else:
             axes.axvspan(left, right, color=stretch.colored.color, alpha=0.15, lw=0, zorder=0)
         if number and stretch.interval is not None:
-            low, high = stretch.interval
-            axes.axvspan(low - 0.5, high + 0.5, color=INK, alpha=0.14, lw=0, zorder=1, label="95 % interval")
+            low, high = learned.when([stretch.interval[0] - 0.5, stretch.interval[1] + 0.5]).tolist()
+            axes.axvspan(low, high, color=INK, alpha=0.14, lw=0, zorder=1, label="95 % interval")
         if number:
             axes.axvline(left, color=INK, lw=1.0, ls=(0, (4, 2)), zorder=2)
 
@@ -314,12 +314,12 @@ def plot_evidence(axes: Axes, learned: LearnedRun, height: float) -> None:
     Args:
         height: of the panel [in].
     """
-    rows = learned.evidence_rows
+    times = learned.when(learned.evidence_rows)
     for line in sorted(learned.evidence, key=lambda line: line.color is not None):
         color, lw = (MUTED, 1.0) if line.color is None else (line.color, 2.2)
         if color == MISFIT:
-            axes.plot(rows, line.values, color=INK, lw=3.2, zorder=3)
-        axes.plot(rows, line.values, color=color, lw=lw, zorder=3 if line.color else 2, label=line.model)
+            axes.plot(times, line.values, color=INK, lw=3.2, zorder=3)
+        axes.plot(times, line.values, color=color, lw=lw, zorder=3 if line.color else 2, label=line.model)
     low, high = learned.evidence_range
     axes.set_ylim(low, high)
     axes.set_ylabel("evidence against\nbest single [nats]", color=PANEL_INK)
@@ -336,14 +336,15 @@ def plot_evidence(axes: Axes, learned: LearnedRun, height: float) -> None:
 def plot_changepoint(axes: Axes, learned: LearnedRun) -> None:
     """The posterior probability of every row to be the first of a segment."""
     bars = learned.changepoints
-    rows, heights, widths = ([getattr(bar, name) for bar in bars] for name in ("row", "probability", "width"))
-    axes.bar(rows, heights, width=widths, color=INK, lw=0, zorder=3)
+    rows, heights, widths = (np.array([getattr(bar, name) for bar in bars]) for name in ("row", "probability", "width"))
+    left, right = learned.when(rows - 0.5 * widths), learned.when(rows + 0.5 * widths)
+    axes.bar(left, heights, width=right - left, align="edge", color=INK, lw=0, zorder=3)
     axes.set_ylim(learned.changepoint_range)
     axes.yaxis.set_major_locator(MaxNLocator(nbins=2))
     axes.set_ylabel("P(change\nat row)", color=PANEL_INK)
     for first, name in interval_labels(learned):
         axes.annotate(
-            name, (first - 0.5, 0.97), xytext=(-4, 0), xycoords=("data", "axes fraction"),
+            name, (float(learned.when(first - 0.5)), 0.97), xytext=(-4, 0), xycoords=("data", "axes fraction"),
             textcoords="offset points", ha="right", va="top", fontsize=8.5, color=PANEL_INK,
         )  # fmt: skip
 

@@ -162,11 +162,11 @@ def test_scales() -> None:
 
 def test_names_of_segments_do_not_overlap() -> None:
     door, _ = learned_runs(*cabinet_runs())
-    labels = segment_labels(door, 3.0)
+    labels = segment_labels(door, 0.15)
     for i, a in enumerate(labels):
         for b in labels[:i]:
-            assert a.level != b.level or abs(a.row - b.row) >= 3.0 * (len(a.text) + len(b.text)) / 2
-    assert [label.level for label in segment_labels(door, 0.5)] == [0, 0, 0]
+            assert a.level != b.level or abs(a.time - b.time) >= 0.15 * (len(a.text) + len(b.text)) / 2
+    assert [label.level for label in segment_labels(door, 0.025)] == [0, 0, 0]
 
 
 def test_names_of_lines_keep_their_distance() -> None:
@@ -182,3 +182,17 @@ def test_names_of_lines_keep_their_distance() -> None:
 )
 def test_percents_never_claim_certainty(p: float, text: str) -> None:
     assert percent(p, 0) == text
+
+
+def test_a_gap_in_time_is_a_gap_on_the_chart() -> None:
+    """Rows are evenly spread over a recording that pauses for ten seconds; moments are not."""
+    recording, graph = assessed_door()
+    late = dataclasses.replace(recording, time=recording.time + 10.0 * (np.arange(len(recording)) >= 30))
+    drawing, _, keyframes = block(late, graph)
+    x = np.concatenate([dots(one)[:, 0] for one in of_class(drawing, "dots")])
+    steps = np.diff(x)
+    assert steps.argmax() == 29
+    assert steps.max() > 0.5 * (x[-1] - x[0])
+    np.testing.assert_allclose(x, [at for _, at in keyframes], atol=0.06)
+    labels = [element.text for element in of_class(drawing, "label mid")]
+    assert "time [s]" in labels

@@ -53,15 +53,16 @@ def intervals(axes: Axes) -> list[tuple[float, float]]:
 
 
 def test_track_and_configuration_have_the_colours_of_their_segments() -> None:
-    figure = learning_figure(*measured())
+    recording, graph = measured()
+    figure = learning_figure(recording, graph)
     clouds = {to_rgba(category(i)): i for i in range(2)}
     sizes = {clouds[tuple(c.get_facecolor()[0])]: len(c.get_offsets()) for c in space_of(figure).collections[:2]}
     assert sizes == {0: 40, 1: 20}
     axes = labelled(figure, "configuration [rad]")
-    (first, _, moving), (second, rows, resting) = dots(axes)
+    (first, _, moving), (second, times, resting) = dots(axes)
     assert (first, second) == (category(0), category(1))
     np.testing.assert_allclose(moving, np.linspace(0, OPEN_AT, 40), atol=0.03)
-    np.testing.assert_array_equal(rows, np.arange(40, 60))
+    np.testing.assert_allclose(times, recording.time[40:60])
     # At rest the measured configuration is shown, which scatters, not the one that the pose stands for.
     assert 0 < np.std(resting) < 0.03
 
@@ -93,7 +94,8 @@ def test_the_interval_lies_at_its_rows_in_every_panel() -> None:
     low, high = start.interval()
     figure = learning_figure(recording, graph)
     for label in ("configuration", "evidence", "P(change"):
-        assert intervals(labelled(figure, label)) == [(low - 0.5, high + 0.5)]
+        (shown,) = intervals(labelled(figure, label))
+        np.testing.assert_allclose(shown, [(low - 0.5) / 18, (high + 0.5) / 18])
     assert f"(95 % interval: {low} to {high})" in words(figure)
     assert intervals(labelled(learning_figure(*measured()), "configuration")) == []
 
@@ -103,7 +105,7 @@ def test_the_posterior_of_the_row_is_drawn_as_bars() -> None:
     trace = graph.edges[0].certainty.trace
     bars = labelled(learning_figure(recording, graph), "P(change").containers[0]
     np.testing.assert_allclose([bar.get_height() for bar in bars], trace.changepoint)
-    np.testing.assert_allclose([bar.get_x() + bar.get_width() / 2 for bar in bars], trace.rows)
+    np.testing.assert_allclose([bar.get_x() + bar.get_width() / 2 for bar in bars], np.array(trace.rows) / 18, atol=1e-12)
 
 
 def test_evidence_takes_over_where_the_part_comes_to_rest() -> None:
@@ -156,8 +158,8 @@ def test_a_joint_that_returns_has_its_colour_again_and_parts_have_their_own() ->
     assert [s.colored.color for s in door.stretches] == [category(0), category(1), category(0)]
     assert [s.colored.color for s in drawer.stretches] == [category(2)]
     figure = learning_figure(recording, graph)
-    _, rows, travelled = dots(labelled(figure, "configuration [m]"))[0]
-    np.testing.assert_array_equal(rows, np.arange(80, 120))
+    _, times, travelled = dots(labelled(figure, "configuration [m]"))[0]
+    np.testing.assert_allclose(times, recording.time[80:120])
     np.testing.assert_allclose(travelled, np.linspace(0, 0.25, 40), atol=0.01)
     assert "door: rigid → revolute → rigid" in words(figure)
     assert "drawer: prismatic" in words(figure)
@@ -240,12 +242,14 @@ def test_a_coarse_trace_has_wide_bars_but_where_a_start_is_known_to_the_row() ->
     )
     changed = dataclasses.replace(edge, certainty=dataclasses.replace(edge.certainty, trace=thin))
     axes = labelled(learning_figure(recording, KinematicGraph((changed,))), "P(change")
-    bars = {bar.get_x() + bar.get_width() / 2: bar for bar in axes.containers[0]}
+    bars = {round(18 * (bar.get_x() + bar.get_width() / 2), 6): bar for bar in axes.containers[0]}
     start = edge.segments[1].certainty.start
     for row, probability in zip(start.rows, start.probabilities, strict=True):
         assert bars[row].get_height() == pytest.approx(probability)
-        assert bars[row].get_width() == 1.0
-    assert {bar.get_width() for row, bar in bars.items() if row < start.rows[0]} == {3.0}
+        assert bars[row].get_width() == pytest.approx(1 / 18)
+    # The first one begins half a row before the first row, which is as far as there is time.
+    wide = [bar.get_width() for row, bar in bars.items() if 1 < row < start.rows[0]]
+    np.testing.assert_allclose(wide, 3 / 18)
 
 
 def test_a_trace_of_other_rows_has_no_panels() -> None:

@@ -247,6 +247,11 @@
     const restAtEnd = 1.2;
     let time = 0, playing = false, before = null, rested = 0;
 
+    // What is shown of a run stands beside the rest, and has its place from the beginning, so that the slider stays.
+    const columns = data.runs.some((run) => run.readouts.length) ? 2 : 1;
+    readout.style.setProperty("--columns", columns);
+    const texts = Array.from({ length: columns }, () => readout.appendChild(document.createElement("div")));
+
     // Activates the actions; from here on only seek() moves them, so that slider and scene cannot disagree.
     viewer.animator.play();
     viewer.animator.pause();
@@ -263,7 +268,7 @@
       clock.textContent = `${time.toFixed(1)} of ${data.duration.toFixed(1)} s`;
       moveCursors(time);
       const ofRun = chosen === null ? [] : linesAt(data.runs[chosen].readouts, time);
-      readout.textContent = [...linesAt(data.readouts, time), ...ofRun].join("\n");
+      [linesAt(data.readouts, time), ofRun].slice(0, columns).forEach((lines, i) => { texts[i].textContent = lines.join("\n"); });
     }
     showAgain = () => show(time);
     window.player = { show, duration: data.duration };  // for recordings
