@@ -105,7 +105,8 @@ def test_the_posterior_of_the_row_is_drawn_as_bars() -> None:
     trace = graph.edges[0].certainty.trace
     bars = labelled(learning_figure(recording, graph), "P(change").containers[0]
     np.testing.assert_allclose([bar.get_height() for bar in bars], trace.changepoint)
-    np.testing.assert_allclose([bar.get_x() + bar.get_width() / 2 for bar in bars], np.array(trace.rows) / 18, atol=1e-12)
+    middles = [bar.get_x() + bar.get_width() / 2 for bar in bars]
+    np.testing.assert_allclose(middles, np.array(trace.rows) / 18, atol=1e-12)
 
 
 def test_evidence_takes_over_where_the_part_comes_to_rest() -> None:
