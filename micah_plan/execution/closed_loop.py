@@ -15,14 +15,13 @@ from scipy.special import ndtr
 from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
-from micah_plan.automaton.tracks import read_by_sensors
 from micah_plan.belief.filter import explains, initial_belief, predict_each, update_each
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.checked_plant import CheckedPlant
 from micah_plan.execution.log import RunLog
 from micah_plan.execution.pilot import MOST_REPLANS, Pilot, Replanning
 from micah_plan.execution.plant import Command, Measurement, Plant, PlantError, Truth
-from micah_plan.execution.pose import chain, command, configuration, moving_joints
+from micah_plan.execution.pose import chain, command, configuration, moving_joints, reading
 from micah_plan.execution.release import LettingGo
 from micah_plan.execution.watch import Watch
 from micah_plan.planning.limits import coasted, with_input_memory
@@ -156,12 +155,7 @@ class Episode:
         """
         if self._is_away:
             return np.full(self.automaton.n, np.nan)  # the parts are no longer where the hand is
-        plain, mode = self._problem.automaton, belief.most_likely
-        near = belief.means[mode, : plain.n]
-        name, unseen = plain.modes[mode].name, measurement.unseen
-        z = configuration(plain, name, measurement.position, measurement.quaternion, near, unseen)
-        z = read_by_sensors(plain, z[None], np.array([measurement.time]))[0]
-        return np.concatenate([z, np.full(self.automaton.n - plain.n, np.nan)])
+        return reading(self._problem.automaton, belief, measurement)
 
     def expected(self, belief: HybridBelief, measurement: Measurement) -> Floats:
         """The `reading` of a measurement, with the belief before it; how far the two are apart is remembered."""
@@ -361,8 +355,8 @@ def execute_abreast(
         orders: dict[int, Command] = {}
         readings = {i: episodes[i].expected(belief, seen[i]) for i, belief in beliefs.items()}
         alike: dict[bytes, list[int]] = {}  # numbers of the readings that show the same coordinates
-        for i, reading in readings.items():
-            alike.setdefault(np.isnan(reading).tobytes(), []).append(i)
+        for i, z in readings.items():
+            alike.setdefault(np.isnan(z).tobytes(), []).append(i)
         for rows in alike.values():
             z = np.array([readings[i] for i in rows])
             updated = update_each(automaton, [beliefs[i] for i in rows], z)

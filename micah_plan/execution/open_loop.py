@@ -6,13 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from micah_plan.automaton.tracks import read_by_sensors
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.execution.checked_plant import CheckedPlant, make_plant
 from micah_plan.execution.closed_loop import true_state
 from micah_plan.execution.log import RunLog, concatenated
 from micah_plan.execution.plant import PlantError, PlantMaker
-from micah_plan.execution.pose import command, configuration
+from micah_plan.execution.pose import command, reading
 from micah_plan.planning.limits import with_input_memory
 from micah_plan.recording.value import Recording
 from micah_plan.task.experiment import Experiment
@@ -80,11 +79,7 @@ def _make(
     belief = initial_belief(whole.automaton, whole.start.mean, whole.start.std, whole.start.mode)
     measurement = machine.reset(rng)
     for u in (*(np.array(row) for row in commands), None):
-        mode = belief.most_likely
-        near = belief.means[mode, : plain.n]
-        z = configuration(plain, plain.modes[mode].name, measurement.position, measurement.quaternion, near)
-        z = read_by_sensors(plain, z[None], np.array([measurement.time]))[0]
-        belief = update(whole.automaton, belief, np.concatenate([z, np.full(whole.automaton.n - plain.n, np.nan)]))
+        belief = update(whole.automaton, belief, reading(plain, belief, measurement))
         mode, truth = belief.most_likely, machine.truth()
         true_x = None if truth is None else true_state(plain, truth)[1]
         if u is None:

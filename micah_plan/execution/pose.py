@@ -16,8 +16,9 @@ from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import inverse, placements
 from micah_plan.automaton.memo import memoised
-from micah_plan.automaton.tracks import in_base_frame, measuring_links
-from micah_plan.execution.plant import Command
+from micah_plan.automaton.tracks import in_base_frame, measuring_links, read_by_sensors
+from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.execution.plant import Command, Measurement
 
 
 def moving_mode(automaton: HybridAutomaton, mode: str, coordinate: int) -> Mode:
@@ -105,6 +106,25 @@ def configuration(
         place, turn = poses[number][:3, 3], Rotation.from_matrix(poses[number][:3, :3])
         x[link.coordinate] = inverse(joints[number], place, turn, near=near[link.coordinate])[0]
     return x
+
+
+def reading(automaton: HybridAutomaton, belief: HybridBelief, measurement: Measurement) -> Floats:
+    """What a filter gets of a measurement [rad or m]; NaN for what it does not show.
+
+    Args:
+        automaton: the model without memories of inputs, of n coordinates.
+        belief: before it, to tell whole turns apart and for the joints of the most likely mode.
+
+    Returns:
+        (k,) of the coordinates of the belief, of which there may be more than n.
+    """
+    mode, seen = belief.most_likely, measurement
+    estimate = belief.means[mode]
+    x = configuration(
+        automaton, automaton.mode_names[mode], seen.position, seen.quaternion, estimate[: automaton.n], seen.unseen
+    )
+    x = read_by_sensors(automaton, x[None], np.array([seen.time]))[0]
+    return np.concatenate([x, np.full(len(estimate) - automaton.n, np.nan)])
 
 
 def input_effect(automaton: HybridAutomaton, mode: str) -> Floats:

@@ -9,9 +9,11 @@ import pytest
 from hostile_plants import Hostile
 
 from micah_plan.api import stages
+from micah_plan.documents.experiment import load_experiment
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.closed_loop import TrialResult
 from micah_plan.execution.nominal import NominalPlant
+from micah_plan.execution.open_loop import carry_out
 from micah_plan.execution.pose import configuration
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
@@ -125,3 +127,17 @@ def test_parts_that_hang_on_an_unseen_one_are_not_measured(hidden, missing) -> N
     unseen, near, mode = np.arange(3) == hidden, np.zeros(automaton.n), automaton.modes[0].name
     x = configuration(automaton, mode, seen.position, seen.quaternion, near, unseen)
     assert np.flatnonzero(np.isnan(x)).tolist() == missing
+
+
+def test_an_experiment_goes_on_where_a_part_is_not_seen() -> None:
+    experiment = load_experiment(PROBLEMS / "experiments" / "drawer.yaml")
+    recording, failures = carry_out(experiment, plant=lambda problem: Hostile(problem, "nan often", 1))
+    assert failures == ()
+    repeated = (np.diff(recording.position, axis=0) == 0).all(axis=1) & (np.diff(recording.run) == 0)
+    commanded = np.abs(recording.action[:-1]).max(axis=1) > 0.005
+    assert (repeated & commanded).any()
+    believed = recording.believed()
+    assert believed is not None
+    # Where nothing was seen the belief goes on by the command, instead of staying at the last pose.
+    went = np.linalg.norm(np.diff(believed.position, axis=0), axis=1)
+    assert (went[repeated & commanded] > 0.004).all()
