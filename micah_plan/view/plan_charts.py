@@ -16,7 +16,7 @@ from micah_plan.view.motion import duration, knot_times, step_times, stretches, 
 from micah_plan.view.page import Chart
 from micah_plan.view.palette import BELIEF, EXECUTED, GOAL, mode_colors
 from micah_plan.view.placement import guards_of
-from micah_plan.view.svg import Panel, Svg, played
+from micah_plan.view.svg import Panel, Svg, enlarged, played
 
 Drawn = tuple[list[Panel], list[Svg]]
 
@@ -84,14 +84,15 @@ def _belief(
     panels: list[Panel] = []
     parts: list[Svg] = []
     spreads = np.sqrt((trajectory.factors**2).sum(axis=2))
+    larger = enlarged((_MEAN + _SPREAD) * min(problem.automaton.n, _MOST_COORDINATES))
     for i, coordinate in enumerate(problem.automaton.coordinates[:_MOST_COORDINATES]):
         mean, std = trajectory.means[:, i], spreads[:, i]
         lower, upper = mean - problem.settings.sigmas * std, mean + problem.settings.sigmas * std
         goals = [(value - tol, value + tol) for index, value, tol in problem.goal.target if index == i]
         low = min([float(lower.min()), *(start for start, _ in goals), *(float(run.x[:, i].min()) for run in runs)])
         high = max([float(upper.max()), *(end for _, end in goals), *(float(run.x[:, i].max()) for run in runs)])
-        panel = _panel(above, _MEAN, low, high)
-        above = _panel(panel, _SPREAD, 0.0, float(std.max()))
+        panel = _panel(above, larger * _MEAN, low, high)
+        above = _panel(panel, larger * _SPREAD, 0.0, float(std.max()))
         panels += [panel, above]
         parts += [panel.level_band(*goal, "level", GOAL) for goal in goals]
         guards = guards_of(problem.automaton, i)

@@ -27,7 +27,7 @@ from micah_plan.view.page import Chart, LegendEntry, RunEntry, ScenePage, Status
 from micah_plan.view.palette import BLUE, INK, ORANGE
 from micah_plan.view.placement import handle_in_part
 from micah_plan.view.scene import Scene, slug
-from micah_plan.view.svg import Panel, Svg, evenly, played
+from micah_plan.view.svg import Panel, Svg, enlarged, evenly, played
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -172,12 +172,13 @@ def _charts(automaton: HybridAutomaton, runs: Sequence[RunPrediction], longest: 
     frames = tuple((shown, top.x(time)) for shown, time in ends)
     panels: list[Panel] = []
     parts: list[Svg] = []
+    height = _HEIGHT * enlarged(2 * _HEIGHT * min(automaton.n, _MOST_COORDINATES))
     for i, coordinate in enumerate(automaton.coordinates[:_MOST_COORDINATES]):
         errors = [(run.one_step.configuration[:, i], run.rollout.configuration[:, i]) for run in runs]
         measured = [run.x[:, i] for run in runs]
         predicted = [(x[1:] + one, x[1:] + rolled) for x, (one, rolled) in zip(measured, errors, strict=True)]
-        panel = top.below(_GAP, _HEIGHT, *_ends([*measured, *(rolled for _, rolled in predicted)]))
-        top = panel.below(_GAP, _HEIGHT, *_ends([error for both in errors for error in both]))
+        panel = top.below(_GAP, height, *_ends([*measured, *(rolled for _, rolled in predicted)]))
+        top = panel.below(_GAP, height, *_ends([error for both in errors for error in both]))
         panels += [panel, top]
         for run, x in zip(runs, measured, strict=True):
             parts.append(panel.curve(run.time, x, "run dots small", INK, dots=True, data_run=str(run.run)))

@@ -139,6 +139,14 @@ class Panel:
         return Svg("".join([*parts, text(self.left + self.width / 2, self.bottom + _LABEL_ROOM, label, "label mid")]))
 
 
+_COLUMN, _MOST_ENLARGED = 560.0, 2.2  # pixels of a drawing that fill the column beside a scene of 900 pixels
+
+
+def enlarged(total: float) -> float:
+    """Times which panels of this height together are drawn higher, so that few of them fill the column."""
+    return min(max(_COLUMN / max(total, 1.0), 1.0), _MOST_ENLARGED)
+
+
 def drawing(width: float, panels: Sequence[Panel], parts: Sequence[Svg], label: str) -> Svg:
     """The SVG of parts in panels below each other; `label` describes it to screen readers."""
     box = f"0 0 {width:.0f} {panels[-1].bottom + _AXIS_ROOM:.0f}"

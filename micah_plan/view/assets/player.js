@@ -248,9 +248,11 @@
     let time = 0, playing = false, before = null, rested = 0;
 
     // What is shown of a run stands beside the rest, and has its place from the beginning, so that the slider stays.
-    const columns = data.runs.some((run) => run.readouts.length) ? 2 : 1;
-    readout.style.setProperty("--columns", columns);
-    const texts = Array.from({ length: columns }, () => readout.appendChild(document.createElement("div")));
+    const sources = [];
+    if (data.readouts.length) sources.push(() => data.readouts);
+    if (data.runs.some((run) => run.readouts.length)) sources.push(() => (chosen === null ? [] : data.runs[chosen].readouts));
+    readout.style.setProperty("--columns", Math.max(sources.length, 1));
+    const texts = sources.map(() => readout.appendChild(document.createElement("div")));
 
     // Activates the actions; from here on only seek() moves them, so that slider and scene cannot disagree.
     viewer.animator.play();
@@ -267,8 +269,7 @@
       follow();
       clock.textContent = `${time.toFixed(1)} of ${data.duration.toFixed(1)} s`;
       moveCursors(time);
-      const ofRun = chosen === null ? [] : linesAt(data.runs[chosen].readouts, time);
-      [linesAt(data.readouts, time), ofRun].slice(0, columns).forEach((lines, i) => { texts[i].textContent = lines.join("\n"); });
+      sources.forEach((source, i) => { texts[i].textContent = linesAt(source(), time).join("\n"); });
     }
     showAgain = () => show(time);
     window.player = { show, duration: data.duration };  // for recordings
