@@ -176,6 +176,8 @@ def transforms(poses: Sequence[RigidTransform]) -> RigidTransform:
 
 def _material(color: str, opacity: float, **properties: Any) -> Any:
     solid = opacity == 1.0
+    if not solid:  # a ghost on the face of a solid lies behind it everywhere, not here and there
+        properties |= {"polygonOffset": True, "polygonOffsetFactor": 1.0, "polygonOffsetUnits": 4.0}
     return geometry.MeshPhongMaterial(
         color=_number(color), opacity=opacity, shininess=20, depthWrite=solid, **properties
     )
