@@ -181,8 +181,7 @@ class Episode:
         if self._letting is not None and self._putting_down:
             return self._letting.command(belief, measurement)
         self._beliefs.append(belief)
-        reading = self.reading(belief, measurement)
-        self._is_lost = not explains(self.automaton, belief, reading)
+        self._is_lost = not explains(self.automaton, belief, self.reading(belief, measurement))
         self._confidence = 0.0 if self._is_lost else lasting_probability(self.automaton, self._problem.goal, belief)
         plain, likely = self._problem.automaton, belief.most_likely
         mode, x = self._state(belief)
@@ -272,7 +271,7 @@ class Episode:
 
     @property
     def _is_confident(self) -> bool:
-        return self._confidence >= self._problem.settings.confidence
+        return self._confidence >= self._problem.settings.confidence and not self._watch.failure
 
     @property
     def _is_over(self) -> bool:

@@ -54,6 +54,7 @@ class Watch:
 
         Nor does what is measured with a noise that depends on the place: in the dark, another look tells nothing.
         """
+        self._is_off = False
         if not self._is_uniform(belief):
             return
         found = innovations(self._automaton, belief, z)

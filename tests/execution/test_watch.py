@@ -82,6 +82,27 @@ def test_a_leap_into_the_goal_is_no_success(drawer, plan) -> None:
     assert drawer.goal.contains(str(truth.mode), truth.x)
 
 
+def test_what_leaps_about_until_the_trial_ends_is_no_success_where_it_lands(drawer, plan) -> None:
+    """From the fourth step on it is measured at the goal and at the start, in turn; the last look is at the goal."""
+
+    class LeapsAbout(Hostile):
+        def lied(self, position, quaternion):
+            if self.step == 0:
+                self.start = position
+            if self.step < 4:
+                return position, quaternion
+            along = position - self.start
+            way = 0.23 if (self.step - 4) % 2 else 0.0
+            return self.start + way * along / np.linalg.norm(along), quaternion
+
+    plant = LeapsAbout(drawer, "none", 4)
+    (result,) = stages.execute(drawer, plan, plant=plant, seed=0).results
+    assert "in 4 looks in a row" in result.reason
+    assert result.steps == 7
+    assert result.final_error < 0.01  # believed, at the end
+    assert not result.success
+
+
 def test_nothing_is_commanded_by_what_is_measured_in_millimetres(drawer, plan) -> None:
     found = Executed(drawer, plan, "millimetres")
     assert not found.result.success
