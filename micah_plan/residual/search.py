@@ -210,6 +210,8 @@ class Search:
         """
         problem, k = self.problem(scored.parts), len(self.problem(scored.parts).free)
         names = [f"{part.term.form.parameters[j].name} of {part.name}" for part in scored.parts for j in part.free]
+        if not k:
+            return (), np.zeros((0, 0))
         rows = np.repeat(scored.fit.parameters, 2 * k, axis=0)
         for j, column in enumerate(problem.free):
             rows[2 * j : 2 * j + 2, column] += _SLOPE_STEP * problem.scale[j] * np.array([1.0, -1.0])

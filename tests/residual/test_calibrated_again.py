@@ -10,6 +10,7 @@ from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.examined import examined
+from micah_plan.view.calibration_page import calibration_page
 
 PLANTS = [
     plants.short_steps,
@@ -58,6 +59,18 @@ def test_what_the_model_has_already_is_not_found_again(door, plant) -> None:
     assert again.automaton == once.automaton
     # And "before" is what the model that was given leaves, not what it left before it learned of the effect.
     assert again.before.one_step < 1.3 * once.after.one_step
+
+
+def test_a_delay_that_is_all_there_is_to_know_has_a_report(door) -> None:
+    """Nothing is fitted then: no parameters, no correlations, and a page all the same."""
+    late = with_effect(door, Effect("delay", "door", (("steps", 0.0),)))
+    found = calibrate(late, plants.door_recording(plants.runs_of(plants.honest, 2, 13, 0)))
+    assert found.effects == ()
+    for trace in found.traces:
+        names, matrix = trace.search.correlations_of(trace.chosen)
+        assert names == ()
+        assert matrix.shape == (0, 0)
+    assert "Errors run by run" in calibration_page(found, title="door")
 
 
 @pytest.mark.evidence
