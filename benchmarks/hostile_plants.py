@@ -1,6 +1,6 @@
 """Machines and trackers that fail or lie while `execute` follows a plan: what is claimed, and what is commanded.
 
-    OMP_NUM_THREADS=1 python benchmarks/hostile_plants.py [PROBLEM.yaml ...] [--seeds 10]
+    OMP_NUM_THREADS=1 python benchmarks/hostile_plants.py [PROBLEM.yaml ...] [--seeds 10] [--kinds none ...]
 
 Each plant is the nominal one with a fault that begins at a step of its own, and answers as a machine without a
 referee: success is what the belief says. "false" counts successes whose true state is not in the goal, "missed" those
@@ -124,7 +124,7 @@ def counted(problem: Problem, plan: Plan, kind: str, seeds: int) -> str:
         steps.append(result.steps)
         largest = max(largest, plant.largest)
     counts = "".join(f"{ends[name]:>9}" for name in ("success", "failed", "refused", "false", "missed"))
-    return f"{kind:<15}{counts}{np.mean(steps) if steps else 0:>8.0f}{largest:>10.3f}"
+    return f"{kind:<15}{counts}{np.mean(steps) if steps else 0:>8.1f}{largest:>10.3f}"
 
 
 def main() -> None:
@@ -133,13 +133,14 @@ def main() -> None:
     default = [PROBLEMS / f"{name}.yaml" for name in ("drawer_open", "cabinet_close")]
     parser.add_argument("problems", nargs="*", type=Path, default=default)
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS), help="default: all")
     given = parser.parse_args()
     for path in given.problems:
         problem = load_problem(path)
         plan = stages.solve(problem)
         print(f"\n{path.stem}: a plan of {len(plan.trajectory.inputs)} steps")
         print(f"{'':<15}{'success':>9}{'failed':>9}{'refused':>9}{'false':>9}{'missed':>9}{'steps':>8}{'largest':>10}")
-        for kind in KINDS:
+        for kind in given.kinds:
             print(counted(problem, plan, kind, given.seeds), flush=True)
 
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-from micah_plan.cli import main
+from shell import exit_code
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -53,15 +51,9 @@ FOLLOWING = (
 
 def _given(line: str, here: Path) -> tuple[int, dict[str, Any], str]:
     """Exit code, JSON and stderr of a command line, given in this process."""
-    said, errors, code, before = io.StringIO(), io.StringIO(), 0, sys.argv
-    sys.argv = ["micah-plan", *line.format(here=here).split(), "--json"]
-    try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(errors), contextlib.chdir(ROOT):
-            main()
-    except SystemExit as end:
-        code = int(end.code or 0)
-    finally:
-        sys.argv = before
+    said, errors = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(errors), contextlib.chdir(ROOT):
+        code = exit_code(*line.format(here=here).split(), "--json")
     return code, json.loads(said.getvalue()), errors.getvalue()
 
 

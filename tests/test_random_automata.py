@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from reference_step import step
+from shell import exit_code
 
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.registry import form
@@ -35,7 +35,6 @@ from micah_plan.automaton.hybrid import (
 )
 from micah_plan.automaton.joint import Joint, prismatic, revolute, rigid, screw
 from micah_plan.automaton.region import HalfSpace, Region
-from micah_plan.cli.application import main
 from micah_plan.cli.console import BAD_INPUT, NO_RESULT
 from micah_plan.documents.model import dump_model, load_model
 from micah_plan.errors import InputError
@@ -137,15 +136,7 @@ def automata(draw: st.DrawFn) -> HybridAutomaton:
 
 
 def run(folder: Path, line: str) -> int:
-    """The exit code of a command, as a shell would see it."""
-    before, sys.argv = sys.argv, ["micah-plan", *line.replace("@", f"{folder}/").split()]
-    try:
-        main()
-    except SystemExit as end:
-        return int(end.code or 0)
-    finally:
-        sys.argv = before
-    return 0
+    return exit_code(*line.replace("@", f"{folder}/").split())
 
 
 def write_uses(automaton: HybridAutomaton, seed: int, folder: Path) -> None:

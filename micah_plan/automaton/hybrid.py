@@ -353,7 +353,7 @@ class HybridAutomaton(Summarised):
         Raises:
             InputError: an unknown or a missing name, a wrong number of values, or one that is not finite.
         """
-        found = _vector(values, self.coordinate_names, "x", "coordinate")
+        found = vector(values, self.coordinate_names, "x", "coordinate")
         missing = [name for name in self.coordinate_names if isinstance(values, Mapping) and name not in values]
         if missing:
             raise InputError(f"the state has no value of {', '.join(missing)}", remedy="give one of each coordinate")
@@ -365,7 +365,7 @@ class HybridAutomaton(Summarised):
         Raises:
             InputError: an unknown name, a wrong number of values, or one that is not finite.
         """
-        return _vector(values, self.input_names, "u", "input")
+        return vector(values, self.input_names, "u", "input")
 
     def named(self, x: ArrayLike) -> dict[str, float]:
         """The values of a state (n,) by the names of their coordinates [rad or m]."""
@@ -459,8 +459,12 @@ def _number(name: str, names: tuple[str, ...], what: str) -> int:
     return names.index(name)
 
 
-def _vector(values: Mapping[str, float] | ArrayLike, names: tuple[str, ...], symbol: str, what: str) -> Floats:
-    """Finite values by names, 0 where there is none, or in their order."""
+def vector(values: Mapping[str, float] | ArrayLike, names: tuple[str, ...], symbol: str, what: str) -> Floats:
+    """Finite values by names, 0 where there is none, or in their order.
+
+    Args:
+        symbol: what the vector is called, and `what` that each of its values is of, where something is wrong.
+    """
     if isinstance(values, Mapping):
         for name in values:
             _number(name, names, what)

@@ -57,13 +57,13 @@ from numpy.typing import ArrayLike
 
 from micah_plan.arrays import Booleans, Floats, Ints, alike
 from micah_plan.automaton.effects.motion import motions
-from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.hybrid import HybridAutomaton, vector
 from micah_plan.automaton.input_memory import passed_on
 from micah_plan.automaton.lifted import threshold_stds, with_boundary_states
 from micah_plan.automaton.memo import memoised
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.automaton.step_noise import gain_factors, uncertain_gains
-from micah_plan.errors import InputError, shown
+from micah_plan.errors import InputError
 
 Values = Mapping[str, float] | ArrayLike
 """Of coordinates or inputs: by name, or in order."""
@@ -128,18 +128,18 @@ class Run:
     complete: bool
 
 
-def step(automaton: HybridAutomaton, mode: str, x: Values, u: Values, disturbance: ArrayLike | None = None) -> Step:
+def step(automaton: HybridAutomaton, mode: str, x: Values, u: Values, disturbance: Values | None = None) -> Step:
     """The state after one step from x (n,) in `mode` with the input u (m,), as the module's docstring defines it.
 
     Args:
-        x, u: in order, or by name: ``{"door": 1.2}``; of an input, what is not named is 0.
+        x, u: in order, or by name: ``{"door": 1.2}``; of all but a state, what is not named is 0.
         disturbance: (n,) displacement over the whole step that adds to the flow [rad or m].
 
     Raises:
         InputError: unknown mode, wrong number of values, or a value that is not finite.
     """
     start, given = automaton.state(x), automaton.input(u)
-    pushed = np.zeros(automaton.n) if disturbance is None else _values(disturbance, automaton.n, "disturbance")
+    pushed = vector({} if disturbance is None else disturbance, automaton.coordinate_names, "disturbance", "coordinate")
     index, after = automaton.mode_index(mode), dict[int, float]()
     if automaton.input_memories:
         passed, after = passed_on(np, automaton.input_memories, mode, start.tolist(), given.tolist())
@@ -514,13 +514,6 @@ def _slid(group: _Travellers, normals: Floats) -> _Travellers:
     for wall in walls:
         d = d - (d * wall).sum(axis=1, keepdims=True) * wall
     return replace(group, d=np.where(gives, d, 0.0), instant=replace(instant, walls=walls))
-
-
-def _values(value: ArrayLike, size: int, name: str) -> Floats:
-    array = np.array(value, dtype=float)
-    if array.shape != (size,) or not np.isfinite(array).all():
-        raise InputError(f"{name} must be {size} finite numbers. Got {shown(array.tolist())}")
-    return array
 
 
 def _rows(value: ArrayLike, width: int, name: str) -> Floats:

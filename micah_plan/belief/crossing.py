@@ -345,8 +345,8 @@ def transition(layout: Layout, mode: ModeLayout, pieces: Pieces, way: Exit, bind
     met += after
     ahead[:] = after
     if binding is not None:
-        later = binding.along(met) * per_way  # by how much of the step the event comes earlier: derivative of `share`
-        met -= motion[:, None] * later
+        share_factor = binding.along(met) * per_way  # the uncertainty of the share itself, by the factors' columns
+        met -= motion[:, None] * share_factor
     if way.reset is not None:
         behind = after - met
         a, b, c = way.reset
@@ -363,7 +363,7 @@ def transition(layout: Layout, mode: ModeLayout, pieces: Pieces, way: Exit, bind
         change, displacement = nominal - pieces.displacement, share * nominal
         mean[1] += share * change
         if binding is not None:
-            ahead += change[:, None] * later
+            ahead += change[:, None] * share_factor
     at_once = share > 1.0 - 1e-9
     entered = pieces.entered & at_once
     entered[mode.index] = entered[way.target] = True

@@ -166,10 +166,8 @@ def explains(automaton: HybridAutomaton, belief: HybridBelief, z: Floats) -> boo
     What remains of it scatters by less than the noise of a measurement. Where it is so far away that noise would have
     less than the probability that filters drop, the model does not describe what is measured, however sure the belief.
     """
-    layout, mode = layout_of(automaton), np.array([belief.most_likely])
-    mean = np.zeros((layout.n, 1))
-    mean[: len(z), 0] = belief.means[mode[0], : len(z)]
-    away = np.abs(z - mean[: len(z), 0]) / np.maximum(_sensing_std(layout, mode, mean)[: len(z), 0], SMALLEST_STD)
+    apart, sensed = _apart(automaton, belief, z)
+    away = np.abs(apart) / np.maximum(sensed, SMALLEST_STD)
     return bool(np.all(2 * ndtr(-away[np.isfinite(away)]) >= NEGLIGIBLE))
 
 
@@ -178,12 +176,17 @@ def innovations(automaton: HybridAutomaton, belief: HybridBelief, z: Floats) -> 
 
     Of a model that holds they are independent, with mean 0 and std 1. NaN where nothing was measured.
     """
+    apart, sensed = _apart(automaton, belief, z)
+    std = np.linalg.norm(belief.factors[belief.most_likely, : len(z)], axis=1)
+    return np.asarray(apart / np.maximum(np.hypot(std, sensed), SMALLEST_STD))
+
+
+def _apart(automaton: HybridAutomaton, belief: HybridBelief, z: Floats) -> tuple[Floats, Floats]:
+    """A measurement z (k,) less the mean of the likeliest mode, and the std of its noise there."""
     layout, mode = layout_of(automaton), np.array([belief.most_likely])
     mean = np.zeros((layout.n, 1))
     mean[: len(z), 0] = belief.means[mode[0], : len(z)]
-    std = np.linalg.norm(belief.factors[mode[0], : len(z)], axis=1)
-    sensed = _sensing_std(layout, mode, mean)[: len(z), 0]
-    return np.asarray((z - mean[: len(z), 0]) / np.maximum(np.hypot(std, sensed), SMALLEST_STD))
+    return z - mean[: len(z), 0], _sensing_std(layout, mode, mean)[: len(z), 0]
 
 
 def _predicted(layout: Layout, beliefs: BeliefBatch, u: Floats) -> BeliefBatch:

@@ -304,7 +304,7 @@ def _stds(matrix: Sequence[Sequence[float]]) -> list[float]:
 
 def _print_learned(learned: Learned, files: tuple[Path | None, ...]) -> None:
     """A table of the segments of every edge, how its actions move it, and what was written."""
-    from micah_plan.view.learned import action_words, deviation_words
+    from micah_plan.view.learned import action_words, deviation_notes
 
     line = " " if out.width >= _WIDE else "\n"
     for edge in learned.graph.edges:
@@ -315,7 +315,7 @@ def _print_learned(learned: Learned, files: tuple[Path | None, ...]) -> None:
         for segment in edge.segments:
             shown.add_row(*(cell.replace("\n", line) for cell in segment_row(segment)))
         out.print(shown)
-        print_lines(tuple(dict.fromkeys(line for segment in edge.segments if (line := deviation_words(segment)))))
+        print_lines(tuple(deviation_notes(edge.segments)))
         if edge.certainty is not None and edge.certainty.channel is not None:
             print_lines((f"actions: {action_words(edge.certainty.channel)}",))
     if learned.graph.probability is not None:

@@ -19,9 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.errors import InputError, MicahError, shown
 from micah_plan.execution.plant import Command, Measurement, Plant, PlantError, PlantMaker, Referee, Truth
+from micah_plan.quantities import count
 from micah_plan.recording.checks import LARGEST, NORM_TOLERANCE
 from micah_plan.task.plants import BUILT_IN
 from micah_plan.task.problem import Problem
@@ -98,7 +99,7 @@ class CheckedPlant:
             self.ask("close")
         else:
             with suppress(Exception):  # the first error is the one to report
-                self._plant.close()
+                self.ask("close")
 
     def ask(self, method: str, *arguments: object) -> object:
         """What a method of the plant answers, unchecked; an exception of its code becomes one line.
@@ -107,8 +108,11 @@ class CheckedPlant:
             PlantError: if it does not answer within the plant's `patience` [s], 60 if it has none; None: for ever.
         """
         kind = type(self._plant)
-        what = f"{kind.__name__}.{method}"
-        with _watched(what, getattr(self._plant, "patience", _PATIENCE)):
+        what, patience = f"{kind.__name__}.{method}", getattr(self._plant, "patience", _PATIENCE)
+        if patience is not None and not (isinstance(patience, int | float) and 0.0 < patience < np.inf):
+            problem = f"{kind.__name__}.patience must be seconds > 0, or None. Got {shown(patience)}"
+            raise InputError(problem, remedy="leave it out for a minute")
+        with _watched(what, patience):
             return _called(kind, what, getattr(self._plant, method), *arguments)
 
     def _measured(self, method: str, argument: object) -> Measurement:
@@ -197,7 +201,7 @@ def checked(answer: object, parts: Sequence[str], after: float = -np.inf) -> Mea
         quaternion=quaternion,
         force=None if answer.force is None else _array(answer.force, "force", (rows, 3), "fx"),
         joints=None if answer.joints is None else _array(answer.joints, "joints", None, "x"),
-        unseen=answer.unseen,
+        unseen=None if answer.unseen is None else _flags(answer.unseen, rows),
     )
 
 
@@ -218,6 +222,14 @@ def _array(value: object, name: str, shape: tuple[int, ...] | None, column: str)
         raise InputError(problem, remedy=remedy)
     array.setflags(write=False)
     return array
+
+
+def _flags(value: object, rows: int) -> Booleans:
+    flags = np.asarray(value)
+    if flags.shape != (rows,) or flags.dtype != bool:
+        problem = f"Measurement.unseen must be {count(rows, 'truth value')}. Got {shown(value)}"
+        raise InputError(problem, remedy="leave it out, and answer NaN for the pose of a part that was not seen")
+    return flags
 
 
 def fault(error: BaseException, file: str | None, what: str) -> InputError:

@@ -84,7 +84,7 @@ class Episode:
     A step of an execution is, for a belief b over the states of `automaton` that starts as `prior`:
 
         measurement = plant.reset(rng), later plant.apply(command)
-        b = filter.update(automaton, b, episode.reading(b, measurement))
+        b = filter.update(automaton, b, episode.observed(b, measurement))
         command = episode.decide(b, measurement, truth)           # None: the execution has ended
         b = filter.predict(automaton, b, command.input)
 
@@ -157,8 +157,8 @@ class Episode:
             return np.full(self.automaton.n, np.nan)  # the parts are no longer where the hand is
         return reading(self._problem.automaton, belief, measurement)
 
-    def expected(self, belief: HybridBelief, measurement: Measurement) -> Floats:
-        """The `reading` of a measurement, with the belief before it; how far the two are apart is remembered."""
+    def observed(self, belief: HybridBelief, measurement: Measurement) -> Floats:
+        """The `reading` of a measurement with the belief before it; by how much they differ is taken down."""
         z = self.reading(belief, measurement)
         self._watch.expected(belief, z)
         plain, mode = self._problem.automaton, belief.most_likely
@@ -352,7 +352,7 @@ def execute_abreast(
     seen = {number: machine.reset(rng) for number, (machine, rng) in enumerate(zip(machines, rngs, strict=True))}
     while beliefs:
         orders: dict[int, Command] = {}
-        readings = {i: episodes[i].expected(belief, seen[i]) for i, belief in beliefs.items()}
+        readings = {i: episodes[i].observed(belief, seen[i]) for i, belief in beliefs.items()}
         alike: dict[bytes, list[int]] = {}  # numbers of the readings that show the same coordinates
         for i, z in readings.items():
             alike.setdefault(np.isnan(z).tobytes(), []).append(i)

@@ -18,7 +18,7 @@ from micah_plan.execution.nominal import pose_noise
 from micah_plan.execution.plant import Measurement, Plant, Truth
 from micah_plan.execution.pose import command, configuration, moving_joints, relative
 from micah_plan.planning.limits import limits_of, with_input_memory
-from micah_plan.quantities import quantity, with_spread
+from micah_plan.quantities import count, quantity, with_spread
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import start_mode
 
@@ -79,6 +79,8 @@ class _Trial:
         self._x: Floats = np.array(augmented.start.mean, dtype=float)
         """State with the memory of inputs: measured where it can be, else as the model predicts."""
         self.untried: list[str] = []
+        self._steps, self._hidden = 0, np.zeros(len(self._parts), dtype=int)
+        """Commands, and after how many of them each part was not seen."""
 
     def faults(self) -> Iterator[str]:
         """One sentence for each."""
@@ -97,6 +99,10 @@ class _Trial:
         for j in range(self._plain.m):
             yield from self._goes_elsewhere(j)
         yield from self._moves_by_itself()
+        for part, hidden in zip(self._parts, self._hidden, strict=True):
+            if hidden:
+                after = f"after {hidden} of {count(self._steps, 'command')}"
+                self.untried.append(f"part '{part}' was not seen {after}: it was taken to be where the model has it")
         again = self._plant.reset(np.random.default_rng(self._seed))
         if truth is not None and not np.array_equal(first.position, again.position):
             yield "a simulation must start alike for the same seed; draw all chances from the rng of reset"
@@ -200,13 +206,15 @@ class _Trial:
             order = command(self._plain, self._mode, self._x[:n], u)
             self._x = np.array(step(self._augmented, self._mode, self._x, u).x)
             expected = step(self._augmented, self._mode, expected, u).x
-            self._x[:n] = self._measured(self._plant.apply(order))
+            seen = self._plant.apply(order)
+            self._x[:n], self._steps = self._measured(seen), self._steps + 1
+            self._hidden += 0 if seen.unseen is None else seen.unseen
         return np.asarray(expected[:n])
 
     def _measured(self, seen: Measurement) -> Floats:
         """(n,) the configuration that a measurement shows; where it shows nothing, as the model predicts."""
         n = self._plain.n
-        z = configuration(self._plain, self._mode, seen.position, seen.quaternion, self._x[:n])
+        z = configuration(self._plain, self._mode, seen.position, seen.quaternion, self._x[:n], seen.unseen)
         z = read_by_sensors(self._plain, z[None], np.array([seen.time]))[0]
         return np.where(np.isfinite(z), z, self._x[:n])
 

@@ -72,7 +72,7 @@ class PlanFollower:
         self._skip_transitions()
         knot, agrees = self._knot, mode == plan.modes[self._knot]
         if knot == len(plan.inputs):
-            if agrees or self._problem.goal.contains(mode, estimate):
+            if self._has_arrived(belief):
                 return Advice(self._settle(belief, knot), "finished")
         elif agrees or self._still_arrives(mode, estimate):
             self._knot += 1
@@ -89,11 +89,15 @@ class PlanFollower:
         return self._trajectory, self._knot
 
     def is_finished(self, belief: HybridBelief) -> bool:
-        """Whether the plan has no further steps for this belief: it is in the last mode, or in the goal in another."""
-        mode, estimate = self._automaton.modes[belief.most_likely].name, belief.means[belief.most_likely]
+        """Whether the plan has no further steps for this belief."""
         self._skip_transitions()
-        is_last = mode == self._trajectory.modes[-1]
-        return self._knot == len(self._trajectory.inputs) and (is_last or self._problem.goal.contains(mode, estimate))
+        return self._knot == len(self._trajectory.inputs) and self._has_arrived(belief)
+
+    def _has_arrived(self, belief: HybridBelief) -> bool:
+        """Whether it is in the mode in which the plan ends, or in another one in which the goal is reached."""
+        number = belief.most_likely
+        mode = self._automaton.modes[number].name
+        return mode == self._trajectory.modes[-1] or self._problem.goal.contains(mode, belief.means[number])
 
     def _skip_transitions(self) -> None:
         """Move on to the knot that the next input belongs to."""

@@ -24,7 +24,9 @@ _BLIND = 10  # steps in which nothing is seen
 _BIASED, _SURPRISING = 4.5, 3.5  # stds of a sum of innovations, and of one: in one of 2,000 steps
 _FEWEST = 4  # innovations, or distances
 _BESIDE, _BESIDE_ANYHOW = 5.0, 0.02  # of the usual distance from a joint, and m; noise alone reaches three times
-_SETTLES, _CALM = 6, 2  # looks before a filter that was behind is believed; so many in a row, within 2 stds, are enough
+# Looks at rest before a filter that was behind is believed, at most.
+# So many in a row are enough if they lie within so many stds.
+_SETTLES, _CALM, _WITHIN = 6, 2, 2.0
 
 
 class Watch:
@@ -57,13 +59,14 @@ class Watch:
         self._is_off = False
         if not self._is_uniform(belief):
             return
-        found = innovations(self._automaton, belief, z)
-        told = np.isfinite(found)
-        self._calm = self._calm + 1 if (np.abs(found[told]) < _CALM).all() else 0
+        stds = innovations(self._automaton, belief, z)
+        measured = np.isfinite(stds)
+        sizes = np.abs(stds[measured])
+        self._calm = self._calm + 1 if sizes.size and (sizes < _WITHIN).all() else 0
         if self._moves:
-            self._was_surprised |= bool((np.abs(found[told]) > _SURPRISING).any())
-            self._sums[told] += np.clip(found[told], -_BIASED, _BIASED)
-            self._numbers[told] += 1
+            self._was_surprised |= bool((sizes > _SURPRISING).any())
+            self._sums[measured] += np.clip(stds[measured], -_BIASED, _BIASED)
+            self._numbers[measured] += 1
 
     def placed(self, belief: HybridBelief, off: float) -> None:
         """By how much parts were measured beside where their joints have them at the measured configuration [m].

@@ -232,8 +232,9 @@ class Explorer:
         elif record.lost:
             self._end("gave_up", "the hand has lost the handle: commands meet no force, and it does not follow them")
         elif (met := float(np.linalg.norm(record.forces[-1]))) > self.scene.largest_force:
-            told = "it, its sensor or what commands count from is not what the pushes before told"
-            self._end("gave_up", f"the hand met {met:.3g} N, more than it may exert: {told}")
+            limit = f"{self.scene.largest_force:.3g} N that are allowed"
+            changed = "the hand, its force sensor or the tracker is not what it was"
+            self._end("gave_up", f"the hand met {met:.3g} N, more than the {limit}: {changed}")
         elif (pull := self._pull()) > self.scene.largest_force:
             told = "the tracker sees the handle elsewhere than its force tells, and commands count from there"
             self._end("gave_up", f"{told}: even to stay would pull with {pull:.3g} N")

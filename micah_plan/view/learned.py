@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.arrays import Floats, Ints
-from micah_plan.automaton.certainty import CHANNEL_NAMES, ActionChannel, EvidenceTrace
+from micah_plan.automaton.certainty import CHANNEL_NAMES, ActionChannel, Deviation, EvidenceTrace
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
-from micah_plan.automaton.joint import Joint, radius
+from micah_plan.automaton.joint import Joint, JointKind, radius
 from micah_plan.automaton.kinematics import inverse
-from micah_plan.quantities import in_degrees, percent, quantity, with_spread
+from micah_plan.quantities import in_degrees, listed, percent, quantity, with_spread
 from micah_plan.recording.value import Recording
 from micah_plan.view.palette import MISFIT, category
 
@@ -384,7 +384,7 @@ def block_notes(learned: LearnedRun, *, recorded: bool) -> list[str]:
     """
     notes = [
         *(misfit_words(stretch.segment) for stretch in learned.stretches),
-        *(deviation_words(stretch.segment) for stretch in learned.stretches),
+        *deviation_notes([stretch.segment for stretch in learned.stretches]),
         channel_words(learned, recorded=recorded),
     ]
     return [capital(note) for note in notes if note]
@@ -449,17 +449,22 @@ def misfit_words(segment: Segment) -> str:
     )
 
 
-def deviation_words(segment: Segment) -> str:
-    """How far a part leaves its joint, if that is further than usual; else empty."""
-    found = None if segment.certainty is None or segment.misfit is not None else segment.certainty.deviation
-    if found is None or found.probability < _TOLD:
-        return ""
-    off = quantity(found.position, "m", digits=2)
-    off += f" and {in_degrees(found.rotation, digits=2)}" if found.rotation else ""
-    return (
-        f"rows {segment.start} to {segment.end} lie off this {segment.joint.kind} joint by {off}, further than real "
-        "joints usually do: it may be a mechanism of more than one axis"
-    )
+def deviation_notes(segments: Sequence[Segment]) -> list[str]:
+    """How far a part leaves its joints where that is further than usual, one sentence for each joint."""
+    rows: dict[tuple[JointKind, Deviation], list[str]] = {}
+    for segment in segments:
+        deviation = None if segment.certainty is None or segment.misfit is not None else segment.certainty.deviation
+        if deviation is not None and deviation.probability >= _TOLD:
+            rows.setdefault((segment.joint.kind, deviation), []).append(f"{segment.start} to {segment.end}")
+    notes = []
+    for (kind, deviation), spans in rows.items():
+        off = quantity(deviation.position, "m", digits=2)
+        off += f" and {in_degrees(deviation.rotation, digits=2)}" if deviation.rotation else ""
+        notes.append(
+            f"rows {listed(spans)} lie off this {kind} joint by {off}, further than real joints usually do: it may be "
+            "a mechanism of more than one axis"
+        )
+    return notes
 
 
 def channel_words(learned: LearnedRun, *, recorded: bool) -> str:

@@ -123,9 +123,9 @@ def trials(kind, **options):
 
 
 def test_a_usable_measurement_comes_through_as_it_is_in_arrays_of_its_own():
-    given = replace(SEEN, force=np.ones((2, 3)), joints=np.arange(4.0))
+    given = replace(SEEN, force=np.ones((2, 3)), joints=np.arange(4.0), unseen=np.array([True, False]))
     taken = checked(given, PARTS)
-    for name in ("position", "quaternion", "force", "joints"):
+    for name in ("position", "quaternion", "force", "joints", "unseen"):
         np.testing.assert_array_equal(getattr(taken, name), getattr(given, name))
     given.position[:] = 7.0  # as a driver does that fills the same array again
     assert not taken.position.any()
@@ -151,6 +151,8 @@ def test_a_usable_measurement_comes_through_as_it_is_in_arrays_of_its_own():
         ({"force": np.zeros((1, 3))}, "Measurement.force must have shape (2, 3). Got (1, 3)"),
         ({"joints": np.zeros((1, 3))}, "Measurement.joints must have shape (J,). Got (1, 3)"),
         ({"joints": [0.0, np.inf]}, "wait for a measurement, or raise PlantError if there is none"),
+        ({"unseen": [True]}, "Measurement.unseen must be 2 truth values. Got [True]; leave it out, and answer NaN"),
+        ({"unseen": np.ones(2)}, "Measurement.unseen must be 2 truth values"),
     ],
 )
 def test_what_is_no_measurement_is_one_line_that_says_what_was_expected(change, said):
@@ -326,7 +328,7 @@ def test_many_episodes_share_the_calls_to_filter_and_plants():
     beliefs = [episode.prior for episode in episodes]
     running = list(range(4))
     while running:
-        readings = {i: episodes[i].reading(beliefs[i], seen[i]) for i in running}
+        readings = {i: episodes[i].observed(beliefs[i], seen[i]) for i in running}
         beliefs = [update(drawer(), b, readings[i]) if i in readings else b for i, b in enumerate(beliefs)]
         orders = {i: episodes[i].decide(beliefs[i], seen[i], plants[i].truth()) for i in running}
         running = [i for i in running if orders[i] is not None]
@@ -372,5 +374,27 @@ def test_a_machine_that_does_not_answer_is_given_up() -> None:
         run_trials(PULL, PLAN, plant=SlowToReset)
 
 
+def test_a_machine_that_failed_and_then_does_not_close_is_given_up_too() -> None:
+    class Hangs(Broken):
+        patience = 0.05
+
+        def close(self):
+            super().close()
+            time.sleep(2.0)
+            self.waited = True
+
+    found, plant, kept = trials(Hangs)
+    assert "no such register" in str(found)  # the first error is the one to report
+    assert plant.closed == len(kept) == 1
+    assert not hasattr(plant, "waited")
+
+
 def test_a_machine_may_ask_for_patience() -> None:
     assert run_trials(PULL, PLAN, plant=Patient).successes == 1
+
+
+@pytest.mark.parametrize("patience", [0, -1.0, "a minute", np.nan, np.inf])
+def test_patience_is_a_time_or_none(patience) -> None:
+    with pytest.raises(InputError, match=r"Odd\.patience must be seconds > 0, or None\. Got .*; leave it out"):
+        run_trials(PULL, PLAN, plant=type("Odd", (Blind,), {"patience": patience}))
+    assert run_trials(PULL, PLAN, plant=type("Odd", (Blind,), {"patience": 5})).successes == 1

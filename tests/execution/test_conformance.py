@@ -157,6 +157,27 @@ def test_each_way_to_be_wrong_is_named(kind, said):
     assert any(sentence.startswith(f"{kind.__name__}: ") and said in sentence for sentence in found), found
 
 
+def test_a_part_that_is_not_always_seen_is_no_fault_and_it_is_said_how_often():
+    class Hidden(NominalPlant):
+        answers = 0
+
+        def apply(self, command):
+            seen, self.answers = super().apply(command), self.answers + 1
+            return replace(seen, position=np.full((1, 3), np.nan)) if self.answers in self.hidden else seen
+
+        hidden = (1,)
+
+    (sentence,) = check_plant(Hidden.of(PULL), PULL)
+    assert sentence.startswith("part 'drawer' was not seen after 1 of ")
+
+    class AndDeaf(Hidden, Deaf):
+        """Nor does it move, which the first answer shows."""
+
+        hidden = (2,)
+
+    assert any("told to move" in sentence for sentence in faults(AndDeaf.of(PULL), PULL))
+
+
 def test_a_start_somewhere_else_is_named():
     elsewhere = replace(PULL, start=replace(PULL.start, mean=(0.2,)))
     (sentence,) = faults(NominalPlant.of(elsewhere), PULL)

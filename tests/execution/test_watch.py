@@ -9,12 +9,14 @@ import pytest
 from hostile_plants import Hostile
 
 from micah_plan.api import stages
+from micah_plan.belief.filter import innovations
 from micah_plan.documents.experiment import load_experiment
 from micah_plan.documents.problem import load_problem
-from micah_plan.execution.closed_loop import TrialResult
+from micah_plan.execution.closed_loop import Episode, TrialResult
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.open_loop import carry_out
 from micah_plan.execution.pose import configuration
+from micah_plan.execution.watch import Watch
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 LONGEST = 46  # steps that are allowed
@@ -46,7 +48,7 @@ def healthy(drawer, plan) -> Executed:
     return Executed(drawer, plan, "none")
 
 
-def test_a_healthy_machine_is_never_asked_twice(healthy, plan) -> None:
+def test_a_healthy_machine_is_not_asked_twice(healthy, plan) -> None:
     assert healthy.result.success
     assert healthy.is_there
     assert healthy.result.steps == len(plan.trajectory.inputs)
@@ -125,6 +127,22 @@ def test_what_stays_excluded_or_unseen_ends_the_trial(drawer, plan, kind) -> Non
 def test_a_filter_that_is_behind_catches_up_before_it_claims(drawer, plan, kind) -> None:
     found = [Executed(drawer, plan, kind, seed) for seed in range(4)]
     assert all(one.result.success and one.is_there for one in found)
+
+
+@pytest.mark.parametrize(("stds", "looks"), [(0.5, 2), (-1.9, 2), (2.1, 6), (np.nan, 6)])
+def test_a_filter_that_was_behind_is_believed_after_calm_looks(drawer, plan, stds, looks) -> None:
+    """What was not measured agrees with nothing."""
+    automaton, belief = drawer.automaton, Episode(drawer, plan.trajectory).prior
+    scale = 0.1 / innovations(automaton, belief, belief.mean + 0.1)[0]
+    watch, asked = Watch(automaton), 0
+    watch.looks_again(belief, is_lost=False, unseen=None, ends=False)
+    watch.expected(belief, belief.mean + 4.0 * scale)
+    assert watch.is_biased
+    while watch.looks_again(belief, is_lost=False, unseen=None, ends=True):
+        asked += 1
+        watch.expected(belief, belief.mean + stds * scale)
+    assert asked == looks
+    assert not watch.failure
 
 
 def test_the_log_of_a_blind_step_repeats_the_pose_and_can_be_learned_from(drawer, plan) -> None:

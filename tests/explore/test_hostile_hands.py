@@ -118,7 +118,7 @@ def test_a_hand_that_became_stiffer_is_stopped_at_once() -> None:
     hand = Held(friction=1e9, later="stiffer", at=14)
     found = opened(hand)
     assert found.outcome == "gave_up"
-    assert "more than it may exert" in found.reason
+    assert "more than the 45 N that are allowed" in found.reason
     assert hand.largest > 45.0
     over = [moment for moment in found.moments if np.linalg.norm(moment.force) > 45.0]
     assert over == [found.moments[-1]]

@@ -8,15 +8,14 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import sys
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
+from shell import exit_code
 
 from micah_plan.api import stages
-from micah_plan.cli.application import main
 from micah_plan.cli.console import BAD_INPUT
 from micah_plan.documents.plan import write_plan
 from micah_plan.documents.problem import load_problem
@@ -98,18 +97,6 @@ def shipped(tmp_path_factory, repository) -> tuple[Path, tuple[Path, ...]]:
     return folder, tuple(path for path in files if path.stat().st_size < 60_000)
 
 
-def checked(path: Path) -> int:
-    """The exit code of `check`, as a shell would see it."""
-    before, sys.argv = sys.argv, ["micah-plan", "check", str(path)]
-    try:
-        main()
-    except SystemExit as end:
-        return int(end.code or 0)
-    finally:
-        sys.argv = before
-    return 0
-
-
 def check_mutants(shipped, count: int, seed: int, capsys) -> Counter[int]:
     _, files = shipped
     rng, codes = np.random.default_rng(seed), Counter[int]()
@@ -119,7 +106,7 @@ def check_mutants(shipped, count: int, seed: int, capsys) -> Counter[int]:
         mutant = mutated(original, rng)
         try:
             path.write_bytes(mutant)
-            code = checked(path)
+            code = exit_code("check", str(path))
         finally:
             path.write_bytes(original)
         said = capsys.readouterr()
