@@ -46,10 +46,9 @@ def learn_graph(
     """Segment a recording and fit the joints of its segments.
 
     Every part is attached to the base or to another part, whichever explains the poses best (see `parts.tree`). Every
-    run is segmented on its own, but short ones together, as they show little alone (see below). The
-    first one defines the configuration coordinate, the segments of the others are counted along it and follow in
-    the order of the runs. A run in which a part moves to and fro more often than is learned at once is learned as
-    `OnlineLearner` would.
+    run is segmented on its own, but short ones together, as they show little alone (see below). The first one defines
+    the configuration coordinate, the segments of the others are counted along it and follow in the order of the runs.
+    A run in which the only part moves to and fro more than a few times is learned in windows, as `OnlineLearner` does.
 
     Args:
         recording: at least `settings.FEWEST_ROWS` rows per part and run, positions or full poses.
@@ -101,7 +100,8 @@ def learn_edge(recording: Recording, settings: LearnSettings, seed: int) -> Kine
     for i, (run, track) in enumerate(zip(recording.runs, tracks, strict=True)):
         rng = np.random.default_rng([seed, i])
         inlier = find_inliers(track)
-        if is_long(track, inlier):
+        # A tree compares the evidence of pairs: it is that of all rows at once then.
+        if settings.sweeps is None and is_long(track, inlier):
             learner = OnlineLearner(settings, seed=seed, part=part, run=run)
             learner.take(track)
             own = list(learner.segments())

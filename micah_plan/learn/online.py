@@ -1,18 +1,13 @@
-"""Learning while rows come in: committed segments that never change, and a window of rows that is looked at again.
+"""Learning rows in windows: recordings of many motions, and rows that still come in.
 
-While everything fits the window it is learned as a whole run, exactly. The window is full when the part has moved
-`WINDOW_SWEEPS` times there and back, or after `settings.window` rows. Then what lies before its middle is committed: a
-changepoint there has been looked at from as much of the future as of the past, and more rows would not move it. The
-window goes on from the segment that is open there, with the joints of committed segments known and paid for, so a part
-that returns to one has the same again. Steps have the size that the window's own motion asks for; where a joint not yet
-known moves on through the whole window, the motion is slower than the window is long, and two rows become one.
+A window is a run of its own: it is learned as `learn.run` learns a recording. It is full when the part has moved
+`WINDOW_SWEEPS` times there and back, or after `settings.window` rows. What lies before its last quarter is committed
+then: a changepoint there has been looked at from a motion there and back after it. The next window begins where a
+motion does, or within one where there is no such place. Where a joint that is known explains rows as well as the
+window's, it takes its place, on its coordinate: a part that returns to a joint has the same again.
 
-A row is looked at in a few windows of bounded length, so time per row and memory are constant; only the committed
-segments themselves grow, until they are taken.
-
-Learning from a window of rows: the first of a stream as a whole run, later ones with the joints known so far.
-
-The latest rows of a stream, in bounded memory: neighbouring rows become one where a motion is slow.
+Where a new joint moves on through all `settings.window` rows, two rows become one. A row is looked at in a few windows
+of bounded length, so time per row and memory are constant; only the committed segments grow, until they are taken.
 """
 
 from __future__ import annotations
@@ -24,21 +19,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from micah_plan.arrays import Booleans, Ints
-from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, RowPosterior, SegmentCertainty
+from micah_plan.arrays import Floats, Ints
+from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, RowPosterior
 from micah_plan.automaton.graph import BASE, KinematicEdge, Segment
-from micah_plan.automaton.joint import Joint, JointKind
+from micah_plan.automaton.joint import Joint
 from micah_plan.errors import InputError, shown
 from micah_plan.learn.actions.channel import with_delayed_actions
-from micah_plan.learn.doubt import doubt_of, misfit_of
-from micah_plan.learn.joints.joint_arrays import arrays_of
-from micah_plan.learn.run import LearnedRun, fitted_pieces, learn_acted_run
+from micah_plan.learn.run import LearnedRun, learn_acted_run, learn_run
 from micah_plan.learn.segmenting.noise import MeasurementNoise
-from micah_plan.learn.segmenting.onward import KnownJoints, Usual, segment_onward, usual_of
-from micah_plan.learn.segmenting.posterior import kind_probabilities
-from micah_plan.learn.segmenting.segmentation import Segmented
-from micah_plan.learn.segmenting.steps import steps_of, sweeps_of
-from micah_plan.learn.segments import FittedPiece, chained, to_segment
+from micah_plan.learn.segmenting.steps import WINDOW_SWEEPS, sweeps_of
+from micah_plan.learn.segments import FittedPiece, chained, left_by, to_segment
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.learn.track import PartTrack, find_inliers, measured_track
 from micah_plan.recording.value import DEFAULT_PART, Recording
@@ -47,9 +37,9 @@ Method = Literal["champ", "act-champ"]
 METHODS: tuple[Method, ...] = ("champ", "act-champ")
 
 _FIRST_LOOK = 64  # rows
-WINDOW_SWEEPS = 4.0  # there and back in a full window
+_COMMITTED = 0.75  # of a full window, at most
 _LOOKS = 8  # a window is looked at again when it has grown by 1/8
-_MOST_RESTS, _MOST_MOVING = 16, 8  # known joints; the ones used last are kept
+_MOST_KNOWN = 24  # joints; the ones used last are kept
 
 
 class OnlineLearner:
@@ -82,11 +72,10 @@ class OnlineLearner:
         self._acts = False
         self._committed: list[Segment] = []
         self._open: Segment | None = None
-        self._state: OpenState | None = None
-        self._first: LearnedRun | None = None
+        self._entry: Entry | None = None
         self._channel: ActionChannel | None = None
         self._delay = 0.0
-        self._seen: tuple[int, LearnedWindow] | None = None
+        self._latest: tuple[int, LearnedWindow] | None = None
         self._log_evidence = 0.0
 
     def __len__(self) -> int:
@@ -174,18 +163,18 @@ class OnlineLearner:
         window = self._learned()
         if window is None:
             raise InputError(f"learning needs at least {FEWEST_ROWS} rows", remedy="push more rows")
-        return window.noise
+        return window.run.noise
 
     def edge(self) -> KinematicEdge:
         """How the part moves, as it is most probable now; without committed segments it is what `learn_graph` finds."""
-        segments = self.segments()
-        if self._state is None and self._first is not None:
-            posterior = self._first.posterior
+        segments, window = self.segments(), self._learned()
+        if self._entry is None and window is not None:
+            posterior = window.run.posterior
             counts = (tuple(float(p) for p in posterior.counts),)
-            certainty = EdgeCertainty(posterior.log_evidence, counts, self._channel, self._first.trace)
+            certainty = EdgeCertainty(posterior.log_evidence, counts, self._channel, window.run.trace)
         else:
-            evidence = self._log_evidence + sum(segment.log_evidence for segment in self._open_segments())
-            certainty = EdgeCertainty(evidence, (), self._channel)
+            evidence = 0.0 if window is None else window.run.posterior.log_evidence
+            certainty = EdgeCertainty(self._log_evidence + evidence, (), self._channel)
         return KinematicEdge(BASE, self.part, segments, certainty)
 
     def _open_segments(self) -> list[Segment]:
@@ -193,137 +182,199 @@ class OnlineLearner:
         window = self._learned()
         if window is None:
             return [] if self._open is None else [self._open]
-        return self._continued(window, window.segments(self.run))[0]
+        return self._after_open(window, window.segments(self.run))
 
-    def _continued(self, window: LearnedWindow, found: list[Segment]) -> tuple[list[Segment], bool]:
-        """A window's segments after the open one, and whether the first is its continuation."""
-        if self._open is None or self._state is None or not found:
-            return found, False
-        if self._state.before is not None and window.known[0] is self._state.before:
-            return [joined(self._open, found[0]), *found[1:]], True
-        return [self._open, *found], False
+    def _after_open(self, window: LearnedWindow, segments: list[Segment]) -> list[Segment]:
+        """A window's segments after the open one, which the first of them may go on with."""
+        if self._open is None or self._entry is None or not segments:
+            return segments
+        first, before = window.pieces[0].joint, self._entry.before[-1].joint
+        goes_on = first.kind == before.kind and (first == before or self._entry.within)
+        return [joined(self._open, segments[0]), *segments[1:]] if goes_on else [self._open, *segments]
 
     def _learned(self) -> LearnedWindow | None:
         """The window as it is segmented now."""
-        if self._seen is not None and self._seen[0] == self._rows:
-            return self._seen[1]
+        if self._latest is not None and self._latest[0] == self._rows:
+            return self._latest[1]
         rows = self._window.rows()
         if rows is None or len(rows) < FEWEST_ROWS:
-            if self._state is None:
+            if self._entry is None:
                 problem = f"learning needs at least {FEWEST_ROWS} rows, found {self._rows}"
                 raise InputError(problem, where=f"part {shown(self.part)}", remedy="push more rows")
             return None
-        key = [self.seed, self.run] if self._state is None else [self.seed, self.run, self._windows]
-        rng = np.random.default_rng(key)
         if not self._acts or self.method == "champ":
             rows = WindowRows(replace(rows.track, action=None), rows.last)
-        if self._state is None:
-            learned = self._learned_first(rows, rng)
+        if self._entry is None:
+            rng = np.random.default_rng([self.seed, self.run])
+            run, self._channel = learn_acted_run(rows.track, self.settings, rng)
+            self._delay = 0.0 if run.track is rows.track or self._channel is None else self._channel.delay
+            window = LearnedWindow(run, run.pieces, (), rows.last)
         else:
-            if self._delay:
-                rows = WindowRows(with_delayed_actions(rows.track, self._delay), rows.last)
-            learned = learn_onward(rows, self._state, self.settings, rng)
-        self._seen = self._rows, learned
-        return learned
-
-    def _learned_first(self, rows: WindowRows, rng: np.random.Generator) -> LearnedWindow:
-        self._first, self._channel = learn_acted_run(rows.track, self.settings, rng)
-        moved = self._first.track is not rows.track and self._channel is not None
-        self._delay = self._channel.delay if moved and self._channel is not None else 0.0
-        return first_window(WindowRows(self._first.track, rows.last), self._first)
+            track = with_delayed_actions(rows.track, self._delay) if self._delay else rows.track
+            # No joint that is known becomes a curve.
+            curved = self.settings.paths and any(joint.kind == "path" for joint in self._entry.known)
+            settings = replace(self.settings, paths=curved)
+            run = learn_run(track, settings, np.random.default_rng([self.seed, self.run, self._windows]))
+            window = self._entry.continued_by(run, rows.last, self.settings)
+        self._latest = self._rows, window
+        return window
 
     def _look(self) -> None:
         """Whether the window is full."""
         rows = self._window.settle()
         if rows is None:
             return
-        crowded = len(rows) >= self.settings.window
-        if crowded or sweeps_of(rows.track.take(np.flatnonzero(find_inliers(rows.track)))) >= WINDOW_SWEEPS:
-            self._commit(crowded)
+        full = sweeps_of(rows.track.take(np.flatnonzero(find_inliers(rows.track)))) >= WINDOW_SWEEPS
+        if full or len(rows) >= self.settings.window:
+            self._commit(full)
         rows = self._window.rows()
         held = 0 if rows is None else len(rows)
         more = max(held // _LOOKS, min(_FIRST_LOOK, self.settings.window // _LOOKS), 1)
         self._next_look = self._rows + min(more, max(self.settings.window - held, 1)) * self._window.stride
 
-    def _commit(self, crowded: bool) -> None:
-        """Commit what lies before the middle of the window, or make the window coarser."""
+    def _commit(self, full: bool) -> None:
+        """Commit what lies before the last quarter of the window, or make the window coarser."""
         window = self._learned()
         if window is None:
             return
-        n = len(window.rows)
-        middle = next(i for i, piece in enumerate(window.pieces) if piece.end >= n // 2)
-        piece, sure = window.pieces[middle], window.certainties[middle]
-        unknown = window.known[middle] is None and sure.misfit is None and piece.joint.moves
-        fine = self.settings.resolution * WINDOW_SWEEPS
-        if crowded and unknown and middle == len(window.pieces) - 1 and window.steps < fine:
+        middle, cut = window.cut()
+        piece = window.pieces[middle]
+        if not full and middle == len(window.pieces) - 1 and window.is_new(middle):
             self._window.coarsen()
             return
-        middle, cut = _cut(window, middle)
-        found = window.segments(self.run, cut)
-        joints = self._known_after(window, middle + 1)
-        row = int(window.rows.track.rows[cut])
-        start = window.certainties[middle].start if cut == window.pieces[middle].start else RowPosterior((row,), (1.0,))
-        segments, _ = self._continued(window, found)
+        row = int(window.run.track.rows[cut])
+        start = window.run.certainties[middle].start if cut == piece.start else RowPosterior((row,), (1.0,))
+        segments = self._after_open(window, window.segments(self.run, cut))
         self._committed += segments[:-1]
-        self._log_evidence += sum(segment.log_evidence for segment in segments[:-1])
+        self._log_evidence += window.run.posterior.log_evidence * cut / len(window.last)
         self._open = segments[-1]
-        self._state = self._state_after(window, joints, len(found), start)
-        self._first, self._seen = None, None
+        known = () if self._entry is None else self._entry.known
+        self._entry = Entry.after(window, middle, cut, known, start, self._open.configuration_end)
+        self._latest = None
         self._windows += 1
         self._window.drop(cut)
 
-    def _known_after(self, window: LearnedWindow, count: int) -> list[KnownJoint | None]:
-        """The known joints of the first pieces; new ones become known, but for those that do not fit."""
-        new: dict[int, KnownJoint] = {}
-        found: list[KnownJoint | None] = []
-        for i in range(count):
-            same, sure = window.known[i], window.certainties[i]
-            if same is None and sure.misfit is None:
-                same = new.setdefault(window.sharing[i], KnownJoint(window.pieces[i].joint, sure.kinds))
-            found.append(same)
-        return found
 
-    def _state_after(
-        self,
-        window: LearnedWindow,
-        joints: list[KnownJoint | None],
-        count: int,
-        start: RowPosterior | None,
-    ) -> OpenState:
-        state = self._state
-        mover = None if state is None else state.last_moving
-        for one in joints[:count]:
-            if one is not None and one.joint.moves:
-                mover = one
-        known = [] if state is None else list(state.known)
-        for one in joints:
-            if one is not None:
-                known = [other for other in known if other is not one] + [one]
-        rests = [one for one in known if not one.joint.moves][-_MOST_RESTS:]
-        moving = [one for one in known if one.joint.moves][-_MOST_MOVING:]
-        usual = window.usual if state is None else _looser(state.usual, window.usual)
-        reached = 0.0 if self._open is None else self._open.configuration_end
-        return OpenState(
-            known=tuple(one for one in known if one in rests or one in moving),
-            before=joints[count - 1],
-            first=joints[-1],
-            last_moving=mover,
-            reached=reached,
-            start=start,
-            usual=usual or Usual(np.ones(3 if window.rows.track.quaternion is None else 6), 0.0),
-        )
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """Where a window begins.
 
-
-def _cut(window: LearnedWindow, middle: int) -> tuple[int, int]:
-    """The piece from which the next window goes on, and its first row there.
-
-    At best a motion begins there: the rows of a part that rests do not tell whether its joint has moved before.
+    Attributes:
+        known: joints of committed segments, on the coordinate of the edge, the latest ones last.
+        before: the pieces whose joints are the last moving one, and the one that holds before the window.
+        within: whether the window begins within the segment before it.
+        reached: configuration there.
+        start: posterior of the row at which a segment starts that begins where the window does.
     """
-    n = len(window.rows)
-    begins = [i for i, piece in enumerate(window.pieces) if n // 4 <= piece.start <= n // 2]
-    moving = [i for i in begins if window.pieces[i].joint.moves]
-    chosen = max(moving or begins, default=None)
-    return (middle, n // 2) if chosen is None else (chosen, window.pieces[chosen].start)
+
+    known: tuple[Joint, ...]
+    before: tuple[FittedPiece, ...]
+    within: bool
+    reached: float
+    start: RowPosterior | None
+
+    @classmethod
+    def after(
+        cls,
+        window: LearnedWindow,
+        middle: int,
+        cut: int,
+        known: Sequence[Joint],
+        start: RowPosterior | None,
+        reached: float,
+    ) -> Entry:
+        """The entry of the window that begins in the row `cut` of another one, in its piece `middle`."""
+        within = cut > window.pieces[middle].start
+        ended = [*window.before, *window.pieces[: middle + within]]
+        moving = next((piece for piece in reversed(ended) if piece.joint.moves), None)
+        before = [piece for piece in (moving, ended[-1]) if piece is not None]
+        new = [
+            piece.joint
+            for piece, certainty in zip(window.pieces, window.run.certainties, strict=True)
+            if certainty.misfit is None and piece.start <= cut
+        ]
+        latest = list(dict.fromkeys([*new[::-1], *known[::-1]]))[:_MOST_KNOWN][::-1]
+        return cls(tuple(latest), tuple(replace(one, settled=True) for one in before), within, reached, start)
+
+    def continued_by(self, run: LearnedRun, last: Ints, settings: LearnSettings) -> LearnedWindow:
+        """A window that begins here, with the known joints in place of those that they explain the rows as well as."""
+        same: dict[int, Joint | None] = {}
+        for hypothesis in dict.fromkeys(run.hypotheses):
+            own = [piece for piece, of in zip(run.pieces, run.hypotheses, strict=True) if of == hypothesis]
+            rows = np.concatenate([piece.index(run.inlier) for piece in own])
+            same[hypothesis] = None if run.certainties[0].misfit else self._known(own[0].joint, rows, run, settings)
+        pieces = []
+        for piece, hypothesis in zip(run.pieces, run.hypotheses, strict=True):
+            joint = same[hypothesis]
+            pieces.append(piece if joint is None else replace(piece, joint=joint, settled=True))
+        on_edge = chained(pieces, run.track, run.inlier, run.noise, self.before, self.reached)
+        certainties = (replace(run.certainties[0], start=self.start), *run.certainties[1:])
+        return LearnedWindow(replace(run, certainties=certainties), tuple(on_edge), self.before, last)
+
+    def _known(self, joint: Joint, rows: Ints, run: LearnedRun, settings: LearnSettings) -> Joint | None:
+        """The known joint that misses rows least, if by no more than joints of one kind deviate from one another."""
+        deviation = np.array([settings.rotation_misfit, settings.position_misfit])
+        deviation = deviation[-1:] if run.track.quaternion is None else deviation
+
+        def missed(one: Joint) -> Floats:
+            errors = left_by(one, rows, run.track, run.noise.rotation_length)
+            return np.asarray((errors.reshape(len(errors), -1, 3) ** 2).sum(axis=2).mean(axis=0))
+
+        own = missed(joint)
+        candidates = [one for one in self.known if one.kind == joint.kind]
+        excess = [float(((missed(one) - own) / deviation**2).max()) for one in candidates]
+        return candidates[int(np.argmin(excess))] if min(excess, default=np.inf) <= 1.0 else None
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedWindow:
+    """A window, learned as a run.
+
+    Attributes:
+        run: what was learned of its rows.
+        pieces: those of the run, on the coordinate of the edge; known joints are `settled`.
+        before: pieces of the windows before.
+        last: (n,) number of the last measured row that each row stands for.
+    """
+
+    run: LearnedRun
+    pieces: tuple[FittedPiece, ...]
+    before: tuple[FittedPiece, ...]
+    last: Ints
+
+    def is_new(self, index: int) -> bool:
+        """Whether a piece is on a moving joint that was not known."""
+        piece = self.pieces[index]
+        return piece.joint.moves and not piece.settled and self.run.certainties[index].misfit is None
+
+    def cut(self) -> tuple[int, int]:
+        """The piece with which the next window begins, and the first row of that.
+
+        At best a motion begins there: the rows of a part that rests do not tell whether its joint has moved before.
+        """
+        n = len(self.last)
+        latest = round(_COMMITTED * n)
+        begins = [i for i, piece in enumerate(self.pieces) if latest - n // 4 <= piece.start <= latest]
+        moving = [i for i in begins if self.pieces[i].joint.moves]
+        chosen = max(moving or begins, default=None)
+        if chosen is not None:
+            return chosen, self.pieces[chosen].start
+        return next(i for i, piece in enumerate(self.pieces) if piece.end >= latest), latest
+
+    def segments(self, number: int, end: int | None = None) -> list[Segment]:
+        """Segments of its rows, or of those before `end`, of the run of that number."""
+        found: list[Segment] = []
+        chain = [*self.before, *self.pieces]
+        for i, (piece, sure) in enumerate(zip(self.pieces, self.run.certainties, strict=True)):
+            if end is not None and piece.start >= end:
+                break
+            if end is not None and piece.end >= end:
+                share = (end - piece.start) / (piece.end - piece.start + 1)
+                piece = replace(piece, end=end - 1, log_evidence=piece.log_evidence * share)
+                chain[len(self.before) + i] = piece
+            segment = to_segment(piece, chain, sure, number, self.run.track, self.run.inlier, self.run.noise)
+            found.append(replace(segment, end=int(self.last[piece.end])))
+        return found
 
 
 def joined(first: Segment, second: Segment) -> Segment:
@@ -348,170 +399,6 @@ def joined(first: Segment, second: Segment) -> Segment:
         process_std=root_mean_square("process_std"),
         observation_std=root_mean_square("observation_std"),
         log_evidence=first.log_evidence + second.log_evidence,
-    )
-
-
-def _looser(first: Usual, second: Usual | None) -> Usual:
-    """The larger of two thresholds: rows that a search has explained without a new joint start no other search."""
-    if second is None:
-        return first
-    return Usual(np.maximum(first.scale, second.scale), max(first.surprise, second.surprise))
-
-
-Kinds = tuple[tuple[JointKind, float], ...]
-
-
-@dataclass(frozen=True, eq=False)
-class KnownJoint:
-    """A joint of committed segments, on the coordinate of its edge.
-
-    Attributes:
-        joint: as it was fitted when it was first committed.
-        kinds: how sure its kind was.
-    """
-
-    joint: Joint
-    kinds: Kinds
-
-
-@dataclass(frozen=True, eq=False)
-class OpenState:
-    """Where a window begins.
-
-    Attributes:
-        known: joints of committed segments, at least one.
-        before: what holds before the window's first row; None if that is no known joint.
-        first: what was found to hold from that row on, with the rows before it in view; None if that is no known joint.
-        last_moving: the latest known joint that is not rigid.
-        reached: configuration there.
-        start: posterior of the row at which a segment starts that begins where the window does.
-        usual: how well known joints explain steps.
-    """
-
-    known: tuple[KnownJoint, ...]
-    before: KnownJoint | None
-    first: KnownJoint | None
-    last_moving: KnownJoint | None
-    reached: float
-    start: RowPosterior | None
-    usual: Usual
-
-    def pieces(self) -> list[FittedPiece]:
-        """The joints before the window, for the joints of the window to be chained to."""
-        found = [one for one in (self.last_moving, self.before) if one is not None]
-        joints = [one.joint for one in dict.fromkeys(found)]
-        return [FittedPiece(-1, -1, joint, np.zeros(3), None, 0.0, settled=True) for joint in joints]
-
-
-@dataclass(frozen=True, eq=False)
-class LearnedWindow:
-    """The segments of a window.
-
-    Attributes:
-        rows, inlier: its rows, and which are no outliers.
-        before, pieces: joints before it, and its own, on one coordinate.
-        certainties: how sure the pieces are.
-        known: the known joint of each piece, None for a new one.
-        sharing: equal for pieces that share a joint.
-        noise: of single rows.
-        usual: how well its joints explain its steps; None where nothing was searched.
-        steps: number of steps that it was segmented in.
-    """
-
-    rows: WindowRows
-    inlier: Booleans
-    before: tuple[FittedPiece, ...]
-    pieces: tuple[FittedPiece, ...]
-    certainties: tuple[SegmentCertainty, ...]
-    known: tuple[KnownJoint | None, ...]
-    sharing: tuple[int, ...]
-    noise: MeasurementNoise
-    usual: Usual | None
-    steps: int
-
-    def segments(self, run: int, end: int | None = None) -> list[Segment]:
-        """Segments of its rows, or of those before `end`."""
-        found: list[Segment] = []
-        chain = [*self.before, *self.pieces]
-        for i, (piece, sure) in enumerate(zip(self.pieces, self.certainties, strict=True)):
-            if end is not None and piece.start >= end:
-                break
-            if end is not None and piece.end >= end:
-                share = (end - piece.start) / (piece.end - piece.start + 1)
-                piece = replace(piece, end=end - 1, log_evidence=piece.log_evidence * share)
-                chain[len(self.before) + i] = piece
-            one = to_segment(piece, chain, sure, run, self.rows.track, self.inlier, self.noise)
-            found.append(replace(one, end=int(self.rows.last[piece.end])))
-        return found
-
-
-def first_window(rows: WindowRows, learned: LearnedRun) -> LearnedWindow:
-    """The first window of a stream, learned as a run of its own."""
-    return LearnedWindow(
-        rows=rows,
-        inlier=learned.inlier,
-        before=(),
-        pieces=learned.pieces,
-        certainties=learned.certainties,
-        known=(None,) * len(learned.pieces),
-        sharing=learned.hypotheses,
-        noise=learned.noise,
-        usual=usual_of(learned.segmented),
-        steps=len(learned.segmented.track),
-    )
-
-
-def learn_onward(
-    rows: WindowRows, state: OpenState, settings: LearnSettings, rng: np.random.Generator
-) -> LearnedWindow:
-    """Segment a window that goes on from earlier ones."""
-    track = rows.track
-    inlier = find_inliers(track)
-    steps = steps_of(track, inlier, settings)
-    first = -1 if state.first is None else state.known.index(state.first)
-    known = KnownJoints(arrays_of([one.joint for one in state.known]), first, state.usual)
-    found, fresh = segment_onward(steps.track, known, steps.assumed(settings), rng)
-    noise = found.noise.of_rows(steps.size)
-    settled: Sequence[KnownJoint] = state.known
-    free, misfit = -np.inf, None
-
-    def fitted_to(answer: Segmented) -> tuple[list[FittedPiece], list[RowPosterior | None]]:
-        joints = [one.joint for one in settled]
-        pieces = answer.segmentation.pieces
-        return fitted_pieces(pieces, answer, steps, track, inlier, settings, rng, joints)
-
-    fitted, places = fitted_to(found)
-    if fresh is not None:
-        # A window is no place to look for a curve that is passed again.
-        doubt = doubt_of(fresh, fitted, track, inlier, noise, replace(settings, paths=False))
-        free = -np.inf if doubt is None else doubt.log_odds
-        if doubt is not None and doubt.single is not None:
-            found, settled = doubt.single, ()
-            fitted, places = fitted_to(found)
-            if doubt.moves_freely:
-                misfit = misfit_of(fitted, track, inlier, noise, settings, free)
-    pieces = found.segmentation.pieces
-    before = state.pieces()
-    certainties, of_piece = [], []
-    for piece, one, place in zip(pieces, fitted, [state.start, *places[1:]], strict=True):
-        same = settled[piece.hypothesis] if piece.hypothesis < len(settled) else None
-        if same is None:
-            kinds = kind_probabilities(found, piece.hypothesis, settings.kinds, free, one.doubts)
-        else:
-            kinds = same.kinds
-        certainties.append(SegmentCertainty(place, kinds, misfit, one.doubts.deviation))
-        of_piece.append(same)
-    return LearnedWindow(
-        rows=rows,
-        inlier=inlier,
-        before=tuple(before),
-        pieces=tuple(chained(fitted, track, inlier, noise, before, state.reached)),
-        certainties=tuple(certainties),
-        known=tuple(of_piece),
-        sharing=tuple(piece.hypothesis for piece in pieces),
-        noise=noise,
-        usual=None if fresh is None or misfit is not None else usual_of(found),
-        steps=len(steps.track),
     )
 
 

@@ -21,7 +21,7 @@ from micah_plan.automaton.certainty import CHANNEL_NAMES, ActionChannel, Evidenc
 from micah_plan.automaton.joint import Joint, JointKind
 from micah_plan.learn.actions.channel import estimate_channel, with_delayed_actions
 from micah_plan.learn.doubt import doubt_of, misfit_of
-from micah_plan.learn.joints.final_fit import NO_DOUBTS, JointDoubts, fit_joint
+from micah_plan.learn.joints.final_fit import JointDoubts, fit_joint
 from micah_plan.learn.joints.joint_arrays import compare_all
 from micah_plan.learn.segmenting.changepoints import Piece
 from micah_plan.learn.segmenting.noise import MeasurementNoise
@@ -170,13 +170,8 @@ def fitted_pieces(
     inlier: Booleans,
     settings: LearnSettings,
     rng: np.random.Generator,
-    settled: Sequence[Joint] = (),
 ) -> tuple[list[FittedPiece], list[RowPosterior | None]]:
-    """Pieces of steps as pieces of rows, with joints fitted to them, and where each may start.
-
-    Args:
-        settled: joints of the first hypotheses of the pool, which are not fitted again.
-    """
+    """Pieces of steps as pieces of rows, with joints fitted to them, and where each may start."""
     located: list[Located] = []
     for a, b in pairwise(pieces):
         since = located[-1].row if located else 0
@@ -184,7 +179,7 @@ def fitted_pieces(
     starts = [0, *(one.row for one in located)]
     ends = [*(start - 1 for start in starts[1:]), len(track) - 1]
     spans = list(zip(starts, ends, strict=True))
-    joints = _joints(pieces, spans, segmented, track, inlier, settings, rng, settled)
+    joints = _joints(pieces, spans, segmented, track, inlier, settings, rng)
     gain = segmented.table.motion.gain
     fitted = [
         FittedPiece(
@@ -194,7 +189,6 @@ def fitted_pieces(
             gain=gain[p.hypothesis],
             leader=_leader(p, segmented),
             log_evidence=p.log_evidence,
-            settled=p.hypothesis < len(settled),
             doubts=joints[p.hypothesis][1],
         )
         for p, (a, b) in zip(pieces, spans, strict=True)
@@ -232,14 +226,13 @@ def _joints(
     inlier: Booleans,
     settings: LearnSettings,
     rng: np.random.Generator,
-    settled: Sequence[Joint],
 ) -> dict[int, tuple[Joint, JointDoubts]]:
     """Joints by hypothesis, each fitted to all rows of all pieces that share it: MLESAC from the one that won.
 
     Beside them what the rows say against them.
     """
-    found: dict[int, tuple[Joint, JointDoubts]] = {i: (joint, NO_DOUBTS) for i, joint in enumerate(settled)}
-    for hypothesis in dict.fromkeys(piece.hypothesis for piece in pieces if piece.hypothesis >= len(settled)):
+    found: dict[int, tuple[Joint, JointDoubts]] = {}
+    for hypothesis in dict.fromkeys(piece.hypothesis for piece in pieces):
         rows = np.concatenate(
             [np.arange(a, b + 1) for p, (a, b) in zip(pieces, spans, strict=True) if p.hypothesis == hypothesis]
         )

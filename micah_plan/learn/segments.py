@@ -64,15 +64,19 @@ def chained(
     """The same pieces with their joints on one coordinate: equal where they meet, 0 at the first row.
 
     Each joint counts up in the direction in which it went furthest, unless it is of the kind of the last one and moves
-    along the same line: then it keeps that sign, so a drawer that returns counts down.
+    along the same line: then it keeps that sign, so a drawer that returns counts down. A part that returns to a joint
+    is where it was on it.
 
     Args:
         before: settled pieces of earlier rows, of which the last one ends where these begin.
         reached: configuration there.
     """
     chain = list(before)
+    placed: dict[Joint, Joint] = {}
     for one in fitted:
         last = chain[-1].joint if chain else None
+        if one.joint in placed:
+            one = replace(one, joint=placed[one.joint], settled=True)
         if one.settled:
             chain.append(one)
             rigid = not one.joint.moves
@@ -90,7 +94,7 @@ def chained(
             start = _configuration_of(last, joint, noise)
         elif last is not None:
             reached, start = _meeting(last, reached, joint, start, noise)
-        joint = shifted(joint, start - reached)
+        placed[one.joint] = joint = shifted(joint, start - reached)
         chain.append(replace(one, joint=joint))
         reached = _near(joint, one.end, one, track, inlier, noise)
     return chain[len(before) :]

@@ -32,11 +32,11 @@ class LearnSettings:
         rest: prior probability that a part on a moving joint rests in a step, where actions do not tell.
         outlier_weight: w of the outlier prior p(γ) ∝ exp(-w γ).
         draws: minimal sets that MLESAC tries per fit.
-        particles: most changepoint candidates kept where rows are learned online; a recording is solved exactly.
         window: most rows that are looked at again where rows are learned online.
         resolution: steps to which rows are averaged while the part moves once through its range; changepoints are
             then found again to the row, and joints are fitted to all rows.
-        sweeps: how often the part moves there and back, for the number of steps; None: as the rows say it.
+        sweeps: how often the part moves there and back, for the number of steps of a run that is learned at once; None:
+            as the rows say it, and what moves often is learned in windows.
     """
 
     kinds: tuple[JointKind, ...] = SCREW_KINDS
@@ -54,7 +54,6 @@ class LearnSettings:
     rest: float = 0.2
     outlier_weight: float = 10.0
     draws: int = 24
-    particles: int = 100
     window: int = 4096
     resolution: int = 64
     sweeps: float | None = None

@@ -17,16 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from micah_plan.arrays import Floats, Ints, robust_std
-from micah_plan.learn.segmenting.changepoints import LengthPrior, most_probable
-from micah_plan.learn.segmenting.evidence import EvidenceColumn
+from micah_plan.learn.segmenting.changepoints import LengthPrior, length_terms, most_probable_spans
 from micah_plan.quantities import percent, quantity
 from micah_plan.residual.fit import independent_share
 from micah_plan.residual.lane import Lane
 from micah_plan.residual.likelihood import SMALLEST_SCALE, robust_log_density
 
-# Rows that the recursion reads, evenly over the configuration; starts that it keeps.
+# Rows that the recursion reads, evenly over the configuration.
 _MOST_ROWS = 800
-_STARTS = 150
 _FEWEST_ROWS = 40
 _BUMPS = 12
 # Evidence by which the pieces must be ahead [nats], how many cuts there may be, and rows and share of the range that a
@@ -137,16 +135,16 @@ def _pieces(place: Floats, line: Floats, e: Floats, low: float, high: float) -> 
     """Configurations between pieces, and whether each piece moves otherwise than the model says."""
     order = np.argsort(place, kind="stable")
     order = order[np.unique(np.linspace(0, len(order) - 1, _MOST_ROWS).astype(int))]
-    stream = _Lines(line[order], e[order])
-    prior = LengthPrior(0.5 * len(order), 2.0)
-    found = most_probable(stream, prior, np.random.default_rng(0), _STARTS).pieces
+    evidence = np.stack(_evidence(line[order], e[order]))
+    terms = length_terms(LengthPrior(0.5 * len(order), 2.0), len(order)) - np.log(len(evidence))
+    spans, _ = most_probable_spans(evidence.max(axis=0) + terms)
     c = place[order]
     kept: list[tuple[float, bool]] = []
-    for piece in found:
-        end = high if piece.end == len(c) - 1 else 0.5 * float(c[piece.end] + c[piece.end + 1])
-        width, rows = float(c[piece.end] - c[piece.start]), piece.end - piece.start + 1
+    for first, last in spans:
+        end = high if last == len(c) - 1 else 0.5 * float(c[last] + c[last + 1])
+        width, rows = float(c[last] - c[first]), last - first + 1
         is_short = rows < _FEWEST_IN_PIECE or width < _NARROWEST * (high - low)
-        differs = piece.hypothesis == _OTHERWISE
+        differs = int(np.argmax(evidence[:, first, last])) == _OTHERWISE
         if kept and (is_short or (not differs and not kept[-1][1])):
             kept[-1] = end, kept[-1][1]
         elif not is_short or not kept:
@@ -176,38 +174,15 @@ def _log_density(left: Floats) -> float:
     return robust_log_density(np.zeros((len(left), 0)), left, _FREEDOM, SMALLEST_SCALE)
 
 
-class _Lines:
-    """Stream of evidence: each row is noise, or noise about a line in the command whose coefficients are unknown."""
-
-    def __init__(self, line: Floats, e: Floats) -> None:
-        one, v = line.T
-        self._rows = np.stack([one * one, one * v, v * v, one * e, v * e, e * e], axis=1)
-        self._at = 0
-        self._starts: Ints = np.zeros(0, dtype=np.int64)
-        self._sums: Floats = np.zeros((0, 6))
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def advance(self) -> EvidenceColumn:
-        """Take the next row into all open segments and one that starts with it."""
-        self._starts = np.append(self._starts, self._at)
-        self._sums = np.vstack([self._sums, np.zeros((1, 6))]) + self._rows[self._at]
-        self._at += 1
-        n, sv, svv, se, sve, see = self._sums.T
-        # Prior of both coefficients: as large as ten standard deviations of the noise.
-        one, two = n + 0.01, svv + 0.01
-        determinant = one * two - sv**2
-        fitted = (two * se**2 - 2.0 * sv * se * sve + one * sve**2) / determinant
-        noise = -0.5 * see
-        line = noise + 0.5 * fitted - 0.5 * np.log(determinant / 1e-4)
-        return EvidenceColumn(self._starts, np.stack([noise, line], axis=1), _kind)
-
-    def keep(self, index: Ints) -> None:
-        """Forget all starts but these."""
-        self._starts, self._sums = self._starts[index], self._sums[index]
-
-
-def _kind(row: int, kind: int) -> int:
-    del row
-    return kind
+def _evidence(line: Floats, e: Floats) -> tuple[Floats, Floats]:
+    """(n, n) of every segment (first, last row): noise alone, or about a line in the command, integrated out."""
+    one, v = line.T
+    rows = np.stack([one * one, one * v, v * v, one * e, v * e, e * e])
+    running = np.pad(np.cumsum(rows, axis=1), ((0, 0), (1, 0)))
+    n, sv, svv, se, sve, see = np.triu(running[:, None, 1:] - running[:, :-1, None])
+    # Prior of both coefficients: as large as ten standard deviations of the noise.
+    first, second = n + 0.01, svv + 0.01
+    determinant = first * second - sv**2
+    fitted = (second * se**2 - 2.0 * sv * se * sve + first * sve**2) / determinant
+    noise = -0.5 * see
+    return noise, noise + 0.5 * fitted - 0.5 * np.log(determinant / 1e-4)

@@ -206,8 +206,8 @@ def test_unknown_methods_and_settings_are_refused() -> None:
     recording = Recording(time=np.arange(8.0), position=np.zeros((8, 3)))
     with pytest.raises(InputError, match="method must be among"):
         learn_graph(recording, method="magic")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="particles must be positive"):
-        LearnSettings(particles=0)
+    with pytest.raises(InputError, match="draws must be positive"):
+        LearnSettings(draws=0)
 
 
 @pytest.mark.parametrize("rows", [5, 6, 8])

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exact_evidence import ExactEvidence
 from planted import JOINTS, START, moving_then_held, recorded
 from scipy.spatial.transform import Rotation
 
@@ -18,10 +17,6 @@ from micah_plan.automaton.kinematics import forward, inverse
 from micah_plan.errors import InputError
 from micah_plan.learn.learn import learn_graph
 from micah_plan.learn.online import OnlineLearner, RowWindow
-from micah_plan.learn.segmenting.changepoints import LengthPrior, RunningEvidence, most_probable
-from micah_plan.learn.segmenting.evidence import tabulated
-from micah_plan.learn.segmenting.noise_fit import first_noise
-from micah_plan.learn.segmenting.pool import window_hypotheses
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import part_track
 from micah_plan.recording.read import read_recording
@@ -194,24 +189,6 @@ def test_coarser_rows_are_means_and_lose_none() -> None:
     assert np.allclose(rows.track.position[3], track.position[6:8].mean(axis=0))
     assert [(int(a) + 1) for a in rows.last[:-1]] == [int(b) for b in rows.track.rows[1:]]
     assert rows.last[-1] == track.rows[-1]
-
-
-def test_running_evidence_is_the_exact_one_and_few_particles_find_the_same() -> None:
-    recording = recorded([(JOINTS["revolute"], moving_then_held("revolute", 40, 30))], np.random.default_rng(2))
-    track = part_track(recording, 0, recording.parts[0])
-    chosen = LearnSettings()
-    noise = first_noise(track, chosen)
-    table = tabulated(window_hypotheses(track, chosen.kinds, noise), track, noise, chosen.rest, 0.5)
-    members = range(len(table.pool.hypotheses))
-    exact, running = ExactEvidence(table, chosen.kinds), RunningEvidence(table, chosen.kinds, members)
-    for _ in range(len(track)):
-        all_at_once, summed = exact.advance(), running.advance()
-        assert np.allclose(all_at_once.log_evidence, summed.log_evidence)
-    prior = LengthPrior(35.0, 2.0)
-    whole = most_probable(ExactEvidence(table, chosen.kinds), prior, np.random.default_rng(0))
-    few = most_probable(RunningEvidence(table, chosen.kinds, members), prior, np.random.default_rng(0), particles=12)
-    assert [(p.start, p.hypothesis) for p in few.pieces] == [(p.start, p.hypothesis) for p in whole.pieces]
-    assert few.log_probability == pytest.approx(whole.log_probability)
 
 
 def test_rows_that_cannot_be_learned_are_refused() -> None:

@@ -10,7 +10,7 @@ Source: MICAH, ln L ≈ ln p(y | M, θ̂, a) - k/2 ln(t - s).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -66,14 +66,6 @@ class EvidenceTable:
         # The cost of a segment depends on its length alone.
         costs = sliding_window_view(self.cost(np.array([index]), lengths), n)[::-1]
         return np.asarray(self.sums[index] - costs)
-
-    @cached_property
-    def best(self) -> Floats:
-        """(n, n) the same of whichever hypothesis is best for a segment."""
-        best = self.charged(0)
-        for i in range(1, len(self.rows)):
-            np.maximum(best, self.charged(i), out=best)
-        return best
 
     def cost(self, index: Ints, rows: Floats, held: bool = True) -> Floats:
         """What a segment of so many rows pays for a hypothesis' parameters."""
@@ -160,21 +152,6 @@ def _across(pool: Pool, noise: NoiseModel) -> tuple[Floats, Floats]:
     tails = heavy * np.log1p(squares / heavy) + np.log(np.maximum(information, 1e-12))
     # Given how far off a row is across the joint, Student's distribution is as much wider along it.
     return peak - 0.5 * tails + volume, 1 + (squares[-1] - (heavy - noise.dof[:, None])) / heavy
-
-
-@dataclass(frozen=True, eq=False)
-class EvidenceColumn:
-    """Evidence of all open segments up to one row.
-
-    Attributes:
-        starts: (m,) first rows of the segments.
-        log_evidence: (m, k) for each candidate kind; -inf where no hypothesis of that kind exists.
-        hypothesis: gives the index of the best hypothesis for the i-th of the segments and a kind.
-    """
-
-    starts: Ints
-    log_evidence: Floats
-    hypothesis: Callable[[int, int], int]
 
 
 def segment_sums(log_density: Floats) -> Floats:

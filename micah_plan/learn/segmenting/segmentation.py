@@ -18,10 +18,10 @@ And rests in the end: how many changepoints there may be depends on rests that t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import pairwise
+from itertools import pairwise, product
 from math import log
 
 import numpy as np
@@ -320,16 +320,41 @@ def shared(table: EvidenceTable, members: list[int], prior: LengthPrior, setting
     So is the choice of their kinds: a part that returns to a joint returns to one of those of the answer.
     """
     found = best_segmentation(table, prior, 1, members, members)
+    best = _paid_once(found.pieces, table, prior, settings)
+    while True:
+        fewer = [_paid_once(one, table, prior, settings) for one in _without_a_jump(best.pieces, table)]
+        better = max(fewer, key=lambda one: one.log_probability, default=best)
+        if better.log_probability <= best.log_probability:
+            return best
+        best = better
+
+
+def _without_a_jump(pieces: tuple[Piece, ...], table: EvidenceTable) -> Iterator[tuple[Piece, ...]]:
+    """The same, but one of two rests without a motion between them is part of the motion on its other side."""
+    moving = [bool(table.pool.moving[piece.hypothesis]) for piece in pieces]
+    for i, way in product(range(len(pieces)), (-1, 1)):
+        other, beside = i - way, i + way
+        inside = min(other, beside) >= 0 and max(other, beside) < len(pieces)
+        if inside and not moving[i] and not moving[other] and moving[beside]:
+            joint = pieces[beside].hypothesis
+            evidence = float(table.sums[joint, pieces[i].start, pieces[i].end])
+            yield tuple(replace(p, hypothesis=joint, log_evidence=evidence) if p is pieces[i] else p for p in pieces)
+
+
+def _paid_once(
+    pieces: tuple[Piece, ...], table: EvidenceTable, prior: LengthPrior, settings: LearnSettings
+) -> Segmentation:
+    """Segments of few joints, less what these cost."""
     used: dict[int, int] = {}
-    for piece in found.pieces:
+    for piece in pieces:
         used[piece.hypothesis] = used.get(piece.hypothesis, 0) + piece.end - piece.start + 1
     moving = sum(bool(table.pool.moving[i]) for i in used)
     cost = table.cost(np.array(list(used)), np.array(list(used.values()), dtype=float), moving > 0).sum()
     # A part does not get from one rest to another without a motion.
-    rigid = [not table.pool.moving[piece.hypothesis] for piece in found.pieces]
+    rigid = [not table.pool.moving[piece.hypothesis] for piece in pieces]
     jumps = sum(a and b for a, b in pairwise(rigid))
     cost += (max(moving - 1, 0) + jumps) * ANOTHER_JOINT + len(used) * np.log(len(settings.kinds))
-    pieces = merged(found.pieces)
+    pieces = merged(pieces)
     return Segmentation(pieces, _over_places(pieces, table, prior) - float(cost))
 
 

@@ -17,7 +17,8 @@ from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack, bends, extent, white_std
 
 _BLOCKS, _FEWEST_BLOCKS = 256, 8  # in which the length of the path is measured
-MOST_SWEEPS = 16.0  # what moves to and fro more often is learned online
+WINDOW_SWEEPS = 4.0  # there and back in a window; what moves more often is learned in several
+MOST_SWEEPS = 16.0  # for which there are steps, where all rows are learned at once
 _FINE_STRIDE = 0.02  # of the extent
 _GROWTH = 1.3  # from one lag to the double, from which on it is motion (2 to 4) or wander (1.4)
 _LARGEST_NOISE = 0.25  # of the extent
@@ -92,7 +93,7 @@ def sweeps_of(track: PartTrack) -> float:
 
 
 def is_long(track: PartTrack, inlier: Booleans) -> bool:
-    """Whether a part moves to and fro more than `MOST_SWEEPS` times.
+    """Whether a part moves to and fro more than `WINDOW_SWEEPS` times.
 
     Looked at from the start on, in stretches that double: in all rows, many motions would pass for noise. A stretch in
     which the part has hardly moved yet shows how it trembles.
@@ -101,7 +102,7 @@ def is_long(track: PartTrack, inlier: Booleans) -> bool:
     whole = extent(values)
     end = _FIRST_STRETCH
     while True:
-        if extent(values[:end]) >= _MOVED * whole and _clarity_and_sweeps(values[:end])[1] > MOST_SWEEPS:
+        if extent(values[:end]) >= _MOVED * whole and _clarity_and_sweeps(values[:end])[1] > WINDOW_SWEEPS:
             return True
         if end >= len(values):
             return False

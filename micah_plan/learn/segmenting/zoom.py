@@ -74,6 +74,8 @@ def locate(
             np.linspace(*wide, max(round((wide[1] - wide[0]) / size), 2), endpoint=False).astype(np.int64)
         )
         starts = starts[[inlier[a:b].any() for a, b in zip(starts, np.append(starts[1:], wide[1]), strict=True)]]
+        if not len(starts) or not starts[0] < row <= starts[-1]:  # no row counts on one of its sides
+            return Located(row, rows, score)
         scores = _scores(joints, row, starts, wide[1], track, inlier, settings)
         inside = (starts >= near[0]) & (starts <= near[1])
         if not inside.any():
