@@ -118,7 +118,7 @@ class Environment:
     def complete(self) -> bool:
         """Whether all works that does not need an extra."""
         return "mumps" in self.linear_solvers and all(
-            found.state == "works" for found in self.libraries if not found.library.extra
+            library.state == "works" for library in self.libraries if not library.library.extra
         )
 
 
@@ -184,8 +184,10 @@ def _advice(libraries: list[Found], solvers: list[str], browser: str | None) -> 
             )
         elif found.state == "missing" and not library.extra:
             lines.append(f"to {library.purpose}: pip install {library.name}")
-    for extra in dict.fromkeys(found.library.extra for found in libraries if found.library.extra):
-        missing = [found.library for found in libraries if found.library.extra == extra and found.state == "missing"]
+    for extra in dict.fromkeys(library.library.extra for library in libraries if library.library.extra):
+        missing = [
+            library.library for library in libraries if library.library.extra == extra and library.state == "missing"
+        ]
         if missing:
             purposes = " and ".join(dict.fromkeys(library.purpose for library in missing))
             names = " ".join(library.name for library in missing)

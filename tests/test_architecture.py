@@ -340,6 +340,23 @@ def test_no_function_is_over_60_lines(repository: Path) -> None:
     assert long == {}
 
 
+VAGUE_NAMES = {"own", "one", "found", "seen", "told", "left", "known", "given", "other", "some"}
+
+
+def stored_names(source: str) -> list[str]:
+    """All names that a text assigns to: variables, loops and comprehensions, and arguments."""
+    nodes = list(ast.walk(ast.parse(source)))
+    stored = [node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)]
+    return stored + [node.arg for node in nodes if isinstance(node, ast.arg)]
+
+
+def test_hardly_any_name_fits_everything() -> None:
+    assert stored_names("def f(own, x):\n    found = [one for one in x]") == ["found", "one", "own", "x"]
+    names = [name for path in PACKAGE.rglob("*.py") for name in stored_names(path.read_text(encoding="utf-8"))]
+    vague = sum(name in VAGUE_NAMES for name in names)
+    assert vague < 0.01 * len(names), f"{vague} of {len(names)} names could stand for anything"
+
+
 def test_every_package_and_module_has_a_page_in_the_reference(repository: Path) -> None:
     pages = "\n".join(page.read_text(encoding="utf-8") for page in (repository / "docs" / "reference").glob("*.md"))
     documented = {line.removeprefix("::: ").strip() for line in pages.splitlines() if line.startswith("::: ")}

@@ -30,8 +30,8 @@ def learned_lines(learned: Learned) -> list[str]:
     for edge in learned.graph.edges:
         lines.append(learned.heading(edge))
         lines += [f"  {_segment(segment)}" for segment in edge.segments[:_MOST_SEGMENTS]]
-        left = len(edge.segments) - _MOST_SEGMENTS
-        lines += [f"  and {count(left, 'more segment')}"] if left > 0 else []
+        hidden = len(edge.segments) - _MOST_SEGMENTS
+        lines += [f"  and {count(hidden, 'more segment')}"] if hidden > 0 else []
     if learned.automaton is None:
         return [*lines, f"no model: {learned.reason}"]
     names = " / ".join(learned.automaton.mode_names[:_MOST_SEGMENTS])
@@ -53,16 +53,16 @@ def _segment(segment: Segment) -> str:
     return f"{kind:<10} {rows}{way}{arm}, {percent(min(share, SUREST), 0)} sure"
 
 
-def explored_lines(found: Exploration) -> list[str]:
+def explored_lines(exploration: Exploration) -> list[str]:
     """What holds the handle, how it was found, and what went wrong on the way."""
-    said = {"opened": "opened", "held": "held", "gave_up": "gave up"}[found.outcome]
-    joints = ", then ".join(found.kinds) or "none moved"
-    went, force = quantity(found.travel, "m"), quantity(found.largest_force, "N")
+    said = {"opened": "opened", "held": "held", "gave_up": "gave up"}[exploration.outcome]
+    joints = ", then ".join(exploration.kinds) or "none moved"
+    went, force = quantity(exploration.travel, "m"), quantity(exploration.largest_force, "N")
     return [
-        f"{said}: {found.reason}",
-        f"  joints       {joints} ({percent(min(found.probability, SUREST), 0)} sure)",
-        f"  {count(found.steps, 'step')}, {went} of way, at most {force}",
-        *(f"  note: {note}" for note in found.notes),
+        f"{said}: {exploration.reason}",
+        f"  joints       {joints} ({percent(min(exploration.probability, SUREST), 0)} sure)",
+        f"  {count(exploration.steps, 'step')}, {went} of way, at most {force}",
+        *(f"  note: {note}" for note in exploration.notes),
     ]
 
 
@@ -103,8 +103,8 @@ def runs_lines(statistics: TrialStatistics, unit: str, most: int = _MOST_FAILURE
     if statistics.released is not None:
         lines.insert(1, f"  let go       {statistics.released} stand in the goal on their own, nothing knocked over")
     lines += [f"  trial {trial}: {reason}" for trial, reason in statistics.failures[:most]]
-    left = len(statistics.failures) - most
-    return lines + ([f"  and {count(left, 'more failure')}"] if left > 0 else [])
+    hidden = len(statistics.failures) - most
+    return lines + ([f"  and {count(hidden, 'more failure')}"] if hidden > 0 else [])
 
 
 def predicted_lines(automaton: HybridAutomaton, runs: Sequence[RunPrediction], judged: Judgement) -> list[str]:
@@ -129,39 +129,52 @@ def _sizes(errors: Sequence[PredictionError]) -> tuple[float, float]:
     return rmse([error.position for error in errors]), rmse([error.configuration for error in errors])
 
 
-def calibrated_lines(found: Calibration) -> list[str]:
+def calibrated_lines(calibration: Calibration) -> list[str]:
     """Verdict, effects, errors before and after, and the next experiment."""
     from micah_plan.residual.verdict import SENTENCES
 
-    lines = [f"{found.verdict}: {SENTENCES[found.verdict]}", *(f"  {effect_line(one)}" for one in found.effects)]
-    return [*lines, *error_lines(found), f"  next: {found.experiment}"]
+    lines = [
+        f"{calibration.verdict}: {SENTENCES[calibration.verdict]}",
+        *(f"  {effect_line(effect)}" for effect in calibration.effects),
+    ]
+    return [*lines, *error_lines(calibration), f"  next: {calibration.experiment}"]
 
 
-def error_lines(found: Calibration) -> list[str]:
+def error_lines(calibration: Calibration) -> list[str]:
     """Errors before and after, and those of noise alone, in one unit each."""
     lines = []
-    for own in found.errors:
-        lines += [f"  {own.of}"] if own.of else []
+    for coordinate_error in calibration.errors:
+        lines += [f"  {coordinate_error.of}"] if coordinate_error.of else []
         for name in ("one_step", "rollout"):
-            before, after = (quantity(getattr(size, name), own.unit) for size in (own.before, own.after))
+            before, after = (
+                quantity(getattr(size, name), coordinate_error.unit)
+                for size in (coordinate_error.before, coordinate_error.after)
+            )
             lines.append(f"  {'one step' if name == 'one_step' else 'roll-out':9} {before} before, {after} after")
-        floors = (quantity(floor, own.unit) for floor in (own.noise_floor, own.rollout_floor))
-        lines.append(f"  noise     {' (one step), '.join(floors)} (roll-out)")
-    if found.automaton is found.told or not found.written:
-        return lines
-    for coordinate, size in zip(found.automaton.coordinates, found.written, strict=True):
-        sizes = (quantity(error, coordinate.unit) for error in (size.one_step, size.rollout))
-        told = (
-            "new model on these runs: " if found.automaton.n == 1 else f"new model on these runs, {coordinate.name}: "
+        floors = (
+            quantity(floor, coordinate_error.unit)
+            for floor in (coordinate_error.noise_floor, coordinate_error.rollout_floor)
         )
-        lines.append(f"  {told}{' (one step), '.join(sizes)} (roll-out)")
+        lines.append(f"  noise     {' (one step), '.join(floors)} (roll-out)")
+    if calibration.automaton is calibration.told or not calibration.written:
+        return lines
+    for coordinate, size in zip(calibration.automaton.coordinates, calibration.written, strict=True):
+        sizes = (quantity(error, coordinate.unit) for error in (size.one_step, size.rollout))
+        sentence = (
+            "new model on these runs: "
+            if calibration.automaton.n == 1
+            else f"new model on these runs, {coordinate.name}: "
+        )
+        lines.append(f"  {sentence}{' (one step), '.join(sizes)} (roll-out)")
     return lines
 
 
-def effect_line(found: FoundEffect) -> str:
+def effect_line(effect: FoundEffect) -> str:
     """An effect with its parameters, its evidence, and what would do as well."""
-    pairs = zip(found.effect.parameters, found.units, strict=True)
+    pairs = zip(effect.effect.parameters, effect.units, strict=True)
     values = ", ".join(f"{name} {quantity(value, unit)}" for (name, value), unit in pairs)
-    added = "" if found.is_added else "; not added"
-    others = f"; or instead {', '.join(found.tied)}" if found.tied else ""
-    return f"{found.effect.name} of {found.effect.coordinate}: {values} ({plain(found.evidence)} nats{added}{others})"
+    added = "" if effect.is_added else "; not added"
+    others = f"; or instead {', '.join(effect.tied)}" if effect.tied else ""
+    return (
+        f"{effect.effect.name} of {effect.effect.coordinate}: {values} ({plain(effect.evidence)} nats{added}{others})"
+    )

@@ -63,10 +63,10 @@ def learn(
     """
     measured, shapes = inputs.demonstration_of(recording), inputs.parts_of(parts)
     chosen = inputs.learn_settings(settings, changes)
-    found = stages.learn(
+    result = stages.learn(
         measured, method=method, seed=seed, parts=shapes, settings=chosen, base=base, progress=progress
     )
-    return LearningResult(found)
+    return LearningResult(result)
 
 
 def solve(

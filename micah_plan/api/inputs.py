@@ -88,20 +88,20 @@ def load(source: Source | DataFrame | Mapping[str, Any], **conventions: Any) -> 
     return automaton_of(source)
 
 
-def conventions_of(given: Mapping[str, Any]) -> Conventions | None:
+def conventions_of(values: Mapping[str, Any]) -> Conventions | None:
     """How a recording is meant; None where nothing is said.
 
     Raises:
         InputError: for a name that conventions do not have.
     """
-    known = [one.name for one in fields(Conventions)]
-    for name in given:
-        if name not in known:
-            raise InputError(f"conventions have no {shown(name)}", remedy=f"choose among {', '.join(known)}")
-    return Conventions(**given) if given else None
+    names = [field.name for field in fields(Conventions)]
+    for name in values:
+        if name not in names:
+            raise InputError(f"conventions have no {shown(name)}", remedy=f"choose among {', '.join(names)}")
+    return Conventions(**values) if values else None
 
 
-def recording_of(given: Measured, *, minimum_rows: int = 1, conventions: Conventions | None = None) -> Recording:
+def recording_of(source: Measured, *, minimum_rows: int = 1, conventions: Conventions | None = None) -> Recording:
     """A recording, whose rows are what a recording promises; the conventions are those of a path.
 
     Raises:
@@ -109,24 +109,24 @@ def recording_of(given: Measured, *, minimum_rows: int = 1, conventions: Convent
     """
     from micah_plan.exchange.load import load_recording
 
-    if isinstance(given, Source):
-        return load_recording(given, minimum_rows=minimum_rows, conventions=conventions)
-    if isinstance(given, RunsResult | LearningResult):
-        return given.recording
-    if is_table(given) or isinstance(given, Mapping):
-        return checked(_of_table(given, conventions), minimum_rows=minimum_rows)
-    if isinstance(given, list | tuple) and given:
-        return joined([recording_of(one, minimum_rows=minimum_rows) for one in given])
-    if not isinstance(given, Recording):
-        raise _other("a recording", given, "give the path of one, or a micah_plan.Recording")
-    return checked(given, minimum_rows=minimum_rows)
+    if isinstance(source, Source):
+        return load_recording(source, minimum_rows=minimum_rows, conventions=conventions)
+    if isinstance(source, RunsResult | LearningResult):
+        return source.recording
+    if is_table(source) or isinstance(source, Mapping):
+        return checked(_of_table(source, conventions), minimum_rows=minimum_rows)
+    if isinstance(source, list | tuple) and source:
+        return joined([recording_of(recording, minimum_rows=minimum_rows) for recording in source])
+    if not isinstance(source, Recording):
+        raise _other("a recording", source, "give the path of one, or a micah_plan.Recording")
+    return checked(source, minimum_rows=minimum_rows)
 
 
-def is_table(given: Any) -> bool:
+def is_table(value: Any) -> bool:
     """Whether something has the columns of a recording: a data frame, a table of Arrow, a mapping of such names."""
-    if isinstance(given, Mapping):
-        return not {"t", "x", "time", "position"}.isdisjoint(given)
-    return not isinstance(given, Recording | ModuleType) and hasattr(given, "__getitem__") and bool(_names_of(given))
+    if isinstance(value, Mapping):
+        return not {"t", "x", "time", "position"}.isdisjoint(value)
+    return not isinstance(value, Recording | ModuleType) and hasattr(value, "__getitem__") and bool(_names_of(value))
 
 
 def _names_of(table: Any) -> list[Any]:
@@ -140,7 +140,7 @@ def _of_table(table: Any, conventions: Conventions | None) -> Recording:
     from micah_plan.recording.conventions import as_recorded
 
     if isinstance(table, Mapping) and "position" in table:
-        known = {one.name for one in fields(Recording)} - {"conventions", "notes", "has_run", "has_part"}
+        known = {field.name for field in fields(Recording)} - {"conventions", "notes", "has_run", "has_part"}
         for name in table:
             if name not in known:
                 raise InputError(f"a recording has no {shown(name)}", remedy=f"choose among {', '.join(sorted(known))}")
@@ -169,7 +169,7 @@ def joined(recordings: Sequence[Recording]) -> Recording:
     return checked(concatenated(numbered))
 
 
-def demonstration_of(given: Measured) -> Recording:
+def demonstration_of(source: Measured) -> Recording:
     """A recording of as many rows as learning needs; a file whose units look wrong must say what they are.
 
     Raises:
@@ -177,35 +177,35 @@ def demonstration_of(given: Measured) -> Recording:
     """
     from micah_plan.recording.suspicion import require_conventions
 
-    recording = recording_of(given, minimum_rows=FEWEST_ROWS)
-    if isinstance(given, Source):
-        with located_in(given):
+    recording = recording_of(source, minimum_rows=FEWEST_ROWS)
+    if isinstance(source, Source):
+        with located_in(source):
             require_conventions(recording)
     return recording
 
 
-def automaton_of(given: Modelled) -> HybridAutomaton:
+def automaton_of(source: Modelled) -> HybridAutomaton:
     """A model that the algorithms can use, with that of a problem or plan counted as one.
 
     Raises:
         InputError: if there is none in it, or it is none that can be used.
     """
-    if isinstance(given, Source):
-        return _read_automaton(given)
-    if isinstance(given, Mapping):
+    if isinstance(source, Source):
+        return _read_automaton(source)
+    if isinstance(source, Mapping):
         from micah_plan.documents.model import model_of
 
-        return model_of(given)
-    if isinstance(given, PlanningResult):
-        return given.problem.automaton
-    if isinstance(given, Problem | Learnt):
-        if given.automaton is None:
-            raise InputError(f"nothing was learned: {getattr(given, 'reason', '')}")
-        return given.automaton
-    if not isinstance(given, HybridAutomaton):
-        raise _other("a model", given, "give the path of one, what learn returns, or data with a model file's keys")
-    check_automaton(given)
-    return given
+        return model_of(source)
+    if isinstance(source, PlanningResult):
+        return source.problem.automaton
+    if isinstance(source, Problem | Learnt):
+        if source.automaton is None:
+            raise InputError(f"nothing was learned: {getattr(source, 'reason', '')}")
+        return source.automaton
+    if not isinstance(source, HybridAutomaton):
+        raise _other("a model", source, "give the path of one, what learn returns, or data with a model file's keys")
+    check_automaton(source)
+    return source
 
 
 def _read_automaton(path: Source) -> HybridAutomaton:
@@ -220,7 +220,7 @@ def _read_automaton(path: Source) -> HybridAutomaton:
     return load_plan(path).automaton if kind == "plan" else load_model(path)
 
 
-def problem_of(given: Source | Problem | Learnt | PlanningResult, model: Modelled | None = None) -> Problem:
+def problem_of(source: Source | Problem | Learnt | PlanningResult, model: Modelled | None = None) -> Problem:
     """A problem, with another model if one is given; of a model alone, or what learned one, that of moving it most of
     its way.
 
@@ -232,13 +232,13 @@ def problem_of(given: Source | Problem | Learnt | PlanningResult, model: Modelle
     from micah_plan.templates.first_problem import problem_for
 
     automaton = None if model is None else automaton_of(model)
-    if isinstance(given, Learnt | HybridAutomaton) and automaton is None:
-        return problem_for(automaton_of(given))
-    if isinstance(given, Source):
-        return stages.read_problem(given)[0] if automaton is None else load_problem(given, model=automaton)
-    problem = given.problem if isinstance(given, PlanningResult) else given
+    if isinstance(source, Learnt | HybridAutomaton) and automaton is None:
+        return problem_for(automaton_of(source))
+    if isinstance(source, Source):
+        return stages.read_problem(source)[0] if automaton is None else load_problem(source, model=automaton)
+    problem = source.problem if isinstance(source, PlanningResult) else source
     if not isinstance(problem, Problem):
-        raise _other("a problem", given, "give the path of one, or what load returns for it")
+        raise _other("a problem", source, "give the path of one, or what load returns for it")
     if automaton is None:
         return problem
     own = problem.automaton
@@ -251,25 +251,25 @@ def problem_of(given: Source | Problem | Learnt | PlanningResult, model: Modelle
     return replace(problem, automaton=automaton)
 
 
-def plan_of(given: Source | PlanningResult) -> PlanningResult:
+def plan_of(source: Source | PlanningResult) -> PlanningResult:
     """A plan with its problem."""
-    if isinstance(given, Source):
+    if isinstance(source, Source):
         from micah_plan.documents.plan import load_plan
 
-        stored = load_plan(given)
+        stored = load_plan(source)
         return PlanningResult(stored.plan, stored.problem)
-    if not isinstance(given, PlanningResult):
-        raise _other("a plan", given, "give the path of one, or what solve returns")
-    return given
+    if not isinstance(source, PlanningResult):
+        raise _other("a plan", source, "give the path of one, or what solve returns")
+    return source
 
 
-def parts_of(given: Source | Sequence[Part]) -> tuple[Part, ...]:
+def parts_of(source: Source | Sequence[Part]) -> tuple[Part, ...]:
     """Shapes and handles of parts."""
-    if isinstance(given, Source):
+    if isinstance(source, Source):
         from micah_plan.documents.parts import load_parts
 
-        return load_parts(given)
-    return tuple(given)
+        return load_parts(source)
+    return tuple(source)
 
 
 def learn_settings(settings: LearnSettings | None, changes: Mapping[str, Any]) -> LearnSettings:
@@ -297,5 +297,5 @@ def planner_settings(problem: Problem, changes: Mapping[str, Any]) -> PlannerSet
     return settings_with(problem.settings, changes, problem.automaton.input_names)
 
 
-def _other(expected: str, found: object, remedy: str) -> InputError:
-    return InputError(f"expected {expected}, found {shown(type(found).__name__)}", remedy=remedy)
+def _other(expected: str, value: object, remedy: str) -> InputError:
+    return InputError(f"expected {expected}, found {shown(type(value).__name__)}", remedy=remedy)

@@ -210,8 +210,11 @@ def solve(
     from micah_plan.planning.tightening import verified_plan
     from micah_plan.planning.with_arm import planned_with_arm
 
-    own, rounds = _pomdp_hd() if planner is None else planner, problem.settings.tightening_rounds * (planner is None)
-    planned_by = partial(own, seed=seed, progress=progress)
+    planner_of_problem, rounds = (
+        _pomdp_hd() if planner is None else planner,
+        problem.settings.tightening_rounds * (planner is None),
+    )
+    planned_by = partial(planner_of_problem, seed=seed, progress=progress)
     if problem.robot is not None:
         import micah_plan.robot.along_plan  # noqa: F401
     # Only now: what it takes to load libraries says nothing about the problem.
@@ -220,10 +223,10 @@ def solve(
     def planned(asked: Problem) -> Plan:
         return verified_plan(asked, planned_by, seed, rounds, deadline)
 
-    found = planned_with_arm(problem, planned, seed, deadline)
+    with_arm = planned_with_arm(problem, planned, seed, deadline)
     warnings = (*doubts(problem.automaton.learned), *left_out(problem.automaton, planner is not None))
     warnings += (*never_taken(problem.automaton), *unchecked(problem))
-    answer = replace(found, warnings=warnings)
+    answer = replace(with_arm, warnings=warnings)
     if not advise or answer.outcome == "solved":
         return answer
     from micah_plan.planning.remedies import advised
@@ -324,11 +327,11 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, *, progress: Pro
     return calibrated(automaton, recording, progress)
 
 
-def next_experiment(automaton: HybridAutomaton, recording: Recording, found: Calibration) -> Designed | None:
+def next_experiment(automaton: HybridAutomaton, recording: Recording, calibration: Calibration) -> Designed | None:
     """The experiment that tells apart what a calibration could not; None if motion would not show more."""
     from micah_plan.residual.next_experiment import next_experiment as designed
 
-    return designed(automaton, recording, found)
+    return designed(automaton, recording, calibration)
 
 
 def explore(

@@ -247,11 +247,11 @@ def _noise_of(moving: Sequence[KinematicEdge]) -> Noise:
     return Noise(process, observation)
 
 
-def _parts(graph: KinematicGraph, given: Sequence[Part]) -> tuple[Part, ...]:
+def _parts(graph: KinematicGraph, listed: Sequence[Part]) -> tuple[Part, ...]:
     names = dict.fromkeys(name for edge in graph.edges for name in (edge.parent, edge.child))
-    by_name = {part.name: part for part in given}
-    found = tuple(by_name.get(name, Part(name)) for name in names if name != BASE or name in by_name)
-    return found + tuple(part for part in given if part.name not in names)
+    by_name = {part.name: part for part in listed}
+    parts = tuple(by_name.get(name, Part(name)) for name in names if name != BASE or name in by_name)
+    return parts + tuple(part for part in listed if part.name not in names)
 
 
 def misfit_error(graph: KinematicGraph) -> InputError | None:
@@ -260,19 +260,19 @@ def misfit_error(graph: KinematicGraph) -> InputError | None:
     Such rows are not skipped: the joints before and after them share one coordinate only through them, and a part that
     moves off its joint once can do so again, in every mode of the automaton.
     """
-    found = [
+    misfits = [
         (segment, misfit, edge.child)
         for edge in graph.edges
         for segment in edge.segments
         if (misfit := segment.misfit) is not None
     ]
-    if not found:
+    if not misfits:
         return None
-    more = f" (and {len(found) - 1} more such stretch{'es' if len(found) > 2 else ''})" if len(found) > 1 else ""
-    part = found[0][2]
-    carried = part in {edge.parent for edge in graph.edges} and {child for *_, child in found} == {part}
+    more = f" (and {len(misfits) - 1} more such stretch{'es' if len(misfits) > 2 else ''})" if len(misfits) > 1 else ""
+    part = misfits[0][2]
+    carried = part in {edge.parent for edge in graph.edges} and {child for *_, child in misfits} == {part}
     remedy = f"learn what stands on it relative to it, as `--base {part}` does" if carried else _MISFIT_REMEDY
-    return InputError(_misfit_sentence(*found[0]) + more, remedy=remedy)
+    return InputError(_misfit_sentence(*misfits[0]) + more, remedy=remedy)
 
 
 def _misfit_sentence(segment: Segment, misfit: Misfit, part: str) -> str:
@@ -326,8 +326,8 @@ UNIT_DECIMALS = 10
 
 def rounded(automaton: HybridAutomaton) -> HybridAutomaton:
     """The automaton with rounded joints, boundaries, resets, pins and noise; covariances keep all digits."""
-    own = {key: _rounded_numbers(getattr(automaton, key)) for key in ("modes", "edges", "noise")}
-    return replace(automaton, **own)
+    rounded_fields = {key: _rounded_numbers(getattr(automaton, key)) for key in ("modes", "edges", "noise")}
+    return replace(automaton, **rounded_fields)
 
 
 def _rounded_numbers(value: Any) -> Any:
@@ -342,13 +342,13 @@ def _rounded_numbers(value: Any) -> Any:
         kept = ()
     else:
         return value
-    own = {
+    rounded_fields = {
         field.name: _rounded_numbers(getattr(value, field.name)) for field in fields(value) if field.name not in kept
     }
     if isinstance(value, Joint):
         units = {key: tuple(round(v, UNIT_DECIMALS) for v in getattr(value, key)) for key in ("axis", "quaternion")}
-        own |= {key: unit for key, unit in units.items() if key not in kept}
-    return replace(value, **own)
+        rounded_fields |= {key: unit for key, unit in units.items() if key not in kept}
+    return replace(value, **rounded_fields)
 
 
 RESOLUTION = 3.0

@@ -186,31 +186,32 @@ def doubts(learned: Iterable[LearnedEdge]) -> tuple[str, ...]:
 
 
 def _doubtful_kinds(edge: LearnedEdge) -> list[str]:
-    found = []
-    for one in edge.segments:
-        kinds = {} if one.certainty is None else dict(one.certainty.kinds)
-        sure = kinds.pop(one.kind, 1.0)
+    lines = []
+    for segment in edge.segments:
+        kinds = {} if segment.certainty is None else dict(segment.certainty.kinds)
+        sure = kinds.pop(segment.kind, 1.0)
         if sure < DOUBTFUL and kinds:
-            other = max(kinds, key=lambda kind: kinds[kind])
-            found.append(
-                f"learning was only {percent(sure, 0)} sure that {edge.child} is {one.kind} relative to {edge.parent} "
-                f"(rows {one.start} to {one.end}); {other} has {percent(kinds[other], 0)}. A longer motion, or more "
-                "runs, would tell"
+            likeliest = max(kinds, key=lambda kind: kinds[kind])
+            lines.append(
+                f"learning was only {percent(sure, 0)} sure that {edge.child} is {segment.kind} relative to "
+                f"{edge.parent} "
+                f"(rows {segment.start} to {segment.end}); {likeliest} has {percent(kinds[likeliest], 0)}. "
+                "A longer motion, or more runs, would tell"
             )
-    return found
+    return lines
 
 
 def _doubtful_counts(edge: LearnedEdge) -> list[str]:
-    found = []
+    lines = []
     counted = () if edge.certainty is None else edge.certainty.changepoint_counts
-    runs = dict.fromkeys(one.run for one in edge.segments)
+    runs = dict.fromkeys(segment.run for segment in edge.segments)
     for run, counts in zip(runs, counted, strict=False):
-        changes = sum(one.run == run for one in edge.segments) - 1
+        changes = sum(segment.run == run for segment in edge.segments) - 1
         sure = counts[changes] if changes < len(counts) else 0.0
         if sure < DOUBTFUL:
-            likely, chance = max(enumerate(counts), key=lambda one: one[1])
-            found.append(
+            likely, chance = max(enumerate(counts), key=lambda pair: pair[1])
+            lines.append(
                 f"learning was only {percent(sure, 0)} sure that the joint of {edge.child} relative to {edge.parent} "
                 f"changes {count(changes, 'time')} in run {run}; {count(likely, 'time')} has {percent(chance, 0)}"
             )
-    return found
+    return lines

@@ -336,13 +336,13 @@ def _check_unit_of_joints(automaton: HybridAutomaton, coordinate: Coordinate) ->
         )
 
 
-def _check_unit_of_input(automaton: HybridAutomaton, given: Coordinate) -> None:
+def _check_unit_of_input(automaton: HybridAutomaton, coordinate: Coordinate) -> None:
     """An input that is called like a coordinate is its commanded change."""
-    unit = next((item.unit for item in automaton.coordinates if item.name == given.name), given.unit)
-    if unit != given.unit:
+    unit = next((item.unit for item in automaton.coordinates if item.name == coordinate.name), coordinate.unit)
+    if unit != coordinate.unit:
         raise InputError(
-            f"input {given.name}: expected the unit {unit} of the coordinate {given.name} that it moves, found "
-            f"{given.unit}",
+            f"input {coordinate.name}: expected the unit {unit} of the coordinate {coordinate.name} that it moves, "
+            f"found {coordinate.unit}",
             remedy=f"write {unit}, or give the input a name of its own",
         )
 
@@ -404,21 +404,21 @@ def preceding(automaton: HybridAutomaton, number: int) -> Edge | None:
 
     Of guards that hold at one instant changes of the mode go first, then the first listed (`transition`).
     """
-    own = automaton.edges[number]
-    rows = own.guard.half_spaces
-    for other in automaton.edges_from(own.source):
-        if other is own:
+    edge = automaton.edges[number]
+    rows = edge.guard.half_spaces
+    for earlier in automaton.edges_from(edge.source):
+        if earlier is edge:
             return None
-        is_first = own.is_self_transition or not other.is_self_transition
-        if is_first and all(any(_implies(row, h) for row in rows) for h in other.guard.half_spaces):
-            return other
+        is_first = edge.is_self_transition or not earlier.is_self_transition
+        if is_first and all(any(_implies(row, h) for row in rows) for h in earlier.guard.half_spaces):
+            return earlier
     return None
 
 
-def _implies(one: HalfSpace, other: HalfSpace) -> bool:
+def _implies(first: HalfSpace, second: HalfSpace) -> bool:
     """Whether all that is inside of a half-space is inside of another with the same weights."""
-    same = one.a == other.a and one.b == other.b
-    return same and (one.c > other.c or (one.c == other.c and (one.strict or not other.strict)))
+    same = first.a == second.a and first.b == second.b
+    return same and (first.c > second.c or (first.c == second.c and (first.strict or not second.strict)))
 
 
 def _check_stays(automaton: HybridAutomaton, edge: Edge) -> None:
@@ -434,8 +434,11 @@ def _check_stays(automaton: HybridAutomaton, edge: Edge) -> None:
 
 
 def _check_effect_once(earlier: tuple[Effect, ...], effect: Effect) -> None:
-    own = (effect.name, effect.coordinate, effect.values, effect.modes)
-    if any((other.name, other.coordinate, other.values, other.modes) == own for other in earlier):
+    key = (effect.name, effect.coordinate, effect.values, effect.modes)
+    if any(
+        (earlier_effect.name, earlier_effect.coordinate, earlier_effect.values, earlier_effect.modes) == key
+        for earlier_effect in earlier
+    ):
         raise InputError(
             f"effect {effect.name} of {effect.coordinate} is there twice, with the same values",
             remedy="remove one of the two",

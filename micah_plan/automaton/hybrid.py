@@ -353,11 +353,11 @@ class HybridAutomaton(Summarised):
         Raises:
             InputError: an unknown or a missing name, a wrong number of values, or one that is not finite.
         """
-        found = vector(values, self.coordinate_names, "x", "coordinate")
+        state_vector = vector(values, self.coordinate_names, "x", "coordinate")
         missing = [name for name in self.coordinate_names if isinstance(values, Mapping) and name not in values]
         if missing:
             raise InputError(f"the state has no value of {', '.join(missing)}", remedy="give one of each coordinate")
-        return found
+        return state_vector
 
     def input(self, values: Mapping[str, float] | ArrayLike) -> Floats:
         """(m,) an input from values by the names of inputs, 0 where there is none; or in their order [rad or m].
@@ -380,16 +380,16 @@ class HybridAutomaton(Summarised):
         Raises:
             InputError: if there is none, or several and no number.
         """
-        known = tuple(edge.name for edge in self.edges)
-        _number(name, known, "transition")
-        found = [edge for edge in self.edges if edge.name == name]
-        if number is None and len(found) > 1:
-            raise InputError(f"{len(found)} transitions are {shown(name)}", remedy="say which by a number from 0")
-        if not 0 <= (number or 0) < len(found):
+        names = tuple(edge.name for edge in self.edges)
+        _number(name, names, "transition")
+        edges = [edge for edge in self.edges if edge.name == name]
+        if number is None and len(edges) > 1:
+            raise InputError(f"{len(edges)} transitions are {shown(name)}", remedy="say which by a number from 0")
+        if not 0 <= (number or 0) < len(edges):
             raise InputError(
-                f"there is no transition {shown(name)} number {number}", remedy=f"give 0 to {len(found) - 1}"
+                f"there is no transition {shown(name)} number {number}", remedy=f"give 0 to {len(edges) - 1}"
             )
-        return found[number or 0]
+        return edges[number or 0]
 
     def edges_from(self, name: str) -> tuple[Edge, ...]:
         """All edges that leave a mode, self transitions included, in order of priority."""
@@ -397,10 +397,10 @@ class HybridAutomaton(Summarised):
 
     @cached_property
     def _edges_by_source(self) -> dict[str, tuple[Edge, ...]]:
-        found: dict[str, list[Edge]] = {}
+        by_name: dict[str, list[Edge]] = {}
         for edge in self.edges:
-            found.setdefault(edge.source, []).append(edge)
-        return {name: tuple(edges) for name, edges in found.items()}
+            by_name.setdefault(edge.source, []).append(edge)
+        return {name: tuple(edges) for name, edges in by_name.items()}
 
     def sensing(self, mode: Mode) -> Sensing:
         """How a mode measures: by its own stds where it states them, else by the model's noise, with its light."""
@@ -454,8 +454,8 @@ class HybridAutomaton(Summarised):
 
 def _number(name: str, names: tuple[str, ...], what: str) -> int:
     if name not in names:
-        known = f"choose one of {', '.join(dict.fromkeys(names))}" if names else f"the model has no {what}"
-        raise InputError(f"unknown {what} {shown(name)}", remedy=known)
+        remedy = f"choose one of {', '.join(dict.fromkeys(names))}" if names else f"the model has no {what}"
+        raise InputError(f"unknown {what} {shown(name)}", remedy=remedy)
     return names.index(name)
 
 
@@ -544,8 +544,8 @@ def _check_matrix(matrix: Sequence[Sequence[float]], size: Sizes, where: str, wh
     except TypeError:
         raise InputError(f"{where}: must be rows of numbers, {why}. Got {shown(matrix)}") from None
     if len(matrix) != size[0] or widths - {size[1]}:
-        found = f"{len(matrix)} x {' or '.join(map(str, sorted(widths))) or 0}"
-        raise InputError(f"{where}: must be {size[0]} x {size[1]}: {why}. Got {found}")
+        shape = f"{len(matrix)} x {' or '.join(map(str, sorted(widths))) or 0}"
+        raise InputError(f"{where}: must be {size[0]} x {size[1]}: {why}. Got {shape}")
 
 
 def _check_length(values: Sequence[float], n: int, where: str, rows: str) -> None:

@@ -35,13 +35,15 @@ from micah_plan.automaton.memo import memoised
 @memoised
 def with_memory_states(automaton: HybridAutomaton) -> HybridAutomaton:
     """The automaton over (x, m), made once; the automaton itself where nothing remembers or m is there already."""
-    memories = () if automaton.input_memories else tuple(own for own in _memories(automaton, _only_input) if own.size)
+    memories = (
+        () if automaton.input_memories else tuple(memory for memory in _memories(automaton, _only_input) if memory.size)
+    )
     if not memories:
         return automaton
     added = [
-        Coordinate(f"{own.effect.coordinate} {own.effect.name} {k + 1}", automaton.inputs[own.input].unit)
-        for own in memories
-        for k in range(own.size)
+        Coordinate(f"{memory.effect.coordinate} {memory.effect.name} {k + 1}", automaton.inputs[memory.input].unit)
+        for memory in memories
+        for k in range(memory.size)
     ]
     return replace(lifted(automaton, added), input_memories=memories)
 
@@ -62,7 +64,9 @@ def memory_at_rest(automaton: HybridAutomaton, x: Sequence[float] | None = None)
     """(k,) the values of m before any input in a state (n,), None: at 0; empty where the automaton has none."""
     start = np.zeros(automaton.n) if x is None else x
     return tuple(
-        float(value) for own in automaton.input_memories for value in _at_rest(own.effect, start[own.coordinate])
+        float(value)
+        for input_memory in automaton.input_memories
+        for value in _at_rest(input_memory.effect, start[input_memory.coordinate])
     )
 
 
@@ -71,14 +75,14 @@ def towards(automaton: HybridAutomaton, at: Floats, x: Floats, u: Floats) -> Flo
 
     Where commands mean displacements (no `follow`) they stay as they are: those are the same from wherever.
     """
-    given = u
+    command = u
     for effect in automaton.effects:
         if form(effect.name).layer == "place":
             i = automaton.index(effect.coordinate)
             if moved := _strongest_input(automaton, effect):
-                given = given.copy() if given is u else given
-                given[..., moved[0]] += (at[..., i] - x[..., i]) / moved[1]
-    return given
+                command = command.copy() if command is u else command
+                command[..., moved[0]] += (at[..., i] - x[..., i]) / moved[1]
+    return command
 
 
 def passed_on(
@@ -95,11 +99,11 @@ def passed_on(
         the inputs, and the next values by number of their coordinate.
     """
     passed, after = list(u), dict[int, Value]()
-    for own in memories:
-        out, kept = _through(ops, own, x[own.coordinate], passed[own.input], tuple(x[own.coordinates]))
-        after |= dict(enumerate(kept, start=own.first))
-        if own.effect.acts_in(mode):
-            passed[own.input] = out
+    for memory in memories:
+        out, kept = _through(ops, memory, x[memory.coordinate], passed[memory.input], tuple(x[memory.coordinates]))
+        after |= dict(enumerate(kept, start=memory.first))
+        if memory.effect.acts_in(mode):
+            passed[memory.input] = out
     return passed, after
 
 
@@ -120,7 +124,7 @@ class InputChannel:
     def __init__(self, automaton: HybridAutomaton, memory: Mapping[Effect, Sequence[float]] | None = None) -> None:
         """Args: the model, and what its effects remember; left out: they are at rest."""
         self._memories = _memories(automaton, _strongest_input)
-        self._acts = [np.array([own.effect.acts_in(q) for q in automaton.mode_names]) for own in self._memories]
+        self._acts = [np.array([memory.effect.acts_in(q) for q in automaton.mode_names]) for memory in self._memories]
         self._kept: list[tuple[Value, ...] | None] = [None] * len(self._memories)
         for k, own in enumerate(self._memories):
             self._kept[k] = tuple(memory[own.effect]) if memory and own.effect in memory else None
@@ -133,13 +137,13 @@ class InputChannel:
             x: (..., n) states from which the inputs lead; None: 0, for effects that do not depend on them.
         """
         passed = np.array(u, dtype=float)
-        for k, own in enumerate(self._memories):
-            sent = passed[..., own.input].copy()
-            c = 0.0 * sent if x is None else x[..., own.coordinate]
+        for k, memory in enumerate(self._memories):
+            sent = passed[..., memory.input].copy()
+            c = 0.0 * sent if x is None else x[..., memory.coordinate]
             kept = self._kept[k]
-            out, self._kept[k] = _through(np, own, c, sent, _at_rest(own.effect, c) if kept is None else kept)
-            acts = own.effect.acts_in(mode) if isinstance(mode, str) else self._acts[k][mode]
-            passed[..., own.input] = np.where(acts, out, sent)
+            out, self._kept[k] = _through(np, memory, c, sent, _at_rest(memory.effect, c) if kept is None else kept)
+            acts = memory.effect.acts_in(mode) if isinstance(mode, str) else self._acts[k][mode]
+            passed[..., memory.input] = np.where(acts, out, sent)
         return passed
 
 
@@ -164,11 +168,11 @@ def left_out(automaton: HybridAutomaton, memory: bool = False) -> tuple[str, ...
 
 
 def _through(
-    ops: Operations, own: InputMemory, c: Value, u: Value, kept: tuple[Value, ...]
+    ops: Operations, memory: InputMemory, c: Value, u: Value, kept: tuple[Value, ...]
 ) -> tuple[Value, tuple[Value, ...]]:
     """The input that comes out of one memory at configuration c, and its next values."""
-    out, after = form(own.effect.name).respond(ops, c, own.scale * u, kept, own.effect.values)
-    return out / own.scale, after
+    out, after = form(memory.effect.name).respond(ops, c, memory.scale * u, kept, memory.effect.values)
+    return out / memory.scale, after
 
 
 def _at_rest(effect: Effect, c: Value = 0.0) -> tuple[Value, ...]:
@@ -179,15 +183,15 @@ def _memories(
     automaton: HybridAutomaton, input_of: Callable[[HybridAutomaton, Effect], tuple[int, float] | None]
 ) -> tuple[InputMemory, ...]:
     """One for each effect that remembers and has an input, one after the other behind the automaton's coordinates."""
-    found: list[InputMemory] = []
+    memories: list[InputMemory] = []
     first = automaton.n
     for effect in automaton.effects:
-        given = input_of(automaton, effect) if form(effect.name).layer in REMEMBERING else None
-        if given is not None:
-            i, (j, scale) = automaton.index(effect.coordinate), given
-            found.append(InputMemory(effect, j, i, scale, first, len(_at_rest(effect))))
-            first += found[-1].size
-    return tuple(found)
+        command = input_of(automaton, effect) if form(effect.name).layer in REMEMBERING else None
+        if command is not None:
+            i, (j, scale) = automaton.index(effect.coordinate), command
+            memories.append(InputMemory(effect, j, i, scale, first, len(_at_rest(effect))))
+            first += memories[-1].size
+    return tuple(memories)
 
 
 def _strongest_input(automaton: HybridAutomaton, effect: Effect) -> tuple[int, float] | None:

@@ -197,13 +197,13 @@ def inverse_jacobian(
     Returns:
         (k,) [rad or m]; 0 for rigid, and where the displacement can say nothing (origin on the axis, no rotation).
     """
-    given = np.atleast_2d(np.asarray(displacement, dtype=float))
-    if given.ndim != 2 or given.shape[1] not in (3, 6):
+    displacements = np.atleast_2d(np.asarray(displacement, dtype=float))
+    if displacements.ndim != 2 or displacements.shape[1] not in (3, 6):
         raise InputError(f"displacements must have shape (k, 3) or (k, 6). Got {np.shape(displacement)}")
-    direction = jacobian(joint, c)[:, 6 - given.shape[1] :]
-    weights = np.repeat([rotation_length**2, 1.0], 3)[6 - given.shape[1] :]
+    direction = jacobian(joint, c)[:, 6 - displacements.shape[1] :]
+    weights = np.repeat([rotation_length**2, 1.0], 3)[6 - displacements.shape[1] :]
     squared = (direction**2) @ weights
-    projected = (direction * given) @ weights
+    projected = (direction * displacements) @ weights
     return np.where(squared > _NO_INFORMATION, projected / np.maximum(squared, _NO_INFORMATION), 0.0)
 
 

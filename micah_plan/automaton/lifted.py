@@ -257,7 +257,7 @@ def boundaries_of_pins(automaton: HybridAutomaton, mode: Mode) -> dict[int, Boun
 
     A mode that is only entered from others that pin the coordinate at the same place pins it at their boundary.
     """
-    found: dict[int, Boundary] = {}
+    boundaries: dict[int, Boundary] = {}
     for edge in automaton.edges:
         for pin in automaton.pins_located_by(edge):
             if edge.target == mode.name or any(
@@ -265,6 +265,6 @@ def boundaries_of_pins(automaton: HybridAutomaton, mode: Mode) -> dict[int, Boun
             ):
                 on_it = (h for h in edge.guard.half_spaces if h.bound and h.bound.coordinate == pin.coordinate)
                 first = next(on_it, None)
-                if first is not None and (edge.target == mode.name or pin.coordinate not in found):
-                    found[pin.coordinate] = boundary_of(first)[0]
-    return found
+                if first is not None and (edge.target == mode.name or pin.coordinate not in boundaries):
+                    boundaries[pin.coordinate] = boundary_of(first)[0]
+    return boundaries

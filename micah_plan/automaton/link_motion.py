@@ -52,10 +52,10 @@ class LinkMotion:
             return forward(self.joints[0], c)
         number, translation, turn = self.number(c), np.zeros((len(c), 3)), np.zeros((len(c), 4))
         for k, joint in enumerate(self.joints):
-            own = number == k
-            if own.any():
-                pose = forward(joint, c[own])
-                translation[own], turn[own] = pose.translation, pose.rotation.as_quat()
+            governed = number == k
+            if governed.any():
+                pose = forward(joint, c[governed])
+                translation[governed], turn[governed] = pose.translation, pose.rotation.as_quat()
         return RigidTransform.from_components(translation, Rotation.from_quat(turn))
 
     def tangents(self, c: Floats) -> Floats:
@@ -99,22 +99,22 @@ class LinkMotion:
         return self._each(c, action, _aimed)
 
     def _each(self, c: Floats, action: Floats, meant: Callable[[Joint, Floats, Floats], Floats]) -> Floats:
-        own = np.zeros(len(c))
+        configuration = np.zeros(len(c))
         number = self.number(c)
         for k, joint in enumerate(self.joints):
             rows = number == k
             if rows.any():
-                own[rows] = meant(joint, c[rows], action[rows])
-        return own if len(self.joints) == 1 else self._or_another(c, action, own, number)
+                configuration[rows] = meant(joint, c[rows], action[rows])
+        return configuration if len(self.joints) == 1 else self._or_another(c, action, configuration, number)
 
-    def _or_another(self, c: Floats, action: Floats, own: Floats, number: Ints) -> Floats:
+    def _or_another(self, c: Floats, action: Floats, nearest: Floats, number: Ints) -> Floats:
         """What actions mean as motions to the next joint, where that fits them better than one along its own."""
         target = self.poses(c).translation + action
-        best, missed = own.copy(), np.full(len(c), np.inf)
+        best, missed = nearest.copy(), np.full(len(c), np.inf)
         for k, joint in enumerate(self.joints):
             rows = number == k
             if rows.any():
-                ahead = forward(joint, c[rows] + own[rows]).translation
+                ahead = forward(joint, c[rows] + nearest[rows]).translation
                 missed[rows] = np.linalg.norm(ahead - target[rows], axis=1)
         for k, (joint, (low, high)) in enumerate(zip(self.joints, self.ends, strict=True)):
             there = np.clip(self._on(joint, low, high, target, None), low, high)
@@ -136,15 +136,17 @@ class LinkMotion:
             return inverse(joint, position, rotation, near=near)
         if high - low < _TURN:
             return self._on(joint, low, high, position, rotation)
-        own = np.unwrap(inverse(joint, position, rotation))
-        least, most = (low - own.min()) / _TURN - _BESIDE, (high - own.max()) / _TURN + _BESIDE
+        configuration = np.unwrap(inverse(joint, position, rotation))
+        least, most = (low - configuration.min()) / _TURN - _BESIDE, (high - configuration.max()) / _TURN + _BESIDE
         turns = np.clip(0.0, np.ceil(least), np.floor(most)) if least <= most else np.round(0.5 * (least + most))
-        return np.asarray(own + _TURN * turns)
+        return np.asarray(configuration + _TURN * turns)
 
     def _on(self, joint: Joint, low: float, high: float, position: Floats, rotation: Rotation | None) -> Floats:
         """Configurations along one joint, whole turns counted from the middle of its range."""
-        known = [end for end in (low, high) if np.isfinite(end)]
-        return inverse(joint, position, rotation, near=float(np.mean(known)) if joint.kind == "revolute" else None)
+        finite_ends = [end for end in (low, high) if np.isfinite(end)]
+        return inverse(
+            joint, position, rotation, near=float(np.mean(finite_ends)) if joint.kind == "revolute" else None
+        )
 
 
 @memoised
@@ -155,15 +157,15 @@ def link_motions(automaton: HybridAutomaton) -> tuple[LinkMotion, ...]:
 
 def _motion(automaton: HybridAutomaton, number: int) -> LinkMotion:
     coordinate = automaton.links[number].coordinate
-    found: dict[Joint, tuple[float, float]] = {}
+    ranges: dict[Joint, tuple[float, float]] = {}
     intervals = [mode.interval(coordinate) for mode in automaton.modes]
     whole = min(low for low, _ in intervals), max(high for _, high in intervals)
     for mode, (low, high) in zip(automaton.modes, intervals, strict=True):
         joint = mode.joints[number]
         if joint.moves:
-            before = found.get(joint, (low, high))
-            found[joint] = min(before[0], low), max(before[1], high)
-    order = sorted(found.items(), key=lambda item: item[1])
+            before = ranges.get(joint, (low, high))
+            ranges[joint] = min(before[0], low), max(before[1], high)
+    order = sorted(ranges.items(), key=lambda item: item[1])
     follow = all(a[1][1] <= b[1][0] + _SAME for a, b in pairwise(order))
     if len(order) < 2 or not follow:
         # Modes with joints of their own over the same range do not follow each other: the first that moves measures.

@@ -22,12 +22,12 @@ def memoised_of_motion(function: _Function) -> _Function:
     return _memoised(function, _of_motion)
 
 
-def sharing_motion(automaton: HybridAutomaton, other: HybridAutomaton) -> HybridAutomaton:
+def sharing_motion(automaton: HybridAutomaton, template: HybridAutomaton) -> HybridAutomaton:
     """The automaton itself, from now on with another's cache of `memoised_of_motion` functions.
 
     Modes of both must move alike and be measured alike. They may differ in where their boundaries and pins are.
     """
-    automaton.derived[_OF_MOTION] = _of_motion(other)
+    automaton.derived[_OF_MOTION] = _of_motion(template)
     return automaton
 
 

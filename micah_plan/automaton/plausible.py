@@ -164,8 +164,8 @@ def _jumps(automaton: HybridAutomaton, edge: Edge) -> Iterator[str]:
     after = np.array(edge.reset.apply(before, np.zeros(automaton.m)))
     for pin in target.pins:
         after[pin.coordinate] = pin.value
-    for link, left, entered in zip(automaton.links, source.joints, target.joints, strict=True):
-        _, old = turns_and_translations(left, before[link.coordinate])
+    for link, exited, entered in zip(automaton.links, source.joints, target.joints, strict=True):
+        _, old = turns_and_translations(exited, before[link.coordinate])
         _, new = turns_and_translations(entered, after[link.coordinate])
         jump = float(np.linalg.norm(new - old))
         if jump > LARGEST_JUMP_M:

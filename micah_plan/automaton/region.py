@@ -90,17 +90,17 @@ class HalfSpace:
         """The half-space with its threshold `by` larger."""
         return replace(self, c=self.c + by)
 
-    def faces(self, other: HalfSpace) -> bool:
+    def faces(self, half_space: HalfSpace) -> bool:
         """Whether both are on the state alone and open in exactly opposite directions."""
-        if self.on_input or other.on_input or not self.on_state or not other.on_state:
+        if self.on_input or half_space.on_input or not self.on_state or not half_space.on_state:
             return False
-        return all(abs(x + y) <= 1e-9 for x, y in zip(self._normal, other._normal, strict=True))
+        return all(abs(x + y) <= 1e-9 for x, y in zip(self._normal, half_space._normal, strict=True))
 
-    def excludes(self, other: HalfSpace) -> bool:
+    def excludes(self, half_space: HalfSpace) -> bool:
         """Whether they face each other and have nothing in common but perhaps their boundary."""
-        if not self.faces(other):
+        if not self.faces(half_space):
             return False
-        return -other.c / other._size <= self.c / self._size + 1e-9
+        return -half_space.c / half_space._size <= self.c / self._size + 1e-9
 
     def margin(self, x: Floats, u: Floats) -> Floats:
         """a'x + b'u - c for x (..., n) and u (..., m); positive inside."""
@@ -187,8 +187,8 @@ class Region:
         rows = tuple(map(change, self.half_spaces))
         return self if all(map(operator.is_, rows, self.half_spaces)) else Region(rows)
 
-    def intersection(self, other: Region) -> Region:
-        return Region(self.half_spaces + tuple(h for h in other.half_spaces if h not in self.half_spaces))
+    def intersection(self, region: Region) -> Region:
+        return Region(self.half_spaces + tuple(h for h in region.half_spaces if h not in self.half_spaces))
 
 
 def above(index: int, threshold: float, n: int, m: int, *, strict: bool = False, name: str = "x") -> HalfSpace:
@@ -252,9 +252,9 @@ def is_empty(region: Region) -> bool:
     slack = np.array([[1.0 if h.strict else 0.0] for h in rows])
     bounds = [(None, None)] * weights.shape[1] + [(0.0, 1.0)]
     objective = np.append(np.zeros(weights.shape[1]), -1.0)
-    found = linprog(objective, np.hstack([-weights, slack]), [-h.c for h in rows], bounds=bounds, method="highs")
+    solution = linprog(objective, np.hstack([-weights, slack]), [-h.c for h in rows], bounds=bounds, method="highs")
     strict = any(h.strict for h in rows)
-    return bool(found.status == 2 or (strict and found.status == 0 and found.x[-1] <= _ROOM))
+    return bool(solution.status == 2 or (strict and solution.status == 0 and solution.x[-1] <= _ROOM))
 
 
 def _is_empty_box(region: Region) -> bool:

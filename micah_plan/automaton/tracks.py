@@ -59,13 +59,13 @@ def measuring_links(automaton: HybridAutomaton) -> tuple[tuple[int, Link], ...]:
     A part that is fixed to its parent measures nothing, and one that follows the coordinate in some modes measures it
     there only.
     """
-    found: dict[int, tuple[int, Link]] = {}
+    links: dict[int, tuple[int, Link]] = {}
     moves = [sum(mode.joints[n].moves for mode in automaton.modes) for n in range(len(automaton.links))]
     for number, link in enumerate(automaton.links):
-        before = found.get(link.coordinate)
+        before = links.get(link.coordinate)
         if before is None or moves[before[0]] < moves[number]:
-            found[link.coordinate] = (number, link)
-    return tuple(found.values())
+            links[link.coordinate] = (number, link)
+    return tuple(links.values())
 
 
 def tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[Track, ...]:
@@ -88,9 +88,9 @@ def tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[Track, ...
     return outside if _disbelief(outside) < _disbelief(inside) else inside
 
 
-def _disbelief(found: tuple[Track, ...]) -> float:
+def _disbelief(tracks: tuple[Track, ...]) -> float:
     """Sum of squares of what was believed minus what was measured [rad² or m²]."""
-    return float(sum(np.nansum((track.believed - track.x) ** 2) for track in found if track.believed is not None))
+    return float(sum(np.nansum((track.believed - track.x) ** 2) for track in tracks if track.believed is not None))
 
 
 def _part_of_link(automaton: HybridAutomaton, recording: Recording) -> tuple[str, ...]:
@@ -151,26 +151,28 @@ def _believed(automaton: HybridAutomaton, named: dict[str, Recording], x: Floats
         x: (T, n) measured ones, in whose turn believed ones are.
     """
     poses = {name: part.believed() for name, part in named.items()}
-    told = {name: part for name, part in poses.items() if part is not None}
-    if len(told) < len(poses):
+    measured = {name: part for name, part in poses.items() if part is not None}
+    if len(measured) < len(poses):
         return None
-    is_known = np.all([np.isfinite(part.position).all(axis=1) for part in told.values()], axis=0)
+    is_known = np.all([np.isfinite(part.position).all(axis=1) for part in measured.values()], axis=0)
     if not is_known.any():
         return None
-    found = np.full((len(is_known), automaton.n), np.nan)
-    found[is_known] = _seen(automaton, {name: part.rows(is_known) for name, part in told.items()}, x[is_known])[3]
-    return found
+    configurations = np.full((len(is_known), automaton.n), np.nan)
+    configurations[is_known] = _seen(
+        automaton, {name: part.rows(is_known) for name, part in measured.items()}, x[is_known]
+    )[3]
+    return configurations
 
 
 def read_by_sensors(automaton: HybridAutomaton, x: Floats, since: Floats) -> Floats:
     """Measured configurations (T, n), `since` (T,) s after the start, without the automaton's effects on sensors."""
     read = np.array(x)
     for effect in automaton.effects:
-        own = form(effect.name)
-        if own.layer == "sensor":  # these are affine
+        effect_form = form(effect.name)
+        if effect_form.layer == "sensor":  # these are affine
             i = automaton.index(effect.coordinate)
-            zero = own.measured(np, 0.0 * since, since, effect.values)
-            slope = own.measured(np, 1.0 + 0.0 * since, since, effect.values) - zero
+            zero = effect_form.measured(np, 0.0 * since, since, effect.values)
+            slope = effect_form.measured(np, 1.0 + 0.0 * since, since, effect.values) - zero
             read[:, i] = (read[:, i] - zero) / slope
     return read
 
@@ -208,13 +210,13 @@ def _relative_actions(
     """
     ahead: dict[str, RigidTransform] = {}
     actions = []
-    for number, (link, own, seen) in enumerate(zip(automaton.links, by_link, relative, strict=True)):
-        action = np.zeros((len(x), 3)) if own.action is None else own.action
-        asked = own.position[:-1] + action[:-1]
-        pose = seen.poses()[:-1]
+    for number, (link, part_track, relative_pose) in enumerate(zip(automaton.links, by_link, relative, strict=True)):
+        action = np.zeros((len(x), 3)) if part_track.action is None else part_track.action
+        asked = part_track.position[:-1] + action[:-1]
+        pose = relative_pose.poses()[:-1]
         frame = ahead.get(link.parent)
         within = asked if frame is None else frame.inv().apply(asked)
-        actions.append(within - seen.position[:-1])
+        actions.append(within - relative_pose.position[:-1])
         path, c = link_motions(automaton)[number], x[:-1, link.coordinate]
         u = np.nan_to_num(path.commanded(c, actions[-1]))
         moved = path.poses(c + u) * path.poses(c).inv() * pose
@@ -247,7 +249,9 @@ def displacements(automaton: HybridAutomaton, x: Floats, action: Floats) -> Floa
     Raises:
         InputError: if the first mode does not tell the inputs apart.
     """
-    followed = {automaton.index(own.coordinate) for own in automaton.effects if form(own.name).layer == "place"}
+    followed = {
+        automaton.index(effect.coordinate) for effect in automaton.effects if form(effect.name).layer == "place"
+    }
     u = np.zeros((len(action), automaton.n))
     for number, link in measuring_links(automaton):
         path, c = link_motions(automaton)[number], x[: len(action), link.coordinate]

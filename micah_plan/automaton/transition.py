@@ -138,13 +138,13 @@ def step(automaton: HybridAutomaton, mode: str, x: Values, u: Values, disturbanc
     Raises:
         InputError: unknown mode, wrong number of values, or a value that is not finite.
     """
-    start, given = automaton.state(x), automaton.input(u)
+    start, command = automaton.state(x), automaton.input(u)
     pushed = vector({} if disturbance is None else disturbance, automaton.coordinate_names, "disturbance", "coordinate")
     index, after = automaton.mode_index(mode), dict[int, float]()
     if automaton.input_memories:
-        passed, after = passed_on(np, automaton.input_memories, mode, start.tolist(), given.tolist())
-        given = np.array(passed, dtype=float)
-    travel = _alone(automaton).travel(np.array([index]), start[None], given[None], pushed[None])
+        passed, after = passed_on(np, automaton.input_memories, mode, start.tolist(), command.tolist())
+        command = np.array(passed, dtype=float)
+    travel = _alone(automaton).travel(np.array([index]), start[None], command[None], pushed[None])
     final = travel.x[0]
     for i, value in after.items():  # memories take their next values when the step ends
         final[i] = value
@@ -331,14 +331,14 @@ class TransitionBatch:
         leaving, instant = self._mode(group.mode), group.instant
         edge, target = int(leaving.edges[number]), int(leaving.targets[number])
         mode, rows, is_self = self._mode(target), group.rows, bool(leaving.is_self[number])
-        given, pushed = u[rows], disturbance[rows]
+        command, pushed = u[rows], disturbance[rows]
         x, kept = group.x.copy(), group.d
         reset = leaving.resets[number]
         if reset is not None:
             A, B, c = reset
-            x, kept = x @ A.T + given @ B.T + c, kept @ A.T
+            x, kept = x @ A.T + command @ B.T + c, kept @ A.T
         mode.pin(x)
-        d = mode.tied(np.where(mode.free, kept, 0.0)) if is_self else mode.displacement(rows, x, given, pushed)
+        d = mode.tied(np.where(mode.free, kept, 0.0)) if is_self else mode.displacement(rows, x, command, pushed)
         if events is not None:
             names = (self._automaton.mode_names[index] for index in (group.mode, target))
             source, entered = names
@@ -380,15 +380,15 @@ class _Mode:
         self.targets = np.array([automaton.mode_index(e.target) for e in exits] or [-1])
         self.is_self = np.array([e.is_self_transition for e in exits] or [True])
         self.resets = [None if e.reset.is_identity else e.reset.matrices(n, automaton.m) for e in exits]
-        own = [tuple(map(_row, e.guard.half_spaces)) for e in exits]
-        most = max(map(len, own), default=1) or 1
-        guards = [(*rows, *(_ALWAYS,) * (most - len(rows))) for rows in own] or [(_NEVER,)]
+        exit_rows = [tuple(map(_row, e.guard.half_spaces)) for e in exits]
+        most = max(map(len, exit_rows), default=1) or 1
+        guards = [(*rows, *(_ALWAYS,) * (most - len(rows))) for rows in exit_rows] or [(_NEVER,)]
         rows = list(zip(*guards, strict=True))
         self.states = np.array([_padded(row.states, n) for own in rows for row in own])
         self.inputs = np.array([_padded(row.inputs, automaton.m) for own in rows for row in own])
-        self.thresholds = np.array([[[row.c] for row in own] for own in rows])
-        self.tolerances = np.array([[[row.tolerance] for row in own] for own in rows])
-        self.strict = np.array([[[row.strict] for row in own] for own in rows])
+        self.thresholds = np.array([[[row.c] for row in row] for row in rows])
+        self.tolerances = np.array([[[row.tolerance] for row in row] for row in rows])
+        self.strict = np.array([[[row.strict] for row in row] for row in rows])
         self.gains = gain_factors(automaton, mode, gains) if gains.any() else None
 
     def pin(self, x: Floats) -> None:

@@ -77,5 +77,5 @@ def _way_out(automaton: HybridAutomaton, edge: Edge) -> HalfSpace | None:
 def _returns(automaton: HybridAutomaton, edge: Edge, half_space: HalfSpace) -> bool:
     """Whether a transition leads back on the other side of a boundary."""
     others = [e for e in automaton.edges if (e.source, e.target) == (edge.target, edge.source)]
-    rows = [h for other in others for h in other.guard.half_spaces]
+    rows = [h for other_edge in others for h in other_edge.guard.half_spaces]
     return any(h.excludes(half_space) for h in rows)

@@ -91,8 +91,8 @@ def through_guards(
         taken, pieces = _cross(layout, mode, pieces, may[ahead].nonzero()[0], way)
         if taken is not None:
             onward.setdefault(way.target, []).append(taken)
-        left = (pieces.probability >= NEGLIGIBLE).nonzero()[0]
-        pieces, free, first = pieces.where(left), those(free, left), first + ahead + 1
+        alive = (pieces.probability >= NEGLIGIBLE).nonzero()[0]
+        pieces, free, first = pieces.where(alive), those(free, alive), first + ahead + 1
     return [*ended, pieces.ends()] if pieces.owner.size else ended
 
 
@@ -139,13 +139,13 @@ def _leave_at_once(
             if not chosen.size:
                 continue
             here = part.where(chosen)
-            gone, left = (here, []) if not len(way.on_state) else _divided_at_start(here, way)
+            gone, remaining = (here, []) if not len(way.on_state) else _divided_at_start(here, way)
             crosses = (gone.probability >= NEGLIGIBLE).nonzero()[0]
             if crosses.size:
                 taken = gone.where(crosses)
                 binding = _binding(taken.mean[0], taken.factor[0], taken.u, way) if len(way.on_state) else None
                 onward.setdefault(way.target, []).append(transition(layout, mode, taken, way, binding))
-            after += [(one, those(opened, chosen), until[chosen]) for one in left]
+            after += [(piece, those(opened, chosen), until[chosen]) for piece in remaining]
         parts = after
 
 
@@ -169,8 +169,8 @@ def _given(pieces: Pieces, margin: Floats, row: Floats, chance: Floats) -> Piece
     cut = ((chance < 1.0) & (chance >= NEGLIGIBLE)).nonzero()[0]
     if cut.size:
         mean, factor = mean.copy(), factor.copy()
-        own = those(mean, cut), those(factor, cut), margin[cut], those(row, cut)
-        mean[..., cut], factor[..., cut] = truncated(*own)
+        cut_mean = those(mean, cut), those(factor, cut), margin[cut], those(row, cut)
+        mean[..., cut], factor[..., cut] = truncated(*cut_mean)
     return replace(pieces, probability=pieces.probability * chance, mean=mean, factor=factor)
 
 
@@ -189,10 +189,10 @@ def _reached(doors: Doors, pieces: Pieces, events: int) -> Booleans:
     start, end = margin + doors.far @ std >= 0.0
     reached = doors.all_hold(start | end)
     if events and np.count_nonzero(reached):
-        known = ~np.isnan(pieces.pinned_at)
+        is_free = ~np.isnan(pieces.pinned_at)
         start_margin = margin[0]
-        if np.count_nonzero(known):
-            start_margin = doors.rows.a @ np.where(known, pieces.pinned_at, pieces.mean[0]) - offset
+        if np.count_nonzero(is_free):
+            start_margin = doors.rows.a @ np.where(is_free, pieces.pinned_at, pieces.mean[0]) - offset
         reached &= doors.any_holds(margin[1] - margin[0] > SMALLEST_STD) | doors.all_hold(start_margin > SMALLEST_STD)
     return reached
 
@@ -200,9 +200,9 @@ def _reached(doors: Doors, pieces: Pieces, events: int) -> Booleans:
 def _cross(layout: Layout, mode: ModeLayout, pieces: Pieces, chosen: Ints, way: Exit) -> tuple[Pieces | None, Pieces]:
     """The shares of the chosen pieces that take an exit, in its target with the rest of the step to go; the others."""
     if not len(way.on_state):
-        left = pieces.probability.copy()
-        left[chosen] = 0.0
-        return transition(layout, mode, pieces.where(chosen), way, None), replace(pieces, probability=left)
+        remaining = pieces.probability.copy()
+        remaining[chosen] = 0.0
+        return transition(layout, mode, pieces.where(chosen), way, None), replace(pieces, probability=remaining)
     probability, mean, factor, u = pieces.probability, pieces.mean, pieces.factor, pieces.u
     if chosen.size < probability.size:
         probability, mean, factor, u = (those(values, chosen) for values in (probability, mean, factor, u))
@@ -215,13 +215,13 @@ def _cross(layout: Layout, mode: ModeLayout, pieces: Pieces, chosen: Ints, way: 
         chosen, binding, margins = chosen[reach], binding.where(reach), margins.where(reach)
         probability, mean, factor, u = (those(values, reach) for values in (probability, mean, factor, u))
     shares = split(mean, factor, margins)
-    taken, left = probability * shares.probability
+    taken, remaining = probability * shares.probability
     rest = shares.mean[1], shares.factor[1]
     if len(way.on_state) > 1:
         taken = taken * _within_others(shares, way, binding, u)
         # The complement of a corner is no half-space: what stays keeps the moments of the whole.
-        rest, left = (mean, factor), probability - taken
-    staying = pieces.replaced(chosen, left, *rest)
+        rest, remaining = (mean, factor), probability - taken
+    staying = pieces.replaced(chosen, remaining, *rest)
     crosses = (taken >= NEGLIGIBLE).nonzero()[0]
     if not crosses.size:
         return None, staying
@@ -273,8 +273,8 @@ def _within_others(shares: Shares, way: Exit, binding: Binding, u: Floats) -> Fl
         inside = ndtr(ahead[cut] / std[cut])
         within[cut] *= np.where(inside >= NEGLIGIBLE, inside, 0.0)
         cut = cut[inside >= NEGLIGIBLE]
-        own, row = those(factor, cut), those(rows, cut)
-        mean[..., cut], factor[..., cut] = truncated(those(mean, cut), own, ahead[cut], row)
+        cut_factor, row = those(factor, cut), those(rows, cut)
+        mean[..., cut], factor[..., cut] = truncated(those(mean, cut), cut_factor, ahead[cut], row)
     return within
 
 
@@ -308,12 +308,12 @@ def _slid_along(mode: ModeLayout, pieces: Pieces, way: Exit, chosen: Ints) -> Pi
         # The part of the boundary's normal along which the mode can give way.
         normal = a.copy()
         normal[list(mode.still)] = 0.0
-        own = (at_it & (pressed == number) & (ends[number] > SMALLEST_STD)).nonzero()[0]
-        if not own.size or not normal.any():
+        pressing = (at_it & (pressed == number) & (ends[number] > SMALLEST_STD)).nonzero()[0]
+        if not pressing.size or not normal.any():
             continue
-        back, which = (normal / float(normal @ normal))[:, None], chosen[own]
+        back, which = (normal / float(normal @ normal))[:, None], chosen[pressing]
         mean, factor, displacement = pieces.mean.copy(), pieces.factor.copy(), pieces.displacement.copy()
-        mean[1][:, which] -= back * ends[number, own]
+        mean[1][:, which] -= back * ends[number, pressing]
         factor[1][..., which] -= back[:, None] * weighted(a, those(factor[1], which))
         displacement[:, which] -= back * (a @ those(displacement, which))
         pieces = replace(pieces, mean=mean, factor=factor, displacement=displacement)

@@ -88,7 +88,7 @@ def initial_belief(
     factor = np.diag(_valid_stds(width)) if width.ndim == 1 else _root(width)
     name = _mode_at(automaton, center, factor) if mode is None else automaton.mode(mode).name
     layout = layout_of(automaton)
-    index = next(own.index for own in layout.modes if own.mode.name == name)
+    index = next(mode.index for mode in layout.modes if mode.mode.name == name)
     q, b = len(layout.modes), layout.stds.size
     factor = np.block([[factor, np.zeros((n, b))], [np.zeros((b, n)), np.diag(layout.stds)]])
     center = np.concatenate([center, np.zeros(b)])
@@ -100,9 +100,9 @@ def initial_belief(
 
 def repeated(automaton: HybridAutomaton, belief: HybridBelief, count: int) -> BeliefBatch:
     """The same belief `count` times."""
-    one = batch_of([belief], layout_of(automaton).stds)
-    weights, means, factors = (np.repeat(values, count, axis=-1) for values in one.side_by_side())
-    return BeliefBatch.of(weights, means, factors, one.n)
+    batch = batch_of([belief], layout_of(automaton).stds)
+    weights, means, factors = (np.repeat(values, count, axis=-1) for values in batch.side_by_side())
+    return BeliefBatch.of(weights, means, factors, batch.n)
 
 
 def predict(automaton: HybridAutomaton, belief: Belief, u: ArrayLike) -> Belief:
@@ -130,12 +130,16 @@ def update(automaton: HybridAutomaton, belief: Belief, z: ArrayLike) -> Belief:
     Args:
         z: (n,) [rad or m]; of many beliefs (t, n).
     """
-    layout, found = layout_of(automaton), np.asarray(z, dtype=float)
+    layout, measurement = layout_of(automaton), np.asarray(z, dtype=float)
     if isinstance(belief, BeliefBatch):
-        return _updated(layout, belief, found.T, belief.weights.T > 0)[0] if np.isfinite(found).any() else belief
-    if found.shape != (automaton.n,):
-        raise InputError(f"a measurement must have shape ({automaton.n},). Got {found.shape}")
-    return update_each(automaton, [belief], found[None])[0]
+        return (
+            _updated(layout, belief, measurement.T, belief.weights.T > 0)[0]
+            if np.isfinite(measurement).any()
+            else belief
+        )
+    if measurement.shape != (automaton.n,):
+        raise InputError(f"a measurement must have shape ({automaton.n},). Got {measurement.shape}")
+    return update_each(automaton, [belief], measurement[None])[0]
 
 
 def predict_each(automaton: HybridAutomaton, beliefs: Sequence[HybridBelief], u: Floats) -> list[HybridBelief]:
@@ -214,7 +218,7 @@ def _predicted(layout: Layout, beliefs: BeliefBatch, u: Floats) -> BeliefBatch:
             pieces = joined(groups)
             tired = events >= MOST_EVENTS
             ends = [pieces.ends()] if tired else through_guards(layout, layout.modes[index], pieces, events, onward)
-            arrived += [(index, own) for own in ends]
+            arrived += [(index, end) for end in ends]
         travelling, events = onward, events + 1
     return assembled(layout, arrived, count, remembered)
 
@@ -233,11 +237,11 @@ def _completed(layout: Layout, beliefs: BeliefBatch) -> BeliefBatch:
         mean, factor = mixed(weights, [means[:, q] for q in modes], [factors[:, :, q] for q in modes])
     means, factors = means.copy(), factors.copy()
     for mode in layout.modes:
-        own = lacking[mode.index].nonzero()[0]
-        if own.size:
-            at_pins = replaced_at_pins(those(mean, own), those(factor, own), mode.mode.pins)
-            means[:, mode.index, own] = at_pins[0]
-            factors[:, :, mode.index, own] = lower_factors(at_pins[1]) if mode.pinned else at_pins[1]
+        owners = lacking[mode.index].nonzero()[0]
+        if owners.size:
+            at_pins = replaced_at_pins(those(mean, owners), those(factor, owners), mode.mode.pins)
+            means[:, mode.index, owners] = at_pins[0]
+            factors[:, :, mode.index, owners] = lower_factors(at_pins[1]) if mode.pinned else at_pins[1]
     return BeliefBatch.of(weights, means, factors, beliefs.n)
 
 
@@ -265,8 +269,8 @@ def _updated(layout: Layout, beliefs: BeliefBatch, z: Floats, chosen: Booleans) 
     if at.size < chosen.size:
         after, narrowed = with_those(means, at, after), with_those(factors, at, narrowed)
     evidence = best + np.log(weights.sum(axis=0))
-    found = BeliefBatch.of(weights / weights.sum(axis=0), after, narrowed, layout.own)
-    return _found_again(layout, beliefs, found, z, evidence)
+    posterior = BeliefBatch.of(weights / weights.sum(axis=0), after, narrowed, layout.own)
+    return _found_again(layout, beliefs, posterior, z, evidence)
 
 
 def _found_again(
@@ -275,13 +279,15 @@ def _found_again(
     """The beliefs after a measurement, begun anew where that is more probable than what their modes say; and where."""
     anew = np.zeros(evidence.size, dtype=bool)
     weights, means, factors = after.side_by_side()
-    for own in map(int, (evidence < most_evidence(layout, z)).nonzero()[0]):
-        found, chance = found_again(layout, before.where([own]), z[:, own])
-        if chance > evidence[own]:
+    for owner in map(int, (evidence < most_evidence(layout, z)).nonzero()[0]):
+        recovered, chance = found_again(layout, before.where([owner]), z[:, owner])
+        if chance > evidence[owner]:
             if not anew.any():
                 weights, means, factors = weights.copy(), means.copy(), factors.copy()
-            anew[own] = True
-            weights[..., own], means[..., own], factors[..., own] = (one[..., 0] for one in found.side_by_side())
+            anew[owner] = True
+            weights[..., owner], means[..., owner], factors[..., owner] = (
+                values[..., 0] for values in recovered.side_by_side()
+            )
     return BeliefBatch.of(weights, means, factors, after.n), anew
 
 
@@ -300,18 +306,18 @@ def _outside(layout: Layout, mode: Ints, before: Gaussians, after: Gaussians) ->
     margin, row = _margins(layout, np.concatenate([mode, mode]), *both)
     chances = log_probability(margin, row)
     says = chances[:, : mode.size] > _LOG_NEGLIGIBLE
-    score, last = (np.where(says, own, 0.0).sum(axis=0) for own in np.split(chances, 2, axis=1))
+    score, last = (np.where(says, half, 0.0).sum(axis=0) for half in np.split(chances, 2, axis=1))
     behind = np.flatnonzero((says & (margin[:, mode.size :] < 0)).any(axis=0))
     if behind.size:
         # One guard after the other, each given the ones before.
         last[behind], (mean, factor) = 0.0, (those(values, behind) for values in after)
         for number in range(len(margin)):
-            own, rows = (values[number] for values in _margins(layout, mode[behind], mean, factor))
-            own[~says[number, behind]] = np.inf
-            last[behind] += log_probability(own, rows)
-            out = (own < 0).nonzero()[0]
+            margins, rows = (values[number] for values in _margins(layout, mode[behind], mean, factor))
+            margins[~says[number, behind]] = np.inf
+            last[behind] += log_probability(margins, rows)
+            out = (margins < 0).nonzero()[0]
             if out.size:
-                inward, root = truncated(those(mean, out), those(factor, out), own[out], those(rows, out))
+                inward, root = truncated(those(mean, out), those(factor, out), margins[out], those(rows, out))
                 mean[:, out], factor[..., out] = inward, lower_factors(root)
         after[0][:, behind], after[1][..., behind] = mean, factor
     return np.asarray(last - score)
@@ -329,9 +335,9 @@ def _sensing_std(layout: Layout, mode: Ints, mean: Floats) -> Floats:
     if layout.std is not None:
         return those(layout.std, mode)
     std = np.empty(mean.shape)
-    for index, own in enumerate(layout.sensing):
+    for index, sensing in enumerate(layout.sensing):
         chosen = (mode == index).nonzero()[0]
-        std[:, chosen] = own.std_at(those(mean, chosen).T).T
+        std[:, chosen] = sensing.std_at(those(mean, chosen).T).T
     return std
 
 
@@ -375,7 +381,7 @@ def most_evidence(layout: Layout, z: Floats) -> Floats:
 
     Evidence of a belief above it needs no comparison: that is nearly always so, and cheap to know.
     """
-    sharpest = np.maximum(np.min([own.std for own in layout.sensing], axis=0)[: len(z)], SMALLEST_STD)
+    sharpest = np.maximum(np.min([sensing.std for sensing in layout.sensing], axis=0)[: len(z)], SMALLEST_STD)
     densest = np.maximum(-np.log(np.sqrt(2 * np.pi) * sharpest), -np.log(_widths(layout)[: len(z)]))
     return np.asarray(np.where(np.isfinite(z), densest[:, None], 0.0).sum(axis=0) + np.log(NEGLIGIBLE))
 
@@ -387,16 +393,19 @@ def found_again(layout: Layout, belief: BeliefBatch, z: Floats) -> tuple[BeliefB
     collided it is nowhere: that is said of a way, not of a place.
     """
     n, q, widths = layout.n, len(layout.modes), _widths(layout)
-    modes = [index for index, own in enumerate(layout.modes) if own.mode.name != COLLIDED]
+    modes = [index for index, mode in enumerate(layout.modes) if mode.mode.name != COLLIDED]
     before, spread = _marginals(belief)
     measured = np.full(n, np.nan)
     measured[: layout.own] = z
     scores, means, factors = np.full(q, -np.inf), np.tile(before[:, None, None], (1, q, 1)), np.zeros((n, n, q, 1))
     for index in modes:
         std = layout.sensing[index].std_at(np.where(np.isfinite(measured), measured, before))
-        seen = np.isfinite(measured) & np.isfinite(std)
-        mean, within = np.where(seen, measured, before), np.where(seen, np.maximum(std, SMALLEST_STD), spread)
-        density = np.where(seen, -np.log(widths), 0.0)
+        is_measured = np.isfinite(measured) & np.isfinite(std)
+        mean, within = (
+            np.where(is_measured, measured, before),
+            np.where(is_measured, np.maximum(std, SMALLEST_STD), spread),
+        )
+        density = np.where(is_measured, -np.log(widths), 0.0)
         mean, covariance, score = _in_mode(layout.modes[index].mode, mean, np.diag(within**2), density)
         scores[index] = score + _log_chance(layout, index, mean, covariance) - np.log(len(modes))
         means[:, index, 0] = mean
@@ -425,10 +434,10 @@ def _in_mode(mode: Mode, mean: Floats, covariance: Floats, density: Floats) -> t
 def _marginals(belief: BeliefBatch) -> tuple[Floats, Floats]:
     """(n,) mean and stds of a single belief's states and boundaries."""
     weights, means, factors = belief.weights[0], belief.joint_means[0], belief.joint_factors[0]
-    some = weights > 0
-    weights, means = weights[some], means[some]
+    positive = weights > 0
+    weights, means = weights[positive], means[positive]
     mean = weights @ means
-    return mean, np.sqrt(weights @ (np.square(factors[some]).sum(axis=2) + np.square(means - mean)))
+    return mean, np.sqrt(weights @ (np.square(factors[positive]).sum(axis=2) + np.square(means - mean)))
 
 
 def _known(mode: Mode, n: int) -> Iterator[tuple[int, Floats, float, float]]:
@@ -456,7 +465,7 @@ def _log_chance(layout: Layout, index: int, x: Floats, covariance: Floats) -> fl
 
 def _widths(layout: Layout) -> Floats:
     """(n,) of the range of each coordinate over the modes."""
-    modes = [own.mode for own in layout.modes if own.mode.name != COLLIDED]
+    modes = [mode.mode for mode in layout.modes if mode.mode.name != COLLIDED]
     ranges = [layout.automaton.ranges(i, modes) for i in range(layout.n)]
     widths = np.array([own[-1][1] - own[0][0] if own else _WIDTH for own in ranges])
     return np.where(np.isfinite(widths) & (widths > 0), widths, _WIDTH)
@@ -489,7 +498,7 @@ def assembled(
     """
     q, n = len(layout.modes), layout.n
     weights, means, factors = np.zeros(q * count), np.zeros((n, q * count)), np.zeros((n, n, q * count))
-    numbers = [index * count + own.owner for index, own in arrived]
+    numbers = [index * count + ends.owner for index, ends in arrived]
     pieces = np.bincount(np.concatenate(numbers), minlength=q * count)
     alone = [(pieces[number] == 1).nonzero()[0] for number in numbers]
     single, at = _gathered(arrived, numbers, alone)
@@ -514,8 +523,10 @@ def _gathered(
     arrived: Sequence[tuple[int, Ends]], numbers: Sequence[Ints], chosen: Sequence[Ints]
 ) -> tuple[Ends, Ints]:
     """The chosen ones of all groups, and their numbers (p,)."""
-    groups = [ends.where(some) for (_, ends), some in zip(arrived, chosen, strict=True) if some.size]
-    at = [number[some] for number, some in zip(numbers, chosen, strict=True) if some.size]
+    groups = [
+        ends.where(chosen_ends) for (_, ends), chosen_ends in zip(arrived, chosen, strict=True) if chosen_ends.size
+    ]
+    at = [number[chosen_ends] for number, chosen_ends in zip(numbers, chosen, strict=True) if chosen_ends.size]
     if len(groups) <= 1:
         return (groups[0], at[0]) if groups else (arrived[0][1], np.zeros(0, dtype=np.int64))
     owner, probability, mean = (

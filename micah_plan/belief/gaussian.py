@@ -47,18 +47,18 @@ def weighted(weights: Floats, factors: Floats) -> Floats:
     return np.asarray((weights @ factors.reshape(n, -1)).reshape(*weights.shape[:-1], *rest))
 
 
-def with_those(values: Floats, chosen: Ints, own: Floats) -> Floats:
+def with_those(values: Floats, chosen: Ints, replacement: Floats) -> Floats:
     """Arrays (..., p) with others (..., c) for the ones with these numbers (c,)."""
     changed = values.copy()
-    put_those(changed, chosen, own)
+    put_those(changed, chosen, replacement)
     return changed
 
 
-def put_those(values: Floats, chosen: Ints, own: Floats) -> None:
+def put_those(values: Floats, chosen: Ints, replacement: Floats) -> None:
     """`with_those` in place."""
     # A run of numbers is copied as one piece.
     is_run = chosen.size > 0 and not np.count_nonzero(np.diff(chosen) != 1)
-    values[..., slice(chosen[0], chosen[-1] + 1) if is_run else chosen] = own
+    values[..., slice(chosen[0], chosen[-1] + 1) if is_run else chosen] = replacement
 
 
 def lower_factors(matrices: Floats, overwrite: bool = False) -> Floats:
@@ -113,14 +113,14 @@ def measured(means: Floats, factors: Floats, z: Floats, std: Floats) -> tuple[Fl
     """
     means, factors = means.copy(), factors.copy()
     square, scale = np.zeros(means.shape[1]), np.ones(means.shape[1])
-    seen = np.isfinite(z) & np.isfinite(std)
-    coordinates = np.flatnonzero(seen.any(axis=1))
+    is_measured = np.isfinite(z) & np.isfinite(std)
+    coordinates = np.flatnonzero(is_measured.any(axis=1))
     for i in coordinates:
         deviation, away, row = np.maximum(std[i], SMALLEST_STD), z[i] - means[i], factors[i].copy()
-        if np.count_nonzero(seen[i]) < len(away):
+        if np.count_nonzero(is_measured[i]) < len(away):
             # Where it is not seen it tells nothing: nothing couples it to the state, and its density is 1.
-            deviation = np.where(seen[i], deviation, 1 / math.sqrt(2 * math.pi))
-            away, row = np.where(seen[i], away, 0.0), np.where(seen[i], row, 0.0)
+            deviation = np.where(is_measured[i], deviation, 1 / math.sqrt(2 * math.pi))
+            away, row = np.where(is_measured[i], away, 0.0), np.where(is_measured[i], row, 0.0)
         # The innovation's variance grows by one column of the factor after the other, and so does the gain times it.
         variance, gain = deviation**2, factors[:0, 0]
         for j in range(i, -1, -1):

@@ -52,8 +52,8 @@ class BeliefBatch:
 
     def where(self, chosen: Sequence[int]) -> BeliefBatch:
         """Those with these numbers."""
-        own = list(chosen)
-        return BeliefBatch(self.weights[own], self.joint_means[own], self.joint_factors[own], self.n)
+        beliefs = list(chosen)
+        return BeliefBatch(self.weights[beliefs], self.joint_means[beliefs], self.joint_factors[beliefs], self.n)
 
     @property
     def means(self) -> Floats:
@@ -123,7 +123,11 @@ def batch_of(beliefs: Sequence[HybridBelief], stds: Floats) -> BeliefBatch:
     Args:
         stds: (b,) of the uncertain boundaries in the model.
     """
-    joint = [_joint(belief, stds) for belief in beliefs] if stds.size else [(own.means, own.factors) for own in beliefs]
+    joint = (
+        [_joint(belief, stds) for belief in beliefs]
+        if stds.size
+        else [(belief.means, belief.factors) for belief in beliefs]
+    )
     means, factors = (np.array(values) for values in zip(*joint, strict=True))
     return BeliefBatch(np.array([belief.weights for belief in beliefs]), means, factors, means.shape[2] - stds.size)
 

@@ -159,14 +159,14 @@ def layout_of(automaton: HybridAutomaton) -> Layout:
     """The layout of an automaton, made once."""
     whole = with_boundary_states(automaton)
     sensing = tuple(whole.sensing(mode) for mode in whole.modes)
-    uniform = all(own.is_uniform for own in sensing)
+    uniform = all(sensing.is_uniform for sensing in sensing)
     return Layout(
         automaton=whole,
         own=automaton.n,
         stds=threshold_stds(automaton),
         modes=tuple(_mode(whole, index) for index in range(len(whole.modes))),
         sensing=sensing,
-        std=np.array([own.std for own in sensing]).T if uniform else None,
+        std=np.array([sensing.std for sensing in sensing]).T if uniform else None,
         outside=_outside(whole),
     )
 
@@ -174,11 +174,18 @@ def layout_of(automaton: HybridAutomaton) -> Layout:
 def _outside(whole: HybridAutomaton) -> tuple[Floats, Floats]:
     """`Layout.outside`."""
     guards = [[edge.guard.half_spaces for edge in whole.edges_from(mode.name)] for mode in whole.modes]
-    rows = [[own[0] for own in mode if len(own) == 1 and own[0].on_state and not own[0].on_input] for mode in guards]
+    rows = [
+        [
+            exit_rows[0]
+            for exit_rows in mode
+            if len(exit_rows) == 1 and exit_rows[0].on_state and not exit_rows[0].on_input
+        ]
+        for mode in guards
+    ]
     longest, q = max(map(len, rows)), len(rows)
     weights, offsets = np.zeros((longest, whole.n, q)), np.full((longest, q), -np.inf)
-    for index, own in enumerate(rows):
-        for number, half_space in enumerate(own):
+    for index, exit_rows in enumerate(rows):
+        for number, half_space in enumerate(exit_rows):
             weights[number, :, index], offsets[number, index] = -np.array(half_space.a), -half_space.c
     return weights, offsets
 
@@ -192,7 +199,7 @@ def _mode(whole: HybridAutomaton, index: int) -> ModeLayout:
         mode=mode,
         index=index,
         pinned=pinned,
-        still=tuple(i for i, own in enumerate(whole.coordinates) if i in pinned or not own.unit),
+        still=tuple(i for i, coordinate in enumerate(whole.coordinates) if i in pinned or not coordinate.unit),
         process=process[:, None],
         gain=bool(gain.any()),
         noisy=tuple(int(i) for i in np.flatnonzero((process > 0) | (gain > 0))),
@@ -203,8 +210,8 @@ def _mode(whole: HybridAutomaton, index: int) -> ModeLayout:
 
 def _doors(whole: HybridAutomaton, edges: Sequence[Edge]) -> Doors:
     on_state = [_on_state(edge) for edge in edges]
-    rows = Rows.of([h for own in on_state for h in own], whole.n, whole.m)
-    count = np.array([len(own) for own in on_state])
+    rows = Rows.of([h for exit_rows in on_state for h in exit_rows], whole.n, whole.m)
+    count = np.array([len(exit_rows) for exit_rows in on_state])
     of_exit = np.repeat(np.eye(len(edges)), count, axis=1)
     return Doors(rows, FAR_STDS * np.abs(rows.a), of_exit, count[:, None].astype(float))
 

@@ -90,8 +90,8 @@ class Pieces:
         """All pieces, with other Gaussians for those with these numbers."""
         if chosen.size < self.owner.size:
             whole = self.probability.copy(), self.mean.copy(), self.factor.copy()
-            for values, own in zip(whole, (probability, mean, factor), strict=True):
-                values[..., chosen] = own
+            for values, values_of_part in zip(whole, (probability, mean, factor), strict=True):
+                values[..., chosen] = values_of_part
             probability, mean, factor = whole
         return replace(self, probability=probability, mean=mean, factor=factor)
 
@@ -106,18 +106,18 @@ def joined(groups: Sequence[Pieces]) -> Pieces:
         return groups[0]
     parts = {name: [getattr(group, name) for group in groups] for name in vars(groups[0])}
     factor = side_by_side(parts.pop("factor"))
-    return Pieces(factor=factor, **{name: np.concatenate(own, axis=-1) for name, own in parts.items()})
+    return Pieces(factor=factor, **{name: np.concatenate(arrays, axis=-1) for name, arrays in parts.items()})
 
 
 def side_by_side(factors: Sequence[Floats]) -> Floats:
     """(..., k, p) several factors (..., k', p'), those with fewer columns filled up with zeros."""
     if len(factors) == 1:
         return factors[0]
-    widest, count = max(own.shape[-2] for own in factors), sum(own.shape[-1] for own in factors)
+    widest, count = max(factor.shape[-2] for factor in factors), sum(factor.shape[-1] for factor in factors)
     whole, first = np.zeros((*factors[0].shape[:-2], widest, count)), 0
-    for own in factors:
-        whole[..., : own.shape[-2], first : first + own.shape[-1]] = own
-        first += own.shape[-1]
+    for factor in factors:
+        whole[..., : factor.shape[-2], first : first + factor.shape[-1]] = factor
+        first += factor.shape[-1]
     return whole
 
 
@@ -146,10 +146,10 @@ class Binding:
     def along(self, rows: Floats) -> Floats:
         """(..., p) the weighted sum of rows (n, ..., p)."""
         (i, weight), *others = self.terms
-        found = weight * rows[i]
+        product = weight * rows[i]
         for i, weight in others:
-            found += weight * rows[i]
-        return np.asarray(found)
+            product += weight * rows[i]
+        return np.asarray(product)
 
     def margins(self, mean: Floats, factor: Floats) -> Margins:
         """Margins of joint states (2, n, p), (2, n, k, p)."""

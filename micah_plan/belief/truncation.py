@@ -137,10 +137,10 @@ def truncated(mean: Floats, factor: Floats, margin: Floats, row: Floats) -> tupl
 def log_probability(margin: Floats, row: Floats) -> Floats:
     """log P(m > 0) (..., p) of margins with means (..., p) and rows (..., k, p)."""
     z = margin / np.sqrt(np.einsum("...kp,...kp->...p", row, row) + SMALLEST_STD**2)
-    found, some = np.zeros(z.shape), (z < REACH).nonzero()
-    if some[0].size:
-        found[some] = log_ndtr(z[some])
-    return found
+    result, inside = np.zeros(z.shape), (z < REACH).nonzero()
+    if inside[0].size:
+        result[inside] = log_ndtr(z[inside])
+    return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,9 +162,9 @@ def _whitened(margins: Margins) -> tuple[Floats, Floats, _Plane]:
     """Two orthonormal directions (k, p) of the noise, of which the first alone moves m0, and the margins over them."""
     row0, row1 = margins.row
     s0 = length = np.sqrt(np.einsum("kp,kp->p", row0, row0))
-    known = s0 < SMALLEST_STD
-    if np.count_nonzero(known):
-        row0, s0 = np.where(known, row1, row0), np.where(known, 0.0, s0)
+    is_point = s0 < SMALLEST_STD
+    if np.count_nonzero(is_point):
+        row0, s0 = np.where(is_point, row1, row0), np.where(is_point, 0.0, s0)
         length = np.sqrt(np.einsum("kp,kp->p", row0, row0))
         length[length == 0.0] = np.inf
     first = row0 / length
@@ -188,18 +188,18 @@ def _moments_of_shares(plane: _Plane, inside: Booleans) -> tuple[Floats, Floats]
         moments, tail, sure = _closed(plane, inside)
         if np.count_nonzero(sure) == sure.size:
             return moments, tail
-        left = ~sure
+        is_open = ~sure
     else:
-        moments, tail, left = np.empty((6, 2, len(inside))), np.zeros(len(inside)), ~wedged
-        known = plane.s0 == 0
-        if known.any():
-            moments[..., known] = _from_known_start(plane.where(known), inside[known])
-            left &= ~known
+        moments, tail, is_open = np.empty((6, 2, len(inside))), np.zeros(len(inside)), ~wedged
+        is_point = plane.s0 == 0
+        if is_point.any():
+            moments[..., is_point] = _from_known_start(plane.where(is_point), inside[is_point])
+            is_open &= ~is_point
         if wedged.any():
             moments[..., wedged], tail[wedged], sure = _closed(plane.where(wedged), inside[wedged])
-            left[wedged] = ~sure
-    if left.any():
-        moments[..., left], tail[left] = _integrate(plane.where(left), inside[left])
+            is_open[wedged] = ~sure
+    if is_open.any():
+        moments[..., is_open], tail[is_open] = _integrate(plane.where(is_open), inside[is_open])
     return moments, tail
 
 
@@ -238,19 +238,19 @@ def _integrate(plane: _Plane, inside: Booleans) -> tuple[Floats, Floats]:
     edges = _breaks(plane)
     # Only intervals that are not empty: (i, nodes) of them, each with the number of its Gaussian.
     owner, number = np.nonzero(np.diff(edges, axis=1) > 0.0)
-    left, right = edges[owner, number][:, None], edges[owner, number + 1][:, None]
-    half = (right - left) / 2
-    zeta = (left + right) / 2 + half * _NODES
+    lower, right = edges[owner, number][:, None], edges[owner, number + 1][:, None]
+    half = (right - lower) / 2
+    zeta = (lower + right) / 2 + half * _NODES
     mass = half * _WEIGHTS * np.exp(-0.5 * zeta**2) / np.sqrt(2 * np.pi)
     m0, s0, m1, k, t = (v[owner, None] for v in (plane.m0, plane.s0, plane.m1, plane.k, plane.t))
     start, reach = m0 + s0 * zeta, m1 + k * zeta
-    behind, known = start > 0, inside[owner, None]
-    reach = np.where(behind, np.where(known, np.inf, reach - 2 * start), reach)
+    behind, inner = start > 0, inside[owner, None]
+    reach = np.where(behind, np.where(inner, np.inf, reach - 2 * start), reach)
     with np.errstate(divide="ignore", invalid="ignore"):
         spread = np.clip(-reach / t, -_SURELY, _SURELY)
     limit = np.where(t > 0, spread, np.where(reach > 0, -_SURELY, _SURELY))
     above, density = ndtr(-limit), np.exp(-0.5 * limit**2) / np.sqrt(2 * np.pi)
-    counted = np.where(known | ~behind, mass, 0.0)
+    counted = np.where(inner | ~behind, mass, 0.0)
     first = np.searchsorted(owner, np.arange(len(inside)))
     crossing = _summed(first, counted, zeta, above, density, limit)
     staying = _summed(first, mass, zeta, 1 - above, -density, limit)

@@ -130,7 +130,7 @@ def _fail(error: MicahError | str, code: int) -> NoReturn:
 def _say(error: MicahError | str) -> None:
     text = " ".join(str(error).split())
     if "--json" in sys.argv:
-        faults = [fault(one) for one in error.each()] if isinstance(error, InputError) else [{"message": text}]
+        faults = [fault(problem) for problem in error.each()] if isinstance(error, InputError) else [{"message": text}]
         print(json.dumps({"error": text, "errors": faults}))
     err.print(f"error: {text}", style="red")
 

@@ -87,14 +87,14 @@ class Said:
 
 
 def _columns(text: str | None) -> dict[str, str]:
-    found: dict[str, str] = {}
+    options: dict[str, str] = {}
     for pair in [] if text is None else text.split(","):
         ours, equals, theirs = (piece.strip() for piece in pair.partition("="))
-        if not (ours and equals and theirs) or ours in found:
+        if not (ours and equals and theirs) or ours in options:
             problem = f"expected OURS=THEIRS, each once, found {shown(pair)}"
             raise InputError(problem, source="--columns", remedy="e.g. --columns t=Time,x=TX,y=TY,z=TZ")
-        found[ours] = theirs
-    return found
+        options[ours] = theirs
+    return options
 
 
 def _units(text: str | None) -> dict[str, str]:
@@ -102,11 +102,11 @@ def _units(text: str | None) -> dict[str, str]:
     from micah_plan.recording.conventions import ANGLES, LENGTHS, TIMES
 
     kinds = {"length": LENGTHS, "angle": ANGLES, "time": TIMES}
-    found: dict[str, str] = {}
+    options: dict[str, str] = {}
     for unit in [] if text is None else [piece.strip() for piece in text.split(",")]:
         kind = next((kind for kind, units in kinds.items() if unit in units), None)
-        if kind is None or kind in found:
+        if kind is None or kind in options:
             problem = f"expected one unit each of length, angle and time, found {shown(text or '')}"
             raise InputError(problem, source="--units", remedy="e.g. --units mm,deg")
-        found[kind] = unit
-    return found
+        options[kind] = unit
+    return options

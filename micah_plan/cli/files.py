@@ -102,16 +102,16 @@ def convert(
     print_summary(as_json, summary, lambda: print_files((target,)))
 
 
-def _packages(given: Sequence[str]) -> dict[str, str]:
+def _packages(options: Sequence[str]) -> dict[str, str]:
     """Folder by package name, from NAME=FOLDER."""
-    found: dict[str, str] = {}
-    for text in given:
+    packages: dict[str, str] = {}
+    for text in options:
         name, equals, folder = text.partition("=")
         if not (name and equals and Path(folder).is_dir()):
             problem = f"expected NAME=FOLDER with a folder that exists, found {shown(text)}"
             raise InputError(problem, source="--package", remedy="e.g. --package cupboard_description=../cupboard")
-        found[name] = str(Path(folder).resolve())
-    return found
+        packages[name] = str(Path(folder).resolve())
+    return packages
 
 
 def schema(
@@ -230,16 +230,16 @@ def check(
     from micah_plan.checking import check_file
 
     with progress_bar(as_json) as progress:
-        found = []
+        checks = []
         for i, file in enumerate(files):
             progress(f"checking {file.name}", i / len(files))
-            found.append(check_file(file))
-    print_summary(as_json, checked(found), lambda: _print_checked(found))
-    if any(item.faults for item in found):
+            checks.append(check_file(file))
+    print_summary(as_json, checked(checks), lambda: _print_checked(checks))
+    if any(item.faults for item in checks):
         raise typer.Exit(BAD_INPUT)
 
 
-def checked(found: Sequence[FileCheck]) -> dict[str, Any]:
+def checked(checks: Sequence[FileCheck]) -> dict[str, Any]:
     """Keys of `check`: the number of faults, and per file its kind, faults and warnings."""
     files = [
         {
@@ -248,9 +248,9 @@ def checked(found: Sequence[FileCheck]) -> dict[str, Any]:
             "faults": [fault(error) for error in item.faults],
             "warnings": list(item.warnings),
         }
-        for item in found
+        for item in checks
     ]
-    return {"faults": sum(len(item.faults) for item in found), "files": files}
+    return {"faults": sum(len(item.faults) for item in checks), "files": files}
 
 
 def fault(error: InputError) -> dict[str, Any]:
@@ -260,8 +260,8 @@ def fault(error: InputError) -> dict[str, Any]:
     return {**place, "problem": error.problem, "remedy": error.remedy, "message": str(error)}
 
 
-def _print_checked(found: Sequence[FileCheck]) -> None:
-    for item in found:
+def _print_checked(checks: Sequence[FileCheck]) -> None:
+    for item in checks:
         for fault in item.faults:
             out.print(f"error: {fault}", style="red")
         for warning in item.warnings:
@@ -280,9 +280,9 @@ def diff(
     from micah_plan.documents.model import load_model
     from micah_plan.documents.model_difference import differences
 
-    found = differences(load_model(before), load_model(after))
-    lines = [_short(str(difference)) for difference in found] or ["the models are the same"]
-    print_summary(as_json, {"differences": [asdict(one) for one in found]}, lambda: print_lines(lines))
+    changes = differences(load_model(before), load_model(after))
+    lines = [_short(str(difference)) for difference in changes] or ["the models are the same"]
+    print_summary(as_json, {"differences": [asdict(change) for change in changes]}, lambda: print_lines(lines))
 
 
 def _short(line: str) -> str:
@@ -295,25 +295,25 @@ def doctor(as_json: JsonFlag = False) -> None:
     from micah_plan.environment import examine
 
     with progress_bar(as_json) as progress:
-        found = examine(progress)
+        environment = examine(progress)
     libraries = [
         {**asdict(item.library), "state": item.state, "version": item.version, "message": item.message}
-        for item in found.libraries
+        for item in environment.libraries
     ]
-    summary = {**asdict(found), "complete": found.complete, "libraries": libraries}
-    print_summary(as_json, summary, lambda: _print_environment(found))
-    if not found.complete:
+    summary = {**asdict(environment), "complete": environment.complete, "libraries": libraries}
+    print_summary(as_json, summary, lambda: _print_environment(environment))
+    if not environment.complete:
         raise typer.Exit(NO_RESULT)
 
 
-def _print_environment(found: Environment) -> None:
-    out.print(f"micah_plan {found.micah_plan}, Python {found.python}, {found.system}")
+def _print_environment(environment: Environment) -> None:
+    out.print(f"micah_plan {environment.micah_plan}, Python {environment.python}, {environment.system}")
     shown = table("library", "version", "state", "for", "extra")
-    for item in found.libraries:
+    for item in environment.libraries:
         library = item.library
         shown.add_row(library.name, item.version or "-", item.state, library.purpose, library.extra)
     out.print(shown)
-    out.print(f"IPOPT solves with: {', '.join(found.linear_solvers) or 'nothing'}")
-    out.print(f"browser: {found.browser or 'none'}")
-    for line in found.advice:
+    out.print(f"IPOPT solves with: {', '.join(environment.linear_solvers) or 'nothing'}")
+    out.print(f"browser: {environment.browser or 'none'}")
+    for line in environment.advice:
         out.print(line, style="yellow")

@@ -126,10 +126,10 @@ def learned(result: Learned, seed: int) -> dict[str, Any]:
     """
     edges = [{"parent": edge.parent, "child": edge.child, **_edge(edge)} for edge in result.graph.edges]
     tree = {"edges": edges, "tree_probability": result.graph.probability}
-    found = tree if len(edges) > 1 else _edge(result.graph.edges[0])
+    summary = tree if len(edges) > 1 else _edge(result.graph.edges[0])
     modes = () if result.automaton is None else result.automaton.mode_names
     outcome = {"modes": modes, "reason": result.reason, "warnings": result.warnings}
-    return {**found, **outcome, "seconds": result.seconds, "seed": seed}
+    return {**summary, **outcome, "seconds": result.seconds, "seed": seed}
 
 
 def _settings(texts: Sequence[str]) -> LearnSettings:
@@ -162,39 +162,39 @@ def _setting(name: str, text: str, default: Any) -> Any:
     from micah_plan.recording.text import is_number
 
     expected: str
-    found: float | None
+    probability: float | None
     if isinstance(default, bool):
-        expected, found = "true or false", {"true": True, "false": False}.get(text.lower())
+        expected, probability = "true or false", {"true": True, "false": False}.get(text.lower())
     elif isinstance(default, int):
-        expected, found = "a whole number", int(text) if text.isdecimal() and len(text) < 10 else None
+        expected, probability = "a whole number", int(text) if text.isdecimal() and len(text) < 10 else None
     else:
-        expected, found = "a number", float(text) if is_number(text) else None
+        expected, probability = "a number", float(text) if is_number(text) else None
         if default is None and text.lower() == "none":
             return None
-    if found is None:
+    if probability is None:
         problem = f"expected {expected} for {name}, found {shown(text)}"
         raise InputError(problem, source="--set", remedy="e.g. --set position_wander=0.001")
-    return found
+    return probability
 
 
 def _contents(
-    found: Learned, output: Path | None, figure: Path | None, html: Path | None, *, title: str
+    learned: Learned, output: Path | None, figure: Path | None, html: Path | None, *, title: str
 ) -> dict[Path, bytes]:
     """What to write, by file."""
     contents: dict[Path, bytes] = {}
-    if output is not None and found.automaton is not None:
+    if output is not None and learned.automaton is not None:
         from micah_plan.documents.model import model_text
 
-        contents[output] = model_text(found.automaton).encode()
+        contents[output] = model_text(learned.automaton).encode()
     if figure is not None:
         from micah_plan.view.figures import png
         from micah_plan.view.learning_figure import learning_figure
 
-        contents[figure] = png(learning_figure(found.recording, found.graph))
+        contents[figure] = png(learning_figure(learned.recording, learned.graph))
     if html is not None:
         from micah_plan.view.recording_page import recording_page
 
-        contents[html] = recording_page(found.recording, found.graph, title=title).encode()
+        contents[html] = recording_page(learned.recording, learned.graph, title=title).encode()
     return contents
 
 
@@ -259,8 +259,8 @@ def _segment(segment: Segment) -> dict[str, Any]:
     return data | {"model": "none", "parameters": {}, "best": best, "misfit": misses}
 
 
-def _deviation(found: Deviation) -> dict[str, Any]:
-    return {"position_m": found.position, "rotation_rad": found.rotation, "probability": found.probability}
+def _deviation(deviation: Deviation) -> dict[str, Any]:
+    return {"position_m": deviation.position, "rotation_rad": deviation.rotation, "probability": deviation.probability}
 
 
 def _parameters(joint: Joint) -> dict[str, Any]:
@@ -388,39 +388,39 @@ def explore(
     check_outputs(files_named_by(scene), (Output("-o", output, MODEL), Output("--html", html, PAGE)))
     asked, machine = load_scene(scene), named_plant(plant)
     with progress_bar(as_json) as progress:
-        found = stages.explore(asked, plant=machine, seed=seed, progress=progress)
-    contents = {} if found.model is None else {output: model_text(found.model).encode()}
+        exploration = stages.explore(asked, plant=machine, seed=seed, progress=progress)
+    contents = {} if exploration.model is None else {output: model_text(exploration.model).encode()}
     if html is not None:
         from micah_plan.view.exploration_page import exploration_page
 
-        contents[html] = exploration_page(found, title=title_of(scene)).encode()
+        contents[html] = exploration_page(exploration, title=title_of(scene)).encode()
     replace_files(contents)
-    summary = _explored(found) | {"model": None if found.model is None else str(output), "seed": seed}
-    print_summary(as_json, summary, lambda: _print_explored(found, tuple(contents)))
-    if found.outcome == "gave_up":
+    summary = _explored(exploration) | {"model": None if exploration.model is None else str(output), "seed": seed}
+    print_summary(as_json, summary, lambda: _print_explored(exploration, tuple(contents)))
+    if exploration.outcome == "gave_up":
         raise typer.Exit(NO_RESULT)
 
 
-def _explored(found: Exploration) -> dict[str, Any]:
+def _explored(exploration: Exploration) -> dict[str, Any]:
     """Keys of `explore`."""
     return {
-        "outcome": found.outcome,
-        "steps": found.steps,
-        "max_force_n": found.largest_force,
-        "joints": list(found.kinds),
-        "probability": found.probability,
-        "travel_m": found.travel,
-        "seconds": found.seconds,
-        "reason": found.reason,
-        "notes": list(found.notes),
-        "tried_n": found.tried,
-        "hand_stiffness_n_per_m": 1.0 / found.hand.compliance,
-        "slowest_step_cpu_s": found.thinking,
+        "outcome": exploration.outcome,
+        "steps": exploration.steps,
+        "max_force_n": exploration.largest_force,
+        "joints": list(exploration.kinds),
+        "probability": exploration.probability,
+        "travel_m": exploration.travel,
+        "seconds": exploration.seconds,
+        "reason": exploration.reason,
+        "notes": list(exploration.notes),
+        "tried_n": exploration.tried,
+        "hand_stiffness_n_per_m": 1.0 / exploration.hand.compliance,
+        "slowest_step_cpu_s": exploration.thinking,
     }
 
 
-def _print_explored(found: Exploration, files: tuple[Path, ...]) -> None:
+def _print_explored(exploration: Exploration, files: tuple[Path, ...]) -> None:
     from micah_plan.api.formatting import explored_lines
 
-    out.print("\n".join(explored_lines(found)))
+    out.print("\n".join(explored_lines(exploration)))
     print_files(files)

@@ -206,9 +206,9 @@ def execute(
     )
 
 
-def _refuse(given: Mapping[str, object], experiment: Path) -> None:
+def _refuse(options: Mapping[str, object], experiment: Path) -> None:
     """Refuse options that have no meaning for commands in open loop."""
-    for name, value in given.items():
+    for name, value in options.items():
         if value is not None:
             raise InputError(f"{name} is for plans, this is an experiment", source=experiment, remedy=f"omit {name}")
 
@@ -259,7 +259,7 @@ def starting_at(problem: Problem, entries: Sequence[str]) -> Problem:
     Raises:
         InputError: for another form, a coordinate that there is not, or a value that is no number.
     """
-    names, found = [coordinate.name for coordinate in problem.automaton.coordinates], dict(problem.start.true)
+    names, values = [coordinate.name for coordinate in problem.automaton.coordinates], dict(problem.start.true)
     for entry in entries:
         name, _, text = entry.partition("=")
         if name not in names:
@@ -270,8 +270,8 @@ def starting_at(problem: Problem, entries: Sequence[str]) -> Problem:
             value = math.nan
         if not abs(value) <= LARGEST:
             raise InputError(f"--start {name}: expected a number, found {shown(text)}", remedy="write NAME=VALUE")
-        found[names.index(name)] = value
-    return replace(problem, start=replace(problem.start, true=tuple(found.items())))
+        values[names.index(name)] = value
+    return replace(problem, start=replace(problem.start, true=tuple(values.items())))
 
 
 def _executed(statistics: TrialStatistics, seconds: float) -> dict[str, Any]:
@@ -372,17 +372,17 @@ def _registered(point: EntryPoint) -> PlantMaker:
     from micah_plan.execution.checked_plant import fault
 
     try:
-        found = point.load()
+        maker = point.load()
     except (Exception, SystemExit) as error:
         raise fault(error, None, f"loading the plant {shown(point.name)} ({point.value})") from error
-    return _maker(found, point.attr, point.value)
+    return _maker(maker, point.attr, point.value)
 
 
-def _maker(found: Any, name: str, source: str) -> PlantMaker:
-    if found is None:
+def _maker(maker: Any, name: str, source: str) -> PlantMaker:
+    if maker is None:
         raise InputError(f"there is no class {shown(name)}", source=source, remedy="check its name")
-    if not callable(found):
-        problem = f"{name} must be a class or function that is called with the problem. Got {type(found).__name__}"
+    if not callable(maker):
+        problem = f"{name} must be a class or function that is called with the problem. Got {type(maker).__name__}"
         raise InputError(problem, source=source)
-    made: PlantMaker = found
+    made: PlantMaker = maker
     return made

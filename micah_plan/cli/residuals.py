@@ -99,8 +99,8 @@ def _predicted(automaton: HybridAutomaton, runs: Sequence[RunPrediction], judged
         "per_mode": _per_mode(runs),
         "per_coordinate": _per_coordinate(automaton, runs, judged),
         "beyond_range": [
-            {"coordinate": one.name, "end": one.end, "measured": one.reached, "sentence": str(one)}
-            for one in beyond_range(automaton, [run.x for run in runs])
+            {"coordinate": excess.name, "end": excess.end, "measured": excess.reached, "sentence": str(excess)}
+            for excess in beyond_range(automaton, [run.x for run in runs])
         ],
     }
 
@@ -159,13 +159,13 @@ def _rmse(errors: Sequence[PredictionError]) -> dict[str, float | None]:
 
 def _print_predicted(summary: dict[str, Any], html: Path | None) -> None:
     """Errors of both predictions beside what noise alone would leave, what they follow, and when modes changed."""
-    own = summary["per_coordinate"]
-    shown = table("root mean square error", "position", "rotation", *(c["name"] for c in own))
+    coordinates = summary["per_coordinate"]
+    shown = table("root mean square error", "position", "rotation", *(c["name"] for c in coordinates))
     for k, (name, text) in enumerate((("one_step", "one step"), ("rollout", "roll-out"))):
-        floor, sizes = summary["noise_floor"][name], [(c[f"{name}_rmse"], c["unit"]) for c in own]
+        floor, sizes = summary["noise_floor"][name], [(c[f"{name}_rmse"], c["unit"]) for c in coordinates]
         shown.add_row(text, *_amounts(summary[name], sizes))
-        floors = [(c["noise_floor"][k], c["unit"]) for c in own]
-        shown.add_row("  noise alone", *(_amounts(floor, floors) if floor else ("unknown",) * (2 + len(own))))
+        floors = [(c["noise_floor"][k], c["unit"]) for c in coordinates]
+        shown.add_row("  noise alone", *(_amounts(floor, floors) if floor else ("unknown",) * (2 + len(coordinates))))
     out.print(shown)
     out.print(summary["whiteness"]["verdict"])
     if "estimate" in summary:
@@ -173,7 +173,7 @@ def _print_predicted(summary: dict[str, Any], html: Path | None) -> None:
             quantity(summary["estimate"][key], summary["configuration_unit"]) for key in ("rmse", "final_error")
         )
         out.print(f"what the controller believed was {size} beside what was measured, at the end {last}")
-    print_lines(tuple(one["sentence"] for one in summary["beyond_range"]))
+    print_lines(tuple(excess["sentence"] for excess in summary["beyond_range"]))
     gaps = sum(run["gaps"] for run in summary["per_run"])
     if gaps:
         out.print(f"{count(gaps, 'gap')} in t: rows are missing, so roll-outs begin anew after each")
@@ -191,8 +191,8 @@ def _print_predicted(summary: dict[str, Any], html: Path | None) -> None:
 
 def _amounts(values: dict[str, float | None], coordinates: list[tuple[float, str]]) -> tuple[str, ...]:
     """Position, rotation, and each coordinate, in their units."""
-    found = [(values["position_rmse_m"], "m"), (values["rotation_rmse_rad"], "rad"), *coordinates]
-    return tuple("not measured" if value is None else quantity(value, own, degrees=False) for value, own in found)
+    errors = [(values["position_rmse_m"], "m"), (values["rotation_rmse_rad"], "rad"), *coordinates]
+    return tuple("not measured" if value is None else quantity(value, unit, degrees=False) for value, unit in errors)
 
 
 def calibrate(
@@ -226,52 +226,54 @@ def calibrate(
     measured = read[0] if len(read) == 1 else joined(read)
     begin = time.perf_counter()
     with progress_bar(as_json) as progress, located_in(recordings[0]):
-        found = stages.calibrate(automaton, measured, progress=progress)
-    contents = {output: model_text(found.automaton).encode()}
-    designed = None if experiment is None else stages.next_experiment(automaton, measured, found)
+        calibration = stages.calibrate(automaton, measured, progress=progress)
+    contents = {output: model_text(calibration.automaton).encode()}
+    designed = None if experiment is None else stages.next_experiment(automaton, measured, calibration)
     if experiment is not None and designed is not None:
         contents[experiment] = experiment_text(designed.experiment, model, experiment, str(designed)).encode()
     if html is not None:
         from micah_plan.view.calibration_page import calibration_page
 
-        contents[html] = calibration_page(found, title=recordings[0].stem).encode()
+        contents[html] = calibration_page(calibration, title=recordings[0].stem).encode()
     replace_files(contents)
-    changes = differences(automaton, found.automaton)
-    summary = calibrated(found, time.perf_counter() - begin) | {"changes": [asdict(change) for change in changes]}
+    changes = differences(automaton, calibration.automaton)
+    summary = calibrated(calibration, time.perf_counter() - begin) | {"changes": [asdict(change) for change in changes]}
     if experiment is not None:
         summary |= {"experiment": None if designed is None else _designed(designed)}
-    lines = error_lines(found)
+    lines = error_lines(calibration)
     print_summary(as_json, summary, lambda: _print_calibrated(summary, lines, changes, tuple(contents)))
-    if found.verdict == "unexplained":
+    if calibration.verdict == "unexplained":
         raise typer.Exit(NO_RESULT)
 
 
 def _designed(designed: Designed) -> dict[str, Any]:
     """Which pairs an experiment tells apart, and the evidence to expect of it [nats]."""
-    pairs = [{"between": [one, other], "expected_nats": nats} for one, other, nats in designed.expected]
+    pairs = [{"between": [first, second], "expected_nats": nats} for first, second, nats in designed.expected]
     return {"coordinate": designed.coordinate, "pairs": pairs, "sentence": str(designed)}
 
 
-def calibrated(found: Calibration, seconds: float) -> dict[str, Any]:
+def calibrated(calibration: Calibration, seconds: float) -> dict[str, Any]:
     """Keys of `calibrate`."""
     return {
-        "verdict": found.verdict,
-        "effects": [_effect(effect) for effect in found.effects],
+        "verdict": calibration.verdict,
+        "effects": [_effect(effect) for effect in calibration.effects],
         "residual": {
-            "before": {"one_step_rmse": found.before.one_step, "rollout_rmse": found.before.rollout},
-            "after": {"one_step_rmse": found.after.one_step, "rollout_rmse": found.after.rollout},
+            "before": {"one_step_rmse": calibration.before.one_step, "rollout_rmse": calibration.before.rollout},
+            "after": {"one_step_rmse": calibration.after.one_step, "rollout_rmse": calibration.after.rollout},
             "new_model": {
-                coordinate.name: {"one_step_rmse": own.one_step, "rollout_rmse": own.rollout}
-                for coordinate, own in zip(found.automaton.coordinates, found.written, strict=bool(found.written))
+                coordinate.name: {"one_step_rmse": written.one_step, "rollout_rmse": written.rollout}
+                for coordinate, written in zip(
+                    calibration.automaton.coordinates, calibration.written, strict=bool(calibration.written)
+                )
             },
-            "noise_floor": found.noise_floor,
-            "rollout_noise_floor": found.rollout_floor,
+            "noise_floor": calibration.noise_floor,
+            "rollout_noise_floor": calibration.rollout_floor,
         },
-        "unexplained_fraction": found.unexplained_fraction,
-        "missing_modes": [_missing_mode(mode) for one in found.traces for mode in one.missing_modes],
-        "coordinates": [_coordinate(one) for one in found.traces],
-        "notes": list(found.notes),
-        "next_experiment": found.experiment,
+        "unexplained_fraction": calibration.unexplained_fraction,
+        "missing_modes": [_missing_mode(mode) for trace in calibration.traces for mode in trace.missing_modes],
+        "coordinates": [_coordinate(trace) for trace in calibration.traces],
+        "notes": list(calibration.notes),
+        "next_experiment": calibration.experiment,
         "seconds": seconds,
     }
 
@@ -308,25 +310,25 @@ def _missing_mode(mode: MissingMode) -> dict[str, Any]:
     }
 
 
-def _correlation(one: LaneTrace) -> dict[str, Any] | None:
-    names, matrix = one.search.correlations_of(one.chosen)
+def _correlation(trace: LaneTrace) -> dict[str, Any] | None:
+    names, matrix = trace.search.correlations_of(trace.chosen)
     return {"parameters": list(names), "matrix": matrix.tolist()} if len(names) > 1 else None
 
 
-def _coordinate(one: LaneTrace) -> dict[str, Any]:
+def _coordinate(trace: LaneTrace) -> dict[str, Any]:
     return {
-        "name": one.lane.coordinate,
-        "unit": one.lane.unit,
-        "verdict": one.outcome.verdict,
-        "outcome": one.outcome.name,
-        "sentence": one.outcome.sentence,
-        "unexplained_fraction": one.unexplained_fraction,
+        "name": trace.lane.coordinate,
+        "unit": trace.lane.unit,
+        "verdict": trace.outcome.verdict,
+        "outcome": trace.outcome.name,
+        "sentence": trace.outcome.sentence,
+        "unexplained_fraction": trace.unexplained_fraction,
         "ranking": [
-            {"name": name, "evidence": evidence, "standard_error": error} for name, evidence, error in one.ranking
+            {"name": name, "evidence": evidence, "standard_error": error} for name, evidence, error in trace.ranking
         ],
-        "autocorrelation": one.whiteness[0],
-        "whiteness_p": one.whiteness[1],
-        "parameter_correlation": _correlation(one),
+        "autocorrelation": trace.whiteness[0],
+        "whiteness_p": trace.whiteness[1],
+        "parameter_correlation": _correlation(trace),
     }
 
 

@@ -40,15 +40,15 @@ class MotionDocument(Document):
     def check(self, at: Located) -> None:
         lengths = {len(values) for values in self.commands.values()}
         if len(lengths) != 1:
-            found = " and ".join(map(str, sorted(lengths))) or "none"
-            raise at.at("commands").error(f"expected as many commands of each input, found {found}", "add zeros")
+            shape = " and ".join(map(str, sorted(lengths))) or "none"
+            raise at.at("commands").error(f"expected as many commands of each input, found {shape}", "add zeros")
 
     def read(self, at: Located, scope: Scope) -> Motion:
-        own = self.meanings(at, scope)
-        columns = dict(own["commands"])
+        values = self.meanings(at, scope)
+        columns = dict(values["commands"])
         none = [0.0] * len(next(iter(columns.values())))
         rows = zip(*(columns.get(number, none) for number in range(len(scope["input"]))), strict=True)
-        return Motion(own["start"], tuple(rows))
+        return Motion(values["start"], tuple(rows))
 
     @classmethod
     def written(cls, value: Motion, scope: Scope) -> dict[str, Any]:
@@ -81,12 +81,12 @@ def load_experiment(path: str | Path) -> Experiment:
     except InputError as error:
         within = "" if error.where is None else f", {error.where}"
         raise located.at("model").error(f"model {model}{within}: {error.problem}", error.remedy) from None
-    own = document.meanings(located, scope_of(automaton))
-    for number, motion in enumerate(own["motions"]):
+    values = document.meanings(located, scope_of(automaton))
+    for number, motion in enumerate(values["motions"]):
         check_start(motion.start, automaton, located.at("motions", number))
         if fault := too_large(automaton, motion):
             raise located.at("motions", number, "commands").error(fault, SMALLER)
-    return Experiment(automaton, tuple(own["motions"]), own["repetitions"], own["plant"])
+    return Experiment(automaton, tuple(values["motions"]), values["repetitions"], values["plant"])
 
 
 def experiment_text(experiment: Experiment, model: Path, at: Path, comment: str) -> str:

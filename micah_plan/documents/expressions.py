@@ -67,14 +67,14 @@ def parse_half_space(text: str, scope: Scope, name: str | None = None) -> HalfSp
         InputError: as for `parse_affine`, and if no variable has a weight.
     """
     parser = _Parser(text, scope)
-    left = parser.sum()
+    total = parser.sum()
     operator = parser.comparison()
     right = parser.sum()
     parser.end("the end (one comparison per entry)")
     sign = 1.0 if operator[0] == ">" else -1.0
-    a = tuple(sign * (p - q) + 0.0 for p, q in zip(left.a, right.a, strict=True))
-    b = tuple(sign * (p - q) + 0.0 for p, q in zip(left.b, right.b, strict=True))
-    c = sign * (right.constant - left.constant)
+    a = tuple(sign * (p - q) + 0.0 for p, q in zip(total.a, right.a, strict=True))
+    b = tuple(sign * (p - q) + 0.0 for p, q in zip(total.b, right.b, strict=True))
+    c = sign * (right.constant - total.constant)
     if not any((*a, *b)):
         raise parser.error("expected a variable with a weight other than 0", f"use {', '.join(_listed(scope))}")
     if not all(map(math.isfinite, (*a, *b, c))):
@@ -129,9 +129,9 @@ class _Parser:
         while position < len(self._text):
             match = _TOKEN.match(self._text, position)
             if match is None:
-                found = self._text[position:].strip() or self._text
+                remainder = self._text[position:].strip() or self._text
                 allowed = "use names, numbers, + - * and one of >= > <= <"
-                raise self.error(f"cannot read {shown(found[:20])}", allowed)
+                raise self.error(f"cannot read {shown(remainder[:20])}", allowed)
             kind = str(match.lastgroup)
             yield kind, match.group(kind)
             position = match.end()
@@ -150,8 +150,8 @@ class _Parser:
     def comparison(self) -> str:
         kind, text = self._take()
         if kind != "operator" or text not in (">=", ">", "<=", "<"):
-            found = shown(text) if text else "the end"
-            raise self.error(f"expected one of >= > <= <, found {found}", "write it like 'door >= 1.2'")
+            text_shown = shown(text) if text else "the end"
+            raise self.error(f"expected one of >= > <= <, found {text_shown}", "write it like 'door >= 1.2'")
         return text
 
     def sum(self) -> Affine:
@@ -190,8 +190,8 @@ class _Parser:
         if is_input:
             kind, text = self._take()
         if kind not in ("name", "quoted"):
-            found = shown(text) if text else "the end"
-            raise self.error(f"expected a variable or a number, found {found}")
+            text_shown = shown(text) if text else "the end"
+            raise self.error(f"expected a variable or a number, found {text_shown}")
         try:
             name = _written(str(json.loads(text)) if kind == "quoted" else text)
         except ValueError:
@@ -237,9 +237,9 @@ def _comparison(half_space: HalfSpace, scope: Scope, number: Callable[[float], s
     upper = weights == [-1.0]  # a single coordinate or input from above reads better as "door < 1.2"
     if upper:
         a, b, c = tuple(-w for w in a), tuple(-w for w in b), -c
-    left = _sum(a, b, scope, number)
+    total = _sum(a, b, scope, number)
     operator = ("<" if upper else ">") + ("" if strict else "=")
-    return f"{left} {operator} {number(c + 0.0)}"
+    return f"{total} {operator} {number(c + 0.0)}"
 
 
 def _half_space_entry(value: Any) -> tuple[str, str | None]:

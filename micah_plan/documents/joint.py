@@ -113,8 +113,8 @@ def joint_remark(joint: Joint) -> str | None:
 def check_size(rows: Sequence[Sequence[float]], height: int, width: int, located: Located) -> None:
     """Raise an InputError unless a matrix has that many rows of that many entries."""
     if len(rows) != height or any(len(row) != width for row in rows):
-        found = f"{len(rows)} rows of {', '.join(sorted({str(len(row)) for row in rows}))}"
-        raise located.error(f"expected {height} rows of {width}, found {found}")
+        shape = f"{len(rows)} rows of {', '.join(sorted({str(len(row)) for row in rows}))}"
+        raise located.error(f"expected {height} rows of {width}, found {shape}")
 
 
 def standard_deviations(covariance: Sequence[Sequence[float]]) -> list[float]:

@@ -51,18 +51,18 @@ def files_named_by(path: str | Path) -> list[Path]:
 
     Whatever is wrong with them is left to their readers.
     """
-    found: dict[str, Path] = {}
+    kinds: dict[str, Path] = {}
     waiting = [Path(path)]
     while waiting:
         file = waiting.pop()
-        if os.path.realpath(file) in found or len(found) >= _MOST_NAMED:
+        if os.path.realpath(file) in kinds or len(kinds) >= _MOST_NAMED:
             continue
-        found[os.path.realpath(file)] = file
+        kinds[os.path.realpath(file)] = file
         with suppress(InputError, OSError, ValueError):
             if file.suffix.lower() in _YAML and kind_of(file) not in _NAME_NOTHING:
                 texts = _texts(read_yaml_file(file).data)
                 waiting += [file.parent / text for text in texts if len(text) < 300 and (file.parent / text).is_file()]
-    return list(found.values())
+    return list(kinds.values())
 
 
 def _texts(data: Any) -> Iterator[str]:

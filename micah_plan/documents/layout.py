@@ -60,9 +60,9 @@ class Document(BaseModel):
         """What the entry says, by attribute, without the format: marks interpreted, inner entries as values."""
         self.check(at)
         meant = {key: kind for key, kind in _kinds(type(self)).items() if kind.says_more}
-        own = {key: value for key, value in self if key != "format"}
-        own |= {key: _read(kind, own[key], at.at(key), scope) for key, kind in meant.items()}
-        return {self.renamed.get(key, key): value for key, value in own.items()}
+        entries = {key: value for key, value in self if key != "format"}
+        entries |= {key: _read(kind, entries[key], at.at(key), scope) for key, kind in meant.items()}
+        return {self.renamed.get(key, key): value for key, value in entries.items()}
 
     @classmethod
     def written(cls, value: Any, scope: Scope) -> Mapping[str, Any]:
@@ -158,8 +158,8 @@ def plain(layout: type[Document], value: object, scope: Scope | None = None) -> 
         scope: the names that are written instead of numbers.
     """
     scope, left_out = scope or {}, _left_out(layout)
-    given = value if isinstance(value, Mapping) else layout.written(value, scope)
-    data = {key: _plain(kind, given[key], scope) for key, kind in _kinds(layout).items() if key in given}
+    mapping = value if isinstance(value, Mapping) else layout.written(value, scope)
+    data = {key: _plain(kind, mapping[key], scope) for key, kind in _kinds(layout).items() if key in mapping}
     return {key: item for key, item in data.items() if key not in left_out or item != left_out[key]}
 
 

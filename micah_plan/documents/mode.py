@@ -62,20 +62,20 @@ class ModeDocument(Document):
     )
 
     def read(self, at: Located, scope: Scope) -> Mode:
-        own, coordinates = self.meanings(at, scope), scope["coordinate"]
+        values, coordinates = self.meanings(at, scope), scope["coordinate"]
         rows = [(0.0,) * len(scope["input"]) for _ in coordinates]
-        for i, change in own.pop("step").items():
+        for i, change in values.pop("step").items():
             if any(change.a):
                 remedy = "write inputs and a constant, such as 'input door' or '0.5*input door - 0.02'"
                 raise at.at("step", coordinates[i]).error("a step is affine in the inputs", remedy)
             rows[i] = change.b
-        for i, tie in own["ties"].items():
+        for i, tie in values["ties"].items():
             if any(tie.b):
                 problem = "a tie is about coordinates, not inputs"
                 raise at.at("ties", coordinates[i]).error(problem, "write e.g. '0.9 - 6.8*z'")
-        pins = tuple(Pin(i, **pin) for i, pin in own.pop("pins").items())
-        ties = tuple(Tie(i, tie.a, tie.constant) for i, tie in own.pop("ties").items())
-        return Mode(at.name, **own, input_matrix=tuple(rows), pins=pins, ties=ties)
+        pins = tuple(Pin(i, **pin) for i, pin in values.pop("pins").items())
+        ties = tuple(Tie(i, tie.a, tie.constant) for i, tie in values.pop("ties").items())
+        return Mode(at.name, **values, input_matrix=tuple(rows), pins=pins, ties=ties)
 
     def drifts(self, at: Located, scope: Scope) -> dict[str, float]:
         """What each coordinate moves in one step without any input [rad or m], if it does."""

@@ -105,9 +105,9 @@ class LearnedSegmentDocument(Document):
             raise at.at("probabilities").error(problem, "correct them")
 
     def read(self, at: Located, scope: Scope) -> LearnedSegment:
-        own = self.meanings(at, scope)
-        kinds = own["probabilities"]
-        certainty = None if kinds is None else SegmentCertainty(own["start"], kinds)
+        values = self.meanings(at, scope)
+        kinds = values["probabilities"]
+        certainty = None if kinds is None else SegmentCertainty(values["start"], kinds)
         return LearnedSegment(self.kind, self.run, *self.rows, certainty)
 
     @classmethod
@@ -155,11 +155,11 @@ class LearnedEdgeDocument(Document):
             raise at.error("missing key 'log_evidence'", "add it, or leave out changepoint_counts and actions")
 
     def read(self, at: Located, scope: Scope) -> LearnedEdge:
-        own = self.meanings(at, scope)
+        values = self.meanings(at, scope)
         certainty = None
         if self.log_evidence is not None:
-            certainty = EdgeCertainty(self.log_evidence, self.changepoint_counts, own["actions"])
-        return LearnedEdge(self.parent, self.child, own["segments"], certainty)
+            certainty = EdgeCertainty(self.log_evidence, self.changepoint_counts, values["actions"])
+        return LearnedEdge(self.parent, self.child, values["segments"], certainty)
 
     @classmethod
     def written(cls, value: LearnedEdge, scope: Scope) -> Mapping[str, Any]:
@@ -196,7 +196,7 @@ base frame. Half-spaces read `door >= 1.2`, `input door < -0.01` or `0.5*x + 2*z
 configuration, `input door` its commanded change per step. The order of modes and transitions matters."""
 _COORDINATES = Mark(
     lambda units, *_: tuple(Coordinate(*item) for item in units.items()),
-    lambda coordinates, _: unique((one.name, one.unit) for one in coordinates),
+    lambda coordinates, _: unique((coordinate.name, coordinate.unit) for coordinate in coordinates),
 )
 
 
@@ -290,18 +290,20 @@ class ModelDocument(Document):
             "part": tuple(parts),
             "linked part": tuple(link.child for link in self.links),
         }
-        own = self.meanings(at, scope)
-        edges = own.pop("transitions")
-        own["modes"] = tuple(self._with_covariances(mode, own["covariances"], at, scope) for mode in own["modes"])
-        del own["covariances"]
+        values = self.meanings(at, scope)
+        edges = values.pop("transitions")
+        values["modes"] = tuple(
+            self._with_covariances(mode, values["covariances"], at, scope) for mode in values["modes"]
+        )
+        del values["covariances"]
         links = [(link.parent, link.child) for link in self.links]
         for i, edge in enumerate(self.learned):
             if (edge.parent, edge.child) not in links:
                 names = ", ".join(f"{parent} to {child}" for parent, child in links) or "none"
                 problem = f"no link leads from {shown(edge.parent)} to {shown(edge.child)}"
                 raise at.at("learned", i).error(problem, f"links: {names}")
-        own["effects"] = (*own["effects"], *self._drifts(own["effects"], at, scope))
-        return HybridAutomaton(**own, edges=edges)
+        values["effects"] = (*values["effects"], *self._drifts(values["effects"], at, scope))
+        return HybridAutomaton(**values, edges=edges)
 
     def _drifts(self, effects: Sequence[Effect], at: Located, scope: Scope) -> Iterator[Effect]:
         """The constants of steps, as the effect that they are."""
@@ -315,28 +317,29 @@ class ModelDocument(Document):
                 yield Effect("bias", coordinate, (("bias", drift),), modes=(name,))
 
     def _with_covariances(
-        self, mode: Mode, given: Mapping[str, Mapping[str, ParameterCovariance]], at: Located, scope: Scope
+        self, mode: Mode, covariances: Mapping[str, Mapping[str, ParameterCovariance]], at: Located, scope: Scope
     ) -> Mode:
         """The mode with the covariances of its joints, which older files have at the joints."""
-        own, joints = given.get(mode.name, {}), list(mode.joints)
-        for part, covariance in own.items():
+        of_mode, joints = covariances.get(mode.name, {}), list(mode.joints)
+        for part, covariance in of_mode.items():
             place = at.at("covariances", mode.name, part)
             number = place.number(part, scope["linked part"], "linked part")
             if joints[number].covariance is not None:
                 raise place.error("its joint has a covariance already", "keep one of them")
             joints[number] = replace(joints[number], covariance=covariance)
-        return replace(mode, joints=tuple(joints)) if own else mode
+        return replace(mode, joints=tuple(joints)) if of_mode else mode
 
     @classmethod
     def written(cls, value: HybridAutomaton, scope: Scope) -> Mapping[str, Any]:
-        bare, found = [], dict[str, dict[str, ParameterCovariance]]()
+        bare, covariances = [], dict[str, dict[str, ParameterCovariance]]()
         for mode in value.modes:
             bare.append(replace(mode, joints=tuple(replace(joint, covariance=None) for joint in mode.joints)))
             named = zip(scope["linked part"], mode.joints, strict=False)
-            own = {part: joint.covariance for part, joint in named if joint.covariance is not None}
-            found |= {mode.name: own} if own else {}
+            by_part = {part: joint.covariance for part, joint in named if joint.covariance is not None}
+            covariances |= {mode.name: by_part} if by_part else {}
         return {
-            **vars(value), "format": MODEL_FORMAT, "transitions": value.edges, "modes": bare, "covariances": found,
+            **vars(value), "format": MODEL_FORMAT, "transitions": value.edges, "modes": bare,
+            "covariances": covariances,
         }  # fmt: skip
 
 

@@ -97,9 +97,9 @@ class TrajectoryDocument(Document):
     is_transition: list[bool] = doc("(K-1) whether the step is a transition.")
 
     def read(self, at: Located, scope: Scope) -> Trajectory:
-        own, knots, n, m = self.meanings(at, scope), len(self.modes), len(scope["coordinate"]), len(scope["input"])
+        values, knots, n, m = self.meanings(at, scope), len(self.modes), len(scope["coordinate"]), len(scope["input"])
         shapes = {"means": (knots, n), "factors": (knots, n, n), "inputs": (knots - 1, m), "gains": (knots - 1, m, n)}
-        arrays = {key: _array(own[key], shape, at.at(key)) for key, shape in shapes.items()}
+        arrays = {key: _array(values[key], shape, at.at(key)) for key, shape in shapes.items()}
         is_transition = _array(self.is_transition, (knots - 1,), at.at("is_transition")).astype(bool)
         return Trajectory(self.modes, **arrays, is_transition=is_transition)
 
@@ -191,8 +191,8 @@ class PlanDocument(Document):
 
     def check(self, at: Located) -> None:
         if (self.trajectory is None) == (self.outcome != "no_plan"):
-            found = "no trajectory" if self.trajectory is None else "a trajectory"
-            raise at.at("trajectory").error(f"outcome {self.outcome} with {found}", _AGAIN)
+            content = "no trajectory" if self.trajectory is None else "a trajectory"
+            raise at.at("trajectory").error(f"outcome {self.outcome} with {content}", _AGAIN)
         self._check_share(at)
         if self.trajectory is None or self.arm is None:
             return
@@ -231,7 +231,7 @@ def plan_text(plan: Plan, problem: Problem) -> str:
     Raises:
         InputError: if a number of the plan is not finite, its sizes disagree, or the model cannot be written.
     """
-    own = {
+    entries = {
         "format": PLAN_FORMAT,
         "version": __version__,
         "digest": "",
@@ -241,7 +241,7 @@ def plan_text(plan: Plan, problem: Problem) -> str:
         "problem": problem_data(problem, "model"),
         "model": model_data(problem.automaton),
     }
-    data = plain(PlanDocument, vars(plan) | own)
+    data = plain(PlanDocument, vars(plan) | entries)
     _check_numbers(data, "plan")
     data["digest"] = _digest(data)
     stored = _stored(Located(data, "plan"))
@@ -335,8 +335,8 @@ def _stored(located: Located) -> StoredPlan:
     problem = replace(problem, source=document.problem_file, digests=document.digests)
     means = () if document.trajectory is None else document.trajectory.means
     planned = with_memory_states(automaton) if means and len(means[0]) != automaton.n else automaton
-    own = document.meanings(located, scope_of(planned))
-    plan = Plan(**{field.name: own[field.name] for field in fields(Plan) if field.name in own})
+    values = document.meanings(located, scope_of(planned))
+    plan = Plan(**{field.name: values[field.name] for field in fields(Plan) if field.name in values})
     if amiss := disagreement(plan, problem):
         raise located.at(amiss[0]).error(amiss[1], _AGAIN)
     if plan.mode_sequence != document.mode_sequence:
@@ -404,11 +404,11 @@ class _TwiceError(Exception):
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """The object of these pairs: JSON lets a key be there twice, and readers differ in which of them they take."""
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    entries = dict(pairs)
+    if len(entries) < len(pairs):
         keys = [key for key, _ in pairs]
         raise _TwiceError(next(key for i, key in enumerate(keys) if key in keys[:i]))
-    return found
+    return entries
 
 
 def _depth(data: Any) -> int:

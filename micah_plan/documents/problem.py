@@ -268,15 +268,15 @@ def problem_of(document: ProblemDocument, automaton: HybridAutomaton, located: L
         InputError: for unknown names of coordinates, inputs, modes, parts or path functions, for missing values, and
             for files of the robot and the scene that cannot be used.
     """
-    own = document.meanings(located, {**scope_of(automaton), "body": tuple(document.scene)})
-    for i, constraint in enumerate(own["path"]):
+    values = document.meanings(located, {**scope_of(automaton), "body": tuple(document.scene)})
+    for i, constraint in enumerate(values["path"]):
         with located.at("path", i).locating_errors():
             check_constraint(constraint, automaton)
     return Problem(
-        automaton=replace(automaton, noise=noise_with(automaton.noise, own["noise"])),
-        settings=replace(own["planner"], confidence=document.confidence),
-        constraints=own["path"],
-        **{key: own[key] for key in ("start", "goal", "plant", "scene", "robot", "grasp", "hold", "release")},
+        automaton=replace(automaton, noise=noise_with(automaton.noise, values["noise"])),
+        settings=replace(values["planner"], confidence=document.confidence),
+        constraints=values["path"],
+        **{key: values[key] for key in ("start", "goal", "plant", "scene", "robot", "grasp", "hold", "release")},
     )
 
 

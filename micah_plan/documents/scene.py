@@ -57,12 +57,12 @@ class BodyShapeDocument(Document):
     color: Color = doc("Colour as #rrggbb.", "#9aa5b1")
 
     def read(self, at: Located, scope: Scope) -> Shape:
-        own = self.meanings(at, scope)
-        pose = {key: own[key] for key in ("position", "quaternion", "color")}
+        values = self.meanings(at, scope)
+        pose = {key: values[key] for key in ("position", "quaternion", "color")}
         if self.kind == "mesh":
             return Hull(self._vertices(at), **pose)
         for key in ("path", "vertices"):
-            if own[key] is not None:
+            if values[key] is not None:
                 raise at.at(key).error(f"a {self.kind} has no {key}", "write kind: mesh, or leave it out")
         if self.size is None:
             raise at.error("missing key 'size'", "add it")
@@ -119,15 +119,15 @@ class RobotDocument(Document):
 
     def read(self, at: Located, scope: Scope) -> RobotDescription:
         """The robot with the content of its files; whether they are a robot is not checked here."""
-        own = self.meanings(at, scope)
-        path, srdf, text = _robot_file(self.path, at), own.pop("srdf_text") or "", own.pop("text")
+        values = self.meanings(at, scope)
+        path, srdf, text = _robot_file(self.path, at), values.pop("srdf_text") or "", values.pop("text")
         if self.srdf is not None:
             srdf = _text(at.folder / self.srdf, at.at("srdf"))
         with at.at("srdf").locating_errors():
             srdf = _pairs(srdf, self.srdf or "srdf_text")
         text = _text(path, at.at("path")) if text is None else text
-        own |= {"text": text, "srdf": srdf, "folder": str(path.parent), "root": str(at.folder)}
-        return RobotDescription(**own)
+        values |= {"text": text, "srdf": srdf, "folder": str(path.parent), "root": str(at.folder)}
+        return RobotDescription(**values)
 
     @classmethod
     def written(cls, value: RobotDescription, scope: Scope) -> Mapping[str, Any]:
@@ -165,7 +165,7 @@ def _pairs(srdf: str, source: str) -> str:
     if root.tag != "robot":
         raise root.error(f"expected an SRDF with the root <robot>, found <{root.tag}>", "name the SRDF of the robot")
     links = ("link1", "link2")
-    pairs = [{key: one.attributes.get(key, "") for key in links} for one in root.all("disable_collisions")]
+    pairs = [{key: element.attributes.get(key, "") for key in links} for element in root.all("disable_collisions")]
     return write_xml(Element("robot", {}, 1, [Element("disable_collisions", pair, 1) for pair in pairs]))
 
 
@@ -231,9 +231,9 @@ class HoldDocument(Document):
             raise at.at("moving", "name").error("both parts have the same name", "name them apart")
 
     def read(self, at: Located, scope: Scope) -> Hold:
-        own = self.meanings(at, scope)
-        contacts, reach = own.pop("contacts"), own.pop("reach")
-        return Hold(Grip(**own), contacts, **reach)
+        values = self.meanings(at, scope)
+        contacts, reach = values.pop("contacts"), values.pop("reach")
+        return Hold(Grip(**values), contacts, **reach)
 
     @classmethod
     def written(cls, value: Hold, scope: Scope) -> Mapping[str, Any]:

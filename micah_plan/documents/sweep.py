@@ -115,11 +115,11 @@ def _dotted_paths(layout: type[Document], prefix: str = "") -> Iterator[str]:
 
 
 def _check_distinct(texts: Sequence[str], what: str, located: Located) -> None:
-    seen = set()
+    keys = set()
     for number, text in enumerate(texts):
-        if text in seen:
+        if text in keys:
             raise located.at(number).error(f"the same {what} twice", "keep one of them")
-        seen.add(text)
+        keys.add(text)
 
 
 def _problem(document: SweepDocument, number: int, located: Located, folder: Path) -> SweptProblem:

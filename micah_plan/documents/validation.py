@@ -97,10 +97,10 @@ def _explained(detail: ErrorDetails, document: type[Document]) -> tuple[str, str
         if isinstance(path[-1], int):
             return "too few entries, this one is missing", "complete the list"
         return f"missing key '{path[-1]}'", "add it"
-    found = _found(detail["input"])
+    value = _found(detail["input"])
     if kind in _EXPECTED:
-        return f"expected {_EXPECTED[kind].format(**context)}, found {found}", _near(detail)
-    return f"{detail['msg']}, found {found}", None
+        return f"expected {_EXPECTED[kind].format(**context)}, found {value}", _near(detail)
+    return f"{detail['msg']}, found {value}", None
 
 
 def _near(detail: ErrorDetails) -> str | None:

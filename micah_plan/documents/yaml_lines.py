@@ -122,9 +122,9 @@ def _decoded(content: bytes, source: str) -> str:
         problem = f"expected UTF-8 text, found the byte 0x{content[error.start]:02x}"
         raise _error(source, place, problem, "save it as UTF-8 text") from None
     for pattern, problem, remedy in _NOT_TEXT:
-        found = pattern.search(text)
-        if found is not None:
-            raise _error(source, _end_of(text[: found.end() - 1]), problem, remedy)
+        match = pattern.search(text)
+        if match is not None:
+            raise _error(source, _end_of(text[: match.end() - 1]), problem, remedy)
     return text
 
 
@@ -175,9 +175,9 @@ class _Reader:
             raise InputError("expected keys and values, found nothing", source=self._source, remedy="is it empty?")
         first = self._next()
         if not isinstance(first, events.MappingStartEvent):
-            found = "a list" if isinstance(first, events.SequenceStartEvent) else "a single value"
+            kind = "a list" if isinstance(first, events.SequenceStartEvent) else "a single value"
             remedy = "start it with 'format: ...'"
-            raise self._error(first, f"expected a mapping of keys to values, found {found}", remedy)
+            raise self._error(first, f"expected a mapping of keys to values, found {kind}", remedy)
         self._places[()] = _place(first.start_mark)
         data = self._value(first, ())
         for event in () if self._until in data else self._events:

@@ -69,20 +69,20 @@ def moving_parts(automaton: HybridAutomaton, *, screws: bool) -> list[MovingPart
             screws that the format does not know.
     """
     names = {BASE, *(link.child for link in automaton.links)}
-    moving, found = set[int](), list[MovingPart]()
+    moving, parts = set[int](), list[MovingPart]()
     for k, link in enumerate(automaton.links):
         joint = _moving_joint(automaton, k, screws)
         if joint.moves and link.coordinate in moving:
             raise InputError(f"part {link.child} moves with another one", remedy=_REMEDY)
         moving |= {link.coordinate} if joint.moves else set()
         ranges = automaton.ranges(link.coordinate) or [(-np.inf, np.inf)]
-        own = [c.name + JOINT_SUFFIX * (c.name in names) for c in automaton.coordinates]
-        name = own[link.coordinate] if joint.moves else f"{link.child}_mount"
+        names_of_joints = [c.name + JOINT_SUFFIX * (c.name in names) for c in automaton.coordinates]
+        name = names_of_joints[link.coordinate] if joint.moves else f"{link.child}_mount"
         limits, follows = (ranges[0][0], ranges[-1][1]), None
         if joint.moves and (led := _followed(automaton, link.coordinate)) is not None:
-            follows = own[led[0]], led[1], led[2]
-        found.append(MovingPart(link.parent, link.child, name, joint, limits, automaton.part(link.child), follows))
-    return found
+            follows = names_of_joints[led[0]], led[1], led[2]
+        parts.append(MovingPart(link.parent, link.child, name, joint, limits, automaton.part(link.child), follows))
+    return parts
 
 
 def _followed(automaton: HybridAutomaton, coordinate: int) -> tuple[int, float, float] | None:
@@ -117,8 +117,8 @@ def inertia_of(part: Part, density: float) -> Inertia:
     moments = np.zeros((3, 3))
     for mass, shape, at in zip(masses, shapes, centers - center, strict=True):
         turn = Rotation.from_quat(shape.quaternion).as_matrix()
-        own = turn @ np.diag(mass * np.array(_squares(shape))) @ turn.T
-        moments += own + mass * (at @ at * np.eye(3) - np.outer(at, at))
+        inertia = turn @ np.diag(mass * np.array(_squares(shape))) @ turn.T
+        moments += inertia + mass * (at @ at * np.eye(3) - np.outer(at, at))
     return Inertia(float(masses.sum()), center, moments)
 
 

@@ -91,7 +91,7 @@ def convert(
     if wanted not in targets(source):
         remedy = f"choose one that ends in {' or '.join(targets(source))}"
         raise InputError(f"cannot be made of {Path(source).name}", source=target, remedy=remedy)
-    given = Path(source).suffix.lower()
+    suffix = Path(source).suffix.lower()
     if ".rrd" in targets(source):
         found = load_recording(source, conventions=conventions)
         recording, notes = _chosen(found, part, run, poses_only)
@@ -101,15 +101,15 @@ def convert(
             return "recording", notes + ((f"left out: {', '.join(lost)}, no numbers",) if lost else ())
         write_recording(recording, target)
         return "recording", notes
-    if given == ".json":
+    if suffix == ".json":
         message = joint_trajectory(load_plan(source))
         content = f"{json.dumps(message, indent=2, ensure_ascii=False)}\n".encode()
         if wanted == ".mcap":
             content = write_log([Logged(TOPIC, "trajectory_msgs/msg/JointTrajectory", 0, message)])
         replace_file(target, content)
         return "plan", ()
-    if given in (".urdf", ".xml", ".mjcf"):
-        automaton, notes = load_urdf(source, packages) if given == ".urdf" else load_mjcf(source)
+    if suffix in (".urdf", ".xml", ".mjcf"):
+        automaton, notes = load_urdf(source, packages) if suffix == ".urdf" else load_mjcf(source)
         dump_model(automaton, target)
         return "model", notes
     with located_in(source):

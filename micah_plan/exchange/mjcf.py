@@ -74,8 +74,8 @@ def _body(part: MovingPart, density: float) -> Element:
     inertia = inertia_of(part.part, density)
     moments = inertia.moments
     full = (*np.diag(moments), moments[0, 1], moments[0, 2], moments[1, 2])
-    own = {"pos": _words(inertia.center), "mass": repr(inertia.mass), "fullinertia": _words(full)}
-    children = [*_joints(part), Element("inertial", own, 0), *_solids(part.part)]
+    inertial = {"pos": _words(inertia.center), "mass": repr(inertia.mass), "fullinertia": _words(full)}
+    children = [*_joints(part), Element("inertial", inertial, 0), *_solids(part.part)]
     if part.part.handle is not None:
         site = {"name": f"{part.child}_handle", "pos": _words(part.part.handle), "size": "0.01"}
         children.append(Element("site", site, 0))
@@ -91,15 +91,15 @@ def _joints(part: MovingPart) -> list[Element]:
     back = Rotation.from_quat(joint.quaternion).inv()
     axis = _words(back.apply(joint.axis))
     center = _words(back.apply(np.subtract(joint.center, joint.position)))
-    own = {"name": part.name, "axis": axis, "damping": repr(DAMPING[kind])}
+    attributes = {"name": part.name, "axis": axis, "damping": repr(DAMPING[kind])}
     if all(map(math.isfinite, part.limits)):
-        own["range"] = _words(part.limits)
+        attributes["range"] = _words(part.limits)
     if kind == "prismatic":
-        return [Element("joint", {"type": "slide", **own}, 0)]
-    found = [Element("joint", {"type": "hinge", "pos": center, **own}, 0)]
+        return [Element("joint", {"type": "slide", **attributes}, 0)]
+    elements = [Element("joint", {"type": "hinge", "pos": center, **attributes}, 0)]
     if kind == "screw":
-        found.insert(0, Element("joint", {"name": f"{part.name}_slide", "type": "slide", "axis": axis}, 0))
-    return found
+        elements.insert(0, Element("joint", {"name": f"{part.name}_slide", "type": "slide", "axis": axis}, 0))
+    return elements
 
 
 def _solids(part: Part) -> list[Element]:
@@ -210,34 +210,34 @@ class _Tree:
         along = place.rotation.apply(compiled.jnt_axis[joint])
         if int(compiled.jnt_type[joint]) == int(kinds.mjJNT_SLIDE):
             at = place.translation - drawn_at * along
-            own = prismatic(along, at, place.rotation.as_quat(canonical=True))
+            slide = prismatic(along, at, place.rotation.as_quat(canonical=True))
         else:
             back = Rotation.from_rotvec(-drawn_at * along)
             anchor = place.apply(compiled.jnt_pos[joint])
             at = anchor + back.apply(place.translation - anchor)
-            own = revolute(along, anchor, at, (back * place.rotation).as_quat(canonical=True))
+            slide = revolute(along, anchor, at, (back * place.rotation).as_quat(canonical=True))
         low, high = compiled.jnt_range[joint].tolist() if compiled.jnt_limited[joint] else (-NO_LIMIT, NO_LIMIT)
         self.parts.append(_Part(child))
         link = Link(self.parts[parent].name, child, len(self.moving))
-        self.moving.append(Moving(called, coordinate_of(called, child), link, own, (low, high)))
+        self.moving.append(Moving(called, coordinate_of(called, child), link, slide, (low, high)))
 
     def _followers(self) -> dict[str, Follows]:
         """Joints that an equality makes follow others; of those that close loops a note."""
-        compiled, found = self._compiled, dict[str, Follows]()
+        compiled, followers = self._compiled, dict[str, Follows]()
         for i in np.flatnonzero(compiled.eq_active0).tolist():
             if int(compiled.eq_type[i]) != int(self._mujoco.mjtEq.mjEQ_JOINT):
                 kind = self._mujoco.mjtEq(int(compiled.eq_type[i])).name.removeprefix("mjEQ_").lower()
                 self._notes.append(f"left out: an equality ({kind}), which may close a loop")
                 continue
-            one, other = int(compiled.eq_obj1id[i]), int(compiled.eq_obj2id[i])
+            first, second = int(compiled.eq_obj1id[i]), int(compiled.eq_obj2id[i])
             shift, times, *curved = compiled.eq_data[i, :5].tolist()
-            name = self._joint_name(one)
-            if other < 0 or any(curved):
+            name = self._joint_name(first)
+            if second < 0 or any(curved):
                 problem = f"the equality of joint {shown(name)} is no straight line"
                 raise InputError(problem, remedy="fix the body, or give polycoef two numbers")
-            start, of_other = (float(compiled.qpos0[compiled.jnt_qposadr[joint]]) for joint in (one, other))
-            found[name] = Follows(self._joint_name(other), times, start + shift - times * of_other)
-        return found
+            start, of_other = (float(compiled.qpos0[compiled.jnt_qposadr[joint]]) for joint in (first, second))
+            followers[name] = Follows(self._joint_name(second), times, start + shift - times * of_other)
+        return followers
 
     def _add_shape(self, geom: int) -> None:
         """A solid that collides, or is drawn where nothing of its body collides."""

@@ -61,13 +61,13 @@ def write_rrd(recording: Recording, path: str | Path) -> tuple[str, ...]:
 
 def _scalars(rows: Recording, lost: dict[str, None]) -> dict[str, Floats]:
     """Columns of numbers by name; empty entries are NaN. What is none is added to `lost`."""
-    found: dict[str, Floats] = {}
+    columns: dict[str, Floats] = {}
     for name, array in (("action", rows.action), ("force", rows.force)):
         if array is not None:
-            found |= {f"{name}/{axis}": array[:, i] for i, axis in enumerate("xyz")}
+            columns |= {f"{name}/{axis}": array[:, i] for i, axis in enumerate("xyz")}
     for name, column in rows.extra.items():
         try:
-            found[name.replace(" ", "_")] = np.array([float(text) if text.strip() else np.nan for text in column])
+            columns[name.replace(" ", "_")] = np.array([float(text) if text.strip() else np.nan for text in column])
         except ValueError:
             lost[name] = None
-    return found
+    return columns

@@ -67,15 +67,15 @@ def _joint(model: _Node, part: MovingPart) -> None:
 
 
 def _link(model: _Node, part: Part, density: float) -> _Node:
-    link, own = _add(model, "link", {"name": part.name}), inertia_of(part, density)
+    link, inertia = _add(model, "link", {"name": part.name}), inertia_of(part, density)
     _add(link, "gravity", text="false")  # the base frame of a learned model is seldom level
     inertial = _add(link, "inertial")
-    inertial.append(_pose(own.center, IDENTITY))
-    _add(inertial, "mass", text=repr(own.mass))
+    inertial.append(_pose(inertia.center, IDENTITY))
+    _add(inertial, "mass", text=repr(inertia.mass))
     moments = _add(inertial, "inertia")
     for i in range(3):
         for j in range(i, 3):
-            _add(moments, f"i{'xyz'[i]}{'xyz'[j]}", text=repr(float(own.moments[i, j])))
+            _add(moments, f"i{'xyz'[i]}{'xyz'[j]}", text=repr(float(inertia.moments[i, j])))
     for number, shape in enumerate(part.shapes):
         for tag in ("visual", "collision"):
             _shape(_add(link, tag, {"name": f"{part.name}_{tag}_{number}"}), shape, tag == "visual")

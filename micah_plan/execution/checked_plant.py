@@ -49,11 +49,11 @@ def make_plant(problem: Problem, kind: str | PlantMaker) -> Plant:
     raise InputError(f"unknown plant {shown(kind)}", remedy=f"choose {' or '.join(BUILT_IN)}")
 
 
-def made(maker: Callable[[Any], Plant], given: object, what: str) -> Plant:
+def made(maker: Callable[[Any], Plant], argument: object, what: str) -> Plant:
     """What a class or function makes when it is called with a problem or a scene, if it is a plant."""
     if isinstance(maker, type):  # before any machine moves
         check_methods(maker, maker.__name__)
-    plant: Plant = _called(maker, f"{getattr(maker, '__name__', 'the plant')}({what})", maker, given)
+    plant: Plant = _called(maker, f"{getattr(maker, '__name__', 'the plant')}({what})", maker, argument)
     check_methods(plant, type(plant).__name__)
     return plant
 
@@ -78,9 +78,9 @@ class CheckedPlant:
 
         They can be written to, since SciPy's rotations take no arrays that cannot.
         """
-        told: dict[str, Any] = dict(vars(command))
-        told |= {name: value.copy() for name, value in told.items() if isinstance(value, np.ndarray)}
-        return self._measured("apply", Command(**told))
+        fields: dict[str, Any] = dict(vars(command))
+        fields |= {name: value.copy() for name, value in fields.items() if isinstance(value, np.ndarray)}
+        return self._measured("apply", Command(**fields))
 
     def truth(self) -> Truth | None:
         """The true state now; None if the plant is no referee."""
@@ -155,7 +155,7 @@ def _watched(what: str, patience: float | None) -> Iterator[None]:
 
     before = signal.signal(signal.SIGALRM, break_off)
     # Again and again, should the plant's code catch the first one. What it answers then is late all the same.
-    left = signal.setitimer(signal.ITIMER_REAL, patience, patience)
+    remaining = signal.setitimer(signal.ITIMER_REAL, patience, patience)
     try:
         yield
         if is_late:
@@ -163,8 +163,8 @@ def _watched(what: str, patience: float | None) -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
-        if left[0]:
-            signal.setitimer(signal.ITIMER_REAL, *left)
+        if remaining[0]:
+            signal.setitimer(signal.ITIMER_REAL, *remaining)
 
 
 def checked(answer: object, parts: Sequence[str], after: float = -np.inf) -> Measurement:

@@ -349,10 +349,12 @@ def execute_abreast(
     machines = [plant if isinstance(plant, CheckedPlant) else CheckedPlant(plant, parts) for plant in plants]
     results: dict[int, TrialResult] = {}
     beliefs = {number: episode.prior for number, episode in enumerate(episodes)}
-    seen = {number: machine.reset(rng) for number, (machine, rng) in enumerate(zip(machines, rngs, strict=True))}
+    measurements = {
+        number: machine.reset(rng) for number, (machine, rng) in enumerate(zip(machines, rngs, strict=True))
+    }
     while beliefs:
         orders: dict[int, Command] = {}
-        readings = {i: episodes[i].observed(belief, seen[i]) for i, belief in beliefs.items()}
+        readings = {i: episodes[i].observed(belief, measurements[i]) for i, belief in beliefs.items()}
         alike: dict[bytes, list[int]] = {}  # numbers of the readings that show the same coordinates
         for i, z in readings.items():
             alike.setdefault(np.isnan(z).tobytes(), []).append(i)
@@ -361,10 +363,10 @@ def execute_abreast(
             updated = update_each(automaton, [beliefs[i] for i in rows], z)
             beliefs.update(zip(rows, updated, strict=True))
         for i, belief in list(beliefs.items()):
-            order, failed = episodes[i].decide(belief, seen[i], machines[i].truth()), ""
+            order, failed = episodes[i].decide(belief, measurements[i], machines[i].truth()), ""
             if order is not None:
                 try:
-                    seen[i] = machines[i].apply(order)
+                    measurements[i] = machines[i].apply(order)
                     orders[i] = order
                     continue
                 except PlantError as failure:

@@ -56,9 +56,9 @@ def check_plant(plant: Plant, problem: Problem, seed: int = 0) -> tuple[str, ...
     """
     check_methods(plant, type(plant).__name__)
     trial = _Trial(plant, problem, seed)
-    found = list(trial.faults())
-    if found:
-        raise together([InputError(f"{type(plant).__name__}: {sentence}") for sentence in found])
+    faults = list(trial.faults())
+    if faults:
+        raise together([InputError(f"{type(plant).__name__}: {sentence}") for sentence in faults])
     return tuple(trial.untried)
 
 
@@ -107,13 +107,15 @@ class _Trial:
         if truth is not None and not np.array_equal(first.position, again.position):
             yield "a simulation must start alike for the same seed; draw all chances from the rng of reset"
 
-    def _misplaced(self, seen: Measurement) -> Iterator[str]:
+    def _misplaced(self, measurement: Measurement) -> Iterator[str]:
         """Parts that are not where the model's joints allow them to be, whatever the configuration."""
-        joints, x = moving_joints(self._plain, self._mode), self._measured(seen)
+        joints, x = moving_joints(self._plain, self._mode), self._measured(measurement)
         allowed = [placements(j, x[link.coordinate])[0] for j, link in zip(joints, self._plain.links, strict=True)]
-        rolled = replace(seen, quaternion=np.roll(seen.quaternion, -1, axis=1))
+        rolled = replace(measurement, quaternion=np.roll(measurement.quaternion, -1, axis=1))
         scalar_last = self._off(rolled, allowed, self._x)
-        for (part, away, angle), (*_, rolled_angle) in zip(self._off(seen, allowed, self._x), scalar_last, strict=True):
+        for (part, away, angle), (*_, rolled_angle) in zip(
+            self._off(measurement, allowed, self._x), scalar_last, strict=True
+        ):
             if away:
                 hint = "give the place of the part's origin in m, in the base frame of the model"
                 yield f"part '{part}' is measured {quantity(away, 'm')} from where its joint allows it to be; {hint}"
@@ -123,11 +125,13 @@ class _Trial:
                     hint = "the quaternion has its scalar first; give it last"
                 yield f"part '{part}' is measured turned by {quantity(angle, 'rad')} against its joint; {hint}"
 
-    def _off(self, seen: Measurement, expected: Sequence[Floats], x: Floats) -> Iterator[tuple[str, float, float]]:
+    def _off(
+        self, measurement: Measurement, expected: Sequence[Floats], x: Floats
+    ) -> Iterator[tuple[str, float, float]]:
         """Each part with how far [m] and by which angle [rad] its measured pose relative to its parent is off an
         expected one (4, 4); 0 where the noise of the model at x explains that."""
         noise = pose_noise(self._plain, self._noise(x))
-        measured = relative(self._plain, seen.position, seen.quaternion)
+        measured = relative(self._plain, measurement.position, measurement.quaternion)
         for row, part in enumerate(self._parts):
             place, turn = (_SIGMAS * float(np.ravel(std)[row]) for std in (noise.position, noise.rotation))
             between = np.linalg.solve(expected[row], measured[row])
@@ -137,23 +141,25 @@ class _Trial:
             is_away, is_turned = away > place + _PLACE + turn * lever, angle > turn + _TURN
             yield part, away if is_away else 0.0, angle if is_turned else 0.0
 
-    def _off_start(self, seen: Measurement) -> Iterator[str]:
-        start, noise, x = self._problem.start, self._noise(self._x), self._measured(seen)
+    def _off_start(self, measurement: Measurement) -> Iterator[str]:
+        start, noise, x = self._problem.start, self._noise(self._x), self._measured(measurement)
         for i, coordinate in enumerate(self._plain.coordinates):
             if abs(x[i] - start.mean[i]) > _SIGMAS * float(np.hypot(start.std[i], noise[i])) + _START:
                 stated = f"the problem starts at {with_spread(start.mean[i], start.std[i], coordinate.unit)}"
                 yield f"{coordinate.name} is measured at {quantity(x[i], coordinate.unit)} after a reset, but {stated}"
 
-    def _hides_truth(self, seen: Measurement, truth: Truth) -> Iterator[str]:
+    def _hides_truth(self, measurement: Measurement, truth: Truth) -> Iterator[str]:
         """A referee that does not say what the tracker shows."""
         rows, n = len(self._parts), self._plain.n
         shapes = {"position": (rows, 3), "quaternion": (rows, 4), "x": (n,), "latched": (n,)}
-        found = {name: np.shape(getattr(truth, name)) for name in shapes}
+        shapes_given = {name: np.shape(getattr(truth, name)) for name in shapes}
         for name, shape in shapes.items():
-            if found[name] != shape:
-                yield f"Truth.{name} must have shape {shape}. Got {found[name]}"
-        if found == shapes:
-            for part, away, _ in self._off(seen, relative(self._plain, truth.position, truth.quaternion), truth.x):
+            if shapes_given[name] != shape:
+                yield f"Truth.{name} must have shape {shape}. Got {shapes_given[name]}"
+        if shapes_given == shapes:
+            for part, away, _ in self._off(
+                measurement, relative(self._plain, truth.position, truth.quaternion), truth.x
+            ):
                 if away:
                     yield f"part '{part}' is measured {quantity(away, 'm')} from its true place"
 
@@ -206,16 +212,18 @@ class _Trial:
             order = command(self._plain, self._mode, self._x[:n], u)
             self._x = np.array(step(self._augmented, self._mode, self._x, u).x)
             expected = step(self._augmented, self._mode, expected, u).x
-            seen = self._plant.apply(order)
-            self._x[:n], self._steps = self._measured(seen), self._steps + 1
-            self._hidden += 0 if seen.unseen is None else seen.unseen
+            measurement = self._plant.apply(order)
+            self._x[:n], self._steps = self._measured(measurement), self._steps + 1
+            self._hidden += 0 if measurement.unseen is None else measurement.unseen
         return np.asarray(expected[:n])
 
-    def _measured(self, seen: Measurement) -> Floats:
+    def _measured(self, measurement: Measurement) -> Floats:
         """(n,) the configuration that a measurement shows; where it shows nothing, as the model predicts."""
         n = self._plain.n
-        z = configuration(self._plain, self._mode, seen.position, seen.quaternion, self._x[:n], seen.unseen)
-        z = read_by_sensors(self._plain, z[None], np.array([seen.time]))[0]
+        z = configuration(
+            self._plain, self._mode, measurement.position, measurement.quaternion, self._x[:n], measurement.unseen
+        )
+        z = read_by_sensors(self._plain, z[None], np.array([measurement.time]))[0]
         return np.where(np.isfinite(z), z, self._x[:n])
 
     def _noise(self, x: Floats) -> Floats:

@@ -184,8 +184,8 @@ class NominalHandle:
         automaton = self._problem.automaton
         pose = chain(automaton, moving_joints(automaton, self._mode), self._x)
         _, quaternion = components(pose)
-        seen = self._tracker.measure(self._place()[0][None], quaternion, self._parameters.control_period)
-        return Measurement(self._time, *seen, self._force[None])
+        measurement = self._tracker.measure(self._place()[0][None], quaternion, self._parameters.control_period)
+        return Measurement(self._time, *measurement, self._force[None])
 
 
 class PhysicalHandle:
@@ -204,6 +204,6 @@ class PhysicalHandle:
     def close(self) -> None:
         self._plant.close()
 
-    def _shown(self, seen: Measurement) -> Measurement:
-        lever = Rotation.from_quat(seen.quaternion).apply(self._handle[None])
-        return replace(seen, position=seen.position + lever)
+    def _shown(self, measurement: Measurement) -> Measurement:
+        lever = Rotation.from_quat(measurement.quaternion).apply(self._handle[None])
+        return replace(measurement, position=measurement.position + lever)

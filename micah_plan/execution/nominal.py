@@ -76,8 +76,8 @@ class NominalPlant:
         if self._release is not None and (self._stands or command.opens or command.force_limit is not None):
             self._let_go(command, disturbance, *self._release)
             return self._measure(self._tracker, self._period)
-        given = self._channel.pass_on(command.input, self._mode, self._x)
-        after = step(self._true, self._mode, self._x, given, disturbance)
+        carried_out = self._channel.pass_on(command.input, self._mode, self._x)
+        after = step(self._true, self._mode, self._x, carried_out, disturbance)
         self._mode, self._x = after.mode, after.x
         return self._measure(self._tracker, self._period)
 
@@ -114,10 +114,10 @@ class NominalPlant:
         """(n,) what the sensors make of the configuration now, and by how much of each rad or m they change."""
         shown, slope = self._x.copy(), np.ones(self.automaton.n)
         for effect in self.automaton.effects:
-            i, own, here = self.automaton.index(effect.coordinate), form(effect.name), shown.copy()
-            if own.layer == "sensor":
-                shown[i] = own.measured(np, here[i], self._time, effect.values)
-                slope[i] *= own.measured(np, here[i] + 1.0, self._time, effect.values) - shown[i]
+            i, effect_form, here = self.automaton.index(effect.coordinate), form(effect.name), shown.copy()
+            if effect_form.layer == "sensor":
+                shown[i] = effect_form.measured(np, here[i], self._time, effect.values)
+                slope[i] *= effect_form.measured(np, here[i] + 1.0, self._time, effect.values) - shown[i]
         return shown, np.abs(slope)
 
     def _measure(self, tracker: PoseTracker, elapsed: float) -> Measurement:
@@ -127,9 +127,9 @@ class NominalPlant:
         relative = np.array([placements(joint, shown[link.coordinate])[0] for joint, link in links])
         sensing = automaton.sensing(automaton.mode(self._mode))
         noise = pose_noise(automaton, slope * sensing.std_at(self._x))
-        seen = matrices(*tracker.measure(*components(relative.reshape(-1, 4, 4)), elapsed, noise))
+        measured = matrices(*tracker.measure(*components(relative.reshape(-1, 4, 4)), elapsed, noise))
         force = None if self._release is None else np.tile([0.0, 0.0, self._force], (len(automaton.links), 1))
-        return Measurement(self._time, *components(carried(automaton, seen)), force)
+        return Measurement(self._time, *components(carried(automaton, measured)), force)
 
 
 def pose_noise(automaton: HybridAutomaton, observation_std: Floats | None = None) -> TrackerNoise:
@@ -147,9 +147,9 @@ def pose_noise(automaton: HybridAutomaton, observation_std: Floats | None = None
 @memoised
 def _sensitivity(automaton: HybridAutomaton) -> Floats:
     """(n,) |J| of each coordinate that is measured, 0 for the others."""
-    found, joints = np.zeros(automaton.n), moving_joints(automaton, automaton.modes[0].name)
+    configuration, joints = np.zeros(automaton.n), moving_joints(automaton, automaton.modes[0].name)
     for number, link in measuring_links(automaton):
         scaled = jacobian(joints[number], 0.0)[0] * np.repeat([ROTATION_LENGTH, 1.0], 3)
         # An unmoving part has no configuration; its noise is that of a slide.
-        found[link.coordinate] = float(np.linalg.norm(scaled)) or 1.0
-    return found
+        configuration[link.coordinate] = float(np.linalg.norm(scaled)) or 1.0
+    return configuration

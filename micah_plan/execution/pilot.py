@@ -137,10 +137,10 @@ class PlanFollower:
         mode, estimate = self._automaton.modes[number].name, belief.means[number]
         others = [q for q in np.argsort(-belief.weights, kind="stable") if q != number and belief.weights[q] > 0]
         for doubted in others[:1]:
-            other = self._automaton.modes[doubted].name
-            earlier = [k for k in range(knot) if plan.modes[k] == other]
+            rival = self._automaton.modes[doubted].name
+            earlier = [k for k in range(knot) if plan.modes[k] == rival]
             if earlier:
-                again = self._towards(other, belief.means[doubted], earlier[-1])
+                again = self._towards(rival, belief.means[doubted], earlier[-1])
                 after = step(self._automaton, mode, estimate, again, np.zeros_like(estimate))
                 moved = np.abs(after.x - estimate)[: self._size].max(initial=0.0)
                 if after.mode == mode and moved <= _NO_MOTION:

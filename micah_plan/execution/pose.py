@@ -99,7 +99,11 @@ def configuration(
     """
     x, joints = np.full(automaton.n, np.nan), moving_joints(automaton, mode)
     poses = relative(automaton, position, quaternion)
-    hidden = set() if unseen is None else {link.child for link, one in zip(automaton.links, unseen, strict=True) if one}
+    hidden = (
+        set()
+        if unseen is None
+        else {link.child for link, hidden_link in zip(automaton.links, unseen, strict=True) if hidden_link}
+    )
     for number, link in measuring_links(automaton):
         if {link.child, link.parent} & hidden:
             continue
@@ -118,12 +122,17 @@ def reading(automaton: HybridAutomaton, belief: HybridBelief, measurement: Measu
     Returns:
         (k,) of the coordinates of the belief, of which there may be more than n.
     """
-    mode, seen = belief.most_likely, measurement
+    mode, measured = belief.most_likely, measurement
     estimate = belief.means[mode]
     x = configuration(
-        automaton, automaton.mode_names[mode], seen.position, seen.quaternion, estimate[: automaton.n], seen.unseen
+        automaton,
+        automaton.mode_names[mode],
+        measured.position,
+        measured.quaternion,
+        estimate[: automaton.n],
+        measured.unseen,
     )
-    x = read_by_sensors(automaton, x[None], np.array([seen.time]))[0]
+    x = read_by_sensors(automaton, x[None], np.array([measured.time]))[0]
     return np.concatenate([x, np.full(len(estimate) - automaton.n, np.nan)])
 
 
@@ -143,10 +152,10 @@ def command(automaton: HybridAutomaton, mode: str, x: Floats, u: Floats) -> Comm
     after = chain(automaton, joints, x + input_effect(automaton, mode) @ u)
     handles = [automaton.part(link.child).handle or (0.0, 0.0, 0.0) for link in automaton.links]
     points = np.concatenate([np.array(handles).reshape(-1, 3), np.ones((len(handles), 1))], axis=1)[:, :, None]
-    given = [(after - before)[:, :3, 3], ((after - before) @ points)[:, :3, 0]]
+    changes = [(after - before)[:, :3, 3], ((after - before) @ points)[:, :3, 0]]
     for number, link in enumerate(automaton.links if automaton.effects else ()):
         if link.parent == BASE:
             turned = in_base_frame(automaton, link.coordinate, np.eye(3))  # rows: the image of each unit vector
-            for moved in given:
+            for moved in changes:
                 moved[number] = np.linalg.solve(turned.T, moved[number])
-    return Command(np.asarray(u, dtype=float), *given)
+    return Command(np.asarray(u, dtype=float), *changes)

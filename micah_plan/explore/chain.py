@@ -147,9 +147,9 @@ class Chain:
 
 
 def _normal_to(direction: Floats) -> tuple[Floats, Floats]:
-    other = np.zeros(3)
-    other[int(np.argmin(np.abs(direction)))] = 1.0
-    first = np.cross(direction, other)
+    offset = np.zeros(3)
+    offset[int(np.argmin(np.abs(direction)))] = 1.0
+    first = np.cross(direction, offset)
     first = first / np.linalg.norm(first)
     return first, np.cross(direction, first)
 
@@ -180,11 +180,11 @@ def _carried(direction: Floats, rate: Floats, s: Floats) -> tuple[Floats, Floats
 def _placed(chain: Chain, rows: Rows) -> Chain:
     """The chain with each row where tracker and odometer together say that it is along it: a tridiagonal system."""
     places, _, tangents = chain.poses(chain.way)
-    seen = rows.seen
-    off = np.where(seen, np.einsum("ij,ij->i", np.nan_to_num(rows.place) - places, tangents), 0.0)
+    is_seen = rows.seen
+    off = np.where(is_seen, np.einsum("ij,ij->i", np.nan_to_num(rows.place) - places, tangents), 0.0)
     chord = _chords(tangents)
     step = np.einsum("ij,ij->i", rows.moved, chord) - np.einsum("ij,ij->i", np.diff(places, axis=0), chord)
-    tracker, odometer = seen / chain.place_std**2, 1.0 / (chain.moved_share * rows.moved_std) ** 2
+    tracker, odometer = is_seen / chain.place_std**2, 1.0 / (chain.moved_share * rows.moved_std) ** 2
     diagonal = tracker + 1e-9
     diagonal[:-1] += odometer
     diagonal[1:] += odometer
@@ -202,9 +202,9 @@ def _placed(chain: Chain, rows: Rows) -> Chain:
 def _residuals(chain: Chain, rows: Rows) -> tuple[Floats, Floats, Floats]:
     """What is left: of places (k, 3) and of steps (k - 1, 3), both normal to the way, and of turns (k, 3); in std."""
     places, turns, tangents = chain.poses(chain.way)
-    seen = rows.seen[:, None]
-    off = np.where(seen, np.nan_to_num(rows.place) - places, 0.0) / chain.place_std
-    turned = np.where(seen, _vectors(np.nan_to_num(rows.turn) @ turns.transpose(0, 2, 1)), 0.0) / chain.turn_std
+    is_seen = rows.seen[:, None]
+    off = np.where(is_seen, np.nan_to_num(rows.place) - places, 0.0) / chain.place_std
+    turned = np.where(is_seen, _vectors(np.nan_to_num(rows.turn) @ turns.transpose(0, 2, 1)), 0.0) / chain.turn_std
     step = (rows.moved - np.diff(places, axis=0)) / (chain.moved_share * rows.moved_std[:, None])
     return _across(off, tangents), turned, _across(step, _chords(tangents))
 
@@ -259,9 +259,9 @@ def _slope(chain: Chain, rows: Rows, steps: Floats) -> Floats:
     moved, turned, _ = tried.poses(chain.way)
     shifts, spins = (moved - places) / _SMALL, _vectors(turned @ turns.transpose(0, 2, 1)) / _SMALL
     off, turned_off, step_off = _residuals(chain, rows)
-    seen = rows.seen[:, None]
-    place = np.where(seen, _weights(off), 0.0) / chain.place_std * _across(shifts, tangents)
-    turn = np.where(seen, _weights(turned_off), 0.0) / chain.turn_std * spins
+    is_seen = rows.seen[:, None]
+    place = np.where(is_seen, _weights(off), 0.0) / chain.place_std * _across(shifts, tangents)
+    turn = np.where(is_seen, _weights(turned_off), 0.0) / chain.turn_std * spins
     step = np.diff(shifts, axis=1)
     way = _weights(step_off) / (chain.moved_share * rows.moved_std[:, None]) * _across(step, _chords(tangents))
     rate = (chain.rate - tried.rate) / (_SMALL * _RATE)
@@ -287,13 +287,13 @@ def _vectors(matrices: Floats) -> Floats:
 
 def _heard(chain: Chain, rows: Rows) -> Chain:
     """With the noise of tracker and odometer that it leaves, and the likelihood under it."""
-    seen = int(rows.seen.sum())
+    rows_seen = int(rows.seen.sum())
     parts = _residuals(chain, rows)
     off, turned, step = (np.square(_weights(part) * part).sum() for part in parts)
     # The pose at s = 0 takes three of each of the tracker's numbers.
-    count = np.maximum([2.0 * seen - 3.0, 3.0 * seen - 3.0, 2.0 * len(parts[2])], 0.0)
-    left = np.array([off * chain.place_std**2, turned * chain.turn_std**2, step * chain.moved_share**2])
-    variance = (_WORTHS * np.square([PLACE_STD, TURN_STD, 1.0]) + left) / (_WORTHS + count)
+    count = np.maximum([2.0 * rows_seen - 3.0, 3.0 * rows_seen - 3.0, 2.0 * len(parts[2])], 0.0)
+    variances = np.array([off * chain.place_std**2, turned * chain.turn_std**2, step * chain.moved_share**2])
+    variance = (_WORTHS * np.square([PLACE_STD, TURN_STD, 1.0]) + variances) / (_WORTHS + count)
     place_std, turn_std, moved_share = (float(std) for std in np.sqrt(variance))
     loss = 0.5 * float((_WORTHS + count) @ np.log(variance))
     return replace(chain, place_std=place_std, turn_std=turn_std, moved_share=moved_share, loss=loss)
@@ -407,12 +407,12 @@ def _followed(chain: Chain, begin: float, hinge: bool, direction: Floats, rate: 
 
 def _split(chain: Chain, rows: Rows) -> list[Chain]:
     """The chain with a joint of the other kind that takes over from the last one, or that was there before it."""
-    found, last = list[Chain](), chain.rate[-1]
+    chains, last = list[Chain](), chain.rate[-1]
     straight = replace(chain, hinges=(*chain.hinges[:-1], False), rate=np.append(chain.rate[:-1], np.zeros((1, 3)), 0))
     for share in _SPLITS:
         begin = float(chain.begin[-1] + share * (chain.way.max() - chain.begin[-1]))
         tangent = chain.poses(np.array([begin]))[2][0]
-        found.append(fitted(_followed(straight, begin, True, tangent, last), rows, _WELL))
+        chains.append(fitted(_followed(straight, begin, True, tangent, last), rows, _WELL))
         if chain.hinges[-1]:
-            found.append(fitted(_followed(chain, begin, False, tangent, np.zeros(3)), rows, _WELL))
-    return found
+            chains.append(fitted(_followed(chain, begin, False, tangent, np.zeros(3)), rows, _WELL))
+    return chains

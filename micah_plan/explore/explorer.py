@@ -200,15 +200,15 @@ class Explorer:
         """Nothing more is to be had at this end of the way, or only with more force than the way needed: at the other
         end it may be less. It was perhaps ajar, and what was met is where it shuts. Force is spent when both are tried.
         """
-        other = self._left.get(-self.sense)
-        if chain is None or (self.can < _HELD and other is not None and other[1] is None):
+        opposite = self._left.get(-self.sense)
+        if chain is None or (self.can < _HELD and opposite is not None and opposite[1] is None):
             self._nothing_moves()
             return np.zeros(3), False
         self._is_gentle = self._is_gentle and not self._left
         self._left[self.sense] = (self.farthest, None if self.can < _HELD else self.moves)
         self.sense = -self.sense
-        self._is_returning = other is not None
-        self.farthest = self.sense * float(chain.way[-1]) if other is None else other[0]
+        self._is_returning = opposite is not None
+        self.farthest = self.sense * float(chain.way[-1]) if opposite is None else opposite[0]
         self.moves = self._onwards(chain)
         return self._lead()
 
@@ -221,10 +221,10 @@ class Explorer:
         else:
             self._end("gave_up", f"after {self.widest:.2g} m nothing within {force:.3g} N moved it on")
 
-    def take(self, seen: Measurement) -> None:
+    def take(self, measurement: Measurement) -> None:
         """A measurement after the last command: believe, and note the moment."""
         record = self.record
-        slip = record.take(seen)
+        slip = record.take(measurement)
         if slip is not None:
             self._hold_at(slip)
         if record.blind >= _BLIND:
@@ -236,8 +236,8 @@ class Explorer:
             changed = "the hand, its force sensor or the tracker is not what it was"
             self._end("gave_up", f"the hand met {met:.3g} N, more than the {limit}: {changed}")
         elif (pull := self._pull()) > self.scene.largest_force:
-            told = "the tracker sees the handle elsewhere than its force tells, and commands count from there"
-            self._end("gave_up", f"{told}: even to stay would pull with {pull:.3g} N")
+            problem = "the tracker sees the handle elsewhere than its force tells, and commands count from there"
+            self._end("gave_up", f"{problem}: even to stay would pull with {pull:.3g} N")
         elif self.moves is not None or (self.steps >= _PUSHES and not record.blind):
             self._learn()
         fan = np.zeros((0, 3)) if self.moves is None else self.moves.likely(40)
@@ -327,10 +327,10 @@ class Explorer:
         self.widest = float(np.ptp(chain.way))
         along, gone = chain.poses(chain.way[-1:])[2][0], record.moved[-1]
         if self._is_returning:
-            known = self._left[self.sense][1]
+            travel = self._left[self.sense][1]
             self._is_returning = way <= self.farthest - 0.006
-            if not self._is_returning and known is not None:
-                self.moves = known
+            if not self._is_returning and travel is not None:
+                self.moves = travel
             elif not self._is_returning or abs(gone @ along) > _PROGRESS:  # else something stands in its way
                 self.moves = self._onwards(chain)
         if abs(gone @ along) > max(_PROGRESS, 0.8 * float(np.linalg.norm(gone))):
@@ -344,16 +344,16 @@ class Explorer:
             self.moves = self._onwards(chain)
         if record.blind or record.odd or record.doubtful:
             return  # force alone shows no motion
-        expected, seen = self._moved(chain)
-        if seen >= _AGREED * expected:
+        expected, moved = self._moved(chain)
+        if moved >= _AGREED * expected:
             self.travel = max(self.travel, abs(way))
         if way < self.scene.opening:
             return
-        if seen >= _AGREED * expected:
+        if moved >= _AGREED * expected:
             self._end("opened", f"the handle went {way:.3g} m")
         else:
-            told = f"by its force the handle went {expected:.2g} m, the tracker saw {max(seen, 0.0):.2g} m of that"
-            self._end("gave_up", f"{told}: the hand, its force sensor or the tracker is not what it was")
+            problem = f"by its force the handle went {expected:.2g} m, the tracker saw {max(moved, 0.0):.2g} m of that"
+            self._end("gave_up", f"{problem}: the hand, its force sensor or the tracker is not what it was")
 
     def _moved(self, chain: Chain) -> tuple[float, float]:
         """How far the handle went along its chain, as the crow flies, and how much of that the tracker saw [m]."""

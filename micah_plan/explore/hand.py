@@ -82,30 +82,32 @@ def hand_of(commands: Floats, places: Floats, forces: Floats) -> Hand:
     plain = _fitted(commands, forces)
     if len(commands) > _FEWEST + 2 and _fitted(commands[:-1], forces[1:])[1] < _BEFORE * plain[1]:
         return replace(plain[0], complaint="forces are those of the command before: answer when all rests again")
-    seen = np.isfinite(places).all(axis=1)
-    if seen.sum() < 2 * _FEWEST:
+    is_measured = np.isfinite(places).all(axis=1)
+    if is_measured.sum() < 2 * _FEWEST:
         return replace(plain[0], perhaps_measured=True)
-    absolute = commands[seen] + places[seen]
-    other = _fitted(np.hstack([absolute - absolute.mean(axis=0), np.ones((int(seen.sum()), 1))]), forces[seen])
-    if other[1] < 0.5 * plain[1]:
-        return replace(other[0], from_measured=True)
-    return replace(plain[0], perhaps_measured=bool(plain[1] > 0.5 * other[1]))
+    absolute = commands[is_measured] + places[is_measured]
+    fit = _fitted(
+        np.hstack([absolute - absolute.mean(axis=0), np.ones((int(is_measured.sum()), 1))]), forces[is_measured]
+    )
+    if fit[1] < 0.5 * plain[1]:
+        return replace(fit[0], from_measured=True)
+    return replace(plain[0], perhaps_measured=bool(plain[1] > 0.5 * fit[1]))
 
 
-def _fitted(given: Floats, forces: Floats) -> tuple[Hand, float]:
+def _fitted(displacements: Floats, forces: Floats) -> tuple[Hand, float]:
     """The hand for linear inputs (k, 3 or 4), and the mean square that it leaves of the forces across the yield."""
-    slope = np.linalg.lstsq(given, forces, rcond=None)[0]
+    slope = np.linalg.lstsq(displacements, forces, rcond=None)[0]
     matrix = slope[:3].T
-    left, values, _ = np.linalg.svd(matrix)
+    vectors, values, _ = np.linalg.svd(matrix)
     stiffness = float(np.clip(values[1], _SOFTEST, _STIFFEST))
-    residual = (forces - given @ slope) @ left[:, :2]
-    spare = max(len(given) - given.shape[1], 1)
+    residual = (forces - displacements @ slope) @ vectors[:, :2]
+    spare = max(len(displacements) - displacements.shape[1], 1)
     variance = float((residual**2).sum()) / (2 * spare) + 1e-6
-    power = float(np.square(given[:, :3]).sum()) / 3.0 + 1e-12
+    power = float(np.square(displacements[:, :3]).sum()) / 3.0 + 1e-12
     force_std = float(np.sqrt((variance * 2 * spare + 0.15**2 * 4) / (2 * spare + 4)))
     spread = float(np.hypot(_LEAST_STD, force_std / np.sqrt(power) / stiffness))
     complaint = ""
-    symmetric, least = np.linalg.eigvalsh(0.5 * (matrix + matrix.T)), np.linalg.svd(given[:, :3])[1][-1]
+    symmetric, least = np.linalg.eigvalsh(0.5 * (matrix + matrix.T)), np.linalg.svd(displacements[:, :3])[1][-1]
     doubt = force_std / max(float(least), 1e-6)  # std of the entry that is known worst
     if symmetric[1] < -_SURE * doubt:
         complaint = "the measured forces point against the commands: give the force that the hand exerts at the handle"
@@ -116,5 +118,5 @@ def _fitted(given: Floats, forces: Floats) -> tuple[Hand, float]:
     elif values[0] > _ALIKE * values[1] + _SURE * doubt:  # what moves makes it softer along one line only
         least, most = (quantity(float(value), "N/m") for value in values[1::-1])
         complaint = f"the hand is a spring of {least} in one direction and of {most} in another: make it alike in all"
-    found = Hand(1.0 / stiffness, min(spread, 0.5), force_std, stiffest=float(values[0]), complaint=complaint)
-    return found, variance
+    hand = Hand(1.0 / stiffness, min(spread, 0.5), force_std, stiffest=float(values[0]), complaint=complaint)
+    return hand, variance

@@ -99,32 +99,32 @@ class Record:
         Args:
             most: the largest that is safe [m], whether the tracker is right on where the handle is or the odometer.
         """
-        given, self._rests = lead, 0 if lead.any() else self._rests + 1
+        lead_now, self._rests = lead, 0 if lead.any() else self._rests + 1
         if self.hand.from_measured and not self.blind:
             off = self.place + self.slips.expected - self._reference
-            given = lead + off * min(1.0, _CONTRADICTS * self.place_std / max(float(np.linalg.norm(off)), 1e-9))
-            given = given * min(1.0, (most + self.place_std) / max(float(np.linalg.norm(given)), 1e-9))
-            lead = given + self._reference - self.place
+            lead_now = lead + off * min(1.0, _CONTRADICTS * self.place_std / max(float(np.linalg.norm(off)), 1e-9))
+            lead_now = lead_now * min(1.0, (most + self.place_std) / max(float(np.linalg.norm(lead_now)), 1e-9))
+            lead = lead_now + self._reference - self.place
         self.leads.append(lead)
-        self.commands.append(given)
+        self.commands.append(lead_now)
         self.led.append(led)
-        return given
+        return lead_now
 
     def withdrawn(self) -> None:
         """The last command was not carried out."""
         for column in (self.leads, self.commands, self.led):
             column.pop()
 
-    def take(self, seen: Measurement) -> Floats | None:
+    def take(self, measurement: Measurement) -> Floats | None:
         """A measurement after the last command; (3,) by what the grip has slipped on the handle, if that is found [m].
 
         The offset counts in the handle's own frame.
         """
-        force = np.full(3, np.nan) if seen.force is None else seen.force[0]
-        place, turn = seen.position[0], seen.quaternion[0]
-        late = seen.time <= self._time or not bool(np.isfinite(force).all())
+        force = np.full(3, np.nan) if measurement.force is None else measurement.force[0]
+        place, turn = measurement.position[0], measurement.quaternion[0]
+        late = measurement.time <= self._time or not bool(np.isfinite(force).all())
         unseen = late or not (np.isfinite(place).all() and np.isfinite(turn).all()) or self._repeats(place)
-        self._time = max(self._time, seen.time)
+        self._time = max(self._time, measurement.time)
         self.forces.append(np.nan_to_num(force))
         self._late.append(late)
         self.places.append(np.full(3, np.nan) if unseen else place.copy())
@@ -159,12 +159,12 @@ class Record:
 
     def _tested(self, k: int) -> None:
         """Step k, for whether the grip slipped."""
-        known = not self._late[k] and self.hand is not UNKNOWN
+        is_certain = not self._late[k] and self.hand is not UNKNOWN
         if self._counted(k):
             size = float(np.linalg.norm(self.leads[k]))
             along = self.leads[k] / size if self.led[k] and size > 0 else None
             self.slips.came(self.commands[k] + self.places[k], self.forces[k], along)
-        elif known and not self.hand.from_measured:
+        elif is_certain and not self.hand.from_measured:
             self.slips.went(self.commands[k], self.forces[k])
         else:
             self.slips.went_unseen(float(np.linalg.norm(self.leads[k])) + self.place_std)
@@ -181,10 +181,10 @@ class Record:
 
     def _repeats(self, place: Floats) -> bool:
         """Whether a noisy tracker says to the last digit what it said before: then it has not measured."""
-        known = [p for p in self.places if np.isfinite(p).all()]
-        if len(known) < 3 or not np.array_equal(place, known[-1]):
+        places = [p for p in self.places if np.isfinite(p).all()]
+        if len(places) < 3 or not np.array_equal(place, places[-1]):
             return False
-        return not any(np.array_equal(a, b) for a, b in pairwise(known))
+        return not any(np.array_equal(a, b) for a, b in pairwise(places))
 
     def _odometer(self, k: int) -> tuple[Floats, float]:
         """Displacement in step k by its force, and the std [m]; a late answer's force is an old one too."""
@@ -204,10 +204,10 @@ class Record:
 
     def _slip(self) -> Floats | None:
         """Earlier places become those of the point now held, if the grip has surely slipped."""
-        found = self.slips.found()
-        if found is None:
+        slip = self.slips.found()
+        if slip is None:
             return None
-        row, off = found
+        row, off = slip
         size = 1000.0 * float(np.linalg.norm(off))
         self.notes.append(f"step {row}: the handle is seen {size:.0f} mm from where the force says it is")
         shift = np.asarray(self.turns[row].T @ off)
@@ -223,9 +223,9 @@ class Record:
         usable = ~np.array(self._late)
         commands, places = np.array(self.commands), np.array(self.places[:-1])
         self.hand = hand_of(commands[usable], places[usable], np.array(self.forces)[usable])
-        known = self.slips.hand
-        differs = abs(self.hand.compliance / known.compliance - 1.0) > _SAME * self.hand.spread
-        if differs or self.hand.from_measured != known.from_measured:
+        hand = self.slips.hand
+        differs = abs(self.hand.compliance / hand.compliance - 1.0) > _SAME * self.hand.spread
+        if differs or self.hand.from_measured != hand.from_measured:
             self._test_again()
         self._again()
 
@@ -235,8 +235,8 @@ class Record:
         if self.hand.from_measured:  # the force says where it is, the first place only as well as the tracker
             self.place = self.place + self.commands[0] - self.hand.compliance * self.forces[0]
         for k, command in enumerate(self.commands):
-            known = self.hand.from_measured and self._saw(k)
-            self.leads[k] = command + self.places[k] - self.place if known else command
+            is_measured = self.hand.from_measured and self._saw(k)
+            self.leads[k] = command + self.places[k] - self.place if is_measured else command
             self._passed(k)
 
     def _test_again(self) -> None:
@@ -276,8 +276,8 @@ class Record:
 
     def pushes(self) -> tuple[Floats, Floats]:
         """(k, 3) leads and (k, 3) forces of all commands that were not to rest, with a force that belongs to them."""
-        told = [k for k in range(len(self.forces)) if self.leads[k].any() and not self._late[k]]
-        leads, forces = ([column[k] for k in told] for column in (self.leads, self.forces))
+        rows = [k for k in range(len(self.forces)) if self.leads[k].any() and not self._late[k]]
+        leads, forces = ([column[k] for k in rows] for column in (self.leads, self.forces))
         return np.array(leads).reshape(-1, 3), np.array(forces).reshape(-1, 3)
 
     def rows(self) -> Rows:
@@ -355,8 +355,8 @@ class Slips:
         Args:
             along: (3,) unit vector in which it was led; None if it was pushed to see whether it moves.
         """
-        told = self._moved_so(equilibrium, force, along)
-        self.odds = self.odds + told - told[0]
+        moved = self._moved_so(equilibrium, force, along)
+        self.odds = self.odds + moved - moved[0]
         self.state[:, :3] = 0.0
         self._went(equilibrium, force, np.eye(3, 7, k=4) * -1.0)
 
@@ -367,15 +367,15 @@ class Slips:
     def _moved_so(self, equilibrium: Floats, force: Floats, along: Floats | None) -> Floats:
         """(n,) log likelihood of the displacement: it rests, or it goes within what the lead can do."""
         lead = equilibrium - self.state @ _SEEN.T
-        gone, known = lead - self.hand.compliance * force, _SEEN @ self.covariance @ _SEEN.T
+        gone, covariance = lead - self.hand.compliance * force, _SEEN @ self.covariance @ _SEEN.T
         length = np.linalg.norm(lead, axis=1)[:, None, None]
-        round_ = np.broadcast_to(np.eye(3), known.shape)
-        rests = _normal(gone, known + _PLAY**2 * round_)
+        round_ = np.broadcast_to(np.eye(3), covariance.shape)
+        rests = _normal(gone, covariance + _PLAY**2 * round_)
         if along is None:
-            goes = _normal(gone - 0.5 * lead, known + (length**2 / 12.0 + _PLAY**2) * round_)
+            goes = _normal(gone - 0.5 * lead, covariance + (length**2 / 12.0 + _PLAY**2) * round_)
         else:
             half = 0.5 * (lead @ along)[:, None] * along
-            goes = _normal(gone - half, known + length**2 / 12.0 * np.outer(along, along) + _ASIDE**2 * round_)
+            goes = _normal(gone - half, covariance + length**2 / 12.0 * np.outer(along, along) + _ASIDE**2 * round_)
         return np.asarray(np.logaddexp(rests, goes))
 
     def _went(self, shift: Floats, force: Floats, carry: Floats) -> None:
@@ -389,15 +389,15 @@ class Slips:
         self.covariance = whole @ self.covariance @ whole.T
         self.went_unseen(float(np.sqrt(noise)))
 
-    def look(self, seen: Floats, row: int) -> None:
+    def look(self, measured: Floats, row: int) -> None:
         """The tracker sees the handle at (3,) [m]."""
         self._branch(row)
-        off, noise = seen - self.state @ _SEEN.T, self._noise
-        known = _SEEN @ self.covariance @ _SEEN.T
-        width = known + noise[:, None, None] * np.eye(3)
+        off, noise = measured - self.state @ _SEEN.T, self._noise
+        covariance = _SEEN @ self.covariance @ _SEEN.T
+        width = covariance + noise[:, None, None] * np.eye(3)
         inverse, volume = np.linalg.inv(width), np.linalg.slogdet(width)[1]
-        own = noise / np.exp(volume / 3.0)  # share of the tracker's noise in what the look can be off
-        fits = _student(np.einsum("ni,nij,nj->n", off, inverse, off), volume, self._count / own**2)
+        share = noise / np.exp(volume / 3.0)  # share of the tracker's noise in what the look can be off
+        fits = _student(np.einsum("ni,nij,nj->n", off, inverse, off), volume, self._count / share**2)
         squares = (off**2).sum(axis=1)
         leaps = np.log(_LEAPS) - 0.5 * squares / _LEAP_STD**2 - 1.5 * np.log(2.0 * np.pi * _LEAP_STD**2)
         taken = fits > leaps
@@ -406,10 +406,10 @@ class Slips:
         gain = np.where(taken[:, None, None], self.covariance @ _SEEN.T @ inverse, 0.0)
         self.state = self.state + np.einsum("nij,nj->ni", gain, off)
         self.covariance = self.covariance - gain @ _SEEN @ self.covariance
-        told = own**2 * taken
-        count = self._count + 3.0 * told
-        heard = squares - np.trace(known, axis1=1, axis2=2)
-        self._noise = np.clip((self._count * noise + told * heard) / count, _LEAST**2, _MOST**2)
+        weight = share**2 * taken
+        count = self._count + 3.0 * weight
+        heard = squares - np.trace(covariance, axis1=1, axis2=2)
+        self._noise = np.clip((self._count * noise + weight * heard) / count, _LEAST**2, _MOST**2)
         self._count, self.leapt = count, not bool(taken[0])
 
     def _branch(self, row: int) -> None:

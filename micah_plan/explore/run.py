@@ -110,17 +110,17 @@ def explore(
     explorer = Explorer(scene, first)
     while True:
         started = time.process_time()
-        given = explorer.decide()
-        if given is None:
+        command = explorer.decide()
+        if command is None:
             break
         thought = time.process_time() - started
         try:
-            seen = plant.apply(Command(given, given[None].copy(), given[None].copy()))
+            measurement = plant.apply(Command(command, command[None].copy(), command[None].copy()))
         except PlantError as failure:
             explorer.stopped(str(failure))
             break
         started = time.process_time()
-        explorer.take(seen)
+        explorer.take(measurement)
         thinking = max(thinking, thought + time.process_time() - started)
         if progress is not None:
             progress(_told(explorer), min(1.0, explorer.steps / scene.steps))
@@ -209,7 +209,7 @@ def _known(edge: Edge, place_std: float) -> Edge:
 def _segment(
     joint: Joint, chain: Chain, rows: tuple[int, int], reach: tuple[float, float], rate: float, process: float
 ) -> Segment:
-    seen = chain.place_std if rate == 1.0 else 1.0 / np.hypot(1.0 / (chain.place_std * rate), 1.0 / chain.turn_std)
+    place_std = chain.place_std if rate == 1.0 else 1.0 / np.hypot(1.0 / (chain.place_std * rate), 1.0 / chain.turn_std)
     return Segment(
         joint=joint,
         run=0,
@@ -219,7 +219,7 @@ def _segment(
         configuration_end=reach[1],
         configuration_range=reach,
         process_std=max(process * rate, SMALLEST_STD),
-        observation_std=max(float(seen), SMALLEST_STD),
+        observation_std=max(float(place_std), SMALLEST_STD),
         log_evidence=0.0,
         probability=1.0,
     )

@@ -83,27 +83,27 @@ def doubt_of(
     steps, trust = segmented.track, segmented.table.trust
     rough = first_noise(steps, settings)
     free = free_log_probability(steps, rough, trust)
-    found = likeliest_path(steps, rough, trust) if settings.paths else None
-    if found is not None and found.log_probability <= free:
-        found = None
+    path = likeliest_path(steps, rough, trust) if settings.paths else None
+    if path is not None and path.log_probability <= free:
+        path = None
     answer = segmented.log_probability
-    if found is None and not (missed_by_one > _CURVED * scatter).any():
+    if path is None and not (missed_by_one > _CURVED * scatter).any():
         # Rows that come by once lie on a smooth curve whatever holds them, and one joint is as near as joints are.
         fits = single.log_probability > max(answer, log_probability_at_most(segmented, settings))
         return Doubt(-np.inf, single.log_probability, single) if fits else None
-    told = (free if found is None else found.log_probability) - _RARE
-    if told > answer:
+    log_alternative = (free if path is None else path.log_probability) - _RARE
+    if log_alternative > answer:
         answer = log_probability_at_most(segmented, settings)
-    if told <= answer:
-        return Doubt(told - answer, answer)
-    log_odds = told - max(single.log_probability, answer)
+    if log_alternative <= answer:
+        return Doubt(log_alternative - answer, answer)
+    log_odds = log_alternative - max(single.log_probability, answer)
     if log_odds <= 0:
         return Doubt(log_odds, single.log_probability, single)
-    if found is None:
-        return Doubt(log_odds, told, single)
+    if path is None:
+        return Doubt(log_odds, log_alternative, single)
     rows = track.take(np.flatnonzero(inlier))
-    std = max(found.std, length_std(first_noise(rows, settings)))
-    return Doubt(log_odds, told, single, principal_path(rows, std, found.curve) or found.curve)
+    std = max(path.std, length_std(first_noise(rows, settings)))
+    return Doubt(log_odds, log_alternative, single, principal_path(rows, std, path.curve) or path.curve)
 
 
 def misfit_of(
@@ -130,14 +130,14 @@ def _follows_a_curve(
     fitted: Sequence[FittedPiece], track: PartTrack, inlier: Booleans, noise: MeasurementNoise
 ) -> bool:
     """Whether a part goes over from moving joint to moving joint, again and again, without a corner."""
-    if len({one.joint for one in fitted}) < _CHAIN or not all(one.joint.moves for one in fitted):
+    if len({piece.joint for piece in fitted}) < _CHAIN or not all(piece.joint.moves for piece in fitted):
         return False
     weight = np.repeat([noise.rotation_length, 1.0], 3)[-6 if track.quaternion is not None else -3 :]
 
-    def direction(one: FittedPiece, last: bool) -> Floats:
-        rows = one.index(inlier)
-        c = configurations(one.joint, rows[-1:] if last else rows[:1], track, noise)
-        along = jacobian(one.joint, c)[0][-len(weight) :] * weight
+    def direction(piece: FittedPiece, last: bool) -> Floats:
+        rows = piece.index(inlier)
+        c = configurations(piece.joint, rows[-1:] if last else rows[:1], track, noise)
+        along = jacobian(piece.joint, c)[0][-len(weight) :] * weight
         return np.asarray(along / np.linalg.norm(along))
 
     cosines = [abs(float(direction(a, True) @ direction(b, False))) for a, b in pairwise(fitted)]
@@ -146,7 +146,7 @@ def _follows_a_curve(
 
 def _missed(fitted: Sequence[FittedPiece], track: PartTrack, inlier: Booleans) -> Floats:
     """(2,) or (1,) how far rows lie off their joints (rms): rotation [rad], if it was measured, and position [m]."""
-    errors = [left_by(one.joint, one.index(inlier), track, ROTATION_LENGTH) for one in fitted]
+    errors = [left_by(piece.joint, piece.index(inlier), track, ROTATION_LENGTH) for piece in fitted]
     error = np.concatenate(errors)
     return np.asarray(np.sqrt((error.reshape(len(error), -1, 3) ** 2).sum(axis=2).mean(axis=0)))
 

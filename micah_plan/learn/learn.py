@@ -69,21 +69,21 @@ def learn_graph(
         chosen = _in_common(recording, chosen)
     if method == "champ":
         recording = replace(recording, action=None)
-    return learn_tree(recording, lambda one: learn_edge(one, chosen, seed), progress)
+    return learn_tree(recording, lambda pair: learn_edge(pair, chosen, seed), progress)
 
 
 def _in_common(recording: Recording, settings: LearnSettings) -> LearnSettings:
     """One number of steps and one power of the likelihood for all pairs of parts: a tree compares their evidence."""
     first = {part: int(run) for part, run in reversed(list(zip(recording.part, recording.run, strict=True)))}
     tracks = [part_track(recording, first[part], part) for part in recording.parts]
-    known = [track for track in tracks if len(track) >= FEWEST_ROWS]
-    if not known:
+    long_enough = [track for track in tracks if len(track) >= FEWEST_ROWS]
+    if not long_enough:
         return replace(settings, trust=settings.trust or LEAST_TRUST)
-    inliers = [find_inliers(track) for track in known]
-    sweeps = [sweeps_of(track.take(np.flatnonzero(inlier))) for track, inlier in zip(known, inliers, strict=True)]
+    inliers = [find_inliers(track) for track in long_enough]
+    sweeps = [sweeps_of(track.take(np.flatnonzero(inlier))) for track, inlier in zip(long_enough, inliers, strict=True)]
     settings = replace(settings, sweeps=settings.sweeps or max(sweeps))
-    steps = [steps_of(track, inlier, settings) for track, inlier in zip(known, inliers, strict=True)]
-    trusts = [trust_in(first_noise(one.track, settings.of_steps(one.size)), settings) for one in steps]
+    steps = [steps_of(track, inlier, settings) for track, inlier in zip(long_enough, inliers, strict=True)]
+    trusts = [trust_in(first_noise(step.track, settings.of_steps(step.size)), settings) for step in steps]
     return replace(settings, trust=float(np.mean(trusts)))
 
 
@@ -104,28 +104,28 @@ def learn_edge(recording: Recording, settings: LearnSettings, seed: int) -> Kine
         if settings.sweeps is None and is_long(track, inlier):
             learner = OnlineLearner(settings, seed=seed, part=part, run=run)
             learner.take(track)
-            own = list(learner.segments())
-            mover = max((one for one in own if one.joint.moves), key=_rows, default=None)
+            run_segments = list(learner.segments())
+            mover = max((segment for segment in run_segments if segment.joint.moves), key=_rows, default=None)
             if reference is not None:
-                own = _aligned_segments(own, mover, reference, track, learner.noise)
+                run_segments = _aligned_segments(run_segments, mover, reference, track, learner.noise)
             elif mover is not None:
                 reference = mover.joint
-            segments += own
+            segments += run_segments
             edges.append(learner.edge().certainty)
             continue
-        one, sure_of_edge = _learned(track, settings, rng, inlier)
+        learned, sure_of_edge = _learned(track, settings, rng, inlier)
         edges.append(sure_of_edge)
-        chain = list(one.pieces)
+        chain = list(learned.pieces)
         longest = max((piece for piece in chain if piece.joint.moves), key=_rows, default=None)
         if reference is not None:
-            chain = _aligned(chain, longest, reference, one)
+            chain = _aligned(chain, longest, reference, learned)
         elif longest is not None:
             reference = longest.joint
         segments += [
-            to_segment(piece, chain, sure, run, one.track, one.inlier, one.noise)
-            for piece, sure in zip(chain, one.certainties, strict=True)
+            to_segment(piece, chain, sure, run, learned.track, learned.inlier, learned.noise)
+            for piece, sure in zip(chain, learned.certainties, strict=True)
         ]
-    return KinematicEdge(BASE, part, tuple(segments), _together([one for one in edges if one is not None]))
+    return KinematicEdge(BASE, part, tuple(segments), _together([edge for edge in edges if edge is not None]))
 
 
 def _learned(
@@ -135,9 +135,9 @@ def _learned(
     inlier: NDArray[np.bool_] | None = None,
 ) -> tuple[LearnedRun, EdgeCertainty]:
     """What one track tells, and how sure that is of all of its segments."""
-    one, channel = learn_acted_run(track, settings, rng, inlier)
-    counts = tuple(float(p) for p in one.posterior.counts)
-    return one, EdgeCertainty(one.posterior.log_evidence, (counts,), channel, one.trace)
+    learned, channel = learn_acted_run(track, settings, rng, inlier)
+    counts = tuple(float(p) for p in learned.posterior.counts)
+    return learned, EdgeCertainty(learned.posterior.log_evidence, (counts,), channel, learned.trace)
 
 
 def _edge_of_short_runs(
@@ -146,18 +146,18 @@ def _edge_of_short_runs(
     """The edge of runs that show little one by one; their numbers of changepoints are not told apart."""
     together = one_after_another(tracks)
     # Every row is a step, and segments are as long as those of one run.
-    own = replace(settings, resolution=max(settings.resolution, len(together)))
+    run_settings = replace(settings, resolution=max(settings.resolution, len(together)))
     if settings.mean_length is None:
-        own = replace(own, mean_length=0.5 * together.duration / len(tracks))
+        run_settings = replace(run_settings, mean_length=0.5 * together.duration / len(tracks))
     # Where a run of few rows begins, a motion cannot be told from an outlier.
     every = np.ones(len(together), dtype=bool)
-    one, sure_of_edge = _learned(together, own, np.random.default_rng([seed, 0]), every)
+    learned, sure_of_edge = _learned(together, run_settings, np.random.default_rng([seed, 0]), every)
     lengths = [len(track) for track in tracks]
-    cut = cut_into_runs(one.pieces, one.certainties, lengths)
+    cut = cut_into_runs(learned.pieces, learned.certainties, lengths)
 
     def segments_of(chain: list[FittedPiece]) -> list[Segment]:
         return [
-            to_segment(piece, chain, sure, recording.runs[run], one.track, one.inlier, one.noise)
+            to_segment(piece, chain, sure, recording.runs[run], learned.track, learned.inlier, learned.noise)
             for piece, (_, sure, run) in zip(chain, cut, strict=True)
         ]
 
@@ -170,12 +170,12 @@ def _edge_of_short_runs(
 
 def _together(runs: Sequence[EdgeCertainty]) -> EdgeCertainty:
     """What all runs say; how many changepoints there are only if each run says it."""
-    channels = [one.channel for one in runs if one.channel is not None]
-    counts = [one.changepoint_counts for one in runs]
+    channels = [run.channel for run in runs if run.channel is not None]
+    counts = [run.changepoint_counts for run in runs]
     return EdgeCertainty(
-        log_evidence=sum(one.log_evidence for one in runs),
+        log_evidence=sum(run.log_evidence for run in runs),
         changepoint_counts=sum(counts, ()) if all(counts) else (),
-        channel=max(channels, key=lambda one: one.explained, default=None),
+        channel=max(channels, key=lambda channel: channel.explained, default=None),
         trace=runs[0].trace,
     )
 
@@ -187,32 +187,32 @@ def _aligned(
     track, noise = run.track, run.noise
     if longest is None:
         held = float(np.median(configurations(reference, np.flatnonzero(run.inlier), track, noise)))
-        return [replace(one, joint=replace(one.joint, fixed_at=held)) for one in chain]
+        return [replace(piece, joint=replace(piece.joint, fixed_at=held)) for piece in chain]
     backwards, offset = _alignment(longest.joint, reference, longest.index(run.inlier), track, noise)
-    return [replace(one, joint=_counted_along(one.joint, backwards, offset)) for one in chain]
+    return [replace(piece, joint=_counted_along(piece.joint, backwards, offset)) for piece in chain]
 
 
 def _aligned_segments(
-    found: list[Segment], longest: Segment | None, reference: Joint, track: PartTrack, noise: MeasurementNoise
+    segments: list[Segment], longest: Segment | None, reference: Joint, track: PartTrack, noise: MeasurementNoise
 ) -> list[Segment]:
     """The same for segments."""
     backwards, offset = False, 0.0
     if longest is None:
         held = float(np.median(configurations(reference, np.arange(len(track)), track, noise)))
-        offset = held - found[0].joint.fixed_at
+        offset = held - segments[0].joint.fixed_at
     else:
         rows = np.flatnonzero((track.rows >= longest.start) & (track.rows <= longest.end))
         backwards, offset = _alignment(longest.joint, reference, rows, track, noise)
     sign = -1.0 if backwards else 1.0
     aligned = []
-    for one in found:
-        ends = sorted(sign * end + offset for end in one.configuration_range)
+    for segment in segments:
+        ends = sorted(sign * end + offset for end in segment.configuration_range)
         aligned.append(
             replace(
-                one,
-                joint=_counted_along(one.joint, backwards, offset),
-                configuration_start=sign * one.configuration_start + offset,
-                configuration_end=sign * one.configuration_end + offset,
+                segment,
+                joint=_counted_along(segment.joint, backwards, offset),
+                configuration_start=sign * segment.configuration_start + offset,
+                configuration_end=sign * segment.configuration_end + offset,
                 configuration_range=(ends[0], ends[1]),
             )
         )
@@ -223,17 +223,17 @@ def _alignment(
     joint: Joint, reference: Joint, rows: NDArray[np.int64], track: PartTrack, noise: MeasurementNoise
 ) -> tuple[bool, float]:
     """Whether a joint counts backwards along a reference, and what to add to its configurations then."""
-    own, common = configurations(joint, rows, track, noise), configurations(reference, rows, track, noise)
-    backwards = float((own - own.mean()) @ (common - common.mean())) < 0
-    return backwards, float(np.median(common - (-own if backwards else own)))
+    along_joint, common = configurations(joint, rows, track, noise), configurations(reference, rows, track, noise)
+    backwards = float((along_joint - along_joint.mean()) @ (common - common.mean())) < 0
+    return backwards, float(np.median(common - (-along_joint if backwards else along_joint)))
 
 
 def _counted_along(joint: Joint, backwards: bool, offset: float) -> Joint:
     return shifted(reversed_direction(joint) if backwards else joint, -offset)
 
 
-def _rows(one: FittedPiece | Segment) -> int:
-    return one.end - one.start
+def _rows(segment: FittedPiece | Segment) -> int:
+    return segment.end - segment.start
 
 
 Sliced = tuple[FittedPiece, SegmentCertainty, int]
@@ -272,7 +272,7 @@ def cut_into_runs(
         lengths: rows of every run.
     """
     starts = np.concatenate([[0], np.cumsum(lengths)]).tolist()
-    found: list[Sliced] = []
+    sliced: list[Sliced] = []
     for piece, sure in zip(pieces, certainties, strict=True):
         rows = piece.end - piece.start + 1
         for run, (first, after) in enumerate(pairwise(starts)):
@@ -282,5 +282,5 @@ def cut_into_runs(
             # No changepoint is where a run begins: the piece only goes on.
             place = sure if start == piece.start else replace(sure, start=None)
             share = piece.log_evidence * (end - start + 1) / rows
-            found.append((replace(piece, start=start, end=end, log_evidence=share), place, run))
-    return sorted(found, key=lambda one: one[0].start)
+            sliced.append((replace(piece, start=start, end=end, log_evidence=share), place, run))
+    return sorted(sliced, key=lambda piece: piece[0].start)

@@ -154,8 +154,8 @@ class OnlineLearner:
 
     def take_committed(self) -> tuple[Segment, ...]:
         """The committed segments, which are forgotten: for streams without an end."""
-        found, self._committed = tuple(self._committed), []
-        return found
+        committed, self._committed = tuple(self._committed), []
+        return committed
 
     @property
     def noise(self) -> MeasurementNoise:
@@ -248,8 +248,8 @@ class OnlineLearner:
         self._committed += segments[:-1]
         self._log_evidence += window.run.posterior.log_evidence * cut / len(window.last)
         self._open = segments[-1]
-        known = () if self._entry is None else self._entry.known
-        self._entry = Entry.after(window, middle, cut, known, start, self._open.configuration_end)
+        joints = () if self._entry is None else self._entry.known
+        self._entry = Entry.after(window, middle, cut, joints, start, self._open.configuration_end)
         self._latest = None
         self._windows += 1
         self._window.drop(cut)
@@ -279,7 +279,7 @@ class Entry:
         window: LearnedWindow,
         middle: int,
         cut: int,
-        known: Sequence[Joint],
+        joints: Sequence[Joint],
         start: RowPosterior | None,
         reached: float,
     ) -> Entry:
@@ -293,16 +293,18 @@ class Entry:
             for piece, certainty in zip(window.pieces, window.run.certainties, strict=True)
             if certainty.misfit is None and piece.start <= cut
         ]
-        latest = list(dict.fromkeys([*new[::-1], *known[::-1]]))[:_MOST_KNOWN][::-1]
-        return cls(tuple(latest), tuple(replace(one, settled=True) for one in before), within, reached, start)
+        latest = list(dict.fromkeys([*new[::-1], *joints[::-1]]))[:_MOST_KNOWN][::-1]
+        return cls(tuple(latest), tuple(replace(piece, settled=True) for piece in before), within, reached, start)
 
     def continued_by(self, run: LearnedRun, last: Ints, settings: LearnSettings) -> LearnedWindow:
         """A window that begins here, with the known joints in place of those that they explain the rows as well as."""
         same: dict[int, Joint | None] = {}
         for hypothesis in dict.fromkeys(run.hypotheses):
-            own = [piece for piece, of in zip(run.pieces, run.hypotheses, strict=True) if of == hypothesis]
-            rows = np.concatenate([piece.index(run.inlier) for piece in own])
-            same[hypothesis] = None if run.certainties[0].misfit else self._known(own[0].joint, rows, run, settings)
+            pieces_of_joint = [piece for piece, of in zip(run.pieces, run.hypotheses, strict=True) if of == hypothesis]
+            rows = np.concatenate([piece.index(run.inlier) for piece in pieces_of_joint])
+            same[hypothesis] = (
+                None if run.certainties[0].misfit else self._known(pieces_of_joint[0].joint, rows, run, settings)
+            )
         pieces = []
         for piece, hypothesis in zip(run.pieces, run.hypotheses, strict=True):
             joint = same[hypothesis]
@@ -316,13 +318,13 @@ class Entry:
         deviation = np.array([settings.rotation_misfit, settings.position_misfit])
         deviation = deviation[-1:] if run.track.quaternion is None else deviation
 
-        def missed(one: Joint) -> Floats:
-            errors = left_by(one, rows, run.track, run.noise.rotation_length)
+        def missed(candidate: Joint) -> Floats:
+            errors = left_by(candidate, rows, run.track, run.noise.rotation_length)
             return np.asarray((errors.reshape(len(errors), -1, 3) ** 2).sum(axis=2).mean(axis=0))
 
-        own = missed(joint)
-        candidates = [one for one in self.known if one.kind == joint.kind]
-        excess = [float(((missed(one) - own) / deviation**2).max()) for one in candidates]
+        least = missed(joint)
+        candidates = [candidate for candidate in self.known if candidate.kind == joint.kind]
+        excess = [float(((missed(candidate) - least) / deviation**2).max()) for candidate in candidates]
         return candidates[int(np.argmin(excess))] if min(excess, default=np.inf) <= 1.0 else None
 
 
@@ -363,7 +365,7 @@ class LearnedWindow:
 
     def segments(self, number: int, end: int | None = None) -> list[Segment]:
         """Segments of its rows, or of those before `end`, of the run of that number."""
-        found: list[Segment] = []
+        segments: list[Segment] = []
         chain = [*self.before, *self.pieces]
         for i, (piece, sure) in enumerate(zip(self.pieces, self.run.certainties, strict=True)):
             if end is not None and piece.start >= end:
@@ -373,13 +375,13 @@ class LearnedWindow:
                 piece = replace(piece, end=end - 1, log_evidence=piece.log_evidence * share)
                 chain[len(self.before) + i] = piece
             segment = to_segment(piece, chain, sure, number, self.run.track, self.run.inlier, self.run.noise)
-            found.append(replace(segment, end=int(self.last[piece.end])))
-        return found
+            segments.append(replace(segment, end=int(self.last[piece.end])))
+        return segments
 
 
 def joined(first: Segment, second: Segment) -> Segment:
     """Two neighbouring segments of one joint as one."""
-    rows = np.array([one.end - one.start + 1.0 for one in (first, second)])
+    rows = np.array([segment.end - segment.start + 1.0 for segment in (first, second)])
     turns = first.configuration_end - second.configuration_start
     turn = 2 * np.pi * round(turns / (2 * np.pi)) if first.joint.kind == "revolute" else 0.0
 
@@ -421,9 +423,9 @@ class WindowRows:
         ends = np.minimum(np.arange(size, len(self) + size, size), len(self)) - 1
         return WindowRows(self.track.coarsened(size), self.last[ends])
 
-    def followed_by(self, other: WindowRows) -> WindowRows:
+    def followed_by(self, later: WindowRows) -> WindowRows:
         """These rows and later ones."""
-        return WindowRows(self.track.followed_by(other.track), np.concatenate([self.last, other.last]))
+        return WindowRows(self.track.followed_by(later.track), np.concatenate([self.last, later.last]))
 
 
 class RowWindow:
@@ -479,11 +481,11 @@ def _joined(parts: list[WindowRows]) -> WindowRows | None:
     first = tracks[0]
 
     def column(name: str) -> NDArray[np.float64] | None:
-        return None if getattr(first, name) is None else np.concatenate([getattr(one, name) for one in tracks])
+        return None if getattr(first, name) is None else np.concatenate([getattr(track, name) for track in tracks])
 
-    rows = np.concatenate([one.rows for one in tracks])
-    time = np.concatenate([one.time for one in tracks])
-    position = np.concatenate([one.position for one in tracks])
+    rows = np.concatenate([track.rows for track in tracks])
+    time = np.concatenate([track.time for track in tracks])
+    position = np.concatenate([track.position for track in tracks])
     track = PartTrack(rows, time, position, column("quaternion"), column("action"))
     return WindowRows(track, np.concatenate([part.last for part in parts]))
 

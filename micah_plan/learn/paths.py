@@ -84,8 +84,12 @@ def likeliest_path(track: PartTrack, noise: NoiseModel, trust: float) -> FoundPa
         noise, trust: as for free motion.
     """
     curves = [principal_path(track, std) for std in length_std(noise) * _SCATTER]
-    found = [told_along(curve, track, noise, trust) for curve in curves if curve is not None]
-    return max((one for one in found if one is not None), key=lambda one: one.log_probability, default=None)
+    candidates = [told_along(curve, track, noise, trust) for curve in curves if curve is not None]
+    return max(
+        (candidate for candidate in candidates if candidate is not None),
+        key=lambda candidate: candidate.log_probability,
+        default=None,
+    )
 
 
 def length_std(noise: NoiseModel) -> float:
@@ -107,17 +111,19 @@ def told_along(curve: Joint, track: PartTrack, noise: NoiseModel, trust: float) 
     order = np.argsort(c, kind="stable")
     vectors = _vectors(track, int(order[len(order) // 2]))
     stds = rough(noise)
-    across = [_beside(one[order], std, c[order], order) for one, std in zip(vectors, stds, strict=True)]
-    squares = np.sum([one.squares for one, _ in across], axis=0)
-    sizes = np.sum([one.sizes for one, _ in across], axis=0)
+    across = [_beside(vector[order], std, c[order], order) for vector, std in zip(vectors, stds, strict=True)]
+    squares = np.sum([trend.squares for trend, _ in across], axis=0)
+    sizes = np.sum([trend.sizes for trend, _ in across], axis=0)
     # One direction is told by the row before in time, how far the part came, and not by its neighbours on the curve.
     there = along_path(curve, c)
     moves = np.stack([there.turning, there.velocity])[-len(stds) :]
     std = float(1 / np.sqrt((moves**2).sum(axis=2).mean(axis=1) @ np.array(stds) ** -2))
     along = trend_of(c[:, None], std)
-    told = density(squares, sizes, 3 * len(stds) - 1).sum() + density(along.squares, along.sizes - np.log(std), 1).sum()
+    log_probability = (
+        density(squares, sizes, 3 * len(stds) - 1).sum() + density(along.squares, along.sizes - np.log(std), 1).sum()
+    )
     priced = (2 * len(across) + 1) * price(len(c)) + np.log(len(_SCATTER))
-    return FoundPath(curve, _length([std for _, std in across]), float(trust * told - priced))
+    return FoundPath(curve, _length([std for _, std in across]), float(trust * log_probability - priced))
 
 
 def _beside(vector: Floats, std: float, c: Floats, row: Ints) -> tuple[Trend, float]:
@@ -145,9 +151,9 @@ def _beside(vector: Floats, std: float, c: Floats, row: Ints) -> tuple[Trend, fl
             lower = cholesky(begun + bends**2 * bent + wander + white, lower=True, check_finite=False)
             squares = (solve_triangular(lower, away, lower=True, check_finite=False) ** 2).sum(axis=1)
             scale = likeliest_scale(squares, k)
-            one = Trend(squares / scale, k * (np.log(np.diagonal(lower)) + 0.5 * np.log(scale)), 0.0)
-            tried.append((one, std * float(np.sqrt(scale * (1 + wander[0, 0])))))
-    return max(tried, key=lambda one: float(density(one[0].squares, one[0].sizes, k).sum()))
+            trend = Trend(squares / scale, k * (np.log(np.diagonal(lower)) + 0.5 * np.log(scale)), 0.0)
+            tried.append((trend, std * float(np.sqrt(scale * (1 + wander[0, 0])))))
+    return max(tried, key=lambda pair: float(density(pair[0].squares, pair[0].sizes, k).sum()))
 
 
 def _closest(curve: Joint, track: PartTrack) -> Floats:
@@ -161,9 +167,9 @@ def _passes(c: Floats) -> float:
     """
     least = _STRIDE * float(np.ptp(c))
     kept = [float(c[0])]
-    for one in c.tolist():
-        if abs(one - kept[-1]) >= least:
-            kept.append(one)
+    for value in c.tolist():
+        if abs(value - kept[-1]) >= least:
+            kept.append(value)
     ends = np.sort(np.stack([kept[:-1], kept[1:]]), axis=0)
     places = np.quantile(c, np.linspace(0.1, 0.9, _PLACES))
     by = ((ends[0] < places[:, None]) & (ends[1] >= places[:, None])).sum(axis=1)

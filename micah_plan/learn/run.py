@@ -103,30 +103,30 @@ def segment_run(
     track: PartTrack,
     settings: LearnSettings,
     inlier: Booleans | None = None,
-    known: Segmented | None = None,
+    start: Segmented | None = None,
 ) -> SegmentedRun:
     """Cut a track into segments.
 
     Args:
         inlier: (n,) rows that are no outliers; None: to be found.
-        known: what was found for the same poses with other actions, to start from.
+        start: what was found for the same poses with other actions, to start from.
     """
     inlier = find_inliers(track) if inlier is None else inlier
     steps = steps_of(track, inlier, settings)
-    segmented = segment_track(steps.track, steps.assumed(settings), known)
+    segmented = segment_track(steps.track, steps.assumed(settings), start)
     posterior = posterior_of(segmented, settings)
     return SegmentedRun(track, inlier, steps, segmented, posterior)
 
 
-def with_joints(found: SegmentedRun, settings: LearnSettings, rng: np.random.Generator) -> LearnedRun:
+def with_joints(segmented_run: SegmentedRun, settings: LearnSettings, rng: np.random.Generator) -> LearnedRun:
     """The run with joints fitted to all rows of its segments, and how sure they are."""
-    track, inlier, posterior = found.track, found.inlier, found.posterior
-    noise = found.segmented.noise.of_rows(found.steps.size)
-    segmented, misfit = found.segmented, None
+    track, inlier, posterior = segmented_run.track, segmented_run.inlier, segmented_run.posterior
+    noise = segmented_run.segmented.noise.of_rows(segmented_run.steps.size)
+    segmented, misfit = segmented_run.segmented, None
 
     def fitted_to(answer: Segmented) -> tuple[list[FittedPiece], list[RowPosterior | None]]:
         pieces = answer.segmentation.pieces
-        return fitted_pieces(pieces, answer, found.steps, track, inlier, settings, rng)
+        return fitted_pieces(pieces, answer, segmented_run.steps, track, inlier, settings, rng)
 
     fitted, places = fitted_to(segmented)
     doubt = doubt_of(segmented, fitted, track, inlier, noise, settings)
@@ -136,15 +136,15 @@ def with_joints(found: SegmentedRun, settings: LearnSettings, rng: np.random.Gen
         if doubt.log_odds <= 0:
             # Trees compare evidence between parents, so it stays that of one procedure, the first search. Noise fitted
             # anew to the one joint takes what that misses for a tracker's wander, which explains any curve.
-            told = found.posterior.log_evidence
-            posterior = replace(posterior_of(segmented, settings), log_evidence=told)
+            log_evidence = segmented_run.posterior.log_evidence
+            posterior = replace(posterior_of(segmented, settings), log_evidence=log_evidence)
         if doubt.moves_freely:
             misfit = misfit_of(fitted, track, inlier, noise, settings, doubt.log_odds)
     pieces = segmented.segmentation.pieces
     against = -np.inf if doubt is None else doubt.log_odds
     kinds = [
-        kind_probabilities(segmented, p.hypothesis, settings.kinds, against, one.doubts)
-        for p, one in zip(pieces, fitted, strict=True)
+        kind_probabilities(segmented, p.hypothesis, settings.kinds, against, piece.doubts)
+        for p, piece in zip(pieces, fitted, strict=True)
     ]
     if doubt is not None and doubt.path is not None:
         fitted = [FittedPiece(0, len(track) - 1, doubt.path, np.zeros(3), None, doubt.log_evidence)]
@@ -154,8 +154,8 @@ def with_joints(found: SegmentedRun, settings: LearnSettings, rng: np.random.Gen
         posterior = without_changepoints(posterior, rest)
     chain = chained(fitted, track, inlier, noise)
     certainties = tuple(
-        SegmentCertainty(place, kind, misfit, one.doubts.deviation)
-        for place, kind, one in zip(places, kinds, fitted, strict=True)
+        SegmentCertainty(place, kind, misfit, piece.doubts.deviation)
+        for place, kind, piece in zip(places, kinds, fitted, strict=True)
     )
     trace = _trace(segmented, posterior, settings)
     hypotheses = tuple(piece.hypothesis for piece in pieces)
@@ -176,7 +176,7 @@ def fitted_pieces(
     for a, b in pairwise(pieces):
         since = located[-1].row if located else 0
         located.append(_located(a, b, since, segmented, steps, track, inlier, settings))
-    starts = [0, *(one.row for one in located)]
+    starts = [0, *(located_row.row for located_row in located)]
     ends = [*(start - 1 for start in starts[1:]), len(track) - 1]
     spans = list(zip(starts, ends, strict=True))
     joints = _joints(pieces, spans, segmented, track, inlier, settings, rng)
@@ -193,7 +193,7 @@ def fitted_pieces(
         )
         for p, (a, b) in zip(pieces, spans, strict=True)
     ]
-    return fitted, [None, *(_row_posterior(one, track) for one in located)]
+    return fitted, [None, *(_row_posterior(located_row, track) for located_row in located)]
 
 
 def _leader(piece: Piece, segmented: Segmented) -> Joint | None:
@@ -231,7 +231,7 @@ def _joints(
 
     Beside them what the rows say against them.
     """
-    found: dict[int, tuple[Joint, JointDoubts]] = {}
+    fits: dict[int, tuple[Joint, JointDoubts]] = {}
     for hypothesis in dict.fromkeys(piece.hypothesis for piece in pieces):
         rows = np.concatenate(
             [np.arange(a, b + 1) for p, (a, b) in zip(pieces, spans, strict=True) if p.hypothesis == hypothesis]
@@ -245,8 +245,8 @@ def _joints(
             rng,
             settings,
         )
-        found[hypothesis] = fitted.joint, fitted.doubts
-    return found
+        fits[hypothesis] = fitted.joint, fitted.doubts
+    return fits
 
 
 def _row_posterior(located: Located, track: PartTrack) -> RowPosterior:
@@ -282,11 +282,11 @@ def _trace(segmented: Segmented, posterior: ChangepointPosterior, settings: Lear
 
 def _numbered(kinds: Sequence[JointKind]) -> tuple[str, ...]:
     """Names of models: their kind, numbered from the second of a kind on."""
-    seen: dict[str, int] = {}
+    counts: dict[str, int] = {}
     names = []
     for kind in kinds:
-        seen[kind] = seen.get(kind, 0) + 1
-        names.append(kind if seen[kind] == 1 else f"{kind}_{seen[kind]}")
+        counts[kind] = counts.get(kind, 0) + 1
+        names.append(kind if counts[kind] == 1 else f"{kind}_{counts[kind]}")
     return tuple(names)
 
 

@@ -73,35 +73,35 @@ def chained(
     """
     chain = list(before)
     placed: dict[Joint, Joint] = {}
-    for one in fitted:
+    for piece in fitted:
         last = chain[-1].joint if chain else None
-        if one.joint in placed:
-            one = replace(one, joint=placed[one.joint], settled=True)
-        if one.settled:
-            chain.append(one)
-            rigid = not one.joint.moves
-            reached = one.joint.fixed_at if rigid else _near(one.joint, one.end, one, track, inlier, noise)
+        if piece.joint in placed:
+            piece = replace(piece, joint=placed[piece.joint], settled=True)
+        if piece.settled:
+            chain.append(piece)
+            rigid = not piece.joint.moves
+            reached = piece.joint.fixed_at if rigid else _near(piece.joint, piece.end, piece, track, inlier, noise)
             continue
-        if not one.joint.moves:
+        if not piece.joint.moves:
             moving = _last_moving(chain)
             if moving is not None and last is not None and last.kind != "rigid":
-                reached = _configuration_of(one.joint, moving, noise)
-            chain.append(replace(one, joint=replace(one.joint, fixed_at=reached)))
+                reached = _configuration_of(piece.joint, moving, noise)
+            chain.append(replace(piece, joint=replace(piece.joint, fixed_at=reached)))
             continue
-        joint = _directed(one, chain, track, inlier, noise)
-        start = _near(joint, one.start, one, track, inlier, noise)
+        joint = _directed(piece, chain, track, inlier, noise)
+        start = _near(joint, piece.start, piece, track, inlier, noise)
         if last is not None and last.kind == "rigid":
             start = _configuration_of(last, joint, noise)
         elif last is not None:
             reached, start = _meeting(last, reached, joint, start, noise)
-        placed[one.joint] = joint = shifted(joint, start - reached)
-        chain.append(replace(one, joint=joint))
-        reached = _near(joint, one.end, one, track, inlier, noise)
+        placed[piece.joint] = joint = shifted(joint, start - reached)
+        chain.append(replace(piece, joint=joint))
+        reached = _near(joint, piece.end, piece, track, inlier, noise)
     return chain[len(before) :]
 
 
 def to_segment(
-    one: FittedPiece,
+    piece: FittedPiece,
     chain: Sequence[FittedPiece],
     certainty: SegmentCertainty,
     run: int,
@@ -110,7 +110,7 @@ def to_segment(
     noise: MeasurementNoise,
 ) -> Segment:
     """The segment of a chained piece, with its configurations and noise."""
-    joint, used = one.joint, one.index(inlier)
+    joint, used = piece.joint, piece.index(inlier)
     c = configurations(joint, used, track, noise)
     if not joint.moves:
         start = end = joint.fixed_at
@@ -125,19 +125,19 @@ def to_segment(
         smooth = np.round(smooth, _DECIMALS) + 0.0
         start, end = float(smooth[0]), float(smooth[-1])
         limits = (float(min(smooth.min(), start)), float(max(smooth.max(), end)))
-        process = _process_std(one, c, used, track, observed)
-    measured_by = _last_moving(chain[: chain.index(one) + 1]) or _first_moving(chain) or joint
+        process = _process_std(piece, c, used, track, observed)
+    measured_by = _last_moving(chain[: chain.index(piece) + 1]) or _first_moving(chain) or joint
     return Segment(
         joint=joint,
         run=run,
-        start=int(track.rows[one.start]),
-        end=int(track.rows[one.end]),
+        start=int(track.rows[piece.start]),
+        end=int(track.rows[piece.end]),
         configuration_start=start,
         configuration_end=end,
         configuration_range=limits,
         process_std=process,
         observation_std=_observation_std(joint, measured_by, used, track, noise),
-        log_evidence=one.log_evidence,
+        log_evidence=piece.log_evidence,
         probability=dict(certainty.kinds)[joint.kind],
         certainty=certainty,
     )
@@ -178,28 +178,28 @@ def _configuration_of(rigid: Joint, moving: Joint, noise: MeasurementNoise) -> f
 
 
 def _directed(
-    one: FittedPiece, chain: Sequence[FittedPiece], track: PartTrack, inlier: Booleans, noise: MeasurementNoise
+    piece: FittedPiece, chain: Sequence[FittedPiece], track: PartTrack, inlier: Booleans, noise: MeasurementNoise
 ) -> Joint:
     """The piece's joint, counted in the direction that the chain continues or, without one, that the part went."""
-    index = one.index(inlier)
-    c = _smoothed(configurations(one.joint, index, track, noise))
+    index = piece.index(inlier)
+    c = _smoothed(configurations(piece.joint, index, track, noise))
     moving = _last_moving(chain)
-    if moving is not None and moving.kind == one.joint.kind:
+    if moving is not None and moving.kind == piece.joint.kind:
         scale = np.repeat([noise.rotation_length, 1.0], 3)
         old = jacobian(moving, configurations(moving, index[:1], track, noise))[0] * scale
-        new = jacobian(one.joint, c[:1])[0] * scale
+        new = jacobian(piece.joint, c[:1])[0] * scale
         cosine = float(old @ new) / max(float(np.linalg.norm(old) * np.linalg.norm(new)), 1e-12)
         if abs(cosine) > _SAME_DIRECTION:
-            return one.joint if cosine > 0 else reversed_direction(one.joint)
+            return piece.joint if cosine > 0 else reversed_direction(piece.joint)
     away = c - c[0]
-    return one.joint if away[int(np.argmax(np.abs(away)))] >= 0 else reversed_direction(one.joint)
+    return piece.joint if away[int(np.argmax(np.abs(away)))] >= 0 else reversed_direction(piece.joint)
 
 
 def _near(
-    joint: Joint, row: int, one: FittedPiece, track: PartTrack, inlier: Booleans, noise: MeasurementNoise
+    joint: Joint, row: int, piece: FittedPiece, track: PartTrack, inlier: Booleans, noise: MeasurementNoise
 ) -> float:
     """The configuration at a row, from a line through the piece's rows next to it: it averages the noise of rows."""
-    index = one.index(inlier)
+    index = piece.index(inlier)
     c = configurations(joint, index, track, noise)
     return _line_at(index.astype(float), c, float(row))
 
@@ -238,26 +238,26 @@ def _observation_std(joint: Joint, measured_by: Joint, rows: Ints, track: PartTr
     return float(np.sqrt(variance)) / max(moves + turns, 1e-12)
 
 
-def _process_std(one: FittedPiece, c: Floats, rows: Ints, track: PartTrack, observation_std: float) -> float:
+def _process_std(piece: FittedPiece, c: Floats, rows: Ints, track: PartTrack, observation_std: float) -> float:
     """Std of the steps that the actions, or without them a smooth motion, leave unexplained."""
     steps = np.diff(c)
     if len(steps) < 3:
         return 0.0
-    if track.action is not None and one.leader is not None and one.gain.any():
-        sign = 1.0 if np.dot(one.leader.axis, one.joint.axis) >= 0 else -1.0
+    if track.action is not None and piece.leader is not None and piece.gain.any():
+        sign = 1.0 if np.dot(piece.leader.axis, piece.joint.axis) >= 0 else -1.0
         commanded = np.concatenate([np.zeros((1, 3)), np.cumsum(track.action, axis=0)])[rows]
-        left = steps - sign * np.diff(commanded, axis=0) @ one.gain
+        residual = steps - sign * np.diff(commanded, axis=0) @ piece.gain
     else:
-        left = steps - _smoothed(steps)
+        residual = steps - _smoothed(steps)
     # A measured step contains the noise of two rows; their covariance with the next step is what tells it apart.
-    noise_variance = max(-float(np.mean(left[1:] * left[:-1])), 0.0)
-    variance = float(np.mean(left**2)) - 2 * noise_variance
+    noise_variance = max(-float(np.mean(residual[1:] * residual[:-1])), 0.0)
+    variance = float(np.mean(residual**2)) - 2 * noise_variance
     return float(np.sqrt(max(variance, (_FINEST_STEP * observation_std) ** 2)))
 
 
 def _last_moving(chain: Sequence[FittedPiece]) -> Joint | None:
-    return next((one.joint for one in reversed(chain) if one.joint.moves), None)
+    return next((piece.joint for piece in reversed(chain) if piece.joint.moves), None)
 
 
 def _first_moving(chain: Sequence[FittedPiece]) -> Joint | None:
-    return next((one.joint for one in chain if one.joint.moves), None)
+    return next((piece.joint for piece in chain if piece.joint.moves), None)

@@ -22,7 +22,7 @@ _FEW = 0.02  # share of the rows that do not count
 
 def small_motions(recording: Recording, settings: LearnSettings) -> tuple[str, ...]:
     """One line for each part that moves, but by less than ten times the wander of the settings in all its runs."""
-    found = []
+    warnings = []
     names = np.array(recording.part)
     for part in recording.parts:
         runs = [run for run in recording.runs if np.sum((recording.run == run) & (names == part)) >= FEWEST_ROWS]
@@ -31,19 +31,19 @@ def small_motions(recording: Recording, settings: LearnSettings) -> tuple[str, .
             continue
         moved, turned = (max(values) for values in zip(*reaches, strict=True))
         if moved < _TELLING * settings.position_wander and turned < _TELLING * settings.rotation_wander:
-            found.append(_told(part, moved, turned, recording.quaternion is not None, settings))
-    return tuple(found)
+            warnings.append(_told(part, moved, turned, recording.quaternion is not None, settings))
+    return tuple(warnings)
 
 
 def _told(part: str, moved: float, turned: float, has_orientation: bool, settings: LearnSettings) -> str:
-    seen = f"moves over {quantity(moved, 'm', digits=2)}"
+    sentence = f"moves over {quantity(moved, 'm', digits=2)}"
     wander = f"LearnSettings.position_wander ({settings.position_wander:g} m)"
     if has_orientation:
-        seen += f" and turns by {quantity(turned, 'rad', digits=2)}"
+        sentence += f" and turns by {quantity(turned, 'rad', digits=2)}"
         wander += f" and rotation_wander ({settings.rotation_wander:g} rad)"
     return (
-        f"part '{part}' {seen}, hardly more than a tracker is assumed to wander: its stops and its kind of joint may "
-        f"be missed; if the tracker is better, set {wander} to what it wanders"
+        f"part '{part}' {sentence}, hardly more than a tracker is assumed to wander: its stops and its kind of joint "
+        f"may be missed; if the tracker is better, set {wander} to what it wanders"
     )
 
 

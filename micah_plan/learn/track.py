@@ -77,18 +77,18 @@ class PartTrack:
             None if self.action is None else np.add.reduceat(self.action, begins, axis=0),
         )
 
-    def followed_by(self, other: PartTrack) -> PartTrack:
+    def followed_by(self, later: PartTrack) -> PartTrack:
         """These rows and later ones of the same part; both have the same columns."""
 
         def both(first: Floats | None, second: Floats | None) -> Floats | None:
             return None if first is None or second is None else np.concatenate([first, second])
 
         return PartTrack(
-            np.concatenate([self.rows, other.rows]),
-            np.concatenate([self.time, other.time]),
-            np.concatenate([self.position, other.position]),
-            both(self.quaternion, other.quaternion),
-            both(self.action, other.action),
+            np.concatenate([self.rows, later.rows]),
+            np.concatenate([self.time, later.time]),
+            np.concatenate([self.position, later.position]),
+            both(self.quaternion, later.quaternion),
+            both(self.action, later.action),
         )
 
 
@@ -131,9 +131,9 @@ def measured_track(recording: Recording, rows: Ints, index: Ints, where: str) ->
     if not np.isfinite(position).all() or (quaternion is not None and not np.isfinite(quaternion).all()):
         raise InputError("poses must be finite", where=where, remedy="remove the rows without a pose")
     action = None if recording.action is None else recording.action[index]
-    known = np.zeros(len(index), dtype=bool) if action is None else np.asarray(np.isfinite(action).all(axis=1))
-    if action is not None and known.any():
-        action = np.where(known[:, None], action, 0.0)
+    is_given = np.zeros(len(index), dtype=bool) if action is None else np.asarray(np.isfinite(action).all(axis=1))
+    if action is not None and is_given.any():
+        action = np.where(is_given[:, None], action, 0.0)
         if quaternion is not None:
             action = Rotation.from_quat(quaternion).inv().apply(action)
     else:

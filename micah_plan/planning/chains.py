@@ -92,44 +92,44 @@ def _chained(automaton: HybridAutomaton, asked: str) -> HybridAutomaton:
         return automaton
     covered = [preceding(automaton, i) is not None for i in range(len(automaton.edges))]
     parts = [_parts(automaton, i) if divided == _IN_PARTS else [edge] for i, edge in enumerate(automaton.edges)]
-    taken = tuple(part for own, never in zip(parts, covered, strict=True) if not never for part in own)
+    taken = tuple(part for of_part, never in zip(parts, covered, strict=True) if not never for part in of_part)
     if taken != automaton.edges:
         automaton = sharing_motion(replace(automaton, edges=taken), automaton)
     after = {mode.name: _leading_on(automaton, mode.name, goal_modes) for mode in automaton.modes}
-    found: list[ChainEdge] = []
+    edges: list[ChainEdge] = []
     begun: list[Edge] = [edge for edge in automaton.edges if not edge.is_self_transition and after[edge.target]]
     for _ in range(_LONGEST - 1):
         begun = [chain for edge in begun for chain in _continued(automaton, edge, after[edge.target])]
-        found += [chain for chain in begun if isinstance(chain, ChainEdge)]
-    if not found:
+        edges += [chain for chain in begun if isinstance(chain, ChainEdge)]
+    if not edges:
         return automaton
-    return sharing_motion(replace(automaton, edges=(*automaton.edges, *found)), automaton)
+    return sharing_motion(replace(automaton, edges=(*automaton.edges, *edges)), automaton)
 
 
 def _parts(automaton: HybridAutomaton, number: int) -> list[Edge]:
     """Where a transition is taken: itself, or its parts outside of those listed before it."""
     edge = automaton.edges[number]
-    mode, own = automaton.mode(edge.source), edge.guard
-    if edge.is_self_transition or not own.half_spaces:
+    mode, guard = automaton.mode(edge.source), edge.guard
+    if edge.is_self_transition or not guard.half_spaces:
         return [edge]
-    within = [h for h in mode.invariant.half_spaces if not any(h.excludes(g) for g in own.half_spaces)]
+    within = [h for h in mode.invariant.half_spaces if not any(h.excludes(g) for g in guard.half_spaces)]
     within += mode.inputs.half_spaces
-    rows = [tuple(zip(own.half_spaces, stds_of(edge), strict=True))]
-    for other in takewhile(lambda one: one is not edge, automaton.edges_from(edge.source)):
-        if other.is_self_transition or other.guard.on_input != own.on_input:
+    rows = [tuple(zip(guard.half_spaces, stds_of(edge), strict=True))]
+    for earlier in takewhile(lambda listed: listed is not edge, automaton.edges_from(edge.source)):
+        if earlier.is_self_transition or earlier.guard.on_input != guard.on_input:
             continue
         cut = []
         for part in rows:
             held = (*within, *(h for h, _ in part))
-            if not _overlap(held, other.guard.half_spaces):
+            if not _overlap(held, earlier.guard.half_spaces):
                 cut.append(part)
                 continue
-            ways = [h.opposite for h in other.guard.half_spaces]
-            cut += [(*part, (h, other.threshold_std)) for h in ways if _overlap(held, (h,))]
+            ways = [h.opposite for h in earlier.guard.half_spaces]
+            cut += [(*part, (h, earlier.threshold_std)) for h in ways if _overlap(held, (h,))]
         rows = cut
-    if rows == [tuple(zip(own.half_spaces, stds_of(edge), strict=True))] or len(rows) > _MOST_PARTS:
+    if rows == [tuple(zip(guard.half_spaces, stds_of(edge), strict=True))] or len(rows) > _MOST_PARTS:
         return [edge]
-    front = len(own.half_spaces)
+    front = len(guard.half_spaces)
     return [
         PlannedEdge(
             edge.source,

@@ -46,18 +46,18 @@ def half_space(automaton_sizes: tuple[int, int], a: Floats, least: float, name: 
     return HalfSpace(tuple(weights.tolist()), (0.0,) * m, float(least), name=name)
 
 
-def tight_places(problem: Problem, limits: Limits, path: BeliefPath, own: int) -> list[Cut]:
+def tight_places(problem: Problem, limits: Limits, path: BeliefPath, size_of_state: int) -> list[Cut]:
     """Where a path keeps clear of what it must not enter with less than the planned confidence, each with its mode.
 
     A step to either side, and as wide as the corridor there. None where the path begins or ends: no other path could
     keep clear of that.
     """
-    sizes, found = (problem.automaton.n, problem.automaton.m), list[Cut]()
+    sizes, cuts = (problem.automaton.n, problem.automaton.m), list[Cut]()
     for shortfall in path.in_part:
         row = shortfall.row
         if row.kind != "boundary" or row.sign > 0 or row.half_space is None:
             continue
-        x, normal = path.means[row.knot][:own], np.abs(np.array(row.half_space.a))[:own]
+        x, normal = path.means[row.knot][:size_of_state], np.abs(np.array(row.half_space.a))[:size_of_state]
         width = (shortfall.width or 0.0) / float(np.linalg.norm(normal))
         reach = np.maximum(limits.speed, width * normal / float(np.linalg.norm(normal)))
         sides = [(i, sign) for i in np.flatnonzero(problem.automaton.mode(row.mode).driven) for sign in (1.0, -1.0)]
@@ -66,7 +66,7 @@ def tight_places(problem: Problem, limits: Limits, path: BeliefPath, own: int) -
             for i, sign in sides
         ]
         region = Region(tuple(rows))
-        ends = path.means[[0, -1], :own]
+        ends = path.means[[0, -1], :size_of_state]
         if rows and not region.contains(ends, np.zeros((2, problem.automaton.m))).any():
-            found.append((row.mode, region))
-    return found
+            cuts.append((row.mode, region))
+    return cuts

@@ -39,10 +39,10 @@ def _relative(problem: Problem, edge: Edge, tracking: Floats) -> tuple[Floats, F
         a = np.array(first.a)
         if not np.array_equal(a, -np.array(second.a)) or not a[driven].any() or not a[~driven].any():
             continue
-        half, own = max(-0.5 * (second.c + first.c), _NARROWEST), np.flatnonzero(a)
+        half, involved = max(-0.5 * (second.c + first.c), _NARROWEST), np.flatnonzero(a)
         weight = float(tracking.diagonal()[driven & (a != 0.0)].min())
         tracking = tracking.copy()
-        tracking[own, own] = 0.0
+        tracking[involved, involved] = 0.0
         tracking += weight * np.outer(a, a)
         at += in_steps(problem, np.array(problem.settings.weight_goal)) * np.outer(a, a) / half**2
     return tracking, at

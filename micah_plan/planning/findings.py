@@ -181,7 +181,7 @@ def _why_inside(problem: Problem, samples: Samples) -> str:
 
 def _deepest(automaton: HybridAutomaton, mode: str, point: Floats) -> tuple[Edge, float, str] | None:
     """The transition on the state alone in whose guard a state (1, n) lies deepest, how deep, and the unit of that."""
-    found: list[tuple[float, Edge, str]] = []
+    candidates: list[tuple[float, Edge, str]] = []
     for edge in automaton.edges_from(mode):
         rows = [h for h in edge.guard.half_spaces if h.on_state]
         if edge.is_self_transition or not rows or edge.guard.on_input:
@@ -189,17 +189,21 @@ def _deepest(automaton: HybridAutomaton, mode: str, point: Floats) -> tuple[Edge
         margins = [float(h.margin(point[0], np.zeros(automaton.m))) / float(np.linalg.norm(h.a)) for h in rows]
         least = int(np.argmin(margins))
         if margins[least] > TOLERANCE:
-            found.append((margins[least], edge, unit_of(automaton, rows[least])))
-    if not found:
+            candidates.append((margins[least], edge, unit_of(automaton, rows[least])))
+    if not candidates:
         return None
-    depth, edge, unit = max(found, key=lambda item: item[0])
+    depth, edge, unit = max(candidates, key=lambda item: item[0])
     return edge, depth, unit
 
 
 def _why_excluded(problem: Problem, limits: Limits, start_mode: str) -> str:
     """Why the goal is out of reach even with nothing in the way, if what inputs keep tells; else empty."""
     automaton, revisits = problem.automaton, problem.settings.revisits
-    leaves = [own for own in (leaves_of(mode, limits) for mode in automaton.modes) if own.are_many]
+    leaves = [
+        leaves_of_mode
+        for leaves_of_mode in (leaves_of(mode, limits) for mode in automaton.modes)
+        if leaves_of_mode.are_many
+    ]
     if not leaves or passage_exists(problem, limits, start_mode, revisits) is not False:
         return ""
     for more in range(revisits + 1, revisits + 1 + _MOST_MORE_REVISITS):
@@ -208,7 +212,9 @@ def _why_excluded(problem: Problem, limits: Limits, start_mode: str) -> str:
                 f"no inputs lead to the goal in modes that are each entered at most {1 + revisits} times; "
                 f"raise revisits to {more} or more"
             )
-    words = [f"'{own.mode.name}' keeps {' and '.join(own.kept_words(automaton.coordinate_names))}" for own in leaves]
+    words = [
+        f"'{leave.mode.name}' keeps {' and '.join(leave.kept_words(automaton.coordinate_names))}" for leave in leaves
+    ]
     kept = ", ".join(words[:_MOST_NAMED] + ["..."] * (len(words) > _MOST_NAMED))
     return (
         f"no inputs lead to the goal, even with nothing in the way: what the inputs of a mode cannot change stays as "
@@ -270,12 +276,12 @@ def finding_of_status(modes: tuple[str, ...], status: str) -> Finding:
 
 def findings_of(problem: Problem, modes: tuple[str, ...], shortfalls: Sequence[Shortfall]) -> list[Finding]:
     """The findings of a mode sequence, in the order given; the two sides of one corridor are one."""
-    found: dict[tuple[object, ...], Finding] = {}
+    findings: dict[tuple[object, ...], Finding] = {}
     for number, shortfall in enumerate(shortfalls):
         row = shortfall.row
         side = number if shortfall.width is None else f"{shortfall.width:.9g}"
-        found.setdefault((row.mode, row.knot, side), finding_of(problem, modes, shortfall))
-    return list(found.values())
+        findings.setdefault((row.mode, row.knot, side), finding_of(problem, modes, shortfall))
+    return list(findings.values())
 
 
 def finding_of(problem: Problem, modes: tuple[str, ...], shortfall: Shortfall) -> Finding:
@@ -430,9 +436,9 @@ def explain(problem: Problem, plan: Plan) -> Explanation:
     lines = [_outcome_line(plan, level), *(line for finding in findings for line in finding_lines(finding))]
     if not findings and plan.outcome != "solved":
         lines.append("the file has no details, it was written by an older version: solve the problem again")
-    for one in plan.candidates:
-        cost = "no plan" if one.cost is None else f"cost {plain(one.cost)}"
-        lines.append(f"tried {' -> '.join(one.modes)}: {cost}, {one.message}")
+    for candidate in plan.candidates:
+        cost = "no plan" if candidate.cost is None else f"cost {plain(candidate.cost)}"
+        lines.append(f"tried {' -> '.join(candidate.modes)}: {cost}, {candidate.message}")
     return Explanation(plan.outcome, plan.reason, level, findings, tuple(lines))
 
 

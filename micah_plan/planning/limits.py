@@ -140,7 +140,7 @@ def named_values(problem: Problem) -> list[list[float]]:
 def _coordinate_range(problem: Problem) -> tuple[Floats, Floats]:
     """(n,) smallest and largest named values, with room where no invariant bounds a side."""
     values = named_values(problem)
-    lower, upper = np.array([min(own) for own in values]), np.array([max(own) for own in values])
+    lower, upper = np.array([min(value) for value in values]), np.array([max(value) for value in values])
     inside = [h.bound for mode in problem.automaton.modes for h in mode.invariant.half_spaces if h.bound]
     bounded = {(bound.coordinate, bound.is_lower) for bound in inside}
     below, above = ([(i, is_lower) in bounded for i in range(len(values))] for is_lower in (True, False))
@@ -215,8 +215,8 @@ def coasted(automaton: HybridAutomaton, mode: str, x: Floats) -> Floats:
     """Where states (..., n) come to rest in a mode if nothing more is commanded and no guard is in the way."""
     nothing = np.zeros((*x.shape[:-1], automaton.m))
     for _ in range(_LONGEST if automaton.input_memories else 0):
-        given, kept = passed_arrays(automaton.input_memories, mode, x, nothing)
-        x = kept + displaced(automaton, automaton.mode(mode), kept, given)[0]
+        passed, kept = passed_arrays(automaton.input_memories, mode, x, nothing)
+        x = kept + displaced(automaton, automaton.mode(mode), kept, passed)[0]
     return x
 
 
@@ -231,8 +231,8 @@ def steps_of_memory(automaton: HybridAutomaton, max_step: Floats) -> tuple[int, 
         for u in (max_step, -max_step):
             x, arrived = rest, np.zeros((2, _LONGEST, automaton.m))
             for k in range(2 * _LONGEST):
-                given, x = passed_arrays(automaton.input_memories, mode.name, x, u if k < _LONGEST else 0.0 * u)
-                arrived[divmod(k, _LONGEST)] = np.abs(given) / max_step
+                passed, x = passed_arrays(automaton.input_memories, mode.name, x, u if k < _LONGEST else 0.0 * u)
+                arrived[divmod(k, _LONGEST)] = np.abs(passed) / max_step
             felt = max(felt, *(int(np.argmax(column >= 0.5)) for column in arrived[0].T))
             gone = max(gone, int((arrived[1] > _MISSING).any(axis=1).sum()))
     return felt, gone
@@ -250,8 +250,8 @@ def linear_step(automaton: HybridAutomaton, mode: str, x: Floats, u: Floats, lar
         return np.eye(n), B
     steps = _DIFFERENCE * np.eye(n + m)
     around = np.concatenate([np.concatenate([x, u]) + steps, np.concatenate([x, u]) - steps])
-    given, kept = passed_arrays(automaton.input_memories, mode, around[:, :n], around[:, n:])
-    after = kept + given @ B.T
+    passed, kept = passed_arrays(automaton.input_memories, mode, around[:, :n], around[:, n:])
+    after = kept + passed @ B.T
     slopes = (after[: n + m] - after[n + m :]).T / (2 * _DIFFERENCE)
     return slopes[:, :n], slopes[:, n:]
 

@@ -157,9 +157,9 @@ class Solver:
                 return unusable
         else:
             multipliers = {"lam_x0": before.multipliers[0], "lam_g0": before.multipliers[1]}
-        found = self._solver(x0=start, lbx=lower, ubx=upper, lbg=row_lower, ubg=row_upper, **multipliers)
-        w, rows, of_bounds, of_rows = (np.array(found[key], float).ravel() for key in ("x", "g", "lam_x", "lam_g"))
-        cost, statistics = float(found["f"]), self._solver.stats()
+        solution = self._solver(x0=start, lbx=lower, ubx=upper, lbg=row_lower, ubg=row_upper, **multipliers)
+        w, rows, of_bounds, of_rows = (np.array(solution[key], float).ravel() for key in ("x", "g", "lam_x", "lam_g"))
+        cost, statistics = float(solution["f"]), self._solver.stats()
         missed = np.max(np.maximum(row_lower - rows, rows - row_upper), initial=0.0)  # NaN if a row is
         status = str(statistics["return_status"])
         return Solution(
@@ -177,11 +177,11 @@ class Solver:
 
 def _options(time_limit_s: float, expand: bool, warm_start: bool) -> dict[str, Any]:
     """IPOPT without output on the terminal, and never longer than the time limit."""
-    own = {"print_level": 0, "sb": "yes", "max_iter": _MAX_ITERATIONS, "max_cpu_time": time_limit_s}
-    own |= _WARM_START if warm_start else {"mu_strategy": "adaptive"}
+    options = {"print_level": 0, "sb": "yes", "max_iter": _MAX_ITERATIONS, "max_cpu_time": time_limit_s}
+    options |= _WARM_START if warm_start else {"mu_strategy": "adaptive"}
     silent = {"print_time": False, "show_eval_warnings": False, "error_on_fail": False}
     # IPOPT has the multipliers: a gradient to compute them from is a fifth of all that is compiled.
-    return {"expand": expand, "no_nlp_grad": True, **silent, _SOLVER: own}
+    return {"expand": expand, "no_nlp_grad": True, **silent, _SOLVER: options}
 
 
 def can_solve(linear_solver: str) -> bool:

@@ -85,7 +85,7 @@ class PathRecord:
 
     def findings(self, modes: tuple[str, ...]) -> list[tuple[float, Finding]]:
         """(share that broke it, finding) per constraint that roll-outs break, for a plan through these modes."""
-        found, confidence = list[tuple[float, Finding]](), self.problem.settings.confidence
+        findings, confidence = list[tuple[float, Finding]](), self.problem.settings.confidence
         for (name, unit), worst in self.worst.items():
             share, amount = float((worst < -ROUNDING).mean()), -float(worst.min())
             if share == 0.0:
@@ -98,8 +98,8 @@ class PathRecord:
                 remedy = f"relax it by {quantity(missing, unit)}, which {percent(confidence)} of them hold, {remedy}"
             sentence = f"{percent(share, 0)} of the roll-outs break '{name}'{by}"
             finding = Finding("verification", sentence, remedy, modes, constraint=f"'{name}'", unit=unit)
-            found.append((share, replace(finding, amount=amount if is_number else None)))
-        return found
+            findings.append((share, replace(finding, amount=amount if is_number else None)))
+        return findings
 
 
 def joined(records: Sequence[PathRecord]) -> PathRecord:

@@ -66,7 +66,7 @@ def with_memory(problem: Problem, sequence: ModeSequence) -> ModeSequence:
     return replace(sequence, waypoints=tuple(paths))
 
 
-def planned(attempt: Attempt, found: SearchResult | None = None) -> Plan:
+def planned(attempt: Attempt, search_result: SearchResult | None = None) -> Plan:
     """The algorithm; `found`: mode sequences to optimise over x, None: those that a search finds.
 
     A memory of inputs does not change which mode sequences there are. Where the mean of no plan follows its own modes
@@ -75,8 +75,8 @@ def planned(attempt: Attempt, found: SearchResult | None = None) -> Plan:
     asked = attempt.problem
     whole = with_input_memory(asked)
     attempt = replace(attempt, problem=with_chains(whole))
-    if found is not None:
-        return _chosen(attempt, asked, _optimised_each(attempt, found.sequences, found.reason))
+    if search_result is not None:
+        return _chosen(attempt, asked, _optimised_each(attempt, search_result.sequences, search_result.reason))
     plan = _chosen(attempt, asked, _with_detours(attempt))
     if plan.trajectory is None or departure(asked, plan.trajectory) is None:
         return plan
@@ -96,11 +96,16 @@ def _with_detours(attempt: Attempt) -> list[_Tried]:
     """
     attempt.progress("searching mode sequences", 0.0)
     plain, cuts = without_input_memory(attempt.problem), list[Cut]()
-    limits, own = limits_of(plain), own_size(attempt.problem.automaton)
-    found = _searched(attempt, plain, cuts)
-    tried = _optimised_each(attempt, found.sequences, found.reason)
+    limits, size_of_state = limits_of(plain), own_size(attempt.problem.automaton)
+    search_result = _searched(attempt, plain, cuts)
+    tried = _optimised_each(attempt, search_result.sequences, search_result.reason)
     for _ in range(_MOST_DETOURS):
-        tight = [cut for one in tried if one.path for cut in tight_places(plain, limits, one.path, own)]
+        tight = [
+            cut
+            for attempt_result in tried
+            if attempt_result.path
+            for cut in tight_places(plain, limits, attempt_result.path, size_of_state)
+        ]
         if len(tight) <= len(cuts):
             break
         cuts = tight
@@ -121,9 +126,12 @@ def _searched(attempt: Attempt, plain: Problem, cuts: Sequence[Cut]) -> SearchRe
 def _is_known(sequence: ModeSequence, tried: Sequence[_Tried]) -> bool:
     """Whether a path was optimised already: through the same transitions, around the same corners."""
     return any(
-        one.sequence.edges == sequence.edges
-        and all(a.shape == b.shape and np.allclose(a, b) for a, b in zip(one.corners, sequence.waypoints, strict=True))
-        for one in tried
+        attempt_result.sequence.edges == sequence.edges
+        and all(
+            a.shape == b.shape and np.allclose(a, b)
+            for a, b in zip(attempt_result.corners, sequence.waypoints, strict=True)
+        )
+        for attempt_result in tried
     )
 
 
@@ -138,28 +146,35 @@ def _optimised_each(attempt: Attempt, sequences: Sequence[ModeSequence], reason:
     tried = []
     for number, sequence in enumerate(sequences, start=1):
         attempt.progress(f"optimising {' -> '.join(sequence.modes)}", number / (len(sequences) + 1))
-        one = _low_level(attempt, with_memory(attempt.problem, sequence))
-        tried.append(replace(one, corners=sequence.waypoints))
+        attempt_result = _low_level(attempt, with_memory(attempt.problem, sequence))
+        tried.append(replace(attempt_result, corners=sequence.waypoints))
     return tried
 
 
 def _chosen(attempt: Attempt, asked: Problem, tried: Sequence[_Tried]) -> Plan:
     """The cheapest plan whose mean follows its own modes, with the others as its alternatives."""
-    candidates = tuple(one.candidate(asked) for one in tried)
-    paths = [(one.path, one.sequence, one.price(asked)) for one in tried if one.path is not None and one.path.feasible]
+    candidates = tuple(attempt_result.candidate(asked) for attempt_result in tried)
+    paths = [
+        (attempt_result.path, attempt_result.sequence, attempt_result.price(asked))
+        for attempt_result in tried
+        if attempt_result.path is not None and attempt_result.path.feasible
+    ]
     if not paths:
-        first, findings = candidates[0], tuple(finding for one in tried for finding in one.findings)
+        first, findings = (
+            candidates[0],
+            tuple(finding for attempt_result in tried for finding in attempt_result.findings),
+        )
         reason = f"no mode sequence could be optimised; {' -> '.join(first.modes)}: {first.message}"
         return attempt.refused(reason, findings, candidates)
     plans = []
-    for number, (path, sequence, price) in enumerate(sorted(paths, key=lambda one: one[2]), start=1):
+    for number, (path, sequence, price) in enumerate(sorted(paths, key=lambda priced: priced[2]), start=1):
         trajectory = trajectory_of(attempt.problem, attempt.limits, path)
         rank = "cheapest" if number == 1 else f"number {number} by cost"
         which = "the only candidate" if len(tried) == 1 else f"{rank} of {len(tried)} candidates"
         in_part = tuple(findings_of(attempt.problem, sequence.modes, path.in_part))
         plans.append(attempt.solved(trajectory, price, f", {which}: {path.message}", candidates, in_part))
     # Between the knots other transitions may come first: what its own mean does not follow is no plan.
-    plans.sort(key=lambda one: one.trajectory is None or departure(asked, one.trajectory) is not None)
+    plans.sort(key=lambda plan: plan.trajectory is None or departure(asked, plan.trajectory) is not None)
     return replace(plans[0], alternatives=tuple(plans[1:]))
 
 

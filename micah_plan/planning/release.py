@@ -63,13 +63,13 @@ def with_release(problem: Problem, plan: Plan, deadline: Deadline) -> tuple[Plan
     yields = _TURNING if problem.hold is not None and problem.hold.grip.pivots else _YIELDS
     lowest = contact[2] - problem.settings.sigmas * release.support_std - yields
     height = float(last[2] + problem.settings.sigmas * np.linalg.norm(plan.trajectory.factors[-1][2]))
-    found = ReleasePlan(
+    release_plan = ReleasePlan(
         math.ceil((height - lowest) / release.step), contact, rest.state(contact), _withdrawal(_UP, release)
     )
     if problem.robot is not None and plan.arm is not None:
         begin = perf_counter()
         try:
-            answer = _with_arm(problem, plan, (found, rest, lowest), deadline)
+            answer = _with_arm(problem, plan, (release_plan, rest, lowest), deadline)
         except TimeLimitError as over:
             sentence, _, remedy = over.reason.rpartition("; ")
             return _refused(plan, Finding("arm", sentence, remedy, plan.mode_sequence)), None
@@ -79,8 +79,8 @@ def with_release(problem: Problem, plan: Plan, deadline: Deadline) -> tuple[Plan
             return _refused(plan, _finding(plan, "lower the object to let it go", answer.arm)), answer
         if isinstance(answer, Finding):
             return _refused(plan, answer), None
-        found = answer
-    return _judged(problem, replace(plan, release=found)), None
+        release_plan = answer
+    return _judged(problem, replace(plan, release=release_plan)), None
 
 
 def _withdrawal(direction: Floats, release: Release) -> Floats:
@@ -95,7 +95,7 @@ def _with_arm(
     """The release with the arm's way down and away, or what stands in the way."""
     from micah_plan.robot.along_release import lowered, withdrawn
 
-    (found, rest, lowest), trajectory, arm = asked, plan.trajectory, plan.arm
+    (release_problem, rest, lowest), trajectory, arm = asked, plan.trajectory, plan.arm
     if problem.release is None or trajectory is None or arm is None:  # `with_release` has looked
         raise RuntimeError("nothing to let go")
     last = trajectory.means[-1][: problem.automaton.n]
@@ -104,14 +104,14 @@ def _with_arm(
     states[:, 2] = np.linspace(last[2], lowest, count + 1)
     down = lowered(problem, rest.mode, states, arm.positions[-1], deadline)
     if not isinstance(down, ArmTrajectory):
-        return Blocked(down, found.contact, lowest)
-    near = down.positions[int(np.argmin(np.abs(states[:, 2] - found.contact[2])))]
+        return Blocked(down, release_problem.contact, lowest)
+    near = down.positions[int(np.argmin(np.abs(states[:, 2] - release_problem.contact[2])))]
     failures = []
     for direction in _directions(problem):
         displacements = _withdrawal(direction, problem.release)
-        away = withdrawn(problem, rest, found.contact, displacements, near, deadline)
+        away = withdrawn(problem, rest, release_problem.contact, displacements, near, deadline)
         if isinstance(away, ArmTrajectory):
-            return replace(found, withdrawal=displacements, lowering=down, withdrawing=away)
+            return replace(release_problem, withdrawal=displacements, lowering=down, withdrawing=away)
         failures.append(away)
     return _finding(plan, "withdraw", max(failures, key=lambda failure: failure.knot))
 
@@ -137,12 +137,12 @@ def _refused(plan: Plan, finding: Finding) -> Plan:
 
 def _judged(problem: Problem, plan: Plan) -> Plan:
     """The plan with the probability that the support is as high as the goal asks for in its success."""
-    release, found, share = problem.release, plan.release, plan.success_probability
+    release, release_plan, share = problem.release, plan.release, plan.success_probability
     heights = [(value, tol) for index, value, tol in problem.goal.target if index == 2]
-    if release is None or found is None or share is None or not heights:
+    if release is None or release_plan is None or share is None or not heights:
         return plan
     (value, tolerance), std = heights[0], max(release.support_std, 1e-9)
-    away = float(found.rest[2]) - value
+    away = float(release_plan.rest[2]) - value
     holds = float(ndtr((tolerance - away) / std) - ndtr((-tolerance - away) / std))
     low, high = plan.success_interval or (share, share)
     plan = replace(plan, success_probability=share * holds, success_interval=(low * holds, high * holds))

@@ -74,11 +74,11 @@ def _that_helps(problem: Problem, offer: Offer, solver: Solver, seed: int, budge
         if (offer.kind == "confidence" and offer.values[0][1] <= LEAST_CONFIDENCE) or not offer.values:
             return None
         answers = list[Plan]()
-        for own in (seed, seed + 1):
+        for seed_tried in (seed, seed + 1):
             if not budget[0]:
                 return None
             budget[0] -= 1
-            answers.append(solver(changed(problem, offer), seed=own))
+            answers.append(solver(changed(problem, offer), seed=seed_tried))
             if answers[-1].outcome != "solved":
                 break
         else:
@@ -91,7 +91,7 @@ def _that_helps(problem: Problem, offer: Offer, solver: Solver, seed: int, budge
 
 def _further(offer: Offer, next_offers: Sequence[Offer], answer: Plan) -> Offer:
     """A larger change of the same kind than one that did not suffice, as its failure proposes."""
-    proposed = dict(next((other.values for other in next_offers if other.kind == offer.kind), ()))
+    proposed = dict(next((next_offer.values for next_offer in next_offers if next_offer.kind == offer.kind), ()))
     if offer.kind == "confidence":
         share = answer.success_probability
         most = min(offer.values[0][1], proposed.get(0, 1.0), 1.0 if share is None else share) - _LOWER

@@ -61,12 +61,12 @@ def replan(
     deadline, confirm = Deadline(here.settings.solve_time_limit_s), partial(verify, sequential=True)
     confirmed = partial(verified_plan, here, seed=seed, deadline=deadline, verifier=confirm)
 
-    def planner(task: Problem, *, deadline: Deadline, found: SearchResult | None = None) -> Plan:
-        return Attempt(task, seed, deadline).made_by(partial(planned, found=found), "search")
+    def planner(task: Problem, *, deadline: Deadline, search_result: SearchResult | None = None) -> Plan:
+        return Attempt(task, seed, deadline).made_by(partial(planned, search_result=search_result), "search")
 
     rest = None if followed is None else rest_through(here, *followed)
     if rest is not None:
-        answer = confirmed(partial(planner, found=SearchResult((rest,))), rounds=0)
+        answer = confirmed(partial(planner, search_result=SearchResult((rest,))), rounds=0)
         if answer.outcome == "solved":
             return answer.trajectory
     answer = confirmed(planner)
@@ -102,7 +102,7 @@ def rest_through(here: Problem, trajectory: Trajectory, knot: int) -> ModeSequen
     """
     here = with_chains(here)
     mode, limits = here.start.mode, limits_of(here)
-    at = [k for k, other in enumerate(trajectory.modes) if other == mode]
+    at = [k for k, mode_here in enumerate(trajectory.modes) if mode_here == mode]
     if mode is None or not at or trajectory.means.shape[1] != here.automaton.n:
         return None
     # Of the visits of the mode the present one, else the next, else the last.
@@ -112,8 +112,8 @@ def rest_through(here: Problem, trajectory: Trajectory, knot: int) -> ModeSequen
     steps = np.abs((trajectory.means[visit] - start) @ inverse.T) / limits.max_step
     sequence, _ = rest_of(here.automaton, trajectory, int(visit[steps.max(axis=1, initial=0.0).argmin()]))
     first, *later = sequence.waypoints
-    own = slice(own_size(here.automaton))
-    return replace(sequence, waypoints=tuple(path[:, own] for path in (np.vstack([start, first]), *later)))
+    object_state = slice(own_size(here.automaton))
+    return replace(sequence, waypoints=tuple(path[:, object_state] for path in (np.vstack([start, first]), *later)))
 
 
 def rest_of(automaton: HybridAutomaton, trajectory: Trajectory, knot: int) -> tuple[ModeSequence, list[int]]:
@@ -196,10 +196,10 @@ class RecedingHorizon:
 
     def _is_rest(self, trajectory: Trajectory, knot: int) -> bool:
         """Whether a trajectory from a knot on goes the way that the plan does at its end, in as many steps."""
-        (plan, steps), (rest, left) = self._whole, rest_of(with_chains(self._problem).automaton, trajectory, knot)
-        first = len(steps) - len(left)
+        (plan, steps), (rest, remaining) = self._whole, rest_of(with_chains(self._problem).automaton, trajectory, knot)
+        first = len(steps) - len(remaining)
         same = first >= 0 and (plan.modes[first:], plan.edges[first:]) == (rest.modes, rest.edges)
-        return same and steps[first + 1 :] == left[1:] and steps[first] >= left[0]
+        return same and steps[first + 1 :] == remaining[1:] and steps[first] >= remaining[0]
 
     def _has_learned(self, belief: HybridBelief, trajectory: Trajectory, knot: int) -> bool:
         """Whether the filter has moved the estimate of a threshold that is still ahead, or made it more precise."""
@@ -267,8 +267,10 @@ class WarmStartedProgramme:
         row_lower, row_upper = self._programme.row_bounds
         rows = np.where(gone, -np.inf, row_lower), np.where(gone, np.inf, row_upper)
         path = self._path(self._solver.solve(start, (lower, upper), rows, self._first))
-        left = {name: getattr(path, name)[done:] for name in ("modes", "means", "factors", "inputs", "is_transition")}
-        return replace(path, **left)
+        rest_of_path = {
+            name: getattr(path, name)[done:] for name in ("modes", "means", "factors", "inputs", "is_transition")
+        }
+        return replace(path, **rest_of_path)
 
     def half_spaces(self, trajectory: Trajectory, knot: int) -> set[HalfSpace]:
         """The boundaries that the rest of the plan has to stay within, or to cross."""
@@ -276,9 +278,9 @@ class WarmStartedProgramme:
         ahead = zip(self._nlp.rows, self._row_ends > done, strict=True)
         return {row.half_space for row, is_ahead in ahead if is_ahead and row.half_space is not None}
 
-    def _path(self, found: Solution) -> BeliefPath:
+    def _path(self, solution: Solution) -> BeliefPath:
         """The path of a solution, feasible only if the solver has converged: it may have stopped on its way."""
-        return path_of(self._nlp, replace(found, is_feasible=found.has_converged and found.is_feasible))
+        return path_of(self._nlp, replace(solution, is_feasible=solution.has_converged and solution.is_feasible))
 
     def _values(self, trajectory: Trajectory, knot: int, done: int) -> Floats:
         """The decision variables of the plan up to a knot of it, and from there of a rest of it; slacks of the plan."""

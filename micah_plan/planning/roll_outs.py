@@ -85,8 +85,8 @@ def draw_chances(problem: Problem, trajectory: Trajectory, trials: int, seed: in
     drawn = draw_states(automaton, mode, problem.start, rng, shifts)
     shape = (time_knots(trajectory).size, trials, automaton.n)
     process = np.array(automaton.noise.process_std) * rng.standard_normal(shape)
-    seen = np.where(np.isfinite(automaton.noise.observation_std), 1.0, np.nan)
-    return Chances(objects, drawn, process, seen * rng.standard_normal(shape))
+    is_measured = np.where(np.isfinite(automaton.noise.observation_std), 1.0, np.nan)
+    return Chances(objects, drawn, process, is_measured * rng.standard_normal(shape))
 
 
 def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadline: Deadline = NEVER) -> RollOuts:
@@ -98,7 +98,9 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
     whole_problem, problem = with_input_memory(problem), without_input_memory(problem)
     automaton, whole, limits = problem.automaton, whole_problem.automaton, limits_of(problem)
     start, trials = whole_problem.start, len(chances.starts)
-    channel = InputChannel(automaton, {own.effect: start.mean[own.coordinates] for own in whole.input_memories})
+    channel = InputChannel(
+        automaton, {effect_state.effect: start.mean[effect_state.coordinates] for effect_state in whole.input_memories}
+    )
     unseen, everyone = np.full((trials, whole.n - automaton.n), np.nan), np.arange(trials)
     modes, x = np.full(trials, automaton.mode_index(trajectory.modes[0])), chances.starts
     beliefs = repeated(whole, initial_belief(whole, start.mean, start.std, trajectory.modes[0]), trials)
@@ -110,8 +112,8 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
         u = feedback_input(trajectory, int(knot), estimate)
         for number, rows in alike(believed):
             u[rows] = limited_input(whole.modes[number], estimate[rows], u[rows], limits.max_step)
-        given = channel.pass_on(towards(automaton, estimate, x, u), modes, x)
-        modes, x = chances.objects.step(modes, x, given, chances.process[step])
+        commanded = channel.pass_on(towards(automaton, estimate, x, u), modes, x)
+        modes, x = chances.objects.step(modes, x, commanded, chances.process[step])
         visited.append(modes)
         measured = x + measurement_std(problem, modes, x) * chances.observation[step]
         beliefs = update(whole, predict(whole, beliefs, u), np.hstack([measured, unseen]))
@@ -172,10 +174,10 @@ def departure(problem: Problem, trajectory: Trajectory) -> Departure | None:
     plain = without_input_memory(problem)
     automaton, knots = plain.automaton, time_knots(trajectory)
     nothing = np.zeros((knots.size, 1, automaton.n))
-    seen = np.where(np.isfinite(automaton.noise.observation_std), 0.0, np.nan)
+    is_measured = np.where(np.isfinite(automaton.noise.observation_std), 0.0, np.nan)
     start = trajectory.means[0, : automaton.n][None]
     objects = TransitionBatch(automaton, np.zeros((1, threshold_stds(automaton).size)))
-    ends = roll_out(problem, trajectory, Chances(objects, start, nothing, nothing + seen))
+    ends = roll_out(problem, trajectory, Chances(objects, start, nothing, nothing + is_measured))
     if are_in_goal(problem, ends)[0]:
         return None
     for knot, mode in zip((knots + 1).tolist(), ends.visited[:, 0].tolist(), strict=True):

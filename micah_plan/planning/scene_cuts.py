@@ -44,15 +44,15 @@ def unchecked(problem: Problem) -> tuple[str, ...]:
     """A line on the parts that turn, which plans do not keep clear of the scene; an arm that carries them does."""
     if not problem.scene or problem.hold is not None or problem.robot is not None:
         return ()
-    found = {
+    cuts = {
         name
         for mode in _moving(problem.automaton)
         for name, (_, slides) in _parts(problem.automaton, mode).items()
         if slides is None
     }
-    if not found:
+    if not cuts:
         return ()
-    turning = ", ".join(map(repr, sorted(found)))
+    turning = ", ".join(map(repr, sorted(cuts)))
     return (f"what turns is not kept clear of the scene: {turning}; look at the page",)
 
 
@@ -77,15 +77,15 @@ def _moving(automaton: HybridAutomaton) -> list[Mode]:
 
 def _parts(automaton: HybridAutomaton, mode: Mode) -> dict[str, tuple[Floats, Floats | None]]:
     """Of each part with shapes: corners (k, 3) at x = 0 in the base frame, and J (3, n); None if it turns."""
-    n, found = automaton.n, dict[str, tuple[Floats, Floats | None]]()
+    n, bounds = automaton.n, dict[str, tuple[Floats, Floats | None]]()
     poses = poses_of_states(automaton, mode, np.vstack([np.zeros(n), np.eye(n)]))
     for part in automaton.parts:
         if not part.shapes or part.name not in poses:
             continue
         pose = poses[part.name]
         points = np.concatenate([pose[0].apply(corners(shape)) for shape in part.shapes])
-        found[part.name] = points, None if _turns(pose) else _slides(pose)
-    return found
+        bounds[part.name] = points, None if _turns(pose) else _slides(pose)
+    return bounds
 
 
 def _cuts(problem: Problem, mode: Mode) -> Iterator[Cut]:

@@ -109,8 +109,8 @@ def _best_verified(plan: Plan, verified: Callable[[Plan], Plan], deadline: Deadl
     if plan.trajectory is None:
         return plan
     begin, best = perf_counter(), None
-    for one in (plan, *plan.alternatives):
-        answer = replace(verified(one), alternatives=())
+    for candidate in (plan, *plan.alternatives):
+        answer = replace(verified(candidate), alternatives=())
         if best is None or (answer.success_probability or 0.0) > (best.success_probability or 0.0):
             best = answer
         if answer.outcome == "solved" or deadline.is_over():
@@ -127,8 +127,8 @@ def _cut_short(plan: Plan, deadline: Deadline) -> Plan:
         f"the time limit of {deadline.limit_s:g} s (solve_time_limit_s) was reached before planning with more room"
     )
     finding = Finding("verification", sentence, "raise solve_time_limit_s", plan.mode_sequence)
-    found, _, _ = plan.reason.partition("; ")
-    return replace(plan, reason=f"{found}; {sentence}; {finding.remedy}", findings=(finding, *plan.findings))
+    message, _, _ = plan.reason.partition("; ")
+    return replace(plan, reason=f"{message}; {sentence}; {finding.remedy}", findings=(finding, *plan.findings))
 
 
 def _added(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
@@ -150,7 +150,7 @@ def tightened(planned: float, asked: float, failing: float) -> float:
 
 def _told(answer: Plan, before: Plan, confidence: float, rounds: int) -> Plan:
     """A confirmed plan whose reason tells that and why it was planned again."""
-    seen = [finding.sentence for finding in before.findings if finding.level == "verification"]
-    why = f": {seen[0]}" if seen else ""
+    sentences = [finding.sentence for finding in before.findings if finding.level == "verification"]
+    why = f": {sentences[0]}" if sentences else ""
     times = "once" if rounds == 1 else f"{rounds} times"
     return replace(answer, reason=f"{answer.reason}; planned again {times}, at last at {percent(confidence)}{why}")

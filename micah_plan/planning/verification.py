@@ -92,8 +92,8 @@ def verify(
         f"the goal, fewer than the confidence {percent(confidence)} asks for; widen the tolerance, or lower the "
         "confidence or the noise"
     )
-    seen = _findings(problem, plan.mode_sequence, ends)
-    return replace(answer, outcome="not_verified", reason=reason, findings=(*plan.findings, *seen))
+    findings = _findings(problem, plan.mode_sequence, ends)
+    return replace(answer, outcome="not_verified", reason=reason, findings=(*plan.findings, *findings))
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,15 +171,19 @@ def _evidence(confidence: float) -> tuple[float, float]:
 def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Finding]:
     """Why roll-outs fail: the modes they end in, and how far from the goal; what fails most often first."""
     automaton, goal, confidence = problem.automaton, problem.goal, problem.settings.confidence
-    found: list[tuple[float, Finding]] = ends.path.findings(modes)
+    findings: list[tuple[float, Finding]] = ends.path.findings(modes)
     names = [automaton.modes[i].name for i in ends.modes]
     wrong = [name for name in names if not goal.admits(name)]
     if wrong:
-        share, other = len(wrong) / len(names), max(sorted(set(wrong)), key=wrong.count)
+        share, commonest = len(wrong) / len(names), max(sorted(set(wrong)), key=wrong.count)
         wanted = " or ".join(goal.modes)
-        sentence = f"{percent(share, 0)} of the roll-outs end in another mode than {wanted}, most of them in '{other}'"
+        sentence = (
+            f"{percent(share, 0)} of the roll-outs end in another mode than {wanted}, most of them in '{commonest}'"
+        )
         remedy = "lower the noise or the start's std, or raise `confidence`, which makes transitions surer"
-        found.append((share, Finding("verification", sentence, remedy, modes, mode=other, constraint="goal modes")))
+        findings.append(
+            (share, Finding("verification", sentence, remedy, modes, mode=commonest, constraint="goal modes"))
+        )
     ranges = {index: automaton.ranges(index, [automaton.mode(modes[-1])]) for index in goal.indices}
     of_target = goal.target, goal.distances(ends.states).T, goal.misses(ends.states).T
     joint = _joint_offer(problem, ends)
@@ -207,15 +211,15 @@ def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Fin
             remedy += f"; or let the plan come back from '{better}', which tells '{coordinate.name}': raise `revisits`"
         place = f"the goal {coordinate.name} = {value:g} ± {tolerance:g}"
         finding = Finding("verification", sentence, remedy, modes, constraint=place, unit=unit, offers=tuple(offers))
-        found.append((share, replace(finding, amount=need - tolerance, room=tolerance, need=need)))
-    if not found and joint:
+        findings.append((share, replace(finding, amount=need - tolerance, room=tolerance, need=need)))
+    if not findings and joint:
         words = f"widen the tolerance of '{automaton.coordinates[joint[0][0]].name}'"
         share = float(1.0 - ends.in_goal.mean())
         sentence = f"{percent(share, 0)} of the roll-outs end outside of the goal, which has all its targets at once"
         remedy = f"{words}, lower the noise, or {LOWER_CONFIDENCE}"
         both = Offer(words, f"{words} to", "tolerance", joint), lower_confidence(1.0 - share)
         return [Finding("verification", sentence, remedy, modes, offers=both)]
-    return [finding for _, finding in sorted(found, key=lambda pair: -pair[0])]
+    return [finding for _, finding in sorted(findings, key=lambda pair: -pair[0])]
 
 
 def _joint_offer(problem: Problem, ends: _Ends) -> tuple[tuple[int, float], ...]:
@@ -233,8 +237,8 @@ def _joint_offer(problem: Problem, ends: _Ends) -> tuple[tuple[int, float], ...]
 def _elsewhere(names: list[str], missed: Booleans, modes: tuple[str, ...]) -> str:
     """Where most of those that missed ended, if it is not the plan's last mode."""
     ends = [name for name, out in zip(names, missed, strict=True) if out]
-    other = max(sorted(set(ends)), key=ends.count, default=modes[-1])
-    return "" if other == modes[-1] else f", most of them in mode '{other}'"
+    commonest = max(sorted(set(ends)), key=ends.count, default=modes[-1])
+    return "" if commonest == modes[-1] else f", most of them in mode '{commonest}'"
 
 
 def _localising(automaton: HybridAutomaton, last: str, index: int) -> str:

@@ -189,8 +189,8 @@ def _cuts(problem: Problem, stop: _Stop, around: float) -> list[Region]:
     path = tool_path(problem, [stop.mode], x[None])
     # From what slides with the state to the tool; what is left of the state's place is the part's at x = 0.
     from_hand = path.tool.translation[0] - slides @ x
-    found = [_overlapping(problem, overlap, slides, from_hand, stop.lowest, name) for overlap in arm.overlaps]
-    return [region for region in found if region is not None]
+    overlaps = [_overlapping(problem, overlap, slides, from_hand, stop.lowest, name) for overlap in arm.overlaps]
+    return [region for region in overlaps if region is not None]
 
 
 def _carried(problem: Problem, mode: str) -> Floats | None:

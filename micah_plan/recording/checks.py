@@ -138,8 +138,8 @@ def _check_values(recording: Recording, place: Place) -> None:
         if partly.any():
             row = int(np.argmax(partly))
             column = names[int(np.argmax(empty[row]))]
-            found = "some of them filled" if empty[row].sum() > 1 else f"'{column}' empty"
-            problem = f"expected {','.join(names)} all filled or all empty, found only {found}"
+            cells = "some of them filled" if empty[row].sum() > 1 else f"'{column}' empty"
+            problem = f"expected {','.join(names)} all filled or all empty, found only {cells}"
             raise InputError(problem, where=place(row, column), remedy="fill in the others or empty all three")
 
 

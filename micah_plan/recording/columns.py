@@ -56,8 +56,8 @@ def recording_of_columns(columns: Columns, conventions: Conventions | None = Non
             _check_numbers(name, table[name], "iu" if name == "run" else "iuf")
     values = {name: np.asarray(table[name]) for name in (*NUMERIC, *turned, "run") if name in table}
     values |= {name: factor * values[name] for name, factor in factors.items() if factor != 1.0 and name in values}
-    found = gathered(values, {name: column for name, column in table.items() if name not in values}, meant)
-    return without_gaps(as_recorded(found, meant))[0]
+    columns_of_values = gathered(values, {name: column for name, column in table.items() if name not in values}, meant)
+    return without_gaps(as_recorded(columns_of_values, meant))[0]
 
 
 def gathered(values: Mapping[str, NDArray[Any]], others: Columns, meant: Conventions) -> Recording:
@@ -114,18 +114,18 @@ def named(raw: Sequence[str], meant: Conventions, where: str = "") -> tuple[list
     # Of a known name blanks do not count; further columns keep theirs.
     plain = [name if name in KNOWN else text for name, text in zip(stripped, raw, strict=True)]
     pairs = zip(stripped, plain, strict=True)
-    own = [ours.get(name, f"{name} of the file" if name in meant.columns else text) for name, text in pairs]
-    return own, factors
+    sources = [ours.get(name, f"{name} of the file" if name in meant.columns else text) for name, text in pairs]
+    return sources, factors
 
 
 def counted(columns: Columns, rows: int) -> NDArray[np.float64]:
     """(n,) the number of each row among those of its run and part, from 0."""
     numbers: Counter[tuple[Any, ...]] = Counter()
-    found = np.empty(rows)
+    values = np.empty(rows)
     for i, group in enumerate(zip(*(columns.get(name, ("",) * rows) for name in ("run", "part")), strict=True)):
-        found[i] = numbers[group]
+        values[i] = numbers[group]
         numbers[group] += 1
-    return found
+    return values
 
 
 def as_texts(columns: Columns) -> dict[str, tuple[str, ...]]:

@@ -96,7 +96,7 @@ def continuity(time: Floats, position: Floats, quaternion: Floats | None, action
         is_measured[fresh[slice(*pieces[number])]] = True
     left_out = np.array([int(fresh[a]) for k, (a, _) in enumerate(pieces) if k not in kept], dtype=np.int64)
     within = [(left_out[(left_out >= a) & (left_out <= b)], b) for a, b in stretches(~is_measured)]
-    strays = tuple((int(own[0]), b) for own, b in within if len(own))
+    strays = tuple((int(stretch[0]), b) for stretch, b in within if len(stretch))
     over = [pieces[now][0] for before, now in pairwise(kept) if now == before + 1]
     jumps = tuple(Jump(int(fresh[k]), *steps.between(k - 1, k).tolist()) for k in over)
     return Continuity(is_measured, repeats, strays, jumps)
@@ -136,7 +136,7 @@ class _Steps:
 
     def jumps(self, commanded: Floats) -> Booleans:
         """(k-1,) steps that the part does not make."""
-        found, rows = np.zeros(len(self.time) - 1, dtype=bool), np.diff(self.time)
+        is_gap, rows = np.zeros(len(self.time) - 1, dtype=bool), np.diff(self.time)
         for number, (length, usual, floor) in enumerate(zip(self.lengths, self.usual, FLOORS, strict=False)):
             speed = length / rows
             # Two steps that lead further than each of them; directions of half turns would not tell.
@@ -144,9 +144,9 @@ class _Steps:
             beside = np.zeros_like(speed)
             beside[:-1] = np.where(goes_on, speed[1:], 0.0)
             beside[1:] = np.maximum(beside[1:], np.where(goes_on, speed[:-1], 0.0))
-            own = (length > floor) & (speed > _FASTER * np.maximum(usual, beside))
-            found |= own & (commanded < 0.5 * length) if number == 0 else own
-        return found
+            is_leap = (length > floor) & (speed > _FASTER * np.maximum(usual, beside))
+            is_gap |= is_leap & (commanded < 0.5 * length) if number == 0 else is_leap
+        return is_gap
 
     def between(self, a: Ints | int, b: Ints | int) -> Floats:
         """(2, k) from some readings to others, see `apart`."""

@@ -90,8 +90,8 @@ class Conventions:
             raise InputError(f"rate: expected rows per second, found {self.rate:g}", remedy="e.g. 120")
         for ours in self.columns:
             if ours not in NAMEABLE and not ours.startswith(OF_JOINTS):
-                known = ", ".join(NAMEABLE)
-                raise InputError(f"columns: a recording has no column {shown(ours)}", remedy=f"choose among {known}")
+                names = ", ".join(NAMEABLE)
+                raise InputError(f"columns: a recording has no column {shown(ours)}", remedy=f"choose among {names}")
         if (self.robot is None) != (self.tool is None):
             problem = "a robot and its tool are given together"
             raise InputError(problem, remedy="e.g. --robot panda --tool panda_hand")
@@ -102,7 +102,7 @@ class Conventions:
     def stated(self) -> dict[str, str]:
         """What of it is not left open, as texts by its name here."""
         lists = {"columns": [f"{ours}={theirs}" for ours, theirs in self.columns.items()], "topics": self.topics}
-        texts = {one.name: getattr(self, one.name) for one in fields(self)}
+        texts = {field.name: getattr(self, field.name) for field in fields(self)}
         texts |= {name: ",".join(each) or None for name, each in lists.items()}
         return {name: str(text) for name, text in texts.items() if text is not None}
 
@@ -117,7 +117,9 @@ class Conventions:
 
     def or_else(self, default: Conventions) -> Conventions:
         """These, and where they leave something open those of the file's format."""
-        open_ones = {one.name: getattr(default, one.name) for one in fields(self) if getattr(self, one.name) is None}
+        open_ones = {
+            field.name: getattr(default, field.name) for field in fields(self) if getattr(self, field.name) is None
+        }
         return replace(self, **open_ones)
 
 
@@ -207,26 +209,26 @@ def turns_of(columns: Mapping[str, Floats], angle: str | None) -> Floats | None:
     """(n, 4) quaternions of a rotation vector or of fixed angles, NaN where these are; None without such columns."""
     from scipy.spatial.transform import Rotation
 
-    given = next((names for names in (ROTATION_VECTOR, FIXED_ANGLES) if all(name in columns for name in names)), None)
-    if given is None:
+    names = next((names for names in (ROTATION_VECTOR, FIXED_ANGLES) if all(name in columns for name in names)), None)
+    if names is None:
         return None
-    values = ANGLES[angle or "rad"] * np.stack([columns[name] for name in given], axis=1)
-    known = np.isfinite(values).all(axis=1)
+    values = ANGLES[angle or "rad"] * np.stack([columns[name] for name in names], axis=1)
+    is_finite = np.isfinite(values).all(axis=1)
     quaternion = np.full((len(values), 4), np.nan)
-    filled = values[known]
-    made = Rotation.from_rotvec(filled) if given == ROTATION_VECTOR else Rotation.from_euler("xyz", filled)
-    quaternion[known] = made.as_quat()
+    filled = values[is_finite]
+    made = Rotation.from_rotvec(filled) if names == ROTATION_VECTOR else Rotation.from_euler("xyz", filled)
+    quaternion[is_finite] = made.as_quat()
     return quaternion
 
 
-def _times(left: Floats, right: Floats) -> Floats:
+def _times(first: Floats, right: Floats) -> Floats:
     """(n, 4) products of one quaternion with others, NaN where these are."""
     from scipy.spatial.transform import Rotation
 
-    known = np.isfinite(right).all(axis=1) & (np.linalg.norm(right, axis=1) > 0)
+    is_finite = np.isfinite(right).all(axis=1) & (np.linalg.norm(right, axis=1) > 0)
     result = right.copy()
-    norm = np.linalg.norm(right[known], axis=1, keepdims=True)
-    result[known] = norm * (Rotation.from_quat(left) * Rotation.from_quat(right[known])).as_quat()
+    norm = np.linalg.norm(right[is_finite], axis=1, keepdims=True)
+    result[is_finite] = norm * (Rotation.from_quat(first) * Rotation.from_quat(right[is_finite])).as_quat()
     return result
 
 

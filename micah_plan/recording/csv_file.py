@@ -138,7 +138,7 @@ def _rows(lines: list[str]) -> tuple[list[str], list[list[str]], list[int]]:
     if not filled:
         raise InputError("the file has only comments", where=f"line {comments[-1]}", remedy="record at least one row")
     header, numbers = filled[0], filled[1:]
-    separator = next((one for one in _SEPARATORS if one in lines[header - 1]), ",")
+    separator = next((separator_tried for separator_tried in _SEPARATORS if separator_tried in lines[header - 1]), ",")
 
     def fields(number: int) -> list[str]:
         return _fields(lines[number - 1], number, separator)
@@ -197,11 +197,11 @@ def _recording(table: Table, place: Place, meant: Conventions) -> Recording:
         except UnreadableValue as error:
             unreadable.append((error.row, index, name, error))
     if unreadable:
-        row, _, name, found = min(unreadable, key=lambda item: item[:2])
+        row, _, name, cell = min(unreadable, key=lambda item: item[:2])
         if columns[name][row].strip() == name:
             remedy = "keep one header line; join recordings by a column 'run'"
             raise InputError("a second header line", where=place(row, name), remedy=remedy)
-        raise InputError(found.problem, where=place(row, name), remedy=found.remedy)
+        raise InputError(cell.problem, where=place(row, name), remedy=cell.remedy)
 
     return gathered(values, {name: texts for name, texts in columns.items() if name not in values}, meant)
 

@@ -130,10 +130,10 @@ def _vicon(lines: Sequence[str], begin: int) -> Table:
 
 def _complete(bodies: Mapping[str, dict[str, int]], kind: str) -> dict[str, dict[str, int]]:
     """The bodies that have all three positions."""
-    found = {name: columns for name, columns in bodies.items() if {"x", "y", "z"} <= columns.keys()}
-    if not found:
+    complete = {name: columns for name, columns in bodies.items() if {"x", "y", "z"} <= columns.keys()}
+    if not complete:
         raise InputError(f"expected positions of a {kind}, found none", remedy="export the bodies' positions")
-    return found
+    return complete
 
 
 def _stacked(
@@ -154,7 +154,7 @@ def _stacked(
             continue
         for name, columns in bodies.items():
             filled = [
-                cells[columns[one]].strip() if one in columns and columns[one] < len(cells) else "" for one in used
+                cells[columns[key]].strip() if key in columns and columns[key] < len(cells) else "" for key in used
             ]
             rows.append([cells[always["t"]].strip(), name, *filled])
             numbers.append(number)

@@ -143,9 +143,9 @@ def _check_arrays(arrays: Mapping[str, NDArray[Any]]) -> None:
 
 def _recording(arrays: Mapping[str, NDArray[Any]]) -> Recording:
     texts = {name: arrays[name].tolist() if name in arrays else [] for name in _TEXTS}
-    given: dict[str, Any] = {name: arrays[name] for name in (*_NUMBERS, "run") if name in arrays}
+    fields_given: dict[str, Any] = {name: arrays[name] for name in (*_NUMBERS, "run") if name in arrays}
     return Recording(
-        **given,
+        **fields_given,
         part=tuple(texts["part"]),
         has_run="run" in arrays,
         has_part="part" in arrays,

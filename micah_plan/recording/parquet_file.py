@@ -64,9 +64,9 @@ def parquet_columns(path: str | Path) -> dict[str, Any]:
     called = {"timestamp": "t", "episode_index": "run"} if "episode_index" in table else {}
     columns: dict[str, Any] = {}
     for key, values in table.items():
-        own = names.get(key, ())
-        if not isinstance(values, tuple) and values.ndim == 2 and len(own) == values.shape[1]:
-            columns |= {f"{key}.{name}": entry for name, entry in zip(own, values.T, strict=True)}
+        shape_names = names.get(key, ())
+        if not isinstance(values, tuple) and values.ndim == 2 and len(shape_names) == values.shape[1]:
+            columns |= {f"{key}.{name}": entry for name, entry in zip(shape_names, values.T, strict=True)}
         else:
             columns |= entries(called.get(key, key), values)
     return columns
@@ -87,13 +87,15 @@ def _table(data: bytes) -> Columns:
         if size > LARGEST_FILE_BYTES:
             limit = LARGEST_FILE_BYTES // 1024 // 1024
             raise InputError(f"expected at most {limit} MiB of values, found {size} bytes", remedy="split the file")
-        found = {name: _column(pyarrow, file.read(columns=[name]).column(name)) for name in file.schema_arrow.names}
+        columns_read = {
+            name: _column(pyarrow, file.read(columns=[name]).column(name)) for name in file.schema_arrow.names
+        }
     except InputError:
         raise
     except Exception as error:  # damaged files raise nearly anything
         problem = f"expected a Parquet file, found one that cannot be read ({shown(str(error))})"
         raise InputError(problem, remedy="write it again") from None
-    return {name: values for name, values in found.items() if values is not None}
+    return {name: values for name, values in columns_read.items() if values is not None}
 
 
 def _column(pyarrow: Any, column: Any) -> NDArray[Any] | tuple[str, ...] | None:
@@ -126,8 +128,11 @@ def _names(path: Path) -> Mapping[str, Sequence[str]]:
         problem = "expected the description of a LeRobot data set with its features"
         raise InputError(problem, source=root / _INFO, remedy="correct the file") from None
     # Some have them in a dictionary of one list: {"motors": [...]}.
-    lists = {key: next(iter(own.values()), None) if isinstance(own, dict) else own for key, own in named.items()}
-    return {key: [str(name) for name in own] for key, own in lists.items() if isinstance(own, list)}
+    lists = {
+        key: next(iter(entries.values()), None) if isinstance(entries, dict) else entries
+        for key, entries in named.items()
+    }
+    return {key: [str(name) for name in entries] for key, entries in lists.items() if isinstance(entries, list)}
 
 
 def _episodes(table: Columns, names: Mapping[str, Sequence[str]]) -> Recording:
@@ -137,30 +142,32 @@ def _episodes(table: Columns, names: Mapping[str, Sequence[str]]) -> Recording:
             raise InputError(f"expected numbers in the column {shown(key)}", remedy="give a file of a LeRobot data set")
     if int(table["episode_index"].max(initial=0)) > np.iinfo(np.int64).max:
         raise InputError("expected numbers of episodes of at most 63 bits", remedy="number them 0, 1, 2 and so on")
-    seen, commanded, rest = dict[str, dict[str, Floats]](), dict[str, dict[str, Floats]](), dict[str, Any]()
+    states, commanded, rest = dict[str, dict[str, Floats]](), dict[str, dict[str, Floats]](), dict[str, Any]()
     for key, values in table.items():
         if key in _COUNTED:
             continue
-        own = names.get(key, ())
-        if isinstance(values, tuple) or values.ndim == 1 or len(own) != values.shape[1]:
+        shape_names = names.get(key, ())
+        if isinstance(values, tuple) or values.ndim == 1 or len(shape_names) != values.shape[1]:
             rest |= entries(key, values)
             continue
-        target = commanded if key == "action" else seen if key.startswith("observation") else {}
-        for name, entry in zip(own, values.T, strict=True):
+        target = commanded if key == "action" else states if key.startswith("observation") else {}
+        for name, entry in zip(shape_names, values.T, strict=True):
             part, _, axis = name.rpartition(".")
             target.setdefault(part, {})[axis] = entry
             if axis not in (*POSITION, *QUATERNION, *_ROTATION_VECTOR, *_DISPLACEMENT):
                 rest[f"{key}.{name}"] = entry
-    parts = [part for part, axes in seen.items() if all(axis in axes for axis in POSITION)]
+    parts = [part for part, axes in states.items() if all(axis in axes for axis in POSITION)]
     if not parts:
-        told = ", ".join(f"{key}: {' '.join(own)}" for key, own in names.items() if key.startswith("observation"))
+        description = ", ".join(
+            f"{key}: {' '.join(entries)}" for key, entries in names.items() if key.startswith("observation")
+        )
         problem = "expected the pose of a part, as entries x, y, z of an observation"
-        found = f"names {shown(told)}" if told else f"no names of entries in {_INFO} above the file"
+        found = f"names {shown(description)}" if description else f"no names of entries in {_INFO} above the file"
         raise InputError(
             f"{problem}; found {found}",
             remedy="name them, or say whose joints they are: --robot",
         )
-    both = [_of_part(table, part, seen[part], commanded.get(part, {}), rest) for part in parts]
+    both = [_of_part(table, part, states[part], commanded.get(part, {}), rest) for part in parts]
     return both[0] if len(both) == 1 else _joined(both)
 
 
@@ -196,10 +203,10 @@ def _joined(recordings: Sequence[Recording]) -> Recording:
     """The rows of several parts, one part behind the other; what not all have is left out of all."""
 
     def all_of(name: str) -> NDArray[Any] | None:
-        arrays = [getattr(one, name) for one in recordings]
+        arrays = [getattr(recording, name) for recording in recordings]
         return None if any(array is None for array in arrays) else np.concatenate(arrays)
 
-    extra = {name: sum((one.extra[name] for one in recordings), ()) for name in recordings[0].extra}
+    extra = {name: sum((recording.extra[name] for recording in recordings), ()) for name in recordings[0].extra}
     arrays: dict[str, Any] = {name: all_of(name) for name in (*COLUMNS, "run")}
-    part = sum((one.part for one in recordings), ())
+    part = sum((recording.part for recording in recordings), ())
     return Recording(**arrays, part=part, has_run=True, has_part=True, extra=extra)

@@ -57,8 +57,8 @@ def read_recording(path: str | Path, *, minimum_rows: int = 1, conventions: Conv
         if suffix not in _READERS:
             read_bytes(path)  # that it does not exist or is a directory is the better message
             raise _unknown(path, suffix)
-        found = _READERS[suffix](path, minimum_rows=minimum_rows)
-        return checked(as_recorded(found, meant)) if meant.stated() else found
+        recording = _READERS[suffix](path, minimum_rows=minimum_rows)
+        return checked(as_recorded(recording, meant)) if meant.stated() else recording
 
 
 def read_columns(path: str | Path) -> dict[str, Any]:
@@ -106,5 +106,5 @@ def _has_commas(path: str | Path) -> bool:
 
 
 def _unknown(path: str | Path, suffix: str) -> InputError:
-    found = f"the extension {shown(suffix)}" if suffix else "no extension"
-    return InputError(f"expected a recording, found {found}", source=path, remedy=_REMEDY)
+    problem = f"the extension {shown(suffix)}" if suffix else "no extension"
+    return InputError(f"expected a recording, found {problem}", source=path, remedy=_REMEDY)

@@ -69,7 +69,7 @@ def topics_of(path: str | Path) -> tuple[Topic, ...]:
         InputError: as `messages_of` does.
         MissingDependencyError: without the extra ``ros``.
     """
-    found: dict[tuple[str, str], int] = {}
+    counts: dict[tuple[str, str], int] = {}
     for piece in _pieces(Path(path)) or [Path(path)]:
         suffix, content = piece.suffix.lower(), read_bytes(piece)
         with _one_line():
@@ -77,8 +77,8 @@ def topics_of(path: str | Path) -> tuple[Topic, ...]:
                 log_topics(content) if suffix == ".mcap" else _database_topics(content) if suffix == ".db3" else None
             )
             for topic in _ros1_topics(piece) if pairs is None else pairs:
-                found[topic.name, topic.kind] = found.get((topic.name, topic.kind), 0) + topic.messages
-    return tuple(Topic(name, kind, messages) for (name, kind), messages in sorted(found.items()))
+                counts[topic.name, topic.kind] = counts.get((topic.name, topic.kind), 0) + topic.messages
+    return tuple(Topic(name, kind, messages) for (name, kind), messages in sorted(counts.items()))
 
 
 def _pieces(path: Path) -> list[Path]:
@@ -106,11 +106,11 @@ def _one_line() -> Iterator[None]:
 
 
 def _database(content: bytes) -> Iterator[Logged]:
-    known = decoders()
+    decoders_known = decoders()
     with _opened(content) as connection:
         for topic, kind, time, data in connection.execute(_TABLES):
-            if kind in known:
-                yield Logged(topic, kind, time, known[kind](data))
+            if kind in decoders_known:
+                yield Logged(topic, kind, time, decoders_known[kind](data))
 
 
 def _database_topics(content: bytes) -> list[Topic]:
@@ -169,11 +169,11 @@ def _unpacked(plain: Any, data: bytes) -> bytes:
     """The content of a chunk of at most 256 MiB; `plain` is what a chunk that is not packed goes through."""
     room = LARGEST_FILE_BYTES
     if data[:3] == b"BZh":
-        found = bz2.BZ2Decompressor().decompress(data, max_length=room + 1)
+        text = bz2.BZ2Decompressor().decompress(data, max_length=room + 1)
     elif data[:4] == b"\x04\x22\x4d\x18":
-        found = unpacked_lz4(data, room + 1)
+        text = unpacked_lz4(data, room + 1)
     else:
-        found = plain(data)
-    if len(found) > room:
+        text = plain(data)
+    if len(text) > room:
         raise InputError(f"expected at most {room // 1024 // 1024} MiB of messages, found more", remedy="split the bag")
-    return bytes(found)
+    return bytes(text)

@@ -69,8 +69,8 @@ def read_ros_log(path: str | Path, *, minimum_rows: int = 1, conventions: Conven
             if log.joints:
                 remedy += ", or say whose joints they are: --robot NAME --tool FRAME"
             raise InputError(f"expected poses ({kinds}), found {_listed(path)}", remedy=remedy)
-        found = as_recorded(log.recording(meant.topics, meant.frame), meant)
-        return checked(found, minimum_rows=minimum_rows)
+        recording = as_recorded(log.recording(meant.topics, meant.frame), meant)
+        return checked(recording, minimum_rows=minimum_rows)
 
 
 def joint_columns(path: str | Path) -> dict[str, Any]:
@@ -92,16 +92,16 @@ def joint_columns(path: str | Path) -> dict[str, Any]:
             raise InputError(problem, remedy="log the joints of the robot")
     most = max(joints.values(), key=len)
     stamps = np.unique([time for time, _ in max(most.values(), key=len)])
-    found: dict[str, Any] = {"t": stamps / NANOSECONDS}
+    columns: dict[str, Any] = {"t": stamps / NANOSECONDS}
     for samples_of in (*joints.values(), most):
         for name, samples in samples_of.items():
-            found[f"{JOINT}{name}"] = np.array([float(text or "nan") for text in _held(samples, stamps)])
-    return found
+            columns[f"{JOINT}{name}"] = np.array([float(text or "nan") for text in _held(samples, stamps)])
+    return columns
 
 
 def _listed(path: str | Path) -> str:
     topics = topics_of(path)
-    texts = [f"{shown(one.name)} ({one.kind.replace('/msg/', '/')})" for one in topics[:_MOST_LISTED]]
+    texts = [f"{shown(topic.name)} ({topic.kind.replace('/msg/', '/')})" for topic in topics[:_MOST_LISTED]]
     more = f" and {len(topics) - _MOST_LISTED} more" if len(topics) > _MOST_LISTED else ""
     return ", ".join(texts) + more if texts else "no topics"
 
@@ -130,9 +130,9 @@ class _Log:
         """
         message = logged.message
         if logged.kind == "geometry_msgs/msg/Vector3Stamped":
-            given = self.vectors.setdefault(logged.topic.strip("/"), (message.header.frame_id.strip("/"), {}))
+            samples = self.vectors.setdefault(logged.topic.strip("/"), (message.header.frame_id.strip("/"), {}))
             vector = message.vector
-            given[1][stamp_ns(message.header, logged.time)] = (vector.x, vector.y, vector.z)
+            samples[1][stamp_ns(message.header, logged.time)] = (vector.x, vector.y, vector.z)
         elif logged.kind == "sensor_msgs/msg/JointState":
             time = stamp_ns(message.header, logged.time)
             match = _RUN.fullmatch(logged.topic.strip("/"))
@@ -176,7 +176,7 @@ class _Log:
         order = np.lexsort((part, stamps))
         vectors: dict[str, Floats | None] = {}
         for kind in ("action", "force"):
-            values = self._vectors(kind, {name: own for name, (own, _) in tracks.items()}, target, frames, notes)
+            values = self._vectors(kind, {name: track for name, (track, _) in tracks.items()}, target, frames, notes)
             vectors[kind] = None if values is None else values[order]
         times, quaternion = stamps[order], poses[order, 3:]
         if not np.isfinite(quaternion).all() and np.isfinite(quaternion).any():
@@ -203,12 +203,12 @@ class _Log:
 
     def _joints(self, parts: Sequence[str], times: Ints) -> dict[str, tuple[str, ...]]:
         """Columns of joints at the rows, of each run from its own messages."""
-        found = {f"{JOINT}{name}": [""] * len(times) for name in sorted({name for _, name in self.joints})}
+        columns = {f"{JOINT}{name}": [""] * len(times) for name in sorted({name for _, name in self.joints})}
         for (run, name), samples in sorted(self.joints.items()):
             for i, text in enumerate(_held(samples, times)):
                 if parts[i].startswith(run):
-                    found[f"{JOINT}{name}"][i] = text
-        return {name: tuple(texts) for name, texts in found.items()}
+                    columns[f"{JOINT}{name}"][i] = text
+        return {name: tuple(texts) for name, texts in columns.items()}
 
     def _columns(self, tracks: Mapping[str, tuple[Ints, Floats]]) -> dict[str, list[str]]:
         """Further columns on topics of the parts, as text in the order of the parts: at the stamps of the poses where
@@ -218,17 +218,17 @@ class _Log:
             part, _, name = topic.rpartition("/")
             if part in tracks:
                 names.setdefault(name)
-        found: dict[str, list[str]] = {name: [] for name in names}
+        columns: dict[str, list[str]] = {name: [] for name in names}
         for part, (stamps, _) in tracks.items():
-            for name, texts in found.items():
-                given = self.columns.get(f"{part}/{name}", {})
-                if set(given) <= set(stamps.tolist()):
-                    texts += [given.get(stamp, "") for stamp in stamps.tolist()]
+            for name, texts in columns.items():
+                samples = self.columns.get(f"{part}/{name}", {})
+                if set(samples) <= set(stamps.tolist()):
+                    texts += [samples.get(stamp, "") for stamp in stamps.tolist()]
                     continue
-                times = sorted(given)
+                times = sorted(samples)
                 last = np.searchsorted(times, stamps, side="right") - 1
-                texts += ["" if i < 0 else given[times[i]] for i in last.tolist()]
-        return found
+                texts += ["" if i < 0 else samples[times[i]] for i in last.tolist()]
+        return columns
 
     def _chosen(self, topics: Sequence[str]) -> list[Edge]:
         """The parts: those on topics or with frames that are named, or else all that do not stand still for good."""
@@ -236,16 +236,16 @@ class _Log:
         named = [(edge.topic.strip("/"), edge.child) for edge in self.edges.values()]
         for name, text in zip(wanted, topics, strict=True):
             if not any(name in names for names in named):
-                there = sorted({other for names in named for other in names})
+                there = sorted({child_name for names in named for child_name in names})
                 raise InputError(f"there is no topic or frame {shown(text)} with poses", remedy=choices(name, there))
         pairs = zip(self.edges.values(), named, strict=True)
         chosen = [edge for edge, names in pairs if (set(names) & set(wanted) if wanted else not edge.static)]
         by_child: dict[str, Edge] = {}
         for edge in chosen or list(self.edges.values()):
-            other = by_child.setdefault(edge.child, edge)
-            if other is not edge:
-                problem = f"{shown(edge.child)} is on the topics {shown(other.topic)} and {shown(edge.topic)}"
-                raise InputError(problem, remedy=f"choose one: --topic {other.topic}")
+            earlier = by_child.setdefault(edge.child, edge)
+            if earlier is not edge:
+                problem = f"{shown(edge.child)} is on the topics {shown(earlier.topic)} and {shown(edge.topic)}"
+                raise InputError(problem, remedy=f"choose one: --topic {earlier.topic}")
         return list(by_child.values())
 
     def _target(self, chosen: Sequence[Edge], frame: str | None, notes: list[str], frames: Frames) -> str:
@@ -282,23 +282,23 @@ class _Log:
                 pieces.append(np.full((len(stamps), 3), np.nan))
                 continue
             times = np.array(sorted(samples), dtype=np.int64)
-            given = np.array([samples[time] for time in times.tolist()])
+            vectors = np.array([samples[time] for time in times.tolist()])
             if frame not in ("", target) and frame in frames.edges and frames.root(frame) == frames.root(target):
-                given = frames.placed(frame, target, times)[1].apply(given)
+                vectors = frames.placed(frame, target, times)[1].apply(vectors)
             elif frame not in ("", target):
                 notes.append(f"nothing says where the frame {shown(frame)} of {part}/{kind} is; it is read as {target}")
-            pieces.append(_at_poses(kind, part, (times, given), stamps, notes))
+            pieces.append(_at_poses(kind, part, (times, vectors), stamps, notes))
         return np.concatenate(pieces)
 
 
 def _at_poses(kind: str, part: str, samples: tuple[Ints, Floats], stamps: Ints, notes: list[str]) -> Floats:
     """(n, 3) actions or forces at stamps of poses: by stamp where they have these, or else joined, which is noted."""
-    times, given = samples
+    times, vectors = samples
     aligned = np.isin(times, stamps).all()
     if aligned and (kind == "force" or np.isin(stamps[:-1], times).all()):
-        found = np.full((len(stamps), 3), np.nan)
-        found[np.isin(stamps, times)] = given
-        return found
+        at_stamps = np.full((len(stamps), 3), np.nan)
+        at_stamps[np.isin(stamps, times)] = vectors
+        return at_stamps
     apart = np.abs(times[:, None] - stamps[_neighbours(stamps, times)]).min() / NANOSECONDS
     rates = [NANOSECONDS / float(np.median(np.diff(each))) if len(each) > 1 else 0.0 for each in (times, stamps)]
     joined = "each spread until the next" if kind == "action" else "interpolated"
@@ -306,7 +306,7 @@ def _at_poses(kind: str, part: str, samples: tuple[Ints, Floats], stamps: Ints, 
         f"{count(len(times), kind)} of {shown(part)} at {rates[0]:.3g} Hz are joined to poses at {rates[1]:.3g} Hz "
         f"({joined}); the nearest stamps are {quantity(float(apart), 's')} apart"
     )
-    return acting(times, given, stamps) if kind == "action" else between(times, given, stamps)
+    return acting(times, vectors, stamps) if kind == "action" else between(times, vectors, stamps)
 
 
 def _neighbours(stamps: Ints, times: Ints) -> Ints:
@@ -324,16 +324,18 @@ def _track(edge: Edge, target: str, frames: Frames, notes: list[str]) -> tuple[I
     if is_point.any():  # where it is needs no orientation of its own
         upright = [(stamp, (*pose[:3], 0.0, 0.0, 0.0, 1.0)) for stamp, pose in edge.samples]
         edge = replace(edge, samples=upright)
-    origin, turn, known = replace(frames, edges={**frames.edges, edge.child: edge}).placed(edge.child, target, stamps)
-    if not known.any():
+    origin, turn, is_known = replace(frames, edges={**frames.edges, edge.child: edge}).placed(
+        edge.child, target, stamps
+    )
+    if not is_known.any():
         problem = f"at no pose of {shown(edge.child)} it is known where {shown(edge.parent)} is in {shown(target)}"
         raise InputError(problem, remedy="record both at the same time")
-    lost = int((~known).sum())
+    lost = int((~is_known).sum())
     if lost:
         of = f"where {shown(edge.parent)} is in {shown(target)}"
         notes.append(f"{count(lost, 'pose')} of {shown(edge.child)} are left out: it is not known then {of}")
     quaternion = np.where(is_point, np.nan, turn.as_quat())
-    return stamps[known], np.concatenate([origin, quaternion], axis=1)[known]
+    return stamps[is_known], np.concatenate([origin, quaternion], axis=1)[is_known]
 
 
 def _poses(logged: Logged) -> Iterator[tuple[str, Any, Any, Any]]:
@@ -420,16 +422,16 @@ class Edge:
 
     def at(self, stamps: Ints) -> tuple[Floats, Rotation, Booleans]:
         """(n, 3) positions and n rotations at stamps [ns], straight between samples, and (n,) where they are known."""
-        own, poses = self.once()
+        edges, poses = self.once()
         if not np.isfinite(poses).all():
             problem = f"{shown(self.topic)} gives no orientation of {shown(self.child)}, which others are placed by"
             raise InputError(problem, remedy="choose another frame: --frame NAME")
-        if self.static or len(own) == 1:
+        if self.static or len(edges) == 1:
             chosen = np.repeat(poses[-1:], len(stamps), axis=0)
             return chosen[:, :3], Rotation.from_quat(chosen[:, 3:]), np.full(len(stamps), True)
         # Relative to the first, so that nanoseconds of an epoch fit into a float.
-        begin = own[0]
-        own_times, times = (own - begin).astype(float), (stamps - begin).astype(float)
+        begin = edges[0]
+        own_times, times = (edges - begin).astype(float), (stamps - begin).astype(float)
         inside = np.clip(times, own_times[0], own_times[-1])
         position = np.stack([np.interp(inside, own_times, poses[:, i]) for i in range(3)], axis=1)
         turns = Slerp(own_times, Rotation.from_quat(poses[:, 3:]))(inside)
@@ -456,14 +458,14 @@ class Frames:
         Raises:
             InputError: if they go in a circle.
         """
-        found: list[Edge] = []
+        edges: list[Edge] = []
         while frame in self.edges:
             edge = self.edges[frame]
-            if edge in found:
+            if edge in edges:
                 raise InputError(f"the transforms of {shown(frame)} go in a circle", remedy="record a tree of frames")
-            found.append(edge)
+            edges.append(edge)
             frame = edge.parent
-        return found
+        return edges
 
     def root(self, frame: str) -> str:
         """The frame that places it and is placed by none."""
@@ -483,20 +485,20 @@ class Frames:
         ours, theirs = self.upwards(frame), self.upwards(target)
         while ours and theirs and ours[-1] is theirs[-1]:  # what both go through says nothing of one in the other
             ours, theirs = ours[:-1], theirs[:-1]
-        position, turn, known = _along(ours, stamps)
+        position, turn, is_known = _along(ours, stamps)
         origin, turned, also = _along(theirs, stamps)
         back = turned.inv()
-        return back.apply(position - origin), back * turn, known & also
+        return back.apply(position - origin), back * turn, is_known & also
 
 
 def _along(edges: Sequence[Edge], stamps: Ints) -> tuple[Floats, Rotation, Booleans]:
     """The frame at the bottom of edges in that at their top."""
-    position, known = np.zeros((len(stamps), 3)), np.full(len(stamps), True)
+    position, is_known = np.zeros((len(stamps), 3)), np.full(len(stamps), True)
     turn = Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (len(stamps), 1)))
     for edge in edges:
         origin, turned, there = edge.at(stamps)
-        position, turn, known = origin + turned.apply(position), turned * turn, known & there
-    return position, turn, known
+        position, turn, is_known = origin + turned.apply(position), turned * turn, is_known & there
+    return position, turn, is_known
 
 
 def moves(edges: Sequence[Edge]) -> bool:

@@ -215,10 +215,10 @@ def decoders() -> dict[str, Callable[[bytes], Any]]:
     from mcap.records import Schema
     from mcap_ros2.decoder import DecoderFactory
 
-    factory, found = DecoderFactory(), {}
+    factory, messages = DecoderFactory(), {}
     for number, kind in enumerate(MESSAGE_TYPES, start=1):
-        found[str(kind)] = factory.decoder_for("cdr", Schema(number, definition(kind).encode(), "ros2msg", kind))
-    return found
+        messages[str(kind)] = factory.decoder_for("cdr", Schema(number, definition(kind).encode(), "ros2msg", kind))
+    return messages
 
 
 def _messages(content: bytes) -> Iterator[Logged]:
@@ -226,17 +226,17 @@ def _messages(content: bytes) -> Iterator[Logged]:
 
     kinds: dict[int, MessageType] = {}
     channels: dict[int, tuple[str, MessageType]] = {}
-    known = decoders()
+    decoders_known = decoders()
     for record in _records(content):
         if isinstance(record, Schema):
-            if record.name in known:
+            if record.name in decoders_known:
                 kinds[record.id] = record.name
         elif isinstance(record, Channel):
             if record.schema_id in kinds and record.message_encoding == "cdr":
                 channels[record.id] = record.topic, kinds[record.schema_id]
         elif isinstance(record, Message) and record.channel_id in channels:
             topic, kind = channels[record.channel_id]
-            yield Logged(topic, kind, record.log_time, known[kind](record.data))
+            yield Logged(topic, kind, record.log_time, decoders_known[kind](record.data))
 
 
 def _records(content: bytes) -> Iterator[Any]:

@@ -106,22 +106,22 @@ def _length(rows: Recording, part: str) -> str:
     extent = float(np.linalg.norm(np.subtract(*np.quantile(rows.position, [0.85, 0.15], axis=0))))
     distance = float(np.median(np.linalg.norm(rows.position, axis=1)))
     if extent > LARGEST_EXTENT_M:
-        seen = f"part '{part}' moves over {quantity(extent, 'm')}"
+        sentence = f"part '{part}' moves over {quantity(extent, 'm')}"
     elif distance > FARTHEST_M:
-        seen = f"part '{part}' is {quantity(distance, 'm')} from the origin of the base frame"
+        sentence = f"part '{part}' is {quantity(distance, 'm')} from the origin of the base frame"
     else:
         return ""
-    return f"{seen}; positions and actions are read in m: if these are millimetres, say so: --units mm"
+    return f"{sentence}; positions and actions are read in m: if these are millimetres, say so: --units mm"
 
 
 def _actions(rows: Recording, part: str) -> str:
     if rows.action is None or len(rows) < _FEWEST_ROWS:
         return ""
-    told = np.linalg.norm(rows.action, axis=1)
-    told = told[told > 0.0]  # false for the empty one at the end of a run
-    if not len(told):
+    sizes = np.linalg.norm(rows.action, axis=1)
+    sizes = sizes[sizes > 0.0]  # false for the empty one at the end of a run
+    if not len(sizes):
         return ""
-    asked = float(np.quantile(told, 0.9))
+    asked = float(np.quantile(sizes, 0.9))
     moved = float(np.quantile(np.linalg.norm(np.diff(rows.position, axis=0), axis=1), 0.9))
     if asked <= LARGEST_ACTION_M or asked <= _FAR_MORE * moved:
         return ""
@@ -164,11 +164,11 @@ def _steps(recording: Recording) -> Floats:
 def _quaternion(rows: Recording, part: str) -> str:
     if rows.quaternion is None or len(rows) < _FEWEST_ROWS:
         return ""
-    given = Rotation.from_quat(rows.quaternion)
-    turned = float(np.quantile((given * given[len(rows) // 2].inv()).magnitude(), 0.95))
+    rotation = Rotation.from_quat(rows.quaternion)
+    turned = float(np.quantile((rotation * rotation[len(rows) // 2].inv()).magnitude(), 0.95))
     if turned < _LEAST_TURN:
         return ""
-    as_given = _unexplained(rows.position, given)
+    as_given = _unexplained(rows.position, rotation)
     if as_given < _UNEXPLAINED:
         return ""
     # (w, x, y, z) was read as (x, y, z, w), so the scalar stands first.
@@ -177,16 +177,18 @@ def _quaternion(rows: Recording, part: str) -> str:
         option = "--columns " + ",".join(f"{name}=-{name}" for name in names)
         signs = np.array([-1.0 if name in names else 1.0 for name in QUATERNION])
         others[meaning, option] = signs * rows.quaternion
-    left = {key: _unexplained(rows.position, Rotation.from_quat(other)) for key, other in others.items()}
-    enough = {key: _FAR_BETTER if key[1] == "--quaternion wxyz" else _WITH_OTHER_SIGNS for key in left}
-    better = [key for key in left if left[key] <= enough[key] * as_given]
+    unexplained = {
+        key: _unexplained(rows.position, Rotation.from_quat(quaternion)) for key, quaternion in others.items()
+    }
+    enough = {key: _FAR_BETTER if key[1] == "--quaternion wxyz" else _WITH_OTHER_SIGNS for key in unexplained}
+    better = [key for key in unexplained if unexplained[key] <= enough[key] * as_given]
     if not better:
         return ""
-    meaning, option = min(better, key=left.__getitem__)
+    meaning, option = min(better, key=unexplained.__getitem__)
     return (
         f"part '{part}' turns about a fixed axis only if its quaternions {meaning} (they then leave "
-        f"{percent(left[meaning, option], 0)} of the motion unexplained, as they are {percent(as_given, 0)}); they are "
-        f"read as turns of the part in the base frame, scalar last: if they are not, say so: {option}"
+        f"{percent(unexplained[meaning, option], 0)} of the motion unexplained, as they are {percent(as_given, 0)}); "
+        f"they are read as turns of the part in the base frame, scalar last: if they are not, say so: {option}"
     )
 
 
@@ -195,8 +197,8 @@ def _unexplained(position: Floats, rotation: Rotation) -> float:
     matrices = rotation.as_matrix()
     design = np.concatenate([np.tile(np.eye(3), (len(position), 1, 1)), matrices], axis=2).reshape(-1, 6)
     fitted = design @ np.linalg.lstsq(design, position.ravel(), rcond=None)[0]
-    left = np.linalg.norm(position.ravel() - fitted)
-    return float(left / max(float(np.linalg.norm(position - position.mean(axis=0))), np.finfo(float).tiny))
+    residual = np.linalg.norm(position.ravel() - fitted)
+    return float(residual / max(float(np.linalg.norm(position - position.mean(axis=0))), np.finfo(float).tiny))
 
 
 _FEW, _RARE = 3, 0.05
@@ -317,8 +319,8 @@ def _stray_lines(tracks: Sequence[_Track]) -> list[str]:
     every = [(track, first, last) for track in tracks for first, last in track.continuity.strays]
     pairs = [
         (a, b)
-        for one, another in combinations(tracks, 2)
-        for a, b in _at_once(one, another)
+        for track, another in combinations(tracks, 2)
+        for a, b in _at_once(track, another)
         if _is_taken_for(a, b) and _is_taken_for(b, a)
     ]
     lines = [
@@ -352,16 +354,16 @@ def _size(distance: float, angle: float) -> str:
     return " and ".join(shown)
 
 
-def _at_once(track: _Track, other: _Track) -> list[tuple[_Stray, _Stray]]:
+def _at_once(track: _Track, second: _Track) -> list[tuple[_Stray, _Stray]]:
     """Strays of two parts that lie in the same rows, most of the time of the longer one."""
     pairs = []
-    begins, ends = (other.rows.time[[stray[k] for stray in other.continuity.strays]] for k in (0, 1))
+    begins, ends = (second.rows.time[[stray[k] for stray in second.continuity.strays]] for k in (0, 1))
     for first, last in track.continuity.strays:
         begin, end = track.rows.time[[first, last]].tolist()
         for k in range(int(np.searchsorted(ends, begin)), int(np.searchsorted(begins, end, side="right"))):
             shared = min(end, float(ends[k])) - max(begin, float(begins[k]))
             if shared >= _OVERLAP * max(end - begin, float(ends[k] - begins[k])):
-                pairs.append(((track, first, last), (other, *other.continuity.strays[k])))
+                pairs.append(((track, first, last), (second, *second.continuity.strays[k])))
     return pairs
 
 

@@ -57,8 +57,8 @@ def tum_bytes(recording: Recording, path: str | Path) -> bytes:
             f"columns {shown(','.join(recording.extra))}": recording.extra,
         }
         if any(surplus.values()):
-            found = ", ".join(name for name, there in surplus.items() if there)
-            problem = f"a TUM file holds the poses of one run and part only, found {found}"
+            names = ", ".join(name for name, there in surplus.items() if there)
+            problem = f"a TUM file holds the poses of one run and part only, found {names}"
             raise InputError(problem, remedy="write a .csv or .npz file")
         if recording.quaternion is None:
             raise InputError("a TUM file needs orientations, found none", remedy="write a .csv or .npz file")

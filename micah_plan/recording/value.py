@@ -146,9 +146,9 @@ class Recording(Summarised):
         """
         if any(name not in self.extra for name in ESTIMATE[:3]):
             return None
-        given = [name for name in ESTIMATE if name in self.extra]
-        values = np.array([[self._number(name, row) for name in given] for row in range(len(self))])
-        turned = values[:, 3:] if given == list(ESTIMATE) else None
+        names = [name for name in ESTIMATE if name in self.extra]
+        values = np.array([[self._number(name, row) for name in names] for row in range(len(self))])
+        turned = values[:, 3:] if names == list(ESTIMATE) else None
         return replace(self, position=values[:, :3], quaternion=turned)
 
     def _number(self, name: str, row: int) -> float:
@@ -161,8 +161,8 @@ class Recording(Summarised):
     def rows(self, index: Any) -> Recording:
         """The rows that a NumPy index (integers, slice or booleans) selects, in that order."""
         chosen = np.arange(len(self))[index]
-        given: dict[str, Any] = {name: getattr(self, name) for name in (*COLUMNS, "run")}
-        arrays: dict[str, Any] = {name: None if array is None else array[chosen] for name, array in given.items()}
+        columns: dict[str, Any] = {name: getattr(self, name) for name in (*COLUMNS, "run")}
+        arrays: dict[str, Any] = {name: None if array is None else array[chosen] for name, array in columns.items()}
         return replace(
             self,
             **arrays,
@@ -198,13 +198,13 @@ class Recording(Summarised):
 
     def columns(self) -> dict[str, Any]:
         """Arrays and texts by the names of the columns of a recording CSV, as ``pandas.DataFrame`` takes them."""
-        given: dict[str, Any] = {"run": self.run} if self.has_run else {}
-        given |= {"part": list(self.part)} if self.has_part else {}
+        columns: dict[str, Any] = {"run": self.run} if self.has_run else {}
+        columns |= {"part": list(self.part)} if self.has_part else {}
         for field_name, names in COLUMNS.items():
             array = getattr(self, field_name)
             if array is not None:
-                given |= dict(zip(names, np.atleast_2d(array.T), strict=True))
-        return given | {name: list(texts) for name, texts in self.extra.items()}
+                columns |= dict(zip(names, np.atleast_2d(array.T), strict=True))
+        return columns | {name: list(texts) for name, texts in self.extra.items()}
 
     def to_pandas(self) -> Any:
         """The rows as a ``pandas.DataFrame`` with the columns of a recording CSV.

@@ -133,15 +133,15 @@ class Calibration:
     @property
     def errors(self) -> tuple[Errors, ...]:
         """Of positions where a joint was changed, of all coordinates if they have one unit, else of each."""
-        units = {one.lane.unit for one in self.traces}
-        if any(form(found.effect.name).layer == "geometry" for found in self.effects):
+        units = {trace.lane.unit for trace in self.traces}
+        if any(form(effect.effect.name).layer == "geometry" for effect in self.effects):
             return (Errors("positions", "m", self.before, self.after, self.noise_floor, self.rollout_floor),)
         if len(units) == 1:
             return (Errors("", units.pop(), self.before, self.after, self.noise_floor, self.rollout_floor),)
-        sizes = [(_size([one], is_final=False), _size([one], is_final=True)) for one in self.traces]
+        sizes = [(_size([trace], is_final=False), _size([trace], is_final=True)) for trace in self.traces]
         return tuple(
-            Errors(one.lane.coordinate, one.lane.unit, before, after, one.floor, one.rollout_floor)
-            for one, (before, after) in zip(self.traces, sizes, strict=True)
+            Errors(trace.lane.coordinate, trace.lane.unit, before, after, trace.floor, trace.rollout_floor)
+            for trace, (before, after) in zip(self.traces, sizes, strict=True)
         )
 
     @cached_property
@@ -155,7 +155,7 @@ class Calibration:
             return ()
         runs = predict_recording(self.automaton, self.recording)
         sizes = (rmse_of_coordinates([getattr(run, name) for run in runs]) for name in ("one_step", "rollout"))
-        return tuple(ResidualSize(*own) for own in zip(*sizes, strict=True))
+        return tuple(ResidualSize(*of_kind) for of_kind in zip(*sizes, strict=True))
 
     @cached_property
     def pose_errors(self) -> tuple[tuple[str, str, ResidualSize, ResidualSize], ...]:
@@ -176,61 +176,71 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
             "expected actions, found no columns ax, ay, az",
             remedy="record the commanded displacements to calibrate a model",
         )
-    found = _calibrated(automaton, recording, progress)
-    faulty = faulty_runs(found.traces)
-    aside = [one.run for one in faulty if not one.is_lasting]
+    calibration = _calibrated(automaton, recording, progress)
+    faulty = faulty_runs(calibration.traces)
+    aside = [run.run for run in faulty if not run.is_lasting]
     if aside:
-        found = _calibrated(automaton, recording.rows(~np.isin(recording.run, aside)), progress)
-    return replace(found, notes=(*(one.advice for one in faulty), *found.notes))
+        calibration = _calibrated(automaton, recording.rows(~np.isin(recording.run, aside)), progress)
+    return replace(calibration, notes=(*(run.advice for run in faulty), *calibration.notes))
 
 
 def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Progress | None) -> Calibration:
     """The calibration with all runs of a recording."""
-    known = examined(automaton, recording)
-    _check_usable(automaton, known)
-    corrected, measured, beyond, able = known.automaton, known.measured, known.beyond, known.searches
+    examination = examined(automaton, recording)
+    _check_usable(automaton, examination)
+    corrected, measured, beyond, able = (
+        examination.automaton,
+        examination.measured,
+        examination.beyond,
+        examination.searches,
+    )
     traces = tuple(
         trace(search, _shared(progress, number, len(able)) if progress else None) for number, search in enumerate(able)
     )
     corrected, traces = with_missing_modes(corrected, traces, measured)
-    found = [_direct_effect(own) for own in known.direct]
-    found += [own for one in traces for own in _all_found(one, beyond)]
-    found.sort(key=lambda effect: -effect.evidence)
+    effects = [_direct_effect(direct) for direct in examination.direct]
+    effects += [effect for trace in traces for effect in _all_found(trace, beyond)]
+    effects.sort(key=lambda effect: -effect.evidence)
     improved, refusing = _written(corrected, beyond, with_shifts(_to_add(traces), beyond), recording)
-    kept_out = {(one.name, one.coordinate, one.modes) for one in refusing}
-    found = [
-        replace(one, is_added=False) if (one.effect.name, one.effect.coordinate, one.effect.modes) in kept_out else one
-        for one in found
+    kept_out = {(effect.name, effect.coordinate, effect.modes) for effect in refusing}
+    effects = [
+        replace(effect, is_added=False)
+        if (effect.effect.name, effect.effect.coordinate, effect.effect.modes) in kept_out
+        else effect
+        for effect in effects
     ]
     before, after = _size(traces, is_final=False), _size(traces, is_final=True)
-    floors = [_together(own, traces) for own in zip(*((one.floor, one.rollout_floor) for one in traces), strict=True)]
-    if known.geometry:
+    floors = [
+        _together(floors_of_kind, traces)
+        for floors_of_kind in zip(*((trace.floor, trace.rollout_floor) for trace in traces), strict=True)
+    ]
+    if examination.geometry:
         before, after = (_pose_sizes(model, recording, MOST_ROWS)[0] for model in (automaton, improved))
         across, arm = scatter_across(corrected, measured)
         floors = [float(np.hypot(across, arm * floor)) for floor in floors]
-    verdicts: list[Verdict] = [one.outcome.verdict for one in traces]
-    verdicts += ["explained"] if known.direct else []
-    verdicts += ["unexplained"] if known.beside else []
+    verdicts: list[Verdict] = [trace.outcome.verdict for trace in traces]
+    verdicts += ["explained"] if examination.direct else []
+    verdicts += ["unexplained"] if examination.beside else []
     return Calibration(
         automaton=improved,
         verdict=overall(verdicts),
-        effects=tuple(found),
+        effects=tuple(effects),
         before=before,
         after=after,
         noise_floor=floors[0],
         rollout_floor=floors[1],
-        unexplained_fraction=max(_left_beside(known), *(one.unexplained_fraction for one in traces)),
+        unexplained_fraction=max(_left_beside(examination), *(trace.unexplained_fraction for trace in traces)),
         traces=traces,
         notes=(
             *notes_on(traces),
-            *(f"{one}: no effect has that name" for one in known.beside),
-            *map(_told_of_since, (one for one in found if one.since is not None and one.is_added)),
-            *(f"{one.name} of {one.coordinate} was not added: {reason}" for one, reason in refusing.items()),
+            *(f"{name}: no effect has that name" for name in examination.beside),
+            *map(_told_of_since, (effect for effect in effects if effect.since is not None and effect.is_added)),
+            *(f"{effect.name} of {effect.coordinate} was not added: {reason}" for effect, reason in refusing.items()),
             *([f"predict refuses these runs: {why}"] if (why := refused(improved, recording)) else []),
-            *told_of_rows(beyond, measured, known.late),
-            *told_of_beliefs(corrected, known.seen, measured),
+            *told_of_rows(beyond, measured, examination.late),
+            *told_of_beliefs(corrected, examination.seen, measured),
         ),
-        experiment=_next_experiment(found, traces),
+        experiment=_next_experiment(effects, traces),
         told=automaton,
         recording=recording,
     )
@@ -248,31 +258,31 @@ def _written(
     if refused(made(()), recording):
         return made(kept), refusing  # whatever is added
     while kept and (reason := refused(made(kept), recording)):
-        without = {one: [other for other in kept if other is not one] for one in kept}
-        one = next((one for one, left in without.items() if not refused(made(left), recording)), kept[-1])
-        refusing[one] = f"with it the model refuses these runs ({reason})"
-        kept = without[one]
+        without = {effect: [remaining for remaining in kept if remaining is not effect] for effect in kept}
+        effect = next((effect for effect, rest in without.items() if not refused(made(rest), recording)), kept[-1])
+        refusing[effect] = f"with it the model refuses these runs ({reason})"
+        kept = without[effect]
     return made(kept), refusing
 
 
-def _told_of_since(found: FoundEffect) -> str:
-    run, time = found.since or (0, 0.0)
+def _told_of_since(effect: FoundEffect) -> str:
+    run, time = effect.since or (0, 0.0)
     when = f"run {run}" if time == 0.0 else f"{quantity(time, 's')} into run {run}"
     return (
-        f"{found.effect.name} of {found.effect.coordinate} was seen from {when} on; the new model has it from the "
+        f"{effect.effect.name} of {effect.effect.coordinate} was seen from {when} on; the new model has it from the "
         "start: it is the object as it was in the end"
     )
 
 
-def _check_usable(automaton: HybridAutomaton, known: Examined) -> None:
-    if sum(len(track.time) for track in known.measured) < FEWEST_ROWS:
+def _check_usable(automaton: HybridAutomaton, examination: Examined) -> None:
+    if sum(len(track.time) for track in examination.measured) < FEWEST_ROWS:
         raise InputError(f"expected at least {FEWEST_ROWS} rows in runs of two or more", remedy="record a longer run")
-    if not known.searches:
-        if known.is_readable:
+    if not examination.searches:
+        if examination.is_readable:
             raise InputError("in no recorded row does the model's sensor see anything", remedy="check its noise")
         remedy = "take a model with a joint that moves; runs of what a hand holds are for predict"
         raise InputError("the model has no coordinates that move by inputs of their own", remedy=remedy)
-    across, arm = lasting_across(automaton, known.seen), scatter_across(automaton, known.seen)[1]
+    across, arm = lasting_across(automaton, examination.seen), scatter_across(automaton, examination.seen)[1]
     if across > max(_FAR, _FAR_SHARE * arm):
         raise InputError(
             f"the measured poses do not fit the model: they lie {quantity(across, 'm', digits=2)} beside its joints",
@@ -280,39 +290,41 @@ def _check_usable(automaton: HybridAutomaton, known: Examined) -> None:
         )
 
 
-def _left_beside(known: Examined) -> float:
+def _left_beside(examination: Examined) -> float:
     """Share of the evidence that poses lie beside the joints which what was found of them leaves, 0 to 1."""
-    named, left = (sum(one.evidence for one in found) for found in (known.geometry, known.beside))
-    return left / (named + left) if left else 0.0
+    named, unnamed = (
+        sum(finding.evidence for finding in findings) for findings in (examination.geometry, examination.beside)
+    )
+    return unnamed / (named + unnamed) if unnamed else 0.0
 
 
 def _shared(progress: Progress, number: int, count: int) -> Progress:
     return lambda message, fraction: progress(message, (number + fraction) / count)
 
 
-def _all_found(one: LaneTrace, beyond: Sequence[Beyond]) -> list[FoundEffect]:
-    told = [_found(one.lane, finding, beyond) for finding in one.findings]
-    return [own for own in told if without_old_ends([own.effect], beyond)]
+def _all_found(trace: LaneTrace, beyond: Sequence[Beyond]) -> list[FoundEffect]:
+    effects = [_found(trace.lane, finding, beyond) for finding in trace.findings]
+    return [effect_found for effect_found in effects if without_old_ends([effect_found.effect], beyond)]
 
 
 def _found(lane: Lane, finding: Finding, beyond: Sequence[Beyond]) -> FoundEffect:
     (effect,) = with_shifts([effect_of(lane, finding.part, finding.interval)], beyond)
-    own, ends = form(effect.name), finding.interval[: len(effect.values)].copy()
+    effect_form, ends = form(effect.name), finding.interval[: len(effect.values)].copy()
     ends[0] += 0.0 if effect.name == finding.part.name else effect.values[0] - finding.part.starts[0, 0]
     return FoundEffect(
         effect=effect,
-        units=tuple(parameter.unit_for(lane.unit) for parameter in own.parameters),
+        units=tuple(parameter.unit_for(lane.unit) for parameter in effect_form.parameters),
         interval=tuple((float(low), float(high)) for low, high in ends),
         evidence=finding.evidence,
         tied=finding.tied,
         since=_since(lane, finding.part.starts[0]),
         derived=tuple(
             ("seconds", value * lane.period)
-            for value, parameter in zip(effect.values, own.parameters, strict=True)
+            for value, parameter in zip(effect.values, effect_form.parameters, strict=True)
             if parameter.unit == "step"
         ),
-        sentence=own.sentence,
-        source=own.source,
+        sentence=effect_form.sentence,
+        source=effect_form.source,
         experiment=_experiment(lane, finding),
         is_added=finding.is_added,
     )
@@ -325,28 +337,28 @@ def _experiment(lane: Lane, finding: Finding) -> str:
     return experiment_for_alike_runs(finding.part.name) if may_remember(lane, finding) else ""
 
 
-def _direct_effect(found: DirectFinding) -> FoundEffect:
-    effect, std, evidence = found.effect, found.std, found.evidence
-    own = form(effect.name)
+def _direct_effect(direct: DirectFinding) -> FoundEffect:
+    effect, std, evidence = direct.effect, direct.std, direct.evidence
+    effect_form = form(effect.name)
     reach = 0.5 * _STDS_WIDE
     interval = tuple((v - reach * s, v + reach * s) for v, s in zip(effect.values, std, strict=True))
-    units = tuple(parameter.unit for parameter in own.parameters)
-    return FoundEffect(effect, units, interval, evidence, (), None, (), own.sentence, own.source, "")
+    units = tuple(parameter.unit for parameter in effect_form.parameters)
+    return FoundEffect(effect, units, interval, evidence, (), None, (), effect_form.sentence, effect_form.source, "")
 
 
 def effect_of(lane: Lane, part: Candidate, interval: Floats | None = None) -> Effect:
     """The value that an automaton takes in of a fitted candidate."""
-    own = part.term.form
-    count = len(own.parameters)
+    effect_form = part.term.form
+    count = len(effect_form.parameters)
     values = [
         float(np.clip(value, parameter.lower, parameter.upper))
-        for value, parameter in zip(part.starts[0, :count], own.parameters, strict=True)
+        for value, parameter in zip(part.starts[0, :count], effect_form.parameters, strict=True)
     ]
-    pairs = tuple(zip([parameter.name for parameter in own.parameters], values, strict=True))
+    pairs = tuple(zip([parameter.name for parameter in effect_form.parameters], values, strict=True))
     since = _since(lane, part.starts[0])
     note = "" if since is None else f"seen from run {since[0]}, {quantity(since[1], 's')} on"
     spread = () if interval is None else tuple(float(high - low) / _STDS_WIDE for low, high in interval[:count])
-    return Effect(own.name, lane.coordinate, pairs, spread, part.term.modes, note)
+    return Effect(effect_form.name, lane.coordinate, pairs, spread, part.term.modes, note)
 
 
 def _since(lane: Lane, values: Floats) -> tuple[int, float] | None:
@@ -362,20 +374,20 @@ def _since(lane: Lane, values: Floats) -> tuple[int, float] | None:
 
 def _to_add(traces: Sequence[LaneTrace]) -> list[Effect]:
     effects = []
-    for one in traces:
-        known = {finding.part.name: finding for finding in one.findings}
-        for part in one.final.parts:
-            finding = known.get(part.name)
+    for lane_trace in traces:
+        by_name = {finding.part.name: finding for finding in lane_trace.findings}
+        for part in lane_trace.final.parts:
+            finding = by_name.get(part.name)
             # With a correction on top the parameters are those that were fitted together with it.
-            own = finding.part if finding is not None and one.final is one.chosen else part
-            effects.append(effect_of(one.lane, own, None if finding is None else finding.interval))
+            part_kept = finding.part if finding is not None and lane_trace.final is lane_trace.chosen else part
+            effects.append(effect_of(lane_trace.lane, part_kept, None if finding is None else finding.interval))
     return effects
 
 
 def _size(traces: Sequence[LaneTrace], *, is_final: bool) -> ResidualSize:
-    models = [(one, one.final if is_final else one.nominal) for one in traces]
-    steps = [one.search.errors(model, "one_step")[one.lane.counted] for one, model in models]
-    rolls = [one.search.rollout_errors(model) for one, model in models]
+    models = [(trace, trace.final if is_final else trace.nominal) for trace in traces]
+    steps = [trace.search.errors(model, "one_step")[trace.lane.counted] for trace, model in models]
+    rolls = [trace.search.rollout_errors(model) for trace, model in models]
     one_step, rollout = (float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) for errors in (steps, rolls))
     return ResidualSize(one_step, rollout)
 
@@ -389,29 +401,29 @@ def _pose_sizes(automaton: HybridAutomaton, recording: Recording, most: int) -> 
     able = [rows for rows in (recording.select(run=run) for run in chosen) if len(np.unique(rows.time)) > 1]
     runs = [predicted for rows in able for predicted in predict_recording(automaton, rows)]
     kinds = [[run.one_step for run in runs], [run.rollout for run in runs]]
-    sizes = [ResidualSize(*(rmse([one.position for one in own]) for own in kinds))]
-    turns = [[one.rotation for one in own if one.rotation is not None] for own in kinds]
+    sizes = [ResidualSize(*(rmse([error.position for error in kind]) for kind in kinds))]
+    turns = [[error.rotation for error in kind if error.rotation is not None] for kind in kinds]
     return [*sizes, ResidualSize(*map(rmse, turns))] if all(turns) else sizes
 
 
 def _together(sizes: Sequence[float], traces: Sequence[LaneTrace]) -> float:
-    rows = [int(one.lane.counted.sum()) for one in traces]
+    rows = [int(trace.lane.counted.sum()) for trace in traces]
     return float(np.sqrt(np.average(np.square(sizes), weights=rows)))
 
 
-def _next_experiment(found: Sequence[FoundEffect], traces: Sequence[LaneTrace]) -> str:
-    for effect in found:
+def _next_experiment(effects: Sequence[FoundEffect], traces: Sequence[LaneTrace]) -> str:
+    for effect in effects:
         if effect.experiment:
             return effect.experiment
-    for one in traces:
-        for mode in one.missing_modes:
+    for lane_trace in traces:
+        for mode in lane_trace.missing_modes:
             if mode.modes:
                 continue
             return experiment_for_missing_mode(mode.low if np.isfinite(mode.low) else mode.high, mode.unit)
-        if one.outcome.verdict in ("partly", "unexplained"):
-            low, high = one.lane.visited
-            return experiment_for_unexplained(f"over {interval(low, high, one.lane.unit)}")
-    if found:
+        if lane_trace.outcome.verdict in ("partly", "unexplained"):
+            low, high = lane_trace.lane.visited
+            return experiment_for_unexplained(f"over {interval(low, high, lane_trace.lane.unit)}")
+    if effects:
         return "repeat with commands of other sizes and directions, to see whether the effects found hold there too"
     lane = traces[0].lane
     low, high = lane.visited
@@ -453,7 +465,9 @@ def _is_clear(old: LaneTrace, new: LaneTrace) -> bool:
 
 
 def _told(split: HybridAutomaton, old: LaneTrace, new: LaneTrace) -> LaneTrace:
-    modes = tuple(replace(one, modes=_inside(split, old.lane.index, one)) for one in old.missing_modes)
+    modes = tuple(
+        replace(missing_mode, modes=_inside(split, old.lane.index, missing_mode)) for missing_mode in old.missing_modes
+    )
     return replace(new, missing_modes=modes)
 
 
@@ -467,10 +481,10 @@ def _inside(split: HybridAutomaton, i: int, missing: MissingMode) -> tuple[str, 
     return tuple(mode.name for mode in split.modes if mode.driven[i] and holds(mode))
 
 
-def experiment_that_separates(one: str, other: str) -> str:
+def experiment_that_separates(first: str, second: str) -> str:
     """The experiment that tells two effects apart: one of them says it."""
-    known = dict(form(one).experiments).get(other) or dict(form(other).experiments).get(one)
-    return known or f"vary size and direction of the commands over the whole range, to tell {one} from {other}"
+    experiment = dict(form(first).experiments).get(second) or dict(form(second).experiments).get(first)
+    return experiment or f"vary size and direction of the commands over the whole range, to tell {first} from {second}"
 
 
 def experiment_for_alike_runs(name: str) -> str:
@@ -518,8 +532,10 @@ def told_of_beliefs(corrected: HybridAutomaton, before: Sequence[Track], after: 
     notes = []
     for i, coordinate in enumerate(corrected.coordinates):
         ends = [
-            float(np.mean([abs(track.believed[-1, i] - track.x[-1, i]) for track in own if track.believed is not None]))
-            for own in (before, after)
+            float(
+                np.mean([abs(track.believed[-1, i] - track.x[-1, i]) for track in value if track.believed is not None])
+            )
+            for value in (before, after)
         ]
         was, now = (quantity(end, coordinate.unit, digits=2) for end in ends)
         notes.append(
@@ -543,20 +559,20 @@ def told_of_rows(beyond: Sequence[Beyond], measured: Sequence[Track], late: int)
     gaps = f"{count(missing, 'gap')} in t: what was commanded there is missing, so no step over them counts"
     unseen = sum(int((~track.is_measured).sum()) for track in measured)
     repeated = f"{count(unseen, 'row')} repeat a pose or lie where the part cannot get: they are no measurements"
-    told = [*([told_of_late(late)] if late else []), *map(str, beyond)]
-    return [*told, *([gaps] if missing else []), *([repeated] if unseen else [])]
+    notes = [*([told_of_late(late)] if late else []), *map(str, beyond)]
+    return [*notes, *([gaps] if missing else []), *([repeated] if unseen else [])]
 
 
-def _units(one: LaneTrace) -> list[str]:
+def _units(trace: LaneTrace) -> list[str]:
     """Gains that are no property of an object, but of the units that commands were written in."""
-    names = {name: size for name, (size, unit) in _UNITS.items() if unit in ("", one.lane.unit)}
+    names = {name: size for name, (size, unit) in _UNITS.items() if unit in ("", trace.lane.unit)}
     notes = []
-    for finding in one.findings:
+    for finding in trace.findings:
         gain = _gain_of(finding)
         for name, size in names.items():
             if abs(gain / size - 1.0) < _SAME_UNIT:
-                told = f"{one.lane.coordinate}: a gain of {plain(gain)} is that of commands in {name}"
-                notes.append(f"{told}: actions are in m; convert the columns ax, ay, az")
+                sentence = f"{trace.lane.coordinate}: a gain of {plain(gain)} is that of commands in {name}"
+                notes.append(f"{sentence}: actions are in m; convert the columns ax, ay, az")
     return notes
 
 
@@ -566,27 +582,27 @@ def _gain_of(finding: Finding) -> float:
     return float(finding.part.starts[0, names.index("gain")]) if "gain" in names else 1.0
 
 
-def _at_bounds(one: LaneTrace) -> list[str]:
+def _at_bounds(trace: LaneTrace) -> list[str]:
     """Fitted parameters that ended at a bound of what is sensible: something else may be behind the effect."""
     notes = []
-    for finding in one.findings:
+    for finding in trace.findings:
         parameters = finding.part.term.form.parameters
         for k, large in zip(finding.part.free, finding.part.scale, strict=True):
             low, high = finding.part.bounds.get(k, (-np.inf, np.inf))
-            value, own = float(finding.part.starts[0, k]), parameters[k]
-            ends = max(own.lower, low), min(own.upper, high)
-            if min(abs(value - end) for end in ends) < _AT_BOUND * large and value != own.neutral:
-                told = f"{one.lane.coordinate}: {own.name} of {finding.part.name} ended at its bound"
-                notes.append(f"{told}, so something else may be behind it")
+            value, parameter = float(finding.part.starts[0, k]), parameters[k]
+            ends = max(parameter.lower, low), min(parameter.upper, high)
+            if min(abs(value - end) for end in ends) < _AT_BOUND * large and value != parameter.neutral:
+                sentence = f"{trace.lane.coordinate}: {parameter.name} of {finding.part.name} ended at its bound"
+                notes.append(f"{sentence}, so something else may be behind it")
     return notes
 
 
 def notes_on(traces: Sequence[LaneTrace]) -> tuple[str, ...]:
     """What was seen too little of, what was left out and why, and what remains."""
     notes = []
-    for one in traces:
-        notes += [*_units(one), *_at_bounds(one)]
-        lane, name = one.lane, one.lane.coordinate
+    for lane_trace in traces:
+        notes += [*_units(lane_trace), *_at_bounds(lane_trace)]
+        lane, name = lane_trace.lane, lane_trace.lane.coordinate
         runs = len(np.unique(lane.run))
         if runs == 1:
             notes.append(f"{name}: one run only; stretches were held out, so what differs from run to run is unknown")
@@ -594,8 +610,8 @@ def notes_on(traces: Sequence[LaneTrace]) -> tuple[str, ...]:
         moving = u[np.abs(u) > 0.05 * lane.command_size]
         if moving.size and (np.mean(moving > 0) < 0.05 or np.mean(moving > 0) > 0.95):
             notes.append(f"{name}: nearly all commands go one way; what depends on the direction cannot be seen")
-        if one.outcome.verdict == "none":
-            least = float(np.sqrt(2.0 * LEAST_EVIDENCE * one.nominal.squared)) / int(lane.counted.sum())
+        if lane_trace.outcome.verdict == "none":
+            least = float(np.sqrt(2.0 * LEAST_EVIDENCE * lane_trace.nominal.squared)) / int(lane.counted.sum())
             step, share = quantity(least, lane.unit, digits=2), percent(least / lane.command_size)
             notes.append(
                 f"{name}: {step} more per step, or {share} more of each command would have been seen; smaller effects "
@@ -604,17 +620,18 @@ def notes_on(traces: Sequence[LaneTrace]) -> tuple[str, ...]:
         low, high = lane.visited
         if low > lane.upper or high < lane.lower:
             notes.append(f"{name}: all rows lie outside of the model's range: this may be another object")
-        notes += [f"{mode} ({plain(mode.evidence)} nats over any gradual change)" for mode in one.missing_modes]
-        left_out = " and ".join(finding.part.name for finding in one.findings if not finding.is_added)
+        notes += [f"{mode} ({plain(mode.evidence)} nats over any gradual change)" for mode in lane_trace.missing_modes]
+        left_out = " and ".join(finding.part.name for finding in lane_trace.findings if not finding.is_added)
         if left_out:
-            notes.append(f"{name}: {left_out} was not added: {one.outcome.sentence}")
-        if one.closest:
+            notes.append(f"{name}: {left_out} was not added: {lane_trace.outcome.sentence}")
+        if lane_trace.closest:
             notes.append(
-                f"{name}: {' and '.join(one.closest)} came closest, but a smooth correction without a name does as well"
+                f"{name}: {' and '.join(lane_trace.closest)} came closest, but a smooth correction without a name does "
+                "as well"
             )
-        if one.facts.is_corrected:
+        if lane_trace.facts.is_corrected:
             notes.append(f"{name}: the model has a correction without a name already, which no effect has replaced")
-        if one.left is not None and one.left.is_more and not one.facts.smooth:
-            share = percent(one.left.share, 0)
-            notes.append(f"{name}: what remains is no noise: {share} of it follows {one.left}")
+        if lane_trace.left is not None and lane_trace.left.is_more and not lane_trace.facts.smooth:
+            share = percent(lane_trace.left.share, 0)
+            notes.append(f"{name}: what remains is no noise: {share} of it follows {lane_trace.left}")
     return tuple(notes)

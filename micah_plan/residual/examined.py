@@ -77,10 +77,10 @@ class Examined:
         """Whether the model leaves noise alone; None where that cannot be told without looking for effects."""
         if self.direct or self.beside:
             return False
-        left = [own for _, own in self.left]
-        if any(own is not None and own.is_more for own in left):
+        tests = [test for _, test in self.left]
+        if any(test is not None and test.is_more for test in tests):
             return False
-        return True if left and all(own is not None and own.is_noise for own in left) else None
+        return True if tests and all(test is not None and test.is_noise for test in tests) else None
 
 
 def examined(automaton: HybridAutomaton, recording: Recording) -> Examined:
@@ -90,18 +90,18 @@ def examined(automaton: HybridAutomaton, recording: Recording) -> Examined:
         InputError: if the recording has other parts than the model.
     """
     every, late = read_tracks(automaton, recording)
-    seen = tuple(map(at_measurements, every))
-    geometry, read = geometry_findings(automaton, seen), reading_findings(automaton, seen)
-    corrected = with_effect(automaton, *(found.effect for found in (*geometry, *read)))
+    is_at = tuple(map(at_measurements, every))
+    geometry, read = geometry_findings(automaton, is_at), reading_findings(automaton, is_at)
+    corrected = with_effect(automaton, *(finding.effect for finding in (*geometry, *read)))
     measured = tuple(track for track in read_tracks(corrected, recording)[0] if len(track.time) > 1)
     beyond = beyond_range(corrected, [at_measurements(track).x for track in measured]) if measured else ()
-    told, corrected = corrected, opened(corrected, beyond)
-    able = lanes(corrected, measured, told) if measured and _has_own_inputs(corrected) else ()
+    uncorrected, corrected = corrected, opened(corrected, beyond)
+    able = lanes(corrected, measured, uncorrected) if measured and _has_own_inputs(corrected) else ()
     return Examined(
         automaton=corrected,
         geometry=geometry,
         reading=read,
-        seen=seen,
+        seen=is_at,
         measured=measured,
         beyond=beyond,
         searches=tuple(Search(lane) for lane in able if lane.counted.any()),
@@ -137,7 +137,7 @@ _COLUMN = {"sensor_scale": 0, "sensor_offset": 1, "drift": 2}
 
 def reading_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[DirectFinding, ...]:
     """Effects of sensors that predict held-out rests clearly better; in the order in which they are taken out."""
-    found: list[DirectFinding] = []
+    findings: list[DirectFinding] = []
     for i, coordinate in enumerate(automaton.coordinates):
         rests = np.array([rest for track in tracks for rest in _rests(track, i, len(tracks))]).reshape(-1, 4)
         if len(rests) < _FEWEST:
@@ -145,11 +145,11 @@ def reading_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tup
         without = _density(rests, ())
         options = [_effects(rests, names, coordinate.name, _density(rests, names) - without) for names in _MODELS]
         # A part that is stuck is no sensor that reads a seventh of the way.
-        possible = [own for own in options if all(is_possible(one.effect) for one in own)]
-        most = max((own[0].evidence for own in possible), default=-np.inf)
+        possible = [option for option in options if all(is_possible(finding.effect) for finding in option)]
+        most = max((option[0].evidence for option in possible), default=-np.inf)
         if most > LEAST_EVIDENCE:
-            found += next(own for own in possible if own[0].evidence >= most - TIE)
-    return tuple(found)
+            findings += next(option for option in possible if option[0].evidence >= most - TIE)
+    return tuple(findings)
 
 
 def _rests(track: Track, i: int, runs: int) -> list[tuple[float, float, float, float]]:
@@ -158,18 +158,18 @@ def _rests(track: Track, i: int, runs: int) -> list[tuple[float, float, float, f
         return []
     x, e, time = track.x[:, i], track.believed[:, i], track.time - track.time[0]
     steps = np.maximum(np.abs(np.diff(x, prepend=np.nan)), np.abs(np.diff(e, prepend=np.nan)))
-    known = np.isfinite(steps) & np.isfinite(e)
-    if not known.any():
+    is_finite = np.isfinite(steps) & np.isfinite(e)
+    if not is_finite.any():
         return []
-    rest = known & (steps <= _AT_REST * steps[known].max())
+    rest = is_finite & (steps <= _AT_REST * steps[is_finite].max())
     count = 1 if runs >= ENOUGH_RUNS else int(np.ceil(2 * ENOUGH_RUNS / runs))
-    pieces = [own[rest[own]] for own in np.array_split(np.arange(len(x)), count)]
-    found = []
-    for own in pieces:
-        if own.size:
-            middle = (float(np.median(values[own])) for values in (x, e, time))
-            found.append((*middle, _OF_MEDIANS * float(np.var((x - e)[own])) / own.size))
-    return found
+    pieces = [rows[rest[rows]] for rows in np.array_split(np.arange(len(x)), count)]
+    rests = []
+    for piece in pieces:
+        if piece.size:
+            middle = (float(np.median(values[piece])) for values in (x, e, time))
+            rests.append((*middle, _OF_MEDIANS * float(np.var((x - e)[piece])) / piece.size))
+    return rests
 
 
 def _density(rests: Floats, names: tuple[str, ...]) -> float:
@@ -178,7 +178,7 @@ def _density(rests: Floats, names: tuple[str, ...]) -> float:
     Few rests may agree by chance: none is taken for more certain than the scatter of its own rows lets it be.
     """
     design, target = _regression(rests, names)
-    known = rests[:, 3].mean()
+    share = rests[:, 3].mean()
     total, free = 0.0, len(target) - 1 - design.shape[1]
     if free < 1:
         return -np.inf
@@ -186,7 +186,7 @@ def _density(rests: Floats, names: tuple[str, ...]) -> float:
         a, b = np.delete(design, k, axis=0), np.delete(target, k)
         beta = np.linalg.lstsq(a, b, rcond=None)[0]
         spread = design[k] @ np.linalg.pinv(a.T @ a) @ design[k]
-        scale = np.sqrt((max(((b - a @ beta) ** 2).sum() / free, known) + _EXACT**2) * (1.0 + spread))
+        scale = np.sqrt((max(((b - a @ beta) ** 2).sum() / free, share) + _EXACT**2) * (1.0 + spread))
         total += float(student_t_log_density((target[k] - design[k] @ beta) / scale, free) - np.log(scale))
     return total
 
@@ -203,12 +203,12 @@ def _effects(rests: Floats, names: tuple[str, ...], coordinate: str, evidence: f
     beta = np.linalg.lstsq(design, target, rcond=None)[0]
     noise = float(((target - design @ beta) ** 2).sum()) / (len(target) - design.shape[1])
     stds = np.sqrt(noise * np.diag(np.linalg.pinv(design.T @ design)))
-    found = []
+    steps_at_rest = []
     for name, value, std in zip(names, beta.tolist(), stds.tolist(), strict=True):
         if name == "sensor_scale":
             scale = 1.0 / (1.0 + value) if value != -1.0 else np.inf
             pair, std = ("scale", scale), std * scale**2
         else:
             pair = ("offset" if name == "sensor_offset" else "rate", -value)
-        found.append(DirectFinding(Effect(name, coordinate, (pair,), (std,)), (std,), evidence))
-    return found
+        steps_at_rest.append(DirectFinding(Effect(name, coordinate, (pair,), (std,)), (std,), evidence))
+    return steps_at_rest

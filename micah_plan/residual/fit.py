@@ -140,11 +140,11 @@ class _State:
     def improve(self) -> bool:
         """One iteration over all fits; whether any still moves."""
         trial, shares, owner = self._neighbours()
-        error, found = self._evaluate(trial, shares, owner)
+        error, fitness = self._evaluate(trial, shares, owner)
         size = trial.shape[0] // self.count
-        losses = self._losses(trial, shares, found).reshape(self.count, size)
-        self.loss, self.scale = losses[:, 0], found.scale.reshape(self.count, size)[:, 0]
-        jumps = self._gauss_newton(trial, error, found, size)
+        losses = self._losses(trial, shares, fitness).reshape(self.count, size)
+        self.loss, self.scale = losses[:, 0], fitness.scale.reshape(self.count, size)[:, 0]
+        jumps = self._gauss_newton(trial, error, fitness, size)
         line, line_share, line_owner = self._line(jumps, self._better_share(losses, shares, size))
         _, ended = self._evaluate(line, line_share, line_owner)
         line_losses = self._losses(line, line_share, ended).reshape(self.count, len(_LINE))
@@ -158,7 +158,7 @@ class _State:
                 axis=1,
             ),
             np.concatenate([shares.reshape(self.count, size), line_share.reshape(self.count, len(_LINE))], axis=1),
-            np.concatenate([found.scale.reshape(self.count, size), ended.scale.reshape(self.count, len(_LINE))], 1),
+            np.concatenate([fitness.scale.reshape(self.count, size), ended.scale.reshape(self.count, len(_LINE))], 1),
             size,
         )
 
@@ -184,17 +184,17 @@ class _State:
         rows = self.trained[owner][:, :, None] & lane.counted[None]
         return prediction.error, fitness(prediction, rows, self.problem.freedom)
 
-    def _losses(self, trial: Floats, shares: Floats, found: Fitness) -> Floats:
+    def _losses(self, trial: Floats, shares: Floats, fitness: Fitness) -> Floats:
         away = (trial[:, self.problem.free] - self.problem.center) / (self.problem.scale * self.problem.looseness)
-        return np.asarray(found.loss + 0.5 * (away**2).sum(axis=1) + 0.02 * shares**2)
+        return np.asarray(fitness.loss + 0.5 * (away**2).sum(axis=1) + 0.02 * shares**2)
 
-    def _gauss_newton(self, trial: Floats, error: Floats, found: Fitness, size: int) -> Floats:
+    def _gauss_newton(self, trial: Floats, error: Floats, fitness: Fitness, size: int) -> Floats:
         """(M, k) steps of the free parameters."""
         if not self.k:
             return np.zeros((self.count, 0))
         free, problem = self.problem.free, self.problem
         errors = error.reshape(self.count, size, *error.shape[1:])
-        weight = found.weight.reshape(self.count, size, *error.shape[1:])[:, 0]
+        weight = fitness.weight.reshape(self.count, size, *error.shape[1:])[:, 0]
         values = trial.reshape(self.count, size, -1)
         slopes = np.empty((self.count, self.k, *error.shape[1:]))
         for j, column in enumerate(free):

@@ -74,7 +74,7 @@ class _Rows:
 
 def geometry_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[DirectFinding, ...]:
     """Changes of turning joints that predict held-out poses clearly better; the best one per coordinate."""
-    found = []
+    findings = []
     for number, link in measuring_links(automaton):
         joint, *others = link_motions(automaton)[number].joints
         if others or not joint.turns:
@@ -85,8 +85,8 @@ def geometry_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tu
             _finding("screw_pitch", name, ("pitch",), axial),
             _finding("axis_offset", name, ("offset_1", "offset_2"), radial),
         ]
-        found += [option for option in options if option is not None]
-    return tuple(found)
+        findings += [option for option in options if option is not None]
+    return tuple(findings)
 
 
 def scatter_across(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[float, float]:
@@ -107,7 +107,7 @@ def lasting_across(automaton: HybridAutomaton, tracks: Sequence[Track]) -> float
     lasting2: list[float] = []
     for number, _ in measuring_links(automaton):
         away = [beside(automaton, track, number)[:, :3] for track in tracks]
-        products = np.concatenate([(own[1:] * own[:-1]).sum(axis=1) for own in away])
+        products = np.concatenate([(series[1:] * series[:-1]).sum(axis=1) for series in away])
         if len(products) > 1:
             lasting2.append(float(products.mean() - _SURELY * products.std() / np.sqrt(len(products))))
     return float(np.sqrt(max(float(np.mean(lasting2)), 0.0))) if lasting2 else 0.0
@@ -150,7 +150,7 @@ class Beside:
 
 def lying_beside(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[Beside, ...]:
     """`lies_beside` of every coordinate that is measured."""
-    found = [
+    findings = [
         lies_beside(
             automaton.coordinates[link.coordinate].name,
             [track.x[:, link.coordinate] for track in tracks],
@@ -158,7 +158,7 @@ def lying_beside(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[B
         )
         for number, link in measuring_links(automaton)
     ]
-    return tuple(one for one in found if one is not None)
+    return tuple(finding for finding in findings if finding is not None)
 
 
 def lies_beside(coordinate: str, places: Sequence[Floats], away: Sequence[Floats]) -> Beside | None:
@@ -171,7 +171,7 @@ def lies_beside(coordinate: str, places: Sequence[Floats], away: Sequence[Floats
     if len(c) < _FEWEST_ROWS or np.ptp(c) < 1e-9:
         return None
     every_curve = np.polynomial.legendre.legvander(2.0 * (c - c.min()) / np.ptp(c) - 1.0, max(_DEGREES))
-    block, starts = _blocks([len(own) for own in places])
+    block, starts = _blocks([len(place) for place in places])
     fitted, total = np.zeros_like(every), 0.0
     for k in range(every.shape[1]):
         if np.std(every[:, k]) < _EXACT:
@@ -181,8 +181,8 @@ def lies_beside(coordinate: str, places: Sequence[Floats], away: Sequence[Floats
             curves = every_curve[:, : degree + 1]
             rows = _Rows(every[:, k], curves, block, starts, np.zeros(len(c), dtype=np.int64))
             tried.append((*_held_out(rows, np.zeros((len(c), 0))), curves, rows))
-        evidence, left, curves, rows = max(tried, key=lambda one: one[0])
-        if evidence > max(_LEAST_EVIDENCE, _PER_ROW * len(c)) and left < _MOST_LEFT:
+        evidence, residual, curves, rows = max(tried, key=lambda trial: trial[0])
+        if evidence > max(_LEAST_EVIDENCE, _PER_ROW * len(c)) and residual < _MOST_LEFT:
             total += evidence
             fitted[:, k] = curves @ _regression(rows, curves, np.ones(len(c), dtype=bool))[0]
     if not total:
@@ -235,14 +235,14 @@ def _finding(name: str, coordinate: str, names: tuple[str, ...], rows: _Rows) ->
     if len(rows.residual) < _FEWEST_ROWS or np.ptp(rows.regressors[:, 0]) < 1e-6:
         return None
     without = rows.constants
-    with_it, own = np.hstack([without, rows.regressors]), without.shape[1]
+    with_it, count = np.hstack([without, rows.regressors]), without.shape[1]
     everything = np.ones(len(rows.residual), dtype=bool)
     beta, covariance, _, _ = _regression(rows, with_it, everything)
-    evidence, left = _held_out(rows, without)
-    if evidence < max(_LEAST_EVIDENCE, _PER_ROW * len(rows.residual)) or left > _MOST_LEFT:
+    evidence, residual = _held_out(rows, without)
+    if evidence < max(_LEAST_EVIDENCE, _PER_ROW * len(rows.residual)) or residual > _MOST_LEFT:
         return None
-    std = np.sqrt(np.maximum(np.diag(covariance)[own:], 0.0))
-    pairs = tuple(zip(names, (float(b) for b in beta[own:]), strict=True))
+    std = np.sqrt(np.maximum(np.diag(covariance)[count:], 0.0))
+    pairs = tuple(zip(names, (float(b) for b in beta[count:]), strict=True))
     spread = tuple(float(s) for s in std)
     effect = Effect(name, coordinate, pairs, spread)
     return DirectFinding(effect, spread, evidence) if is_possible(effect) else None
@@ -253,7 +253,7 @@ def _held_out(rows: _Rows, without: Floats) -> tuple[float, float]:
 
     Both on held-out blocks.
     """
-    with_it, own = np.hstack([without, rows.regressors]), without.shape[1]
+    with_it, count = np.hstack([without, rows.regressors]), without.shape[1]
     everything = np.ones(len(rows.residual), dtype=bool)
     unit = _regression(rows, with_it, everything)[2][rows.direction]
     evidence, kept = 0.0, np.zeros(2)
@@ -265,7 +265,7 @@ def _held_out(rows: _Rows, without: Floats) -> tuple[float, float]:
         for k, design in enumerate((with_it, without)):
             fitted = _regression(rows, design, train)[0]
             # The new joint takes in the effect alone; a constant that makes it fit stays behind as an error.
-            effect = design[:, own:] @ fitted[own:]
+            effect = design[:, count:] @ fitted[count:]
             kept[k] += float((((rows.residual - effect) / unit)[test] ** 2).sum())
     return evidence, float(kept[0] / max(kept[1], 1e-300))
 
@@ -281,8 +281,8 @@ def _predicts(rows: _Rows, design: Floats, train: NDArray[np.bool_], test: NDArr
     """Log likelihood of the test rows' whitened residuals under what the training rows say [nats]."""
     beta, _, scatter, memory = _regression(rows, design, train)
     spread = scatter[rows.direction][test]
-    left = _whitened(rows, rows.residual - design @ beta, memory)[test]
-    return float(-0.5 * np.sum((left / spread) ** 2) - np.log(spread).sum())
+    residual = _whitened(rows, rows.residual - design @ beta, memory)[test]
+    return float(-0.5 * np.sum((residual / spread) ** 2) - np.log(spread).sum())
 
 
 def _regression(rows: _Rows, design: Floats, chosen: NDArray[np.bool_]) -> tuple[Floats, Floats, Floats, Floats]:
@@ -303,19 +303,19 @@ def _regression(rows: _Rows, design: Floats, chosen: NDArray[np.bool_]) -> tuple
         gram = gram + 1e-12 * np.trace(gram) * np.eye(a.shape[1])
         beta = np.asarray(np.linalg.solve(gram, a.T @ b))
         covariance = np.asarray(np.linalg.inv(gram))
-        missed, left = target - columns @ beta, rows.residual - design @ beta
-        before = np.roll(left, 1)
+        missed, residual = target - columns @ beta, rows.residual - design @ beta
+        before = np.roll(residual, 1)
         for k in range(count):
             scatter[k] = max(float(np.sqrt(np.mean(missed[direction == k] ** 2))), 1e-9)
             follows = chosen & ~rows.starts & (rows.direction == k)
             power = float((before[follows] ** 2).sum())
-            product = float((left[follows] * before[follows]).sum())
+            product = float((residual[follows] * before[follows]).sum())
             memory[k] = float(np.clip(product / power, 0.0, 0.98)) if power > 0 else 0.0
     return beta, covariance, scatter, memory
 
 
 def _whitened(rows: _Rows, values: Floats, memory: Floats) -> Floats:
     """Values less what the row before foretells; the first row of a run is scaled to the same variance."""
-    own = memory[rows.direction]
-    first = np.sqrt(np.maximum(1.0 - own**2, 1e-6))
-    return np.asarray(np.where(rows.starts, first * values, values - own * np.roll(values, 1)))
+    memory_of_run = memory[rows.direction]
+    first = np.sqrt(np.maximum(1.0 - memory_of_run**2, 1e-6))
+    return np.asarray(np.where(rows.starts, first * values, values - memory_of_run * np.roll(values, 1)))

@@ -71,37 +71,44 @@ def judge(automaton: HybridAutomaton, recording: Recording, runs: Sequence[RunPr
     changes = tuple(change for run in runs for change in _changes(run))
     errors = [[run.one_step.configuration[:, i] for run in runs] for i in range(automaton.n)]
     correlation = max(map(_correlation, errors), key=abs)
-    found = [leftover(np.concatenate(own)[:, None], _circumstances(runs, i)) for i, own in enumerate(errors)]
-    known = [one for one in found if one is not None]
-    if len(known) < len(found):
+    tests = [
+        leftover(np.concatenate(errors_of_run)[:, None], _circumstances(runs, i))
+        for i, errors_of_run in enumerate(errors)
+    ]
+    tests_done = [test for test in tests if test is not None]
+    if len(tests_done) < len(tests):
         return Judgement(None, None, None, "too few rows to tell errors from noise", (), correlation, changes)
-    one_step, rollout = _floors(automaton, runs, known)
-    seen = examined(automaton, recording)
-    told = _sentence(seen, () if seen.is_noise else _faulty(automaton, runs))
-    told = f"{told_of_late(seen.late)}. {told}" if seen.late else told
-    follows = tuple((search.lane.coordinate, *one) for search, left in seen.left if left for one in left.follows)
-    return Judgement(one_step, rollout, seen.is_noise, told, follows, correlation, changes)
+    one_step, rollout = _floors(automaton, runs, tests_done)
+    examination = examined(automaton, recording)
+    sentence = _sentence(examination, () if examination.is_noise else _faulty(automaton, runs))
+    sentence = f"{told_of_late(examination.late)}. {sentence}" if examination.late else sentence
+    follows = tuple(
+        (search.lane.coordinate, *follow) for search, test in examination.left if test for follow in test.follows
+    )
+    return Judgement(one_step, rollout, examination.is_noise, sentence, follows, correlation, changes)
 
 
 def _faulty(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> list[FaultyRun]:
     """Runs whose errors are unlike those of the others, each for every coordinate that shows it."""
     numbers = list(dict.fromkeys(run.run for run in runs))
-    found = []
+    faulty = []
     for i, coordinate in enumerate(automaton.coordinates):
         parts = [[run.one_step.configuration[:, i] for run in runs if run.run == number] for number in numbers]
-        found += unlike_others(numbers, [np.concatenate(own) for own in parts], coordinate.name, coordinate.unit)
-    return found
+        faulty += unlike_others(numbers, [np.concatenate(part) for part in parts], coordinate.name, coordinate.unit)
+    return faulty
 
 
-def _sentence(seen: Examined, faulty: Sequence[FaultyRun]) -> str:
-    if seen.is_noise:
+def _sentence(examination: Examined, faulty: Sequence[FaultyRun]) -> str:
+    if examination.is_noise:
         return "errors look like noise: this recording shows nothing that the model lacks"
-    told = [f"those of {search.lane.coordinate} follow {left}" for search, left in seen.left if left and left.is_more]
-    said = [f"errors are not noise: {'; '.join(told)}"] if told else []
-    said += map(str, (*seen.beside, *faulty))
-    named = [f"{one.effect.name} of {one.effect.coordinate}" for one in seen.direct]
+    sentences = [
+        f"those of {search.lane.coordinate} follow {test}" for search, test in examination.left if test and test.is_more
+    ]
+    said = [f"errors are not noise: {'; '.join(sentences)}"] if sentences else []
+    said += map(str, (*examination.beside, *faulty))
+    named = [f"{finding.effect.name} of {finding.effect.coordinate}" for finding in examination.direct]
     said += [f"poses and readings ask for {', '.join(named)}"] if named else []
-    if not said and not seen.searches:
+    if not said and not examination.searches:
         return "whether errors are noise is told only where each coordinate has an input of its own"
     if not said:
         return "errors may be more than noise, but not surely: calibrate looks closer"
@@ -123,14 +130,14 @@ def _circumstances(runs: Sequence[RunPrediction], i: int) -> Circumstances:
 def _correlation(errors: Sequence[Floats]) -> float:
     """Correlation of errors with the next in the same run, about their common mean."""
     every = np.concatenate(list(errors))
-    centred = [own - every.mean() for own in errors]
-    power = float(sum((own**2).sum() for own in centred))
-    product = float(sum((own[1:] * own[:-1]).sum() for own in centred))
+    centred = [error - every.mean() for error in errors]
+    power = float(sum((error**2).sum() for error in centred))
+    product = float(sum((error[1:] * error[:-1]).sum() for error in centred))
     return product / power if power > 1e-18 * len(every) else 0.0
 
 
 def _floors(
-    automaton: HybridAutomaton, runs: Sequence[RunPrediction], known: Sequence[Leftover]
+    automaton: HybridAutomaton, runs: Sequence[RunPrediction], tests_done: Sequence[Leftover]
 ) -> tuple[Floor | None, Floor | None]:
     """Floors of one step and of the roll-out.
 
@@ -138,8 +145,8 @@ def _floors(
     measurement noise of variance r and q per step its k-th error has 2 r + k q, and a one-step error 2 r + q.
     """
     steps = np.concatenate([np.arange(1, len(run.v) + 1) for run in runs])
-    one2 = np.array([float(own.floor[0]) ** 2 for own in known])
-    roll2 = np.array([2.0 * r + q * steps.mean() for r, q in (_shares(own, runs) for own in known)])
+    one2 = np.array([float(test.floor[0]) ** 2 for test in tests_done])
+    roll2 = np.array([2.0 * r + q * steps.mean() for r, q in (_shares(test, runs) for test in tests_done)])
     position = _across(automaton, runs, one2, roll2, 3, [run.one_step.offset for run in runs])
     turns = [run.one_step.turn for run in runs if run.one_step.turn is not None]
     rotation = _across(automaton, runs, one2, roll2, 0, turns) if len(turns) == len(runs) else None
@@ -152,11 +159,11 @@ def _floors(
     return floors[0], floors[1]
 
 
-def _shares(own: Leftover, runs: Sequence[RunPrediction]) -> tuple[float, float]:
+def _shares(test: Leftover, runs: Sequence[RunPrediction]) -> tuple[float, float]:
     """(r, q) of what a regression leaves: two errors in a row share one measurement, with opposite signs."""
     ends = np.cumsum([len(run.v) for run in runs])[:-1]
-    correlation = _correlation(np.split(own.left[:, 0], ends))
-    variance = float(own.floor[0]) ** 2
+    correlation = _correlation(np.split(test.left[:, 0], ends))
+    variance = float(test.floor[0]) ** 2
     r = float(np.clip(-correlation, 0.0, 0.5)) * variance
     return r, variance - 2.0 * r
 
@@ -174,32 +181,32 @@ def _across(
     every = np.concatenate(list(errors))
     for number, link in enumerate(automaton.links):
         i = link.coordinate
-        found = leftover(every[:, number], _circumstances(runs, i))
-        if found is None:
+        test_of_run = leftover(every[:, number], _circumstances(runs, i))
+        if test_of_run is None:
             return None
         x = np.concatenate([run.x[1:, i] for run in runs])
         j = link_motions(automaton)[number].tangents(x)[:, first : first + 3]
-        lever2, size2 = float(np.mean((j**2).sum(axis=1))), float((found.floor**2).sum())
+        lever2, size2 = float(np.mean((j**2).sum(axis=1))), float((test_of_run.floor**2).sum())
         totals.append((size2, max(size2 - lever2 * one2[i], 0.0) + lever2 * roll2[i]))
-    one, roll = np.sqrt(np.mean(totals, axis=0))
-    return float(one), float(roll)
+    step_rms, roll = np.sqrt(np.mean(totals, axis=0))
+    return float(step_rms), float(roll)
 
 
 def _changes(run: RunPrediction) -> list[ModeChange]:
     """Changes of the filter's most likely mode, and of the roll-out's, paired in order as long as they agree."""
     measured, predicted = (_entries(modes, run.time) for modes in (run.one_step.modes, run.rollout.modes))
-    found = []
+    faulty = []
     while measured or predicted:
         if measured and predicted and measured[0][0] == predicted[0][0]:
             mode, at = measured.pop(0)
-            found.append(ModeChange(run.run, mode, at, predicted.pop(0)[1]))
+            faulty.append(ModeChange(run.run, mode, at, predicted.pop(0)[1]))
         elif measured and (not predicted or measured[0][1] <= predicted[0][1]):
             mode, at = measured.pop(0)
-            found.append(ModeChange(run.run, mode, at, None))
+            faulty.append(ModeChange(run.run, mode, at, None))
         else:
             mode, at = predicted.pop(0)
-            found.append(ModeChange(run.run, mode, None, at))
-    return found
+            faulty.append(ModeChange(run.run, mode, None, at))
+    return faulty
 
 
 def _entries(modes: Sequence[str], time: Floats) -> list[tuple[str, float]]:

@@ -172,35 +172,38 @@ class Lane:
     @property
     def visited(self) -> tuple[float, float]:
         """Smallest and largest measured configuration of the rows that count."""
-        seen = self.z[self.counted]
-        return float(seen.min()), float(seen.max())
+        measured = self.z[self.counted]
+        return float(measured.min()), float(measured.max())
 
 
 def lanes(
-    automaton: HybridAutomaton, tracks: tuple[Track, ...], told: HybridAutomaton | None = None
+    automaton: HybridAutomaton, tracks: tuple[Track, ...], reference: HybridAutomaton | None = None
 ) -> tuple[Lane, ...]:
     """The lanes of all coordinates that some mode moves.
 
     Args:
-        told: the model before its ranges were opened (`seen.opened`); None: they were not.
+        reference: the model before its ranges were opened (`seen.opened`); None: they were not.
     """
     stretches, runs = _pieces(tracks, _cuts), _pieces(tracks, _uncut)
-    kept, found = _thinned(stretches), []
-    seen = [rows_as_seen(automaton, track) for track in tracks]
+    kept, lanes = _thinned(stretches), []
+    rows_of_tracks = [rows_as_seen(automaton, track) for track in tracks]
     of_rows = [np.full(len(track.time), -1) for track in tracks]
     for s, piece in enumerate(kept):
         of_rows[piece.track][piece.start + 1 : piece.end] = s
     for number, link in measuring_links(automaton):
         if any(mode.driven[link.coordinate] for mode in automaton.modes):
-            lane, whole = (_lane(automaton, tracks, seen, (number, link.coordinate), own) for own in (kept, runs))
+            lane, whole = (
+                _lane(automaton, tracks, rows_of_tracks, (number, link.coordinate), rows_measured)
+                for rows_measured in (kept, runs)
+            )
             stretch = np.full(whole.z.shape, -1)
             for s, piece in enumerate(runs):
                 stretch[s, : piece.end - piece.first] = of_rows[piece.track][piece.first : piece.end]
             stretch[:, 0] = -1
-            ends = range_of(told or automaton, link.coordinate)
+            ends = range_of(reference or automaton, link.coordinate)
             whole = replace(whole, counted=stretch >= 0, stretch=stretch, told=ends)
-            found.append(replace(lane, told=ends, whole=whole))
-    return tuple(found)
+            lanes.append(replace(lane, told=ends, whole=whole))
+    return tuple(lanes)
 
 
 @dataclass(frozen=True)
@@ -228,7 +231,7 @@ def _pieces(tracks: tuple[Track, ...], cuts: Callable[[int, int], list[tuple[int
 def _lane(
     automaton: HybridAutomaton,
     tracks: tuple[Track, ...],
-    seen: list[RowsSeen],
+    rows_measured: list[RowsSeen],
     measuring: tuple[int, int],
     kept: list[_Piece],
 ) -> Lane:
@@ -246,8 +249,8 @@ def _lane(
         track, first, start, end = tracks[piece.track], piece.first, piece.start, piece.end
         rows, count = slice(first, end), end - first
         z[s, :count], z[s, count:] = track.x[rows, i], track.x[end - 1, i]
-        mode[s, :count] = seen[piece.track].modes[rows]
-        noise[s, :count] = np.where(track.is_measured[rows], seen[piece.track].stds[rows, i] ** 2, np.inf)
+        mode[s, :count] = rows_measured[piece.track].modes[rows]
+        noise[s, :count] = np.where(track.is_measured[rows], rows_measured[piece.track].stds[rows, i] ** 2, np.inf)
         if track.u is not None:
             u[s, :count] = np.vstack([track.u, 0 * track.u[:1]])[rows] @ moving.B[i]
         place[s, :count], place[s, count:] = track.origin[rows, i], z[s, -1]
@@ -296,15 +299,15 @@ def _relative(variance: Floats, counted: Booleans) -> Floats:
 
 def _aimed(automaton: HybridAutomaton, i: int, path: LinkMotion, z: Floats, action: Floats) -> Floats:
     """(T,) by how much actions (up to T, 3) lead on from configurations (T,) if they mean places."""
-    own, found = in_base_frame(automaton, i, action), np.zeros_like(z)
-    found[: len(own)] = path.aimed(z[: len(own)], np.nan_to_num(own))
-    return found
+    own, disturbance = in_base_frame(automaton, i, action), np.zeros_like(z)
+    disturbance[: len(own)] = path.aimed(z[: len(own)], np.nan_to_num(own))
+    return disturbance
 
 
 def _on_motion(automaton: HybridAutomaton, coordinate: str) -> tuple[Effect, ...]:
     """The effects on a coordinate's motion; those on sensor and geometry are in the configurations already."""
-    own = [effect for effect in automaton.effects if effect.coordinate == coordinate]
-    return tuple(effect for effect in own if form(effect.name).layer not in ("sensor", "geometry"))
+    effects = [effect for effect in automaton.effects if effect.coordinate == coordinate]
+    return tuple(effect for effect in effects if form(effect.name).layer not in ("sensor", "geometry"))
 
 
 def _cuts(rows: int, runs: int) -> list[tuple[int, int, int]]:
@@ -415,7 +418,7 @@ def rows_as_seen(automaton: HybridAutomaton, track: Track) -> RowsSeen:
     precise a measurement is depends on where the part is, not on what is read: so on the place that is predicted.
     """
     sensing = [automaton.sensing(mode) for mode in automaton.modes]
-    is_known = automaton.n == 1 and all(own.is_uniform for own in sensing)
+    is_known = automaton.n == 1 and all(sensing.is_uniform for sensing in sensing)
     plain = replace(automaton, effects=())
     try:
         belief = None if is_known else first_belief(plain, track)
@@ -423,7 +426,7 @@ def rows_as_seen(automaton: HybridAutomaton, track: Track) -> RowsSeen:
         belief = None
     if belief is None:
         modes = row_modes(automaton, track.x)
-        return RowsSeen(modes, np.stack([own.std_at(track.x) for own in sensing])[modes, np.arange(len(modes))])
+        return RowsSeen(modes, np.stack([sensing.std_at(track.x) for sensing in sensing])[modes, np.arange(len(modes))])
     found = [belief.most_likely]
     stds = [sensing[belief.most_likely].std_over(belief.mean, belief.covariance)]
     for u, x in zip(inputs_of(track), track.x[1:], strict=True):
@@ -444,12 +447,12 @@ def row_ends(automaton: HybridAutomaton, x: Floats, modes: Ints, i: int) -> RowE
 
 def _alternatives(automaton: HybridAutomaton, x: Floats, i: int) -> list[Floats]:
     """The rows, and the same with each other coordinate as far off as noise may have it."""
-    found = [x]
+    configurations = [x]
     for j in range(automaton.n):
         for side in (-_WITHIN, _WITHIN) if j != i else ():
-            found.append(x.copy())
-            found[-1][:, j] += side * automaton.noise.observation_std[j]
-    return found
+            configurations.append(x.copy())
+            configurations[-1][:, j] += side * automaton.noise.observation_std[j]
+    return configurations
 
 
 def _pushed(automaton: HybridAutomaton, x: Floats, modes: Ints, i: int) -> tuple[Floats, Floats]:

@@ -112,20 +112,20 @@ def leftover(residual: Floats, under: Circumstances) -> Leftover | None:
     tests = []
     for k, name in enumerate(names):
         # Each group on top of those before it: the plainest that explains something is named.
-        own = explained[of_group == k]
-        tests.append((name, _chance(own.sum(axis=0), left, len(own), freedom)))
+        of_this_group = explained[of_group == k]
+        tests.append((name, _chance(of_this_group.sum(axis=0), left, len(of_this_group), freedom)))
     chance = _chance(nothing - left, left, rows - freedom, freedom)
     kept = residual - directions @ (directions.T @ residual)
     floor = np.sqrt((kept**2).sum(axis=0) / freedom)
-    sure = tuple(one for one in tests if one[1] < UNLIKELY)
+    sure = tuple(test for test in tests if test[1] < UNLIKELY)
     share = 1.0 - float((left / freedom).sum()) / max(float(nothing.sum()) / rows, _EXACT**2)
-    least = min(1.0, len(tests) * min(one[1] for one in tests))
+    least = min(1.0, len(tests) * min(test[1] for test in tests))
     return Leftover(np.asarray(floor), np.asarray(kept), chance, sure, min(max(share, 0.0), 1.0), least)
 
 
 def _groups(under: Circumstances, rows: int) -> Mapping[str, Floats]:
     """(N, k) functions by what they depend on; of few rows as many as they can tell."""
-    v, one = under.command[:, :1], np.ones((rows, 1))
+    v, ones = under.command[:, :1], np.ones((rows, 1))
     speed = max(float(np.sqrt(np.mean(v**2))), _EXACT)
     low, high = float(under.place.min()), float(under.place.max())
     spacing = max((high - low) / (_PLACES - 1), _EXACT)
@@ -134,7 +134,7 @@ def _groups(under: Circumstances, rows: int) -> Mapping[str, Floats]:
     middle = (under.place - 0.5 * (low + high))[:, None] / spacing
     clocks = np.stack([under.time / max(float(np.max(under.time)), _EXACT), under.order], axis=1)
     groups = {
-        "a constant": one,
+        "a constant": ones,
         "the command": v / speed,
         "the size or direction of the command": np.hstack([np.abs(v), v * np.abs(v) / speed]) / speed,
         "earlier commands": under.command[:, 1:] / speed,
@@ -152,7 +152,9 @@ def _groups(under: Circumstances, rows: int) -> Mapping[str, Floats]:
             room -= groups[name].shape[1]
     # What acts on the part was divided as the residuals were; earlier errors were already.
     per = np.ones((rows, 1)) if under.spread is None else under.spread[:, None]
-    return {name: own if name == _ERRORS else own / per for name, own in groups.items() if name in kept}
+    return {
+        name: functions if name == _ERRORS else functions / per for name, functions in groups.items() if name in kept
+    }
 
 
 def _unit(values: Floats) -> Floats:
@@ -174,12 +176,12 @@ def _orthonormal(groups: Mapping[str, Floats]) -> tuple[Floats, Ints]:
     QR factorisation with pivoting within a group; Golub and Van Loan, Matrix Computations, ch. 5).
     """
     directions, of_group = np.zeros((len(next(iter(groups.values()))), 0)), list[int]()
-    for k, own in enumerate(groups.values()):
-        size = np.linalg.norm(own, axis=0)
-        left = own / np.where(size > 0, size, 1.0)
+    for k, functions in enumerate(groups.values()):
+        size = np.linalg.norm(functions, axis=0)
+        scaled = functions / np.where(size > 0, size, 1.0)
         for _ in range(2):  # twice is enough
-            left = left - directions @ (directions.T @ left)
-        new, triangle, _ = qr(left, mode="economic", pivoting=True)
+            scaled = scaled - directions @ (directions.T @ scaled)
+        new, triangle, _ = qr(scaled, mode="economic", pivoting=True)
         rank = int(np.sum(np.abs(np.diag(triangle)) > _RANK))
         directions = np.hstack([directions, new[:, :rank]])
         of_group += [k] * rank
@@ -193,9 +195,9 @@ def _without_outliers(residual: Floats) -> Floats:
     return np.asarray(np.clip(residual, -reach, reach))
 
 
-def _chance(explained: Floats, left: Floats, functions: int, freedom: int) -> float:
+def _chance(explained: Floats, residual: Floats, functions: int, freedom: int) -> float:
     """Probability of what functions explain if it were noise: the smallest over residuals, times their number."""
     if functions < 1 or freedom < 1:
         return 1.0
-    ratio = np.maximum(explained, 0.0) / functions / np.maximum(left / freedom, _EXACT**2)
+    ratio = np.maximum(explained, 0.0) / functions / np.maximum(residual / freedom, _EXACT**2)
     return float(min(1.0, len(ratio) * fdtrc(functions, freedom, ratio).min()))

@@ -74,14 +74,14 @@ def robust_log_density(design: Floats, now: Floats, freedom: float, least: float
     Args:
         least: the smallest scale.
     """
-    weight, left, scale = np.ones(len(now)), now, least
+    weight, residual, scale = np.ones(len(now)), now, least
     for _ in range(_REGRESSION_ROUNDS):
         root = np.sqrt(weight)
         if design.shape[1]:
-            left = now - design @ np.linalg.lstsq(design * root[:, None], now * root, rcond=None)[0]
-        scale = max(float(np.sqrt(np.mean(weight * left**2))), least)
-        weight = (freedom + 1.0) / (freedom + (left / scale) ** 2)
-    return float(student_t_log_density(left / scale, freedom).sum() - len(left) * np.log(scale))
+            residual = now - design @ np.linalg.lstsq(design * root[:, None], now * root, rcond=None)[0]
+        scale = max(float(np.sqrt(np.mean(weight * residual**2))), least)
+        weight = (freedom + 1.0) / (freedom + (residual / scale) ** 2)
+    return float(student_t_log_density(residual / scale, freedom).sum() - len(residual) * np.log(scale))
 
 
 def student_t_log_density(x: Floats, freedom: float) -> Floats:

@@ -99,28 +99,28 @@ def missing_modes(
         return ()
     piecewise = _by_piece(place, line, cuts, otherwise)
     others = [np.roll(rival, -1, axis=1)[starts] / per / noise for rival in rivals]
-    best = max(_log_density(left) for left in (e, _held_out(e, smooth, held), *others))
-    left = _held_out(e, piecewise, held)
-    evidence = independent_share(_correlation(left)) * (_log_density(left) - best)
+    best = max(_log_density(residual) for residual in (e, _held_out(e, smooth, held), *others))
+    residual = _held_out(e, piecewise, held)
+    evidence = independent_share(_correlation(residual)) * (_log_density(residual) - best)
     if evidence < _CLEARLY:
         return ()
     edges = np.concatenate([[-np.inf], cuts, [np.inf]])
     solution = np.linalg.lstsq(piecewise, e, rcond=1e-8)[0] * noise
-    found, at = [], 0
+    modes, at = [], 0
     for k, differs in enumerate(otherwise):
         if differs:
             bias, slope = (float(value) for value in solution[at : at + 2])
             gain = 1.0 + slope / lane.command_size
             at += 2
             ends = float(edges[k]), float(edges[k + 1])
-            found.append(MissingMode(lane.coordinate, lane.unit, *ends, gain, bias, evidence))
-    return tuple(found)
+            modes.append(MissingMode(lane.coordinate, lane.unit, *ends, gain, bias, evidence))
+    return tuple(modes)
 
 
-def _correlation(left: Floats) -> float:
+def _correlation(residual: Floats) -> float:
     """Of rows (N,) in time order, each with the next."""
-    left = left - left.mean()
-    return float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
+    residual = residual - residual.mean()
+    return float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-300)
 
 
 def _smooth(place: Floats, v: Floats, low: float, high: float) -> Floats:
@@ -156,28 +156,28 @@ def _by_piece(place: Floats, line: Floats, cuts: Floats, otherwise: list[bool]) 
     """(N, k) a constant and the command, in each piece that moves otherwise."""
     number = np.searchsorted(cuts, place)
     inside = [(number == k).astype(float) for k, differs in enumerate(otherwise) if differs]
-    return np.hstack([own[:, None] * line for own in inside])
+    return np.hstack([indicator[:, None] * line for indicator in inside])
 
 
 def _held_out(e: Floats, design: Floats, held: Ints) -> Floats:
     """(N,) what a regression on the other folds leaves of each."""
-    left = np.empty_like(e)
+    residual = np.empty_like(e)
     for fold in np.unique(held):
         test = held == fold
         a, b = design[~test], e[~test]
-        left[test] = e[test] - design[test] @ np.linalg.solve(a.T @ a + 1e-3 * np.eye(a.shape[1]), a.T @ b)
-    return left
+        residual[test] = e[test] - design[test] @ np.linalg.solve(a.T @ a + 1e-3 * np.eye(a.shape[1]), a.T @ b)
+    return residual
 
 
-def _log_density(left: Floats) -> float:
+def _log_density(residual: Floats) -> float:
     """Log density [nats] of residuals under Student's t with their own scale: the measure that all are compared by."""
-    return robust_log_density(np.zeros((len(left), 0)), left, _FREEDOM, SMALLEST_SCALE)
+    return robust_log_density(np.zeros((len(residual), 0)), residual, _FREEDOM, SMALLEST_SCALE)
 
 
 def _evidence(line: Floats, e: Floats) -> tuple[Floats, Floats]:
     """(n, n) of every segment (first, last row): noise alone, or about a line in the command, integrated out."""
-    one, v = line.T
-    rows = np.stack([one * one, one * v, v * v, one * e, v * e, e * e])
+    ones, v = line.T
+    rows = np.stack([ones * ones, ones * v, v * v, ones * e, v * e, e * e])
     running = np.pad(np.cumsum(rows, axis=1), ((0, 0), (1, 0)))
     n, sv, svv, se, sve, see = np.triu(running[:, None, 1:] - running[:, :-1, None])
     # Prior of both coefficients: as large as ten standard deviations of the noise.

@@ -59,48 +59,48 @@ class Designed:
     expected: tuple[tuple[str, str, float], ...]
 
     def __str__(self) -> str:
-        pairs = "; ".join(f"{one} from {other} ({plain(nats, 2)} nats)" for one, other, nats in self.expected)
+        pairs = "; ".join(f"{first} from {second} ({plain(nats, 2)} nats)" for first, second, nats in self.expected)
         return f"tells apart for {self.coordinate}, with the evidence to expect: {pairs}"
 
 
-def next_experiment(automaton: HybridAutomaton, recording: Recording, found: Calibration) -> Designed | None:
+def next_experiment(automaton: HybridAutomaton, recording: Recording, calibration: Calibration) -> Designed | None:
     """The experiment that tells apart what a calibration could not; None if nothing is open that motion can show.
 
     Args:
         automaton, recording: that were calibrated.
     """
-    seen = [track.x for track in tracks(automaton, recording)]
-    for one in found.traces:
-        rivals = [_Rival.of(one.search, scored) for scored in _rivals(one)]
-        designed = _designed(automaton, one.lane, rivals, np.concatenate(seen)) if len(rivals) > 1 else None
+    configurations = [track.x for track in tracks(automaton, recording)]
+    for trace in calibration.traces:
+        rivals = [_Rival.of(trace.search, scored) for scored in _rivals(trace)]
+        designed = _designed(automaton, trace.lane, rivals, np.concatenate(configurations)) if len(rivals) > 1 else None
         if designed is not None:
             return designed
     return None
 
 
-def _rivals(one: LaneTrace) -> list[Scored]:
+def _rivals(trace: LaneTrace) -> list[Scored]:
     """What is left to choose among: what is tied with the effects found or, if something remains, the next best.
 
     Where nothing was found: the model as it is, and what was nearest to being found.
     """
-    search = one.search
-    tried = one.alternatives or tuple(search.score((*one.nominal.parts, part)) for part in candidates(one.lane))
-    options = [scored for scored in ranked(tried) if scored.names != one.nominal.names]
+    search = trace.search
+    tried = trace.alternatives or tuple(search.score((*trace.nominal.parts, part)) for part in candidates(trace.lane))
+    options = [scored for scored in ranked(tried) if scored.names != trace.nominal.names]
     if not options:
         return []
-    if one.outcome.verdict == "none":
-        return [one.nominal, *options][:_MOST_RIVALS]
-    best = one.chosen if one.chosen.parts else options[0]
+    if trace.outcome.verdict == "none":
+        return [trace.nominal, *options][:_MOST_RIVALS]
+    best = trace.chosen if trace.chosen.parts else options[0]
     named = {scored.names[-1]: scored for scored in options[::-1] if scored.names[-1] != best.names[-1]}
-    tied = {name for finding in one.findings for name in finding.tied}
+    tied = {name for finding in trace.findings for name in finding.tied}
     if tied:
         chosen = [named[name] for name in tied if name in named]
-        unseen = [untried(name, one.lane) for name in sorted(tied - set(named))]
-        chosen += [search.score((*one.nominal.parts, part)) for part in unseen if part.term.form.layer != "frame"]
+        unseen = [untried(name, trace.lane) for name in sorted(tied - set(named))]
+        chosen += [search.score((*trace.nominal.parts, part)) for part in unseen if part.term.form.layer != "frame"]
         return [best, *ranked(chosen)][:_MOST_RIVALS]
-    if one.outcome.verdict == "explained":
+    if trace.outcome.verdict == "explained":
         return []
-    last = [one.final] if one.final.names not in (best.names, one.nominal.names) else []
+    last = [trace.final] if trace.final.names not in (best.names, trace.nominal.names) else []
     return [best, *last, *ranked(list(named.values()))][:_MOST_RIVALS]
 
 
@@ -123,7 +123,7 @@ class _Rival:
     @classmethod
     def of(cls, search: Search, scored: Scored) -> _Rival:
         problem, fit = search.problem(scored.parts), scored.fit
-        own = cls(
+        design = cls(
             name=" and ".join(scored.names) or "nothing",
             problem=problem,
             parameters=fit.parameters,
@@ -131,8 +131,8 @@ class _Rival:
             scale=float(fit.scale[0]),
             information=np.diag(1.0 / (problem.scale * problem.looseness) ** 2),
         )
-        slopes = own.errors(search.lane)[1].reshape(len(problem.free), search.lane.z.size)
-        return replace(own, information=own.information + slopes @ slopes.T)
+        slopes = design.errors(search.lane)[1].reshape(len(problem.free), search.lane.z.size)
+        return replace(design, information=design.information + slopes @ slopes.T)
 
     def errors(self, lane: Lane) -> tuple[Floats, Floats]:
         """(S, T) innovations over their std, and (k, S, T) how they change with the free parameters."""
@@ -141,8 +141,8 @@ class _Rival:
         for j, column in enumerate(problem.free):
             steps[j] *= 1.0 if rows[0, column] + steps[j] <= problem.upper[j] else -1.0
             rows[1 + j, column] += steps[j]
-        found = simulate(lane, problem.model, rows, np.repeat(self.share, len(rows)))
-        errors = found.error / (self.scale * np.sqrt(found.variance[0]))
+        simulation = simulate(lane, problem.model, rows, np.repeat(self.share, len(rows)))
+        errors = simulation.error / (self.scale * np.sqrt(simulation.variance[0]))
         return errors[0], np.asarray((errors[1:] - errors[0]) / steps[:, None, None])
 
     def moved(self, lane: Lane, mode_at: _ModeAt) -> Lane:
@@ -170,9 +170,9 @@ class _ModeAt:
         return np.asarray(self._mode[between])
 
 
-def _designed(automaton: HybridAutomaton, lane: Lane, rivals: Sequence[_Rival], seen: Floats) -> Designed | None:
+def _designed(automaton: HybridAutomaton, lane: Lane, rivals: Sequence[_Rival], measured: Floats) -> Designed | None:
     """The best motion from each of some places, if they tell any two rivals apart."""
-    able = _starts(automaton, lane, seen)
+    able = _starts(automaton, lane, measured)
     motions, evidence = [], []
     for start in able:
         commands, gained = _best_commands(lane, rivals, start.mean[lane.index])
@@ -181,26 +181,26 @@ def _designed(automaton: HybridAutomaton, lane: Lane, rivals: Sequence[_Rival], 
     if not motions:
         return None
     total = np.sum(evidence, axis=0)
-    told = total > _HOPELESS * len(motions)
-    if not told.any():
+    is_hopeless = total > _HOPELESS * len(motions)
+    if not is_hopeless.any():
         return None
     # Held-out runs judge, so there are as many as folds.
-    needed = int(np.ceil(_ENOUGH / total[told].min()))
+    needed = int(np.ceil(_ENOUGH / total[is_hopeless].min()))
     repetitions = int(np.clip(needed, np.ceil(FOLDS / len(motions)), _MOST_REPETITIONS))
     names = list(combinations([rival.name for rival in rivals], 2))
-    expected = tuple((*names[k], float(repetitions * total[k])) for k in np.flatnonzero(told))
+    expected = tuple((*names[k], float(repetitions * total[k])) for k in np.flatnonzero(is_hopeless))
     return Designed(Experiment(automaton, tuple(motions), repetitions), lane.coordinate, expected)
 
 
-def _starts(automaton: HybridAutomaton, lane: Lane, seen: Floats) -> list[Start]:
+def _starts(automaton: HybridAutomaton, lane: Lane, measured: Floats) -> list[Start]:
     """Measured states over what was visited, in modes that move the coordinate; rounded, for files."""
-    std = tuple(max(one, _SMALLEST_STD) for one in automaton.noise.observation_std)
+    std = tuple(max(std_of_coordinate, _SMALLEST_STD) for std_of_coordinate in automaton.noise.observation_std)
     low, high = lane.visited
     starts = []
     for share in _PLACES:
-        nearest = np.argsort(np.abs(seen[:, lane.index] - (low + share * (high - low))), kind="stable")
-        for row in nearest[: len(seen) // 3 + 1]:
-            start = Start(tuple(float(value) for value in np.round(seen[row], 4)), std)
+        nearest = np.argsort(np.abs(measured[:, lane.index] - (low + share * (high - low))), kind="stable")
+        for row in nearest[: len(measured) // 3 + 1]:
+            start = Start(tuple(float(value) for value in np.round(measured[row], 4)), std)
             mode, _ = start_mode(automaton, start)
             if mode is not None and automaton.mode(mode).B[lane.index].any():
                 starts.append(replace(start, mode=mode))
@@ -229,10 +229,10 @@ def _menu(lane: Lane) -> Floats:
     """(P, _STEPS) pieces: on and back, small and large, alternately, once and then none, growing, at rest."""
     sizes = np.abs(lane.u[lane.counted_starts])
     largest = float(sizes.max())
-    k, one = np.arange(_STEPS), np.ones(_STEPS)
+    k, ones = np.arange(_STEPS), np.ones(_STEPS)
     once, turns, grows = (k == 0) * 1.0, (-1.0) ** k, (k + 1.0) / _STEPS
-    shapes = [s * share * one for share in (1.0, 0.4, 0.15) for s in (1.0, -1.0)]
-    shapes += [share * turns for share in (1.0, -1.0, 0.3)] + [once, -once, grows, -grows, 0.0 * one]
+    shapes = [s * share * ones for share in (1.0, 0.4, 0.15) for s in (1.0, -1.0)]
+    shapes += [share * turns for share in (1.0, -1.0, 0.3)] + [once, -once, grows, -grows, 0.0 * ones]
     shapes += [s * np.where(k < _STEPS // 2, 1.0, -1.0) for s in (1.0, -1.0)]
     return largest * np.array(shapes)
 
@@ -245,7 +245,7 @@ def _told_apart(lane: Lane, rivals: Sequence[_Rival], start: float, commands: Fl
     room = _BEYOND * (high - low)
     lowest = min(low - room, lane.lower if np.isfinite(lane.lower) else np.inf)
     highest = max(high + room, lane.upper if np.isfinite(lane.upper) else -np.inf)
-    z = np.stack([own.z for own in moved])
+    z = np.stack([motion.z for motion in moved])
     is_inside = ((z > lowest - room) & (z < highest + room)).all(axis=(0, 2))
     pairs = combinations(range(len(rivals)), 2)
     evidence = [0.5 * (rivals[b].outdone(moved[a]) + rivals[a].outdone(moved[b])) for a, b in pairs]

@@ -122,7 +122,7 @@ def refused(automaton: HybridAutomaton, recording: Recording) -> str:
 
 def _usable(automaton: HybridAutomaton, recording: Recording) -> tuple[HybridAutomaton, list[Track]]:
     """The automaton with joints that go on as far as the recording, and the consecutive parts of its runs."""
-    usable = [own for track in read_tracks(automaton, recording)[0] for own in without_gaps(track)]
+    usable = [track_piece for track in read_tracks(automaton, recording)[0] for track_piece in without_gaps(track)]
     if not usable:
         return automaton, []
     return opened(automaton, beyond_range(automaton, [at_measurements(track).x for track in usable])), usable
@@ -136,7 +136,7 @@ def rmse(errors: list[Floats]) -> float:
 
 def rmse_of_coordinates(errors: Sequence[PredictionError]) -> tuple[float, ...]:
     """(n,) root mean square errors of the coordinates, each in its unit."""
-    return tuple(np.sqrt(np.mean(np.concatenate([one.configuration for one in errors]) ** 2, axis=0)).tolist())
+    return tuple(np.sqrt(np.mean(np.concatenate([error.configuration for error in errors]) ** 2, axis=0)).tolist())
 
 
 def estimate_errors(runs: Sequence[RunPrediction]) -> tuple[float, float] | None:
@@ -145,8 +145,8 @@ def estimate_errors(runs: Sequence[RunPrediction]) -> tuple[float, float] | None
     In the coordinates' unit; None if no run tells what was believed.
     """
     errors = [run.believed[np.isfinite(run.believed).all(axis=1)] for run in runs if run.believed is not None]
-    errors = [own for own in errors if len(own)]
-    return (rmse(errors), float(np.mean([np.abs(own[-1]) for own in errors]))) if errors else None
+    errors = [error for error in errors if len(error)]
+    return (rmse(errors), float(np.mean([np.abs(error[-1]) for error in errors]))) if errors else None
 
 
 def _predicted(automaton: HybridAutomaton, tracks: Sequence[Track], progress: Progress) -> list[RunPrediction]:
@@ -157,11 +157,11 @@ def _predicted(automaton: HybridAutomaton, tracks: Sequence[Track], progress: Pr
     ahead = _Ahead(automaton, tracks)
     steps = ahead.one_step(beliefs, lambda share: progress("predict step by step", 0.7 * share))
     rolls = ahead.rollout(beliefs)
-    found = []
+    predictions = []
     for number, (track, one_step, rollout) in enumerate(zip(tracks, steps, rolls, strict=True)):
         progress(f"compare part {number + 1} of {len(tracks)}", 0.7 + 0.3 * number / len(tracks))
         measured = at_measurements(track)
-        found.append(
+        predictions.append(
             RunPrediction(
                 run=track.run,
                 time=measured.time - track.time[0],
@@ -173,7 +173,7 @@ def _predicted(automaton: HybridAutomaton, tracks: Sequence[Track], progress: Pr
                 rollout=_error(automaton, measured, *rollout),
             )
         )
-    return found
+    return predictions
 
 
 class _Ahead:
@@ -196,16 +196,16 @@ class _Ahead:
             self.is_measured[r, : len(track.is_measured)] = track.is_measured
         self.transitions = TransitionBatch(automaton, np.zeros((count, len(threshold_stds(automaton)))))
 
-    def one_step(self, beliefs: Sequence[HybridBelief], told: Callable[[float], None]) -> list[_Path]:
+    def one_step(self, beliefs: Sequence[HybridBelief], progress: Callable[[float], None]) -> list[_Path]:
         """For each measured row from the one before it, in the mode that the belief holds most likely."""
         automaton, channel, held = self.automaton, InputChannel(self.automaton), list(beliefs)
         modes = np.array([belief.most_likely for belief in held])
         x, collected = self.x[:, 0].copy(), _Collected(automaton, len(held))
         for k in range(self.u.shape[1]):
-            told(k / self.u.shape[1])
-            seen = self.is_measured[:, k] | (k == 0)
-            x[seen] = self.x[seen, k]
-            modes[seen] = [held[r].most_likely for r in np.flatnonzero(seen)]
+            progress(k / self.u.shape[1])
+            is_measured = self.is_measured[:, k] | (k == 0)
+            x[is_measured] = self.x[is_measured, k]
+            modes[is_measured] = [held[r].most_likely for r in np.flatnonzero(is_measured)]
             passed = channel.pass_on(towards(automaton, self.origin[:, k], x, self.u[:, k]), modes, x)
             modes, x = self._stepped(modes, self._within(modes, x), passed)
             going = np.flatnonzero(self.steps > k)
@@ -223,8 +223,8 @@ class _Ahead:
         modes = np.array([belief.most_likely for belief in beliefs])
         x, collected = self._within(modes, self.x[:, 0]), _Collected(automaton, len(beliefs))
         for k in range(self.u.shape[1]):
-            given = channel.pass_on(towards(automaton, self.origin[:, k], x, self.u[:, k]), modes, x)
-            modes, x = self._stepped(modes, x, given)
+            commanded = channel.pass_on(towards(automaton, self.origin[:, k], x, self.u[:, k]), modes, x)
+            modes, x = self._stepped(modes, x, commanded)
             collected.add(np.flatnonzero((self.steps > k) & self.is_measured[:, k + 1]), modes, x)
         return collected.runs()
 
@@ -267,14 +267,14 @@ class _Collected:
 def first_belief(automaton: HybridAutomaton, track: Track) -> HybridBelief:
     """The belief after the first measurement of a run: with the model's noise at that place, or the run's if larger."""
     std, x = np.array(automaton.noise.observation_std), track.x[0]
-    seen = np.array([automaton.sensing(mode).std_at(x) for mode in automaton.modes])
-    seen = np.maximum(std, np.where(np.isfinite(seen), seen, 0.0))
-    for spread in (std, np.maximum(std, noise_of(track.x)), seen.max(axis=0)):
+    stds = np.array([automaton.sensing(mode).std_at(x) for mode in automaton.modes])
+    stds = np.maximum(std, np.where(np.isfinite(stds), stds, 0.0))
+    for spread in (std, np.maximum(std, noise_of(track.x)), stds.max(axis=0)):
         try:
-            found = initial_belief(automaton, x, spread).most_likely
+            mode = initial_belief(automaton, x, spread).most_likely
         except InputError:
             continue
-        return initial_belief(automaton, x, np.maximum(spread, seen[found]), automaton.modes[found].name)
+        return initial_belief(automaton, x, np.maximum(spread, stds[mode]), automaton.modes[mode].name)
     measured, allowed = [], []
     for index, (coordinate, value) in enumerate(zip(automaton.coordinates, track.x[0], strict=True)):
         ranges = automaton.ranges(index)
@@ -304,16 +304,16 @@ def _error(automaton: HybridAutomaton, track: Track, x: Floats, modes: tuple[str
         for number, link in enumerate(automaton.links):
             joint, rows = automaton.mode(mode).joints[number], np.flatnonzero(of_mode == mode)
             is_shown = (shown[rows, link.coordinate] != x[rows, link.coordinate]) & (not joint.moves)
-            for own, is_path in ((rows[is_shown], True), (rows[~is_shown], False)):
-                if not len(own):
+            for rows_of_kind, is_path in ((rows[is_shown], True), (rows[~is_shown], False)):
+                if not len(rows_of_kind):
                     continue
-                c = shown[own, link.coordinate]
+                c = shown[rows_of_kind, link.coordinate]
                 pose = link_motions(automaton)[number].poses(c) if is_path else forward(joint, c)
-                frame, measured = pose.rotation.inv(), own + 1
-                offset[own, number] = frame.apply(pose.translation - track.position[measured, number])
+                frame, measured = pose.rotation.inv(), rows_of_kind + 1
+                offset[rows_of_kind, number] = frame.apply(pose.translation - track.position[measured, number])
                 if turn is not None and track.quaternion is not None:
                     back = Rotation.from_quat(track.quaternion[measured, number]).inv()
-                    turn[own, number] = frame.apply((pose.rotation * back).as_rotvec())
+                    turn[rows_of_kind, number] = frame.apply((pose.rotation * back).as_rotvec())
     return PredictionError(offset, turn, x - track.x[1:], modes)
 
 
@@ -324,6 +324,8 @@ def _as_measured(automaton: HybridAutomaton, track: Track, x: Floats) -> Floats:
         return x
     slope = np.ones(automaton.n)
     for effect in sensors:
-        own, i = form(effect.name), automaton.index(effect.coordinate)
-        slope[i] *= own.measured(np, 1.0, 0.0, effect.values) - own.measured(np, 0.0, 0.0, effect.values)
+        effect_form, i = form(effect.name), automaton.index(effect.coordinate)
+        slope[i] *= effect_form.measured(np, 1.0, 0.0, effect.values) - effect_form.measured(
+            np, 0.0, 0.0, effect.values
+        )
     return np.asarray(configurations(automaton, track.position, track.quaternion)[1:] + slope * (x - track.x[1:]))

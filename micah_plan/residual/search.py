@@ -76,9 +76,9 @@ class Scored:
     def names(self) -> tuple[str, ...]:
         return tuple(part.name for part in self.parts)
 
-    def over(self, other: Scored) -> tuple[float, float]:
+    def over(self, rival: Scored) -> tuple[float, float]:
         """By how much it predicts better than another, and the standard error of that over stretches [nats]."""
-        gain = self.density - other.density
+        gain = self.density - rival.density
         error = float(np.std(gain, ddof=1) * np.sqrt(len(gain))) if len(gain) > 1 else 0.0
         return float(gain.sum()), error
 
@@ -184,9 +184,9 @@ class Search:
         The noise is what no regression takes out of the model's innovations; an error from one measured row to the next
         contains the measurement noise twice, the innovation of a filter less than that.
         """
-        own = self.innovations(scored)[self.lane.counted]
-        left = self.left_by(scored)
-        innovation = float(np.mean(own**2)) * (1.0 - (left.share if left is not None else 0.0))
+        innovations = self.innovations(scored)[self.lane.counted]
+        residual = self.left_by(scored)
+        innovation = float(np.mean(innovations**2)) * (1.0 - (residual.share if residual is not None else 0.0))
         r = float(measurement_share(scored.fit.share)[0])
         q = (1.0 - r) * float(np.mean(self.lane.process_profile[self.lane.counted_starts]))
         p = steady_variance(q, r)
@@ -198,10 +198,10 @@ class Search:
         What moves the part adds up from the first row on, as far as the model lets it: ends and places bring it back.
         """
         problem, lane = self.problem(scored.parts), self.lane.whole or self.lane
-        found = simulate(lane, problem.model, scored.fit.parameters, process_share(scored.fit.share), "rollout")
+        simulation = simulate(lane, problem.model, scored.fit.parameters, process_share(scored.fit.share), "rollout")
         share = process_share(scored.fit.share)[0]
         step = 2.0 * (1.0 - share) + share * float(np.mean(self.lane.process_profile[self.lane.counted_starts]))
-        return one_step * float(np.sqrt(np.mean(found.variance[0][lane.counted]) / step))
+        return one_step * float(np.sqrt(np.mean(simulation.variance[0][lane.counted]) / step))
 
     def correlations_of(self, scored: Scored) -> tuple[tuple[str, ...], Floats]:
         """Names of the fitted parameters (k) of a model, and the correlation (k, k) of their errors.
@@ -215,8 +215,10 @@ class Search:
         rows = np.repeat(scored.fit.parameters, 2 * k, axis=0)
         for j, column in enumerate(problem.free):
             rows[2 * j : 2 * j + 2, column] += _SLOPE_STEP * problem.scale[j] * np.array([1.0, -1.0])
-        found = simulate(self.lane, problem.model, rows, np.repeat(process_share(scored.fit.share), 2 * k))
-        errors = (found.error / np.sqrt(found.variance) / float(scored.fit.scale[0])).reshape(k, 2, self.lane.z.size)
+        simulation = simulate(self.lane, problem.model, rows, np.repeat(process_share(scored.fit.share), 2 * k))
+        errors = (simulation.error / np.sqrt(simulation.variance) / float(scored.fit.scale[0])).reshape(
+            k, 2, self.lane.z.size
+        )
         slopes = (errors[:, 0] - errors[:, 1]) / (2.0 * _SLOPE_STEP)
         covariance = np.linalg.inv(slopes @ slopes.T + np.eye(k) / problem.looseness**2)
         std = np.sqrt(np.diag(covariance))
@@ -264,24 +266,24 @@ class Search:
 
         Source: Ljung and Box, Biometrika 1978, for residuals of a fitted model.
         """
-        found = [one for one in self._correlations(scored) if one[1] > 10]
-        if not found:
+        correlations = [correlation for correlation in self._correlations(scored) if correlation[1] > 10]
+        if not correlations:
             return 0.0, 1.0
-        statistic = sum(r * r * count for r, count in found)
-        return max((r for r, _ in found), key=abs), float(chdtrc(len(found), statistic))
+        statistic = sum(r * r * count for r, count in correlations)
+        return max((r for r, _ in correlations), key=abs), float(chdtrc(len(correlations), statistic))
 
     def _correlations(self, scored: Scored) -> list[tuple[float, int]]:
         """Autocorrelation of the innovations and number of pairs at each of the lags 1 to 4."""
         counted = self.lane.counted
         error = self.innovations(scored) / self.spread(scored) * counted
         mean_square = float((error**2).sum()) / counted.sum()
-        found = []
+        findings = []
         for lag in range(1, 5):
             pairs = counted[:, lag:] & counted[:, :-lag]
             product = float((error[:, lag:] * error[:, :-lag])[pairs].sum())
             count = int(pairs.sum())
-            found.append((product / count / mean_square if count and mean_square > 0 else 0.0, count))
-        return found
+            findings.append((product / count / mean_square if count and mean_square > 0 else 0.0, count))
+        return findings
 
     def left_by(self, scored: Scored) -> Leftover | None:
         """What the innovations follow: commands, places, time, and innovations before them."""
@@ -295,8 +297,8 @@ class Search:
         before = np.concatenate([lane.z[:, :1], (lane.z + lane.u)[:, :-1]], axis=1)
         starts = lane.counted_starts
         spread = self.spread(scored)
-        own = self.innovations(scored) / spread
-        past = np.stack([np.roll(own, k, axis=1) for k in range(LAGS)], axis=-1)
+        innovations = self.innovations(scored) / spread
+        past = np.stack([np.roll(innovations, k, axis=1) for k in range(LAGS)], axis=-1)
         past[:, :LAGS] = 0.0
         under = Circumstances(
             place=before[starts],
@@ -307,12 +309,12 @@ class Search:
             away=_away(lane, before)[starts],
             spread=np.roll(spread, -1, axis=1)[starts],
         )
-        return leftover(np.roll(own, -1, axis=1)[starts][:, None], under)
+        return leftover(np.roll(innovations, -1, axis=1)[starts][:, None], under)
 
     def leaves_nothing(self, scored: Scored) -> bool:
         """Whether the innovations neither follow anything nor are correlated: then nothing can be added."""
-        found = self.left_by(scored)
-        return found is not None and found.is_noise
+        residual = self.left_by(scored)
+        return residual is not None and residual.is_noise
 
     def _cross_validated(self, problem: Problem, parts: Sequence[Candidate], fit: Fit) -> Scored:
         trained = self.fold[None, :] != np.arange(self.folds)[:, None]
@@ -328,10 +330,12 @@ class Search:
     def density_by_run(self, scored: Scored) -> Floats:
         """(R,) log predictive density of each run, by parameters fitted to the other runs alone [nats]."""
         runs = np.unique(self.lane.run)
-        own = self.lane.run[None, :] == runs[:, None]
+        of_run = self.lane.run[None, :] == runs[:, None]
         start = np.repeat(scored.fit.parameters, len(runs), axis=0)
-        fits = optimise(self.problem(scored.parts), start, np.repeat(scored.fit.share, len(runs)), ~own, _FOLD_ROUNDS)
-        return np.asarray(np.sum(held_out(self.problem(scored.parts), fits)[0] * own, axis=1))
+        fits = optimise(
+            self.problem(scored.parts), start, np.repeat(scored.fit.share, len(runs)), ~of_run, _FOLD_ROUNDS
+        )
+        return np.asarray(np.sum(held_out(self.problem(scored.parts), fits)[0] * of_run, axis=1))
 
     def _fitted(self, parts: Sequence[Candidate], fit: Fit) -> tuple[Candidate, ...]:
         fitted, at = [], columns(self.given)
@@ -416,12 +420,12 @@ class Candidate:
 
 def candidates(lane: Lane) -> tuple[Candidate, ...]:
     """All forms that the lane can show, each acting always and everywhere."""
-    found = []
-    for own in forms():
-        made = own.begun(lane) if own.is_sought and own.same_as(lane) is None else None
+    possible = []
+    for effect_form in forms():
+        made = effect_form.begun(lane) if effect_form.is_sought and effect_form.same_as(lane) is None else None
         if made is not None:
-            found.append(_candidate(own, made))
-    return tuple(found)
+            possible.append(_candidate(effect_form, made))
+    return tuple(possible)
 
 
 def untried(name: str, lane: Lane) -> Candidate:
@@ -429,19 +433,19 @@ def untried(name: str, lane: Lane) -> Candidate:
     return _candidate(form(name), form(name).from_neutral(lane))
 
 
-def _candidate(own: EffectForm, made: Start) -> Candidate:
+def _candidate(effect_form: EffectForm, made: Start) -> Candidate:
     starts = np.atleast_2d(made.values)
     full = np.hstack([starts, np.tile(NEVER_GATED, (len(starts), 1))])
-    return Candidate(Term(own), full, made.free, np.asarray(made.scale, dtype=float), made.bounds)
+    return Candidate(Term(effect_form), full, made.free, np.asarray(made.scale, dtype=float), made.bounds)
 
 
 def indistinguishable(part: Candidate, lane: Lane) -> tuple[str, ...]:
     """Forms that were not tried because on this lane they would do exactly the same as another; plainest first."""
     same = []
-    for own in sorted(forms(), key=lambda own: own.plainness):
-        other = own.same_as(lane) if own.is_sought else None
-        if other is not None and other.name == part.name and abs(part.starts[0, 0]) < other.below:
-            same.append(own.name)
+    for effect_form in sorted(forms(), key=lambda effect_form: effect_form.plainness):
+        equivalent = effect_form.same_as(lane) if effect_form.is_sought else None
+        if equivalent is not None and equivalent.name == part.name and abs(part.starts[0, 0]) < equivalent.below:
+            same.append(effect_form.name)
     return tuple(same)
 
 

@@ -83,8 +83,10 @@ class Beyond:
 
     def __str__(self) -> str:
         ended, reached = quantity(self.end, self.unit), quantity(self.reached, self.unit)
-        told = f"{self.name} was measured up to {reached}, beyond the model's range, which ends at {ended} with no stop"
-        return f"{told}; all rows lie there: this may be another object" if self.is_all else told
+        sentence = (
+            f"{self.name} was measured up to {reached}, beyond the model's range, which ends at {ended} with no stop"
+        )
+        return f"{sentence}; all rows lie there: this may be another object" if self.is_all else sentence
 
 
 def read_tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[tuple[Track, ...], int]:
@@ -96,12 +98,12 @@ def read_tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[tuple
     Raises:
         InputError: see `tracks`.
     """
-    found = []
+    excesses = []
     for track in tracks(automaton, recording):
         rows = np.flatnonzero(track.is_measured)
-        found.append(_rows(track, int(rows[0]), int(rows[-1]) + 1) if len(rows) else track)
-    late = rows_late(found)
-    return tuple(_taken_back(track, late) for track in found if len(track.time) > late), late
+        excesses.append(_rows(track, int(rows[0]), int(rows[-1]) + 1) if len(rows) else track)
+    late = rows_late(excesses)
+    return tuple(_taken_back(track, late) for track in excesses if len(track.time) > late), late
 
 
 def _taken_back(track: Track, late: int) -> Track:
@@ -138,13 +140,13 @@ def _is_foretold_later(runs: Sequence[Track], late: int, i: int) -> bool:
     if not designs:
         return False
     design, now = np.concatenate(designs), np.concatenate(moved)
-    known = np.isfinite(design).all(axis=1)
-    design, now = np.column_stack([np.ones(known.sum()), design[known]]), now[known]
+    is_finite = np.isfinite(design).all(axis=1)
+    design, now = np.column_stack([np.ones(is_finite.sum()), design[is_finite]]), now[is_finite]
     if len(now) < _FEWEST_STEPS or not np.any(now):
         return False
     least = 1e-3 * float(np.std(now)) + SMALLEST_SCALE
-    own, later = (robust_log_density(design[:, columns], now, _FREEDOM, least) for columns in _COMPARED)
-    if later - own < max(_LATE_EVIDENCE, _LATE_PER_ROW * len(now)):
+    with_it, later = (robust_log_density(design[:, columns], now, _FREEDOM, least) for columns in _COMPARED)
+    if later - with_it < max(_LATE_EVIDENCE, _LATE_PER_ROW * len(now)):
         return False
     response = np.linalg.lstsq(design[:, _COMPARED[1]], now, rcond=None)[0][1:]
     return bool(response[0] > _OWN_SHARE * np.abs(response).sum())
@@ -152,7 +154,7 @@ def _is_foretold_later(runs: Sequence[Track], late: int, i: int) -> bool:
 
 def beyond_range(automaton: HybridAutomaton, runs: Sequence[Floats]) -> tuple[Beyond, ...]:
     """The ends that measured configurations (T, n) of runs lie beyond, where no mode holds the part."""
-    found = []
+    excesses = []
     for i, coordinate in enumerate(automaton.coordinates):
         c = np.concatenate([x[:, i] for x in runs])
         step = max(float(np.abs(np.diff(x[:, i])).max()) for x in runs)
@@ -168,37 +170,44 @@ def beyond_range(automaton: HybridAutomaton, runs: Sequence[Floats]) -> tuple[Be
                 reached = end + sign * float(away.max())
                 onward = reached + sign * _ONWARD * float(np.ptp(c))
                 is_all = bool((away > 0).all())
-                found.append(Beyond(i, coordinate.name, coordinate.unit, side, end, reached, onward, step, is_all, std))
-    return tuple(found)
+                excesses.append(
+                    Beyond(i, coordinate.name, coordinate.unit, side, end, reached, onward, step, is_all, std)
+                )
+    return tuple(excesses)
 
 
 def opened(automaton: HybridAutomaton, beyond: Sequence[Beyond]) -> HybridAutomaton:
     """The automaton whose joints go on beyond those ends."""
-    for one in beyond:
-        automaton = with_end_moved(automaton, one.coordinate, one.end, one.onward)
+    for excess in beyond:
+        automaton = with_end_moved(automaton, excess.coordinate, excess.end, excess.onward)
     return automaton
 
 
 def with_shifts(effects: Sequence[Effect], beyond: Sequence[Beyond]) -> list[Effect]:
     """Effects on the opened automaton as those of the model: a stop that was found beyond an end is that end, moved."""
-    return [next((one.as_shift(effect) for one in beyond if one.is_stopped_by(effect)), effect) for effect in effects]
+    return [
+        next((excess.as_shift(effect) for excess in beyond if excess.is_stopped_by(effect)), effect)
+        for effect in effects
+    ]
 
 
 def without_old_ends(effects: Sequence[Effect], beyond: Sequence[Beyond]) -> list[Effect]:
     """The effects that say something: a stop at the end that the model has already (readings went on) says nothing."""
 
     def is_old(effect: Effect) -> bool:
-        return effect.name == _SHIFT and any(one.is_at(effect) and abs(effect.values[0]) < one.std for one in beyond)
+        return effect.name == _SHIFT and any(
+            excess.is_at(effect) and abs(effect.values[0]) < excess.std for excess in beyond
+        )
 
     return [effect for effect in effects if not is_old(effect)]
 
 
 def closed(automaton: HybridAutomaton, beyond: Sequence[Beyond], effects: Sequence[Effect]) -> HybridAutomaton:
     """The opened automaton with ranges that end a step beyond the recording, or as before where an effect says why."""
-    for one in beyond:
-        is_moved = any(one.is_told_by(own) for own in effects)
-        seen = one.reached + (one.step if one.side else -one.step)
-        automaton = with_end_moved(automaton, one.coordinate, one.onward, one.end if is_moved else seen)
+    for excess in beyond:
+        is_moved = any(excess.is_told_by(effect) for effect in effects)
+        measured = excess.reached + (excess.step if excess.side else -excess.step)
+        automaton = with_end_moved(automaton, excess.coordinate, excess.onward, excess.end if is_moved else measured)
     return automaton
 
 

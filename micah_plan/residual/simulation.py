@@ -157,9 +157,9 @@ class _Run:
 
     def _responded(self, n: int, t: int) -> Any:
         """The command that comes out of a place; what is uncertain of the configuration shrinks on the way there."""
-        own, p, place, kept = self.model[n].form, self.p[n], self.lane.place[:, t], self.memory[n]
-        v, self.memory[n] = own.respond(np, self.c, place - self.c, kept, p)
-        ahead, _ = own.respond(np, self.c + _SMALL, place - self.c - _SMALL, kept, p)
+        form_of_term, p, place, kept = self.model[n].form, self.p[n], self.lane.place[:, t], self.memory[n]
+        v, self.memory[n] = form_of_term.respond(np, self.c, place - self.c, kept, p)
+        ahead, _ = form_of_term.respond(np, self.c + _SMALL, place - self.c - _SMALL, kept, p)
         self.variance = self.variance * np.minimum((1.0 + (ahead - v) / _SMALL) ** 2, 1.0)
         return v
 
@@ -190,8 +190,8 @@ class _Run:
         if self.is_bounded:
             low, high = self._ends_at(t - 1)
             self.c = np.minimum(np.maximum(self.c, low), high)
-        left = self.variance * (1.0 - gain * slope)
-        self.variance = left if gone is None else np.where(gone, self.blurred[t] / slope**2, left)
+        variance = self.variance * (1.0 - gain * slope)
+        self.variance = variance if gone is None else np.where(gone, self.blurred[t] / slope**2, variance)
         return error, spread
 
     def _let_go(self, t: int, error: Floats, slope: Any) -> Any:
@@ -225,8 +225,8 @@ class _Run:
             if term.form.layer == "sensor":
                 time = self.lane.time[:, t]
                 zero = term.form.measured(np, offset, time, self.p[n])
-                one = term.form.measured(np, offset + slope, time, self.p[n])
-                offset, slope = self._gated(n, t, zero, offset), self._gated(n, t, one - zero, slope)
+                measured = term.form.measured(np, offset + slope, time, self.p[n])
+                offset, slope = self._gated(n, t, zero, offset), self._gated(n, t, measured - zero, slope)
         return offset, slope
 
     def _ends(self, parameters: Floats) -> tuple[Any, Any, tuple[Any, Any]]:
@@ -247,11 +247,11 @@ class _Run:
         return self.lane.told if "sensor" in self.layers else (self.lane.lower, self.lane.upper)
 
     def _ends_at(self, t: int) -> tuple[Any, Any]:
-        guards, own = self.layers.get("guard", ()), self.lane.row_ends
-        if own is None and all(self.always[n] for n in guards):
+        guards, row_ends = self.layers.get("guard", ()), self.lane.row_ends
+        if row_ends is None and all(self.always[n] for n in guards):
             return self.low, self.high
         none = np.zeros((len(self.q), len(self.lane.z)))
-        low, high = self._given_ends() if own is None else (own[0, :, t], own[1, :, t])
+        low, high = self._given_ends() if row_ends is None else (row_ends[0, :, t], row_ends[1, :, t])
         low, high = low + none, high + none
         for n in guards:
             changed = self.model[n].form.stops(np, low, high, self.p[n])
@@ -293,8 +293,8 @@ class _Run:
 
 def _split(model: Model, parameters: Floats) -> list[list[Floats]]:
     """Per term, its columns as (B, 1) arrays."""
-    found, at = [], 0
+    pieces, at = [], 0
     for term in model:
-        found.append([parameters[:, k : k + 1] for k in range(at, at + term.size)])
+        pieces.append([parameters[:, k : k + 1] for k in range(at, at + term.size)])
         at += term.size
-    return found
+    return pieces

@@ -133,9 +133,9 @@ class LaneTrace:
 
 def trace(search: Search, progress: Progress | None = None) -> LaneTrace:
     """Find what a lane's model lacks; where it leaves noise alone, nothing is sought."""
-    told, lane, nominal = progress or _silent, search.lane, search.nominal
+    progress_told, lane, nominal = progress or _silent, search.lane, search.nominal
     is_quiet = search.leaves_nothing(nominal)
-    singles, growth = ((), Growth(nominal, ())) if is_quiet else _explored(search, told)
+    singles, growth = ((), Growth(nominal, ())) if is_quiet else _explored(search, progress_told)
     loose = nominal if is_quiet else _smoothed(search, search.nominal)
     modes = () if search.leaves_nothing(growth.chosen) else _modes(search, growth.chosen, loose)
     closest = () if modes else _imitated(search, growth.chosen, loose)
@@ -143,41 +143,41 @@ def trace(search: Search, progress: Progress | None = None) -> LaneTrace:
         # Effects that act everywhere only imitate what a mode of its own, or something without a name, does.
         growth = Growth(search.nominal, growth.alternatives)
     chosen = growth.chosen
-    told(f"{lane.coordinate}: what remains", 0.9)
+    progress_told(f"{lane.coordinate}: what remains", 0.9)
     is_enough = not modes and not closest and search.leaves_nothing(chosen)
     remaining = chosen if is_enough else loose if chosen is search.nominal else _smoothed(search, chosen)
     named = chosen if chosen.parts or growth.blocked is None else growth.blocked
     findings = _findings(search, nominal, named, growth.alternatives)
     # Commands that are places make a model of their own, which runs bear out or not as they do effects on top of it.
     base = nominal if named is search.nominal else search.nominal
-    left, is_worth_it = search.left_by(chosen), is_worth(remaining, chosen, lane)
+    remaining_tests, is_worth_it = search.left_by(chosen), is_worth(remaining, chosen, lane)
     facts = Facts(
         effects=len(named.parts),
         modes=len(modes),
-        is_open=any(may_remember(lane, one) for one in findings),
+        is_open=any(may_remember(lane, finding) for finding in findings),
         is_blocked=named is not chosen,
         is_contradicted=_is_contradicted(search, named, base),
         is_single=_is_single(lane),
         smooth=_fraction_left(nominal, named, [loose, remaining]) if is_worth_it and not modes else 0.0,
-        is_left=left is not None and left.is_more,
+        is_left=remaining_tests is not None and remaining_tests.is_more,
         is_corrected=any(effect.name == UNNAMED for effect in lane.effects),
     )
     final = remaining if is_worth_it and shortens(search, remaining, chosen) else chosen
-    models = list({id(one): one for one in (final, chosen, named)}.values())
-    floor, number = min((search.noise_floor(one), number) for number, one in enumerate(models))
+    models = list({id(model): model for model in (final, chosen, named)}.values())
+    floor, number = min((search.noise_floor(model), number) for number, model in enumerate(models))
     return LaneTrace(
         lane=lane,
         search=search,
         nominal=nominal,
         chosen=chosen,
         final=base if facts.is_contradicted else search.nominal if facts.is_open else final,
-        findings=tuple(replace(one, is_added=not facts.is_kept_out) for one in findings),
+        findings=tuple(replace(finding, is_added=not facts.is_kept_out) for finding in findings),
         ranking=() if is_quiet else _ranking(nominal, [*singles, loose]),
         missing_modes=modes,
         facts=facts,
         outcome=outcome_of(facts),
         whiteness=search.whiteness(chosen),
-        left=left,
+        left=remaining_tests,
         floor=floor,
         rollout_floor=search.rollout_floor(models[number], floor),
         closest=closest,
@@ -212,12 +212,12 @@ def _is_single(lane: Lane) -> bool:
 
 
 def _ranking(nominal: Scored, models: Sequence[Scored]) -> tuple[tuple[str, float, float], ...]:
-    return tuple(sorted([(one.names[-1], *one.over(nominal)) for one in models], key=lambda row: -row[1]))
+    return tuple(sorted([(model.names[-1], *model.over(nominal)) for model in models], key=lambda row: -row[1]))
 
 
 def _modes(search: Search, chosen: Scored, loose: Scored) -> tuple[MissingMode, ...]:
     """Modes that the automaton lacks. An idle correction predicts as the model without it, which is a rival anyway."""
-    rivals = [search.innovations(one) for one in (chosen, loose) if not one.is_idle]
+    rivals = [search.innovations(model) for model in (chosen, loose) if not model.is_idle]
     nominal = search.nominal
     return missing_modes(search.lane, search.innovations(nominal), search.fold, rivals, search.spread(nominal))
 
@@ -235,14 +235,14 @@ def _imitated(search: Search, chosen: Scored, loose: Scored) -> tuple[str, ...]:
     return chosen.names if is_outdone else ()
 
 
-def _explored(search: Search, told: Progress) -> tuple[tuple[Scored, ...], Growth]:
+def _explored(search: Search, progress: Progress) -> tuple[tuple[Scored, ...], Growth]:
     """All single effects, and what was chosen; first of all whether commands are places, which is then nominal."""
     library = candidates(search.lane)
-    for_places = [one for one in library if one.name not in CONTAINED]
+    for_places = [candidate for candidate in library if candidate.name not in CONTAINED]
     if search.leads_to_places(search.nominal):
-        return _grown(search, for_places, told)
-    singles, growth = _grown(search, library, told)
-    told(f"{search.lane.coordinate}: {FOLLOW}", 0.5)
+        return _grown(search, for_places, progress)
+    singles, growth = _grown(search, library, progress)
+    progress(f"{search.lane.coordinate}: {FOLLOW}", 0.5)
     # Where displacements leave noise alone, places can only be tied with them, and then the plainest forms are.
     is_done = search.leaves_nothing(growth.chosen) and _regularity(search.lane) <= LEAST_EVIDENCE
     place = followed(search, 1 if is_done and not search.lane.is_outside else len(_STARTS))
@@ -253,14 +253,14 @@ def _explored(search: Search, told: Progress) -> tuple[tuple[Scored, ...], Growt
         # Where neither is ahead, places are tied with what was found.
         return singles, replace(growth, alternatives=(*growth.alternatives, place))
     search.nominal = place
-    more, growth = _grown(search, for_places, told)
+    more, growth = _grown(search, for_places, progress)
     return (*singles, place, *more), growth
 
 
-def _grown(search: Search, library: Sequence[Candidate], told: Progress) -> tuple[tuple[Scored, ...], Growth]:
+def _grown(search: Search, library: Sequence[Candidate], progress: Progress) -> tuple[tuple[Scored, ...], Growth]:
     """All single effects on top of the nominal model, and what was chosen among them and those of two."""
-    singles = scored_all(search, search.nominal, library, told, 0.05, 0.5)
-    return tuple(singles), grow(search, library, [one for one in singles if not one.is_idle], told)
+    singles = scored_all(search, search.nominal, library, progress, 0.05, 0.5)
+    return tuple(singles), grow(search, library, [single for single in singles if not single.is_idle], progress)
 
 
 def may_remember(lane: Lane, finding: Finding) -> bool:
@@ -269,10 +269,10 @@ def may_remember(lane: Lane, finding: Finding) -> bool:
     It is tied with one of the other sort; or it depends on the place, and the runs are so alike that what depends on
     earlier commands looks the same. What a wrong guess does to a plan is worse than doing nothing.
     """
-    own = finding.part.term.form.layer
-    if own == "force" and lane.repeats_one_motion:
+    layer = finding.part.term.form.layer
+    if layer == "force" and lane.repeats_one_motion:
         return True
-    return any((form(name).layer == "memory") != (own == "memory") for name in finding.tied)
+    return any((form(name).layer == "memory") != (layer == "memory") for name in finding.tied)
 
 
 def _silent(message: str, fraction: float) -> None:
@@ -287,22 +287,22 @@ def _smoothed(search: Search, base: Scored) -> Scored:
         # Where all runs are alike a function of the place could be one of time.
         is_enough = lane.counted.sum() >= _ROWS_FOR_SMOOTH and not lane.repeats_one_motion
         kinds = (True, False) if is_enough else (True,)
-        found = [search.score((*base.parts, smooth(lane, is_lean=is_lean)), base) for is_lean in kinds]
-        search.smoothed[base] = ranked(found)[0]
+        smoothed = [search.score((*base.parts, smooth(lane, is_lean=is_lean)), base) for is_lean in kinds]
+        search.smoothed[base] = ranked(smoothed)[0]
     return search.smoothed[base]
 
 
 def _fraction_left(nominal: Scored, chosen: Scored, smoother: Sequence[Scored]) -> float:
     """Share of the evidence against the nominal model that the chosen effects leave to smooth corrections, 0 to 1."""
-    best = max(one.over(nominal)[0] for one in (chosen, *smoother))
+    best = max(model.over(nominal)[0] for model in (chosen, *smoother))
     return float(np.clip(1.0 - chosen.over(nominal)[0] / best, 0.0, 1.0)) if best > 0 else 0.0
 
 
 def _findings(search: Search, nominal: Scored, chosen: Scored, alternatives: Sequence[Scored]) -> tuple[Finding, ...]:
-    found, column = [], 0
-    known = search.intervals(chosen) if chosen.parts else np.zeros((0, 3))
+    findings, column = [], 0
+    intervals = search.intervals(chosen) if chosen.parts else np.zeros((0, 3))
     for number, part in enumerate(chosen.parts):
-        own = known[column : column + len(part.free)]
+        own = intervals[column : column + len(part.free)]
         column += len(part.free)
         values, free = part.starts.copy(), list(part.free)
         interval = np.repeat(part.starts.T, 2, axis=1)
@@ -314,27 +314,29 @@ def _findings(search: Search, nominal: Scored, chosen: Scored, alternatives: Seq
         evidence = chosen.over(without)[0]
         tied: tuple[str, ...] = ()
         if number == len(search.nominal.parts) == len(chosen.parts) - 1:
-            rivals = {one.names[-1]: one for one in alternatives if one.names[-1] != part.name}
-            able = [(name, one) for name, one in rivals.items() if _is_tied(chosen, one)]
+            rivals = {
+                alternative.names[-1]: alternative for alternative in alternatives if alternative.names[-1] != part.name
+            }
+            able = [(name, alternative) for name, alternative in rivals.items() if _is_tied(chosen, alternative)]
             # What would do the same as a tied one was not tried, but is tied as well.
-            alike = [name for _, one in able for name in indistinguishable(one.parts[-1], search.lane)]
+            alike = [name for _, alternative in able for name in indistinguishable(alternative.parts[-1], search.lane)]
             tied = tuple(name for name in (*(name for name, _ in able), *alike) if name != part.name)
         is_always = not part.term.modes and not np.isfinite(part.starts[0, -GATES:]).any()
         same = indistinguishable(part, search.lane) if is_always else ()
         tied = tuple(dict.fromkeys((*tied, *same)))
-        found.append(Finding(replace(part, starts=values), interval, evidence, tied))
-    return tuple(sorted(found, key=lambda finding: -finding.evidence))
+        findings.append(Finding(replace(part, starts=values), interval, evidence, tied))
+    return tuple(sorted(findings, key=lambda finding: -finding.evidence))
 
 
-def _is_tied(best: Scored, other: Scored) -> bool:
+def _is_tied(best: Scored, rival: Scored) -> bool:
     """Whether another model would do as well.
 
     It predicts as well; or no effect's evidence is between them, and with no more parameters it fits all rows better:
     where one run alone shows an effect, what is held out says how well the other runs happen to tell its parameters.
     """
-    gap, error = best.over(other)
-    fits = other.fit.loss[0] <= best.fit.loss[0] and len(other.parts[-1].free) <= len(best.parts[-1].free)
-    return gap < max(TIE, min(_ERRORS * error, _SLACK * other.density.size)) or (bool(fits) and gap < LEAST_EVIDENCE)
+    gap, error = best.over(rival)
+    fits = rival.fit.loss[0] <= best.fit.loss[0] and len(rival.parts[-1].free) <= len(best.parts[-1].free)
+    return gap < max(TIE, min(_ERRORS * error, _SLACK * rival.density.size)) or (bool(fits) and gap < LEAST_EVIDENCE)
 
 
 # Evidence [nats] that an effect must have: odds of 3000 to 1, more than what two dozen candidates take to be safe.
@@ -371,23 +373,23 @@ class Growth:
     blocked: Scored | None = None
 
 
-def grow(search: Search, library: Sequence[Candidate], singles: Sequence[Scored], told: Progress) -> Growth:
+def grow(search: Search, library: Sequence[Candidate], singles: Sequence[Scored], progress: Progress) -> Growth:
     """Choose among models of one and two effects, and variants of the best."""
     nominal = search.nominal
     plain = _plainest(singles, nominal)
     if plain is not None and improves(search, plain, nominal) and search.leaves_nothing(plain):
         # Then neither a second effect nor one that acts only in places or since some time can gain anything.
         return Growth(plain, tuple(singles))
-    promising = [one for one in ranked(singles)[:_WIDE] if one.over(nominal)[0] > LEAST_EVIDENCE]
-    options = [*singles, *(variant for one in promising for variant in _variants(search, one, nominal))]
+    promising = [single for single in ranked(singles)[:_WIDE] if single.over(nominal)[0] > LEAST_EVIDENCE]
+    options = [*singles, *(variant for single in promising for variant in _variants(search, single, nominal))]
     first, blocked = _first(search, options)
     if first is not None and search.leaves_nothing(first):
         return Growth(first, tuple(options))
     if first is None and blocked is None:
         return Growth(nominal, tuple(options))
-    heads = [*promising, *(one for one in (first, blocked) if one is not None)]
+    heads = [*promising, *(model for model in (first, blocked) if model is not None)]
     base = first or nominal
-    for pair in _pairs(search, library, heads, base, told):
+    for pair in _pairs(search, library, heads, base, progress):
         if is_worth(pair, base, search.lane) and improves(search, pair, nominal):
             return Growth(_without_idle(search, pair, base), tuple(options), blocked)
     return Growth(base, tuple(options), blocked)
@@ -395,37 +397,37 @@ def grow(search: Search, library: Sequence[Candidate], singles: Sequence[Scored]
 
 def _first(search: Search, options: Sequence[Scored]) -> tuple[Scored | None, Scored | None]:
     """The plainest of the best single effects that may be taken in, and the best that only helps single steps."""
-    blocked, left = None, list(options)
-    while (first := _plainest(left, search.nominal)) is not None and is_worth(first, search.nominal, search.lane):
+    blocked, remaining = None, list(options)
+    while (first := _plainest(remaining, search.nominal)) is not None and is_worth(first, search.nominal, search.lane):
         if improves(search, first, search.nominal):
             return first, blocked
-        steps, before = (search.squares(one, "one_step") for one in (first, search.nominal))
+        steps, before = (search.squares(model, "one_step") for model in (first, search.nominal))
         if blocked is None and steps < _SHORTER * before:
             blocked = first
-        left = [one for one in left if one is not first]
+        remaining = [option for option in remaining if option is not first]
     return None, blocked
 
 
 def _pairs(
-    search: Search, library: Sequence[Candidate], heads: Sequence[Scored], base: Scored, told: Progress
+    search: Search, library: Sequence[Candidate], heads: Sequence[Scored], base: Scored, progress: Progress
 ) -> list[Scored]:
     """Models of two effects, best first."""
     grown: list[Scored] = []
-    kept = list({one.names[-1]: one for one in heads}.values())
+    kept = list({head.names[-1]: head for head in heads}.values())
     for number, head in enumerate(kept):
         rest = [c for c in library if c.name not in head.names]
         share = 0.5 + 0.4 * number / len(kept)
-        grown += scored_all(search, head, rest, told, share, share + 0.4 / len(kept))
-    grown = [one for one in grown if not one.is_idle]
-    grown += [variant for one in ranked(grown)[:2] for variant in _variants(search, one, base)]
+        grown += scored_all(search, head, rest, progress, share, share + 0.4 / len(kept))
+    grown = [model for model in grown if not model.is_idle]
+    grown += [variant for model in ranked(grown)[:2] for variant in _variants(search, model, base)]
     return _plainest_first(grown)[:_TRIED]
 
 
 def _plainest_first(options: Sequence[Scored]) -> list[Scored]:
     """Best first, but of those that are as good as the best the plainest effects first."""
     order = ranked(options)
-    close = [one for one in order if order[0].over(one)[0] <= TIE]
-    plainest = sorted(close, key=lambda one: sum(part.term.form.plainness for part in one.parts))
+    close = [model for model in order if order[0].over(model)[0] <= TIE]
+    plainest = sorted(close, key=lambda model: sum(part.term.form.plainness for part in model.parts))
     return [*plainest, *order[len(close) :]]
 
 
@@ -433,54 +435,54 @@ def scored_all(
     search: Search,
     base: Scored,
     library: Sequence[Candidate],
-    told: Progress,
+    progress: Progress,
     begin: float,
     end: float,
 ) -> list[Scored]:
     """Each of the library on top of a model."""
     scored = []
     for number, candidate in enumerate(library):
-        told(f"{search.lane.coordinate}: {candidate.name}", begin + (end - begin) * number / len(library))
+        progress(f"{search.lane.coordinate}: {candidate.name}", begin + (end - begin) * number / len(library))
         scored.append(search.score((*base.parts, candidate), base))
     return scored
 
 
 def _without_idle(search: Search, pair: Scored, base: Scored) -> Scored:
     """A model of two effects, or of one of them fitted again if the other does not pay."""
-    alone = [search.score((*pair.parts[:-2], one)) for one in pair.parts[-2:]]
+    alone = [search.score((*pair.parts[:-2], part)) for part in pair.parts[-2:]]
     best = ranked([*alone, *((base,) if base.names else ())])[0]
     return pair if is_worth(pair, best, search.lane) else best
 
 
-def _variants(search: Search, one: Scored, base: Scored) -> list[Scored]:
+def _variants(search: Search, model: Scored, base: Scored) -> list[Scored]:
     """The last effect of a model only in one mode, or only since some time, where that predicts clearly better."""
-    if one.over(base)[0] < LEAST_EVIDENCE:
+    if model.over(base)[0] < LEAST_EVIDENCE:
         return []
-    lane, last, before = search.lane, one.parts[-1], one.parts[:-1]
-    found = []
+    lane, last, before = search.lane, model.parts[-1], model.parts[:-1]
+    variants = []
     rows = lane.mode[lane.counted]
     present = [k for k in range(len(lane.modes)) if np.mean(rows == k) > 0.05]
     if len(present) > 1:
         for k in present:
             term = Term(last.term.form, (lane.modes[k],))
-            found.append(search.score((*before, replace(last, term=term))))
+            variants.append(search.score((*before, replace(last, term=term))))
     if last.term.form.layer != "guard":
         duration = float(lane.time[lane.counted].max())
         places = [float(q) for q in np.linspace(0.1, 0.9, 9)]
         times = [share * duration for share in (0.2, 0.35, 0.5, 0.65, 0.8)]
-        found.append(search.score((*before, gated(last, places, times))))
-    return [variant for variant in found if variant.over(one)[0] > _VARIANT_EVIDENCE]
+        variants.append(search.score((*before, gated(last, places, times))))
+    return [variant for variant in variants if variant.over(model)[0] > _VARIANT_EVIDENCE]
 
 
 def ranked(scored: Sequence[Scored]) -> list[Scored]:
     """Best first."""
-    return sorted(scored, key=lambda one: -float(one.density.sum()))
+    return sorted(scored, key=lambda model: -float(model.density.sum()))
 
 
 def _plainest(options: Sequence[Scored], base: Scored) -> Scored | None:
     """The best; of those that are as good, the one with the plainest last effect."""
     # Likelihood alone could be bought by calling a few rows noise.
-    options = [one for one in options if one.squared < base.squared]
+    options = [option for option in options if option.squared < base.squared]
     if not options:
         return None
     return _plainest_first(options)[0]
@@ -506,8 +508,8 @@ def improves(search: Search, better: Scored, base: Scored) -> bool:
 def shortens(search: Search, better: Scored, base: Scored) -> bool:
     """Whether held-out one-step errors get smaller and roll-out errors, of stretches and of whole runs, no larger."""
     kinds: tuple[Errors, ...] = ("one_step", "rollout", "whole")
-    steps, *rolls = ([search.squares(one, kind) for one in (better, base)] for kind in kinds)
-    return steps[0] < _SHORTER * steps[1] and all(own[0] <= _NOT_LONGER**2 * own[1] for own in rolls)
+    steps, *rolls = ([search.squares(model, kind) for model in (better, base)] for kind in kinds)
+    return steps[0] < _SHORTER * steps[1] and all(roll[0] <= _NOT_LONGER**2 * roll[1] for roll in rolls)
 
 
 FOLLOW = "follow"
@@ -531,8 +533,8 @@ _HEARD = 0.25
 def means_places(search: Search, place: Scored, displaced: Scored) -> bool:
     """Whether commands that are places predict better than the best model of displacements."""
     if search.lane.is_outside:
-        rolled, other = (search.squares(one, "whole") for one in (place, displaced))
-        return rolled < other
+        rolled, displaced_squares = (search.squares(model, "whole") for model in (place, displaced))
+        return rolled < displaced_squares
     if not is_worth(place, search.nominal, search.lane):
         return False
     gain, regular = place.over(displaced)[0], _regularity(search.lane)
@@ -549,13 +551,13 @@ def _regularity(lane: Lane) -> float:
     whole = lane.whole or lane
     starts = whole.counted_starts
     starts[:, :_MEMORY] = False
-    found = []
+    forms = []
     for series in (whole.u, whole.place):
         before = [np.roll(series, k + 1, axis=1)[starts] for k in range(_MEMORY)]
         now = series[starts]
         design = np.stack([np.ones(len(now)), *before], axis=1)
-        found.append(robust_log_density(design, now, _FREEDOM, _FINEST * float(np.std(now)) + SMALLEST_SCALE))
-    return found[1] - found[0]
+        forms.append(robust_log_density(design, now, _FREEDOM, _FINEST * float(np.std(now)) + SMALLEST_SCALE))
+    return forms[1] - forms[0]
 
 
 def followed(search: Search, most: int) -> Scored:
@@ -573,11 +575,11 @@ def followed(search: Search, most: int) -> Scored:
     best = forms[frozenset()]
     for size in range(1, most + 1):
         for columns in map(frozenset, combinations(_STARTS, size)):
-            column = max(columns, key=lambda one: float(forms[columns - {one}].density.sum()))
+            column = max(columns, key=lambda column_left: float(forms[columns - {column_left}].density.sum()))
             forms[columns] = search.score((_freed(forms[columns - {column}].parts[0], column, lane),))
-        found = ranked([one for columns, one in forms.items() if len(columns) == size])[0]
-        if is_worth(found, best, lane):
-            best = found
+        best_form = ranked([model for columns, model in forms.items() if len(columns) == size])[0]
+        if is_worth(best_form, best, lane):
+            best = best_form
     return best
 
 

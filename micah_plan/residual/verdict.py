@@ -116,7 +116,7 @@ def outcome_of(facts: Facts) -> Outcome:
 
 def overall(verdicts: list[Verdict]) -> Verdict:
     """One answer for several coordinates: `none` says nothing, and differing answers make `partly`."""
-    said = {one for one in verdicts if one != "none"}
+    said = {verdict for verdict in verdicts if verdict != "none"}
     if not said:
         return "none"
     return said.pop() if len(said) == 1 else "partly"

@@ -54,10 +54,12 @@ def start_posture(problem: Problem, seed: int = 0) -> Floats:
     """
     mode = problem.start.mode or problem.automaton.modes[0].name
     path = tool_path(problem, [mode], np.array([problem.start.mean]))
-    found = follow(problem_clearance(problem), path, seed)
-    if isinstance(found, ArmFailure):
-        raise InputError(f"the arm cannot start: {found.sentence}", source=problem.source or None, remedy=found.remedy)
-    return np.array(found.positions[0])
+    trajectory = follow(problem_clearance(problem), path, seed)
+    if isinstance(trajectory, ArmFailure):
+        raise InputError(
+            f"the arm cannot start: {trajectory.sentence}", source=problem.source or None, remedy=trajectory.remedy
+        )
+    return np.array(trajectory.positions[0])
 
 
 def problem_clearance(problem: Problem) -> ClearanceModel:
@@ -99,8 +101,8 @@ def tool_path(problem: Problem, modes: Sequence[str], states: Floats) -> ToolPat
 
 def carried_parts(automaton: HybridAutomaton, part: str) -> tuple[str, ...]:
     """A part and those attached to it, directly or through others."""
-    found = [part]
+    parts = [part]
     for link in automaton.links:  # parents come first
-        if link.parent in found:
-            found.append(link.child)
-    return tuple(found)
+        if link.parent in parts:
+            parts.append(link.child)
+    return tuple(parts)

@@ -38,8 +38,8 @@ def lowered(
     path = tool_path(problem, [mode] * len(states), states)
     grip = problem.hold.grip
     meet = frozenset((part, problem.release.support) for part in (grip.held.name, grip.moving.name))
-    own = path.touching or [frozenset()] * len(states)
-    path = replace(path, touching=[pairs | meet for pairs in own])
+    touching = path.touching or [frozenset()] * len(states)
+    path = replace(path, touching=[pairs | meet for pairs in touching])
     return follow(problem_clearance(problem), path, deadline=deadline, start=start)
 
 

@@ -21,9 +21,9 @@ from micah_plan.errors import InputError
 
 def middle(lower: Floats, upper: Floats) -> Floats:
     """(n,) middle of each range [lower, upper], or where one has no end, its point nearest to 0."""
-    found, bounded = np.clip(np.zeros(len(lower)), lower, upper), np.isfinite(lower) & np.isfinite(upper)
-    found[bounded] = (lower[bounded] + upper[bounded]) / 2
-    return found
+    posture, bounded = np.clip(np.zeros(len(lower)), lower, upper), np.isfinite(lower) & np.isfinite(upper)
+    posture[bounded] = (lower[bounded] + upper[bounded]) / 2
+    return posture
 
 
 @dataclass(frozen=True, eq=False)

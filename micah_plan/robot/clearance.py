@@ -96,11 +96,11 @@ class ClearanceModel:
                 self._room.oMg[number] = parts[name] * placement
         if pairs is None:
             pin.computeDistances(self.geometry, self._room)
-            found = np.array([result.min_distance for result in self._results])
+            distances = np.array([result.min_distance for result in self._results])
         else:
-            found = np.array([pin.computeDistance(self.geometry, self._room, k).min_distance for k in pairs])
+            distances = np.array([pin.computeDistance(self.geometry, self._room, k).min_distance for k in pairs])
         # Where the depth cannot be computed the solids do overlap.
-        return np.where(np.isfinite(found), found, -_DEPTH_TOLERANCE)
+        return np.where(np.isfinite(distances), distances, -_DEPTH_TOLERANCE)
 
     def at(self, q: Floats, parts: PartPoses | None = None, ignored: frozenset[Pair] = frozenset()) -> Clearance:
         """The smallest distance at q (n,).
@@ -150,13 +150,13 @@ class ClearanceModel:
 
     def overlaps_near(self, pair: Pair, within: float) -> tuple[tuple[tuple[Floats, float], ...], ...]:
         """`overlap` of the two, then of others that move with the tool and are that close to what stands still [m]."""
-        if not (own := self.overlap(pair)):
+        if not (overlap := self.overlap(pair)):
             return ()
         first = int(self.first[self.names.index(pair)])
         still = pair[0] if self._joint_of(first) == 0 else pair[1]
-        others = [k for k, other in enumerate(self.names) if other != pair and still in other]
+        others = [k for k, neighbour in enumerate(self.names) if neighbour != pair and still in neighbour]
         near = [self._overlap(k) for k in others if self._results[k].min_distance < within]
-        return (own, *(found for found in near if found))
+        return (overlap, *(pair_near for pair_near in near if pair_near))
 
     def _overlap(self, index: int) -> tuple[tuple[Floats, float], ...]:
         pair = self.names[index]
@@ -184,15 +184,15 @@ class ClearanceModel:
         """
         numbers = [k for k, name in enumerate(self.names) if name == pair]
         frame = self.arm.model.frames[self.arm.tool]
-        found = np.empty((len(tools), len(numbers)))
-        for row, matrix in zip(found, tools.as_matrix(), strict=True):
+        distances = np.empty((len(tools), len(numbers)))
+        for row, matrix in zip(distances, tools.as_matrix(), strict=True):
             joint = pin.SE3(matrix) * frame.placement.inverse()
             for geometry in {int(i) for k in numbers for i in (self.first[k], self.second[k])}:
                 item = self.geometry.geometryObjects[geometry]
                 moves = item.parentJoint == self.arm.tool_joint
                 self._room.oMg[geometry] = joint * item.placement if moves else item.placement
             row[:] = [pin.computeDistance(self.geometry, self._room, k).min_distance for k in numbers]
-        return found
+        return distances
 
     def _joint_of(self, geometry: int) -> int:
         """Number of the joint that a solid moves with; 0: of none."""
@@ -281,13 +281,13 @@ def _room(geometry: Any) -> Any:
 
 def _added(geometry: Any, labels: list[str], name: str, shapes: Sequence[Shape], pose: Any) -> list[tuple[int, Any]]:
     """(number, pose in its owner's frame) of each solid of a body or part, added to the geometry."""
-    found = []
+    overlaps = []
     for i, shape in enumerate(shapes):
         form, placement = solid(shape)
         item = pin.GeometryObject(f"{name}/{i}", 0, pose * placement, form)
-        found.append((int(geometry.addGeometryObject(item)), placement))
+        overlaps.append((int(geometry.addGeometryObject(item)), placement))
         labels.append(name)
-    return found
+    return overlaps
 
 
 def _arm_pairs(arm: Arm, geometry: Any, links: Sequence[int]) -> list[tuple[int, int]]:

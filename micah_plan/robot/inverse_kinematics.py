@@ -92,8 +92,8 @@ def _bounded_step(jacobian: Floats, error: Floats, below: Floats, above: Floats)
     free, step = np.ones(n, dtype=bool), np.zeros(n)
     for _ in range(n):
         columns = jacobian[:, free]
-        left = error - jacobian[:, ~free] @ step[~free]
-        step[free] = columns.T @ np.linalg.solve(columns @ columns.T + damping * np.eye(6), left)
+        residual = error - jacobian[:, ~free] @ step[~free]
+        step[free] = columns.T @ np.linalg.solve(columns @ columns.T + damping * np.eye(6), residual)
         outside = free & ((step < below) | (step > above))
         if not outside.any():
             break

@@ -68,19 +68,19 @@ def tool_recording(columns: Mapping[str, Any], arm: Arm, meant: Conventions) -> 
     sources = {source_of(text, columns)[0] for text in others.values()}
     table |= {name: values for name, values in columns.items() if name in ("t", "run", "part") or name in sources}
     # The poses are in metres and upright; of what the log says of itself only times and names remain.
-    own = Conventions(columns=others, time=meant.time, rate=meant.rate, name=meant.name or meant.tool)
+    conventions = Conventions(columns=others, time=meant.time, rate=meant.rate, name=meant.name or meant.tool)
     notes = _beyond_limits(arm, q)
-    recording = recording_of_columns(table, own)
+    recording = recording_of_columns(table, conventions)
     return replace(recording, conventions=meant.stated(), notes=(*notes, *recording.notes))
 
 
 def _poses(arm: Arm, q: Floats) -> Floats:
     """(n, 7) positions and quaternions of the tool, NaN where a joint is not known, as before its first message."""
     found = np.full((len(q), 7), np.nan)
-    known = np.isfinite(q).all(axis=1)
-    if known.any():
-        poses = arm.poses(q[known])
-        found[known] = np.hstack([poses.translation, poses.rotation.as_quat()])
+    is_finite = np.isfinite(q).all(axis=1)
+    if is_finite.any():
+        poses = arm.poses(q[is_finite])
+        found[is_finite] = np.hstack([poses.translation, poses.rotation.as_quat()])
     return found
 
 

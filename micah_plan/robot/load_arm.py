@@ -195,15 +195,15 @@ def _place(model: Any, geometry: Any, description: RobotDescription) -> None:
 
 def _colors(geometry: Any, checked: CheckedRobot) -> dict[str, str]:
     """Colours by name of geometry; further shapes of a link have the colour of its last."""
-    found: dict[str, str] = {}
+    joint_index: dict[str, str] = {}
     shapes: Counter[str] = Counter()
     for item in geometry.geometryObjects:
         link = link_name(item)
         colors = checked.colors.get(link)
         if colors:
-            found[item.name] = colors[min(shapes[link], len(colors) - 1)]
+            joint_index[item.name] = colors[min(shapes[link], len(colors) - 1)]
         shapes[link] += 1
-    return found
+    return joint_index
 
 
 def link_name(item: Any) -> str:

@@ -119,14 +119,14 @@ def _check_expanded(root: Element) -> None:
 
 def _by_name(root: Element, tag: str) -> dict[str, Element]:
     """The elements of a tag by their names, each of which is there once."""
-    found: dict[str, Element] = {}
+    elements: dict[str, Element] = {}
     for element in root.all(tag):
         name = _name(element)
-        if name in found:
-            problem = f"{tag} {shown(name)} is there already, on line {found[name].line}"
+        if name in elements:
+            problem = f"{tag} {shown(name)} is there already, on line {elements[name].line}"
             raise _error(element, problem, "rename or remove one of them")
-        found[name] = element
-    return found
+        elements[name] = element
+    return elements
 
 
 def _mimic(mimic: Element, joints: Mapping[str, Element]) -> Mimic:
@@ -299,11 +299,11 @@ def _remember(material: Element, materials: dict[str, str]) -> None:
 
 def _colors(link: Element, materials: dict[str, str]) -> tuple[str, ...]:
     """Colours of what is drawn of a link, in order."""
-    found = []
+    elements = []
     for material in (material for shape in link.all("visual") for material in shape.all("material")[:1]):
         _remember(material, materials)
-        found.append(materials.get(material.attributes.get("name", ""), ""))
-    return tuple(color for color in found if color)
+        elements.append(materials.get(material.attributes.get("name", ""), ""))
+    return tuple(color for color in elements if color)
 
 
 def check_mjcf(root: Element, folder: str) -> CheckedRobot:

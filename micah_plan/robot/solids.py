@@ -50,12 +50,12 @@ def solid(shape: Shape) -> tuple[Any, Any]:
 
 def link_shapes(arm: Arm) -> tuple[LinkShape, ...]:
     """The solids of the arm's clearances, as shapes to draw."""
-    found = []
+    solids = []
     for item in arm.geometry.geometryObjects:
         x, y, z, w = Rotation.from_matrix(item.placement.rotation).as_quat().tolist()
         place = vector3(item.placement.translation), (x, y, z, w), arm.colors.get(item.name, _DEFAULT_COLOR)
-        found.append(LinkShape(int(item.parentJoint), _drawn(item.geometry, *place)))
-    return tuple(found)
+        solids.append(LinkShape(int(item.parentJoint), _drawn(item.geometry, *place)))
+    return tuple(solids)
 
 
 def mesh_hulls(arm: Arm) -> dict[tuple[str, Vector3], Floats]:

@@ -91,9 +91,9 @@ def sweep(
         ignored: pairs that may meet.
     """
     path = _Path(model, bound, start, end)
-    found = Swept(Clearance(np.inf, ("", "")), 0.0)
+    swept = Swept(Clearance(np.inf, ("", "")), 0.0)
     waiting = [(0.5, 0.5, model.counted(ignored))]
-    while waiting and (margin is None or found.clearance.distance >= margin):
+    while waiting and (margin is None or swept.clearance.distance >= margin):
         share, half, pairs = waiting.pop(0)
         if not len(pairs):
             break
@@ -103,16 +103,16 @@ def sweep(
         distances = model.placed_distances(q, parts, pairs.tolist() if few else None)
         distances = distances if few else distances[pairs]
         index = int(np.argmin(distances))
-        if distances[index] < found.clearance.distance:
-            found = Swept(Clearance(float(distances[index]), model.names[pairs[index]]), share)
-        least = found.clearance.distance
+        if distances[index] < swept.clearance.distance:
+            swept = Swept(Clearance(float(distances[index]), model.names[pairs[index]]), share)
+        least = swept.clearance.distance
         room = _RESOLUTION_M if margin is not None else max(_RESOLUTION_M, _RELATIVE_RESOLUTION * least)
         moves = path.moves(q, parts, half, pairs)
         unproven = (moves > room) & (distances - (least - room if margin is None else margin) < moves)
         if unproven.any():
-            left = pairs[unproven]
-            waiting += [(share - half / 2, half / 2, left), (share + half / 2, half / 2, left)]
-    return found
+            remaining = pairs[unproven]
+            waiting += [(share - half / 2, half / 2, remaining), (share + half / 2, half / 2, remaining)]
+    return swept
 
 
 class _Path:
@@ -188,12 +188,12 @@ def _levers(arm: Arm, joint: int, distance: float) -> Floats:
 
     1 for joints that slide, which move every point by their own displacement.
     """
-    found = np.zeros(arm.n)
+    margins = np.zeros(arm.n)
     twists = arm.twists()
     for number in range(joint, 0, -1):
         slides = not twists[number - 1, 3:].any()
-        found[number - 1] = 1.0 if slides else distance
+        margins[number - 1] = 1.0 if slides else distance
         distance += float(np.linalg.norm(arm.model.jointPlacements[number].translation))
         if slides:
             distance += max(abs(float(arm.lower[number - 1])), abs(float(arm.upper[number - 1])))
-    return found
+    return margins

@@ -213,27 +213,27 @@ def follow(
     if start is not None:
         rows = follower.onwards(path, start)
         return rows if isinstance(rows, ArmFailure) else follower.summary(path, rows)
-    found: list[tuple[float, Floats]] = []
+    postures: list[tuple[float, Floats]] = []
     failures: list[ArmFailure] = []
     try:
         for way in (path, path.backwards())[: len(path.tool)]:  # a single knot has no other end
             for tried in follower.tries(way):
                 if not isinstance(tried, ArmFailure):
                     rows = tried if way is path else tried[::-1]
-                    found.append((follower.cost(path, rows), rows))
+                    postures.append((follower.cost(path, rows), rows))
                 elif tried.overlaps and way is path:  # so of every posture
                     return tried
                 elif way is path:  # its knots are what a reader counts
                     failures.append(tried)
-                if len(found) >= follower.settings.enough:
+                if len(postures) >= follower.settings.enough:
                     break
-            if found:
+            if postures:
                 break
     except TimeLimitError:
-        if not found:
+        if not postures:
             raise
-    if found:
-        return follower.summary(path, min(found, key=lambda pair: pair[0])[1])
+    if postures:
+        return follower.summary(path, min(postures, key=lambda pair: pair[0])[1])
     return max(failures, key=lambda failure: failure.knot)
 
 
@@ -261,7 +261,7 @@ class _Follower:
         """Configurations at the first knot, best first."""
         target = path.tool[0].as_matrix()
         seeds = np.vstack([self.arm.rest, self.arm.sample(self._generator, self.settings.starts)])
-        found: list[tuple[float, Floats]] = []
+        postures: list[tuple[float, Floats]] = []
         missed: list[Reached] = []
         blocked: list[ArmFailure] = []
         for number, seed in enumerate(seeds):
@@ -269,14 +269,14 @@ class _Follower:
             reached = reach_pose(self.arm, target, np.clip(seed, *self._limits), self._limits)
             if not reached.done:
                 missed.append(reached)
-            elif all(np.abs(reached.q - q).max() >= _SAME_START for _, q in found):
+            elif all(np.abs(reached.q - q).max() >= _SAME_START for _, q in postures):
                 failure = self._standing(path, 0, reached.q)
                 if failure is None:
-                    found.append((self._posture_cost(path, 0, reached.q), reached.q))
+                    postures.append((self._posture_cost(path, 0, reached.q), reached.q))
                 else:
                     blocked.append(failure)
-        if found:
-            return [q for _, q in sorted(found, key=lambda pair: pair[0])[: self.settings.followed]]
+        if postures:
+            return [q for _, q in sorted(postures, key=lambda pair: pair[0])[: self.settings.followed]]
         if blocked:
             return min(blocked, key=lambda failure: abs(failure.amount))
         return self._out_of_reach(0, min(missed, key=lambda reached: float(np.linalg.norm(reached.error))))

@@ -60,8 +60,8 @@ class CompiledMode:
     @cached_property
     def invariant(self) -> ca.Function:
         s = _Symbols(self.automaton)
-        given = _passed_on(self.automaton, self.mode.name, s)[0]
-        return s.map("invariant", margins=_margins(self.mode.invariant, s.x, given))
+        passed = _passed_on(self.automaton, self.mode.name, s)[0]
+        return s.map("invariant", margins=_margins(self.mode.invariant, s.x, passed))
 
     @cached_property
     def inputs(self) -> ca.Function:
@@ -124,12 +124,12 @@ def compiled_mode(automaton: HybridAutomaton, name: str) -> CompiledMode:
 def _motion(automaton: HybridAutomaton, name: str) -> tuple[ca.Function, ca.Function, ca.Function]:
     """`CompiledMode.step`, `predict` and `belief_step`: what takes long to compile, wherever boundaries lie."""
     s, mode = _Symbols(automaton), automaton.mode(name)
-    given, remembered = _passed_on(automaton, name, s)
-    flowed = _flow(automaton, mode, s, given)
+    passed, remembered = _passed_on(automaton, name, s)
+    flowed = _flow(automaton, mode, s, passed)
     for i, value in remembered.items():
         flowed[i] = value
     factor = _carried(flowed, s) if automaton.effects else s.factor
-    noise = _step_noise_std(automaton, mode, given)
+    noise = _step_noise_std(automaton, mode, passed)
     if mode.ties:
         # The state keeps to the ties already, so its factor does; so must what an effect or noise does to it.
         tied = _tied(mode.ties, flowed)
@@ -137,15 +137,15 @@ def _motion(automaton: HybridAutomaton, name: str) -> tuple[ca.Function, ca.Func
         factor = lower_factor(ca.sparsify(ca.horzcat(ca.mtimes(tied, factor), spread)))
     else:
         factor = add_noise(factor, noise)
-    mean, seen = flowed, factor
+    mean, measured_factor = flowed, factor
     for index, std in enumerate(sensing_std(automaton.sensing(mode), flowed)):
         # One coordinate after the other is exact: their noise is independent. An infinite std: not observed.
         if isinstance(std, ca.SX) or np.isfinite(std):
-            mean, seen = observe(mean, seen, index, std)
+            mean, measured_factor = observe(mean, measured_factor, index, std)
     return (
         s.map("step", x_next=flowed),
         s.belief_map("predict", mean_next=flowed, factor_next=factor),
-        s.belief_map("belief_step", mean_next=ca.densify(mean), factor_next=seen),
+        s.belief_map("belief_step", mean_next=ca.densify(mean), factor_next=measured_factor),
     )
 
 
@@ -154,8 +154,8 @@ def compiled_edge(automaton: HybridAutomaton, number: int) -> CompiledEdge:
     """The functions of the transition of that number in `automaton.edges`, compiled when they are first asked for."""
     s, edge = _Symbols(automaton), automaton.edges[number]
     a, b, c = edge.reset.matrices(automaton.n, automaton.m)
-    given = _passed_on(automaton, edge.source, s)[0]
-    mean, factor = ca.mtimes(ca.DM(a), s.x) + ca.mtimes(ca.DM(b), given) + ca.DM(c), s.factor
+    passed = _passed_on(automaton, edge.source, s)[0]
+    mean, factor = ca.mtimes(ca.DM(a), s.x) + ca.mtimes(ca.DM(b), passed) + ca.DM(c), s.factor
     if turn := turn_of(automaton, edge):
         mean, factor = _turned(turn, s)
     # DM(a) keeps explicit zeros; without them a reset that drops a coordinate stays sparse.
@@ -166,7 +166,7 @@ def compiled_edge(automaton: HybridAutomaton, number: int) -> CompiledEdge:
     if ties and not _keeps(ties, a, c):
         tied = _tied(ties, mean)
         factor = lower_factor(ca.sparsify(ca.mtimes(tied, factor)))
-    margins = _margins(edge.guard, s.x, given)
+    margins = _margins(edge.guard, s.x, passed)
     stds = [norm(ca.mtimes(s.factor.T, ca.DM(h.a))) for h in edge.guard.half_spaces]
     return CompiledEdge(
         edge=edge,

@@ -71,18 +71,18 @@ def _checked(form: EffectForm, p: list[float]) -> dict[str, Floats]:
     """Values of all hooks at the places and commands; refused where numbers or CasADi give others than arrays."""
     try:
         with np.errstate(all="ignore"):
-            found = _outputs(form, np, p, _PLACES, _COMMANDS)
+            outputs = _outputs(form, np, p, _PLACES, _COMMANDS)
             single = [_outputs(form, np, p, float(c), float(v)) for c, v in zip(_PLACES, _COMMANDS, strict=True)]
     except InputError:
         raise
     except Exception as error:  # a formula of one's own may fail in any way
         raise InputError(f"effect {form.name}: its formula fails: {error}") from error
-    for name, values in found.items():
+    for name, values in outputs.items():
         if values.shape != _COMMANDS.shape or not np.isfinite(values).all():
             raise InputError(f"effect {form.name}: {name} must give one finite value per state and command")
     symbolic = _by_casadi(form, p)
-    for name, values in found.items():
-        alone = np.array([np.ravel(one[name])[0] for one in single])
+    for name, values in outputs.items():
+        alone = np.array([np.ravel(output[name])[0] for output in single])
         if not np.allclose(alone, values, atol=_EXACT):
             raise InputError(f"effect {form.name}: {name} must mean the same for numbers as for arrays")
         if not np.allclose(symbolic[name], values, atol=_EXACT):
@@ -90,7 +90,7 @@ def _checked(form: EffectForm, p: list[float]) -> dict[str, Floats]:
                 f"effect {form.name}: {name} must mean the same to CasADi, which plans with it, as to NumPy",
                 remedy="write it with the functions of ops",
             )
-    return found
+    return outputs
 
 
 def _by_casadi(form: EffectForm, p: list[float]) -> dict[str, Floats]:
@@ -122,7 +122,7 @@ def _outputs(form: EffectForm, ops: Operations, p: Sequence[float], c: Value, v:
     action: Values = (v, *_ACROSS)
     low, high = form.stops(ops, *_ENDS, p)
     nothing = 0.0 * c + 0.0 * v
-    found = {
+    outputs = {
         "frame_command": form.frame_command(ops, action, _DIRECTION, p),
         "remember": out,
         "command": form.command(ops, v, p),
@@ -131,4 +131,4 @@ def _outputs(form: EffectForm, ops: Operations, p: Sequence[float], c: Value, v:
         "release": form.release(p) + nothing,
         "measured": form.measured(ops, c, _TIME, p) + nothing,
     }
-    return found if ops is not np else {name: np.asarray(value, dtype=float) for name, value in found.items()}
+    return outputs if ops is not np else {name: np.asarray(value, dtype=float) for name, value in outputs.items()}

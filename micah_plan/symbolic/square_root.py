@@ -37,8 +37,8 @@ def lower_factor(matrix: ca.SX) -> ca.SX:
         columns[row], columns[at] = columns[at], columns[row]
         sign = ca.if_else(columns[row][row] < 0, -1, 1)
         columns[row] = [sign * entry for entry in columns[row]]
-        for other in filled[1:] or [[ca.SX(0)] * n]:
-            _rotate(columns[row], other, row)
+        for second in filled[1:] or [[ca.SX(0)] * n]:
+            _rotate(columns[row], second, row)
     return _lower(columns, n)
 
 
@@ -108,17 +108,17 @@ def put_at(mean: ca.SX, factor: ca.SX, pins: Sequence[Pin]) -> tuple[ca.SX, ca.S
     return mean, lower_factor(ca.sparsify(ca.horzcat(others, spread)))
 
 
-def _rotate(column: list[ca.SX], other: list[ca.SX], row: int) -> None:
+def _rotate(column: list[ca.SX], second: list[ca.SX], row: int) -> None:
     """Rotate two columns so that `other` vanishes in that row; column[row] >= 0 and the rows above are zero in both.
 
     column[row] is floored smoothly, not the radius, so that the map stays a rotation (loses no variance) at zero.
     """
     floored = ca.sqrt(column[row] ** 2 + SMALLEST_STD**2)
-    radius = ca.sqrt(floored**2 + other[row] ** 2)
-    cosine, sine = floored / radius, other[row] / radius
+    radius = ca.sqrt(floored**2 + second[row] ** 2)
+    cosine, sine = floored / radius, second[row] / radius
     for i in range(row + 1, len(column)):
-        column[i], other[i] = cosine * column[i] + sine * other[i], cosine * other[i] - sine * column[i]
-    column[row], other[row] = radius, ca.SX(0)
+        column[i], second[i] = cosine * column[i] + sine * second[i], cosine * second[i] - sine * column[i]
+    column[row], second[row] = radius, ca.SX(0)
 
 
 def _lower(columns: list[list[ca.SX]], n: int) -> ca.SX:

@@ -55,7 +55,7 @@ def _followed(automaton: HybridAutomaton, mode: str, x: Floats) -> tuple[str, Fl
     """Mode and state that the hand's place leaves an object which is not latched: where it touches, ties hold."""
     if automaton.mode(mode).pins:
         return mode, x
-    found, followed = mode, x
+    mode_reached, followed = mode, x
     for contact in automaton.modes:  # line before surface: pressing passes from one to the other
         for tie in contact.ties:
             low, high = contact.invariant.interval(tie.coordinate)
@@ -64,12 +64,12 @@ def _followed(automaton: HybridAutomaton, mode: str, x: Floats) -> tuple[str, Fl
             asked, at = float(tie.value(x)), float(x[tie.coordinate])
             touches = bool(automaton.mode(mode).ties) or (at - end) * closes < 0 < (asked - at) * closes
             if touches and (asked - begin) * closes >= 0:
-                found, followed = contact.name, x.copy()
+                mode_reached, followed = contact.name, x.copy()
                 followed[tie.coordinate] = min(max(asked, low), high)
                 # At the end of the last piece the object stops the hand.
                 over, weights = followed[tie.coordinate] - asked, np.array(tie.weights)
                 followed[: tie.coordinate] += (weights * over / float(weights @ weights))[: tie.coordinate]
-    return found, followed
+    return mode_reached, followed
 
 
 def _closing(automaton: HybridAutomaton, mode: str, tie: Tie) -> float:

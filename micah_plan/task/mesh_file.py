@@ -81,15 +81,15 @@ def convex_corners(points: Floats, source: str | Path | None = None) -> tuple[Ve
 
     _check_places(points, source)
     try:
-        found = points[ConvexHull(points).vertices] if len(points) >= 4 else None
+        hull = points[ConvexHull(points).vertices] if len(points) >= 4 else None
     except QhullError:
-        found = None
-    if found is None:
+        hull = None
+    if hull is None:
         raise InputError("a mesh needs at least four corners that span a volume", source=source, remedy="thicken it")
-    if len(found) > MOST_CORNERS:
-        problem = f"expected a convex hull of at most {MOST_CORNERS} corners, found {len(found)}"
+    if len(hull) > MOST_CORNERS:
+        problem = f"expected a convex hull of at most {MOST_CORNERS} corners, found {len(hull)}"
         raise InputError(problem, source=source, remedy="simplify the mesh")
-    return tuple(map(vector3, found))
+    return tuple(map(vector3, hull))
 
 
 def _binary_stl(data: bytes) -> Floats | None:
@@ -105,14 +105,14 @@ def _binary_stl(data: bytes) -> Floats | None:
 
 def _text_vertices(data: bytes, key: bytes, source: str | Path) -> Floats:
     """(n, 3) numbers on the lines that start with a word."""
-    found = []
+    meshes = []
     for number, line in enumerate(data.splitlines(), start=1):
         words = line.split()
         if words and words[0] == key:
             try:
-                found.append([float(word) for word in words[1:4]])
+                meshes.append([float(word) for word in words[1:4]])
             except ValueError:
-                found.append([])
-            if len(found[-1]) != 3:
+                meshes.append([])
+            if len(meshes[-1]) != 3:
                 raise InputError("expected three numbers of a corner", source=source, where=f"line {number}")
-    return np.array(found, dtype=float).reshape(-1, 3)
+    return np.array(meshes, dtype=float).reshape(-1, 3)

@@ -125,10 +125,10 @@ def check_constraint(constraint: PathConstraint, automaton: HybridAutomaton) -> 
         automaton.mode(mode)
     function, said = _function(constraint.name), f"path constraint {shown(constraint.name)}"
     keywords = list(inspect.signature(function).parameters.values())[2:]
-    allowed, given = [keyword.name for keyword in keywords], [name for name, _ in constraint.arguments]
+    allowed, names_used = [keyword.name for keyword in keywords], [name for name, _ in constraint.arguments]
     needed = [keyword.name for keyword in keywords if keyword.default is keyword.empty]
-    if len(set(given)) < len(given) or set(given) - set(allowed) or set(needed) - set(given):
-        raise InputError(f"{said} takes {', '.join(allowed) or 'no arguments'}. Got {', '.join(given) or 'none'}")
+    if len(set(names_used)) < len(names_used) or set(names_used) - set(allowed) or set(needed) - set(names_used):
+        raise InputError(f"{said} takes {', '.join(allowed) or 'no arguments'}. Got {', '.join(names_used) or 'none'}")
     if any(not isinstance(value, str) and not np.isfinite(value) for _, value in constraint.arguments):
         raise InputError(f"{said}: arguments must be finite. Got {shown(dict(constraint.arguments))}")
     points = np.zeros((automaton.n, 2)), np.zeros((automaton.m, 2)), np.zeros((automaton.n, 2))

@@ -102,8 +102,8 @@ def _true_start(automaton: HybridAutomaton, start: Start, believed: str, x: Floa
         raise InputError(f"the true start: {reason.removeprefix('the start ')}", remedy="choose one that a mode allows")
     for pin in automaton.mode(name).pins:
         if abs(x[pin.coordinate] - pin.value) > LIMIT_ROOM:
-            own = automaton.coordinates[pin.coordinate]
-            text = f"the true start: mode '{name}' holds {own.name} at {pin.value:g} {own.unit}"
+            coordinate = automaton.coordinates[pin.coordinate]
+            text = f"the true start: mode '{name}' holds {coordinate.name} at {pin.value:g} {coordinate.unit}"
             raise InputError(f"{text}, found {x[pin.coordinate]:g}", remedy="start there, or in another mode")
     return name, x
 
@@ -118,11 +118,11 @@ def draw_states(
         shifts: (t, b) by how much each object's boundaries are moved (`thresholds.threshold_stds`).
     """
     n, whole = automaton.n, with_boundary_states(automaton)
-    own = whole.mode(mode.name)
-    rows = own.invariant.half_spaces
+    mode_of_whole = whole.mode(mode.name)
+    rows = mode_of_whole.invariant.half_spaces
     normals, growth = np.split(np.array([h.a for h in rows]).reshape(-1, whole.n), [n], axis=1)
-    pins = np.zeros((len(shifts), len(own.pins)))
-    for k, pin in enumerate(own.pins):
+    pins = np.zeros((len(shifts), len(mode_of_whole.pins)))
+    for k, pin in enumerate(mode_of_whole.pins):
         pins[:, k] = pin.value + (0.0 if pin.follows is None else shifts[:, pin.follows - n])
     pinned = [pin.coordinate for pin in mode.pins]
     # Thresholds for the drawn coordinates alone, in each half-space of each object.
@@ -137,11 +137,11 @@ def draw_states(
     while number < len(states):
         # Each object takes the first draw that suits it, in the order of the draws: at least one each.
         draws = mean + std * rng.standard_normal((len(states) - number, n))
-        found = draws @ normals.T
-        of_all, of_some = (_hold(found, end(least, axis=0), strict).tolist() for end in (np.max, np.min))
+        sums = draws @ normals.T
+        of_all, of_some = (_hold(sums, end(least, axis=0), strict).tolist() for end in (np.max, np.min))
         taken: list[tuple[int, int]] = []
         for k, (suits_all, suits_some) in enumerate(zip(of_all, of_some, strict=True)):
-            suits = suits_all or (suits_some and bool(_hold(found[k], least[number], strict)))
+            suits = suits_all or (suits_some and bool(_hold(sums[k], least[number], strict)))
             if suits and automaton.init:
                 draws[k, pinned] = pins[number]
                 suits = any(region.contains(draws[k], at_rest) for region in further)
@@ -156,9 +156,9 @@ def draw_states(
     return states
 
 
-def _hold(found: Floats, least: Floats, strict: Booleans) -> Booleans:
+def _hold(values: Floats, least: Floats, strict: Booleans) -> Booleans:
     """(...,) whether values (..., r) of half-spaces reach their thresholds (r,)."""
-    return np.asarray(((found > least) | ((found == least) & ~strict)).all(axis=-1))
+    return np.asarray(((values > least) | ((values == least) & ~strict)).all(axis=-1))
 
 
 def _sigmas_outside(automaton: HybridAutomaton, start: Start, mode: Mode) -> float:

@@ -48,17 +48,17 @@ def _joined(solids: Sequence[Solid]) -> tuple[Solid, ...]:
     found: list[Solid] = []
     for solid in solids:
         whole = solid
-        while other := next((other for other in found if _is_box(whole, other)), None):
-            found.remove(other)
-            low, high = np.minimum(whole.lower, other.lower), np.maximum(whole.upper, other.upper)
-            whole = Solid(f"{other.name}, {whole.name}", vector3(low), vector3(high))
+        while rival := next((rival for rival in found if _is_box(whole, rival)), None):
+            found.remove(rival)
+            low, high = np.minimum(whole.lower, rival.lower), np.maximum(whole.upper, rival.upper)
+            whole = Solid(f"{rival.name}, {whole.name}", vector3(low), vector3(high))
         found.append(whole)
     return tuple(found)
 
 
-def _is_box(one: Solid, other: Solid) -> bool:
+def _is_box(first: Solid, second: Solid) -> bool:
     """Whether two boxes fill one: alike along two axes, and without a gap along the third."""
-    ends = np.array([[one.lower, one.upper], [other.lower, other.upper]])
+    ends = np.array([[first.lower, first.upper], [second.lower, second.upper]])
     differs = ~np.isclose(ends[0], ends[1], rtol=0.0, atol=_SAME).all(axis=0)
     if differs.sum() != 1:
         return bool(differs.sum() == 0)

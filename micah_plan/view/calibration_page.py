@@ -33,152 +33,160 @@ _SIDE = 1.5
 """Where the axis of directions ends: dots of commands forward lie around 1, those backward around -1."""
 
 
-def calibration_page(found: Calibration, title: str) -> str:
+def calibration_page(calibration: Calibration, title: str) -> str:
     """The page as HTML text: self-contained, fetches nothing, the same value gives the same bytes."""
-    modes = [mode for one in found.traces for mode in one.missing_modes]
+    modes = [mode for trace in calibration.traces for mode in trace.missing_modes]
     gain = "It predicts {} nats better than any gradual change."
-    coordinates = [_coordinate(one) for one in found.traces]
+    coordinates = [_coordinate(trace) for trace in calibration.traces]
+    names = listed([trace.lane.coordinate for trace in calibration.traces])
     page = {
-        "title": f"{listed([one.lane.coordinate for one in found.traces])}: measured motion against the model",
+        "title": f"{names}: measured motion against the model",
         "kind": f"calibration with {title}",
-        "badge": _badge(found),
-        "headline": _headline(found),
-        "message": SENTENCES[found.verdict],
-        "notes": found.notes,
+        "badge": _badge(calibration),
+        "headline": _headline(calibration),
+        "message": SENTENCES[calibration.verdict],
+        "notes": calibration.notes,
         "modes": [f"{capital(str(mode))}. {gain.format(plain(mode.evidence))}" for mode in modes],
-        "parameters": _parameters(found),
-        "effects": [_effect(one) for one in found.effects],
-        "errors": _errors(found),
-        "poses": _poses(found),
-        "unexplained": f"Left unexplained: {percent(found.unexplained_fraction, 0)} of the error that could be "
+        "parameters": _parameters(calibration),
+        "effects": [_effect(effect) for effect in calibration.effects],
+        "errors": _errors(calibration),
+        "poses": _poses(calibration),
+        "unexplained": f"Left unexplained: {percent(calibration.unexplained_fraction, 0)} of the error that could be "
         "explained.",
         "coordinates": coordinates,
-        "first": coordinates[max(range(len(coordinates)), key=lambda k: _worth(found.traces[k]))]["motion"][:2],
-        "experiment": f"{capital(found.experiment)}.",
+        "first": coordinates[max(range(len(coordinates)), key=lambda k: _worth(calibration.traces[k]))]["motion"][:2],
+        "experiment": f"{capital(calibration.experiment)}.",
     }
     return render("calibration.html.j2", page=page)
 
 
-def _headline(found: Calibration) -> str:
+def _headline(calibration: Calibration) -> str:
     """What was found and what it is worth, in a sentence or two."""
-    runs = count(len(found.recording.runs), "run")
-    added = [one for one in found.effects if one.is_added]
+    runs = count(len(calibration.recording.runs), "run")
+    added = [effect for effect in calibration.effects if effect.is_added]
     changes = []
-    for own in found.errors:
-        of = f" of {own.of}" if own.of else ""
+    for error in calibration.errors:
+        of = f" of {error.of}" if error.of else ""
         for what, name in (("roll-outs", "rollout"), ("single steps", "one_step")):
-            before, after = (quantity(getattr(size, name), own.unit) for size in (own.before, own.after))
+            before, after = (quantity(getattr(size, name), error.unit) for size in (error.before, error.after))
             changes.append(f"{what}{of} from {before} to {after}" if added else f"{before} in {what}{of}")
     if not added:
         return f"Over {runs} the model misses by {listed(changes)}."
-    named = listed([f"{one.effect.name} ({_values(one)})" for one in added])
+    named = listed([f"{effect.effect.name} ({_values(effect)})" for effect in added])
     return f"Over {runs}: {named}. Errors on rows that no fit saw: {listed(changes)}."
 
 
-def _values(one: FoundEffect) -> str:
+def _values(effect: FoundEffect) -> str:
     """The parameters of an effect, each with its spread where it was fitted."""
     texts = []
-    for (name, value), unit, (low, high) in zip(one.effect.parameters, one.units, one.interval, strict=True):
+    for (name, value), unit, (low, high) in zip(effect.effect.parameters, effect.units, effect.interval, strict=True):
         std = (high - low) / (2.0 * _SIGMAS)
         number = with_spread(value, std, unit, degrees=False) if std > 0 else quantity(value, unit, degrees=False)
         texts.append(f"{name} {number}")
     return ", ".join(texts)
 
 
-def _worth(one: LaneTrace) -> float:
+def _worth(trace: LaneTrace) -> float:
     """How much better the model became for a coordinate [nats]."""
-    return one.final.over(one.nominal)[0]
+    return trace.final.over(trace.nominal)[0]
 
 
-def _badge(found: Calibration) -> tuple[str, Status]:
+def _badge(calibration: Calibration) -> tuple[str, Status]:
     """The verdict; green only if the recording leaves one explanation."""
-    others = {name for one in found.effects for name in one.tied}
-    if found.verdict == "explained" and others:
+    others = {name for effect in calibration.effects for name in effect.tied}
+    if calibration.verdict == "explained" and others:
         return f"explained, by one of {len(others) + 1} causes", "fair"
-    return _BADGES[found.verdict]
+    return _BADGES[calibration.verdict]
 
 
-def _parameters(found: Calibration) -> Table:
+def _parameters(calibration: Calibration) -> Table:
     rows: list[tuple[str, ...]] = []
-    for one in found.effects:
-        values = zip(one.effect.parameters, one.units, one.interval, strict=True)
+    for effect in calibration.effects:
+        values = zip(effect.effect.parameters, effect.units, effect.interval, strict=True)
         for order, ((name, value), unit, (low, high)) in enumerate(values):
-            first = (f"{one.effect.name} ({one.effect.coordinate})", plain(one.evidence)) if order == 0 else ("", "")
+            first = (
+                (f"{effect.effect.name} ({effect.effect.coordinate})", plain(effect.evidence))
+                if order == 0
+                else ("", "")
+            )
             sure = interval(low, high, unit) if high > low else "not fitted"
             rows.append((first[0], name, quantity(value, unit), sure, first[1]))
     return Table(("effect", "parameter", "value", "95 % interval", "evidence [nats]"), tuple(rows), (4,))
 
 
-def _effect(found: FoundEffect) -> dict[str, str]:
+def _effect(effect: FoundEffect) -> dict[str, str]:
     """An effect in words; `ambiguity` is empty if no other effect explains the recording as well."""
-    sentences = [found.sentence]
-    if found.effect.modes:
-        sentences.append(f"It acts only in {', '.join(found.effect.modes)}.")
-    if not found.is_added:
+    sentences = [effect.sentence]
+    if effect.effect.modes:
+        sentences.append(f"It acts only in {', '.join(effect.effect.modes)}.")
+    if not effect.is_added:
         sentences.append("It makes the roll-out worse, so the new model does not have it.")
-    if found.since is not None:
-        run, time = found.since
+    if effect.since is not None:
+        run, time = effect.since
         sentences.append(f"It is seen from {quantity(time, 's')} into run {run}.")
-    others = f"This recording does not distinguish it from {', '.join(found.tied)}. To do so: {found.experiment}."
-    words = {"name": found.effect.name, "sentences": " ".join(sentences), "source": found.source}
-    return {**words, "ambiguity": others if found.tied else ""}
+    others = f"This recording does not distinguish it from {', '.join(effect.tied)}. To do so: {effect.experiment}."
+    words = {"name": effect.effect.name, "sentences": " ".join(sentences), "source": effect.source}
+    return {**words, "ambiguity": others if effect.tied else ""}
 
 
-def _errors(found: Calibration) -> Table:
+def _errors(calibration: Calibration) -> Table:
     head, rows = "root mean square on rows held out from the fit", list[tuple[str, ...]]()
-    for own in found.errors:
-        name, steps = f"{own.of}: " if own.of else "", (own.before.one_step, own.after.one_step, own.noise_floor)
-        rolls = own.before.rollout, own.after.rollout, own.rollout_floor
-        rows.append((f"{name}one step ahead", *(quantity(e, own.unit) for e in steps)))
-        rows.append((f"{name}roll-out from the first row", *(quantity(e, own.unit) for e in rolls)))
+    for error in calibration.errors:
+        name, steps = (
+            f"{error.of}: " if error.of else "",
+            (error.before.one_step, error.after.one_step, error.noise_floor),
+        )
+        rolls = error.before.rollout, error.after.rollout, error.rollout_floor
+        rows.append((f"{name}one step ahead", *(quantity(e, error.unit) for e in steps)))
+        rows.append((f"{name}roll-out from the first row", *(quantity(e, error.unit) for e in rolls)))
     return Table((head, "before", "after", "noise alone"), tuple(rows), (1, 2, 3))
 
 
-def _poses(found: Calibration) -> Table:
+def _poses(calibration: Calibration) -> Table:
     head, rows = "root mean square over all rows, fitted ones included", list[tuple[str, ...]]()
-    for what, unit, *sizes in found.pose_errors:
+    for what, unit, *sizes in calibration.pose_errors:
         rows.append((f"{what}: one step ahead", *(quantity(size.one_step, unit) for size in sizes)))
         rows.append((f"{what}: roll-out from the first row", *(quantity(size.rollout, unit) for size in sizes)))
     return Table((head, "before", "after"), tuple(rows), (1, 2))
 
 
-def _correlation(one: LaneTrace) -> Table:
+def _correlation(trace: LaneTrace) -> Table:
     """How the errors of fitted parameters go together; empty for a single one."""
-    names, matrix = one.search.correlations_of(one.chosen)
+    names, matrix = trace.search.correlations_of(trace.chosen)
     shown = zip(names, matrix.tolist(), strict=True) if len(names) > 1 else ()
     rows = tuple((name, *(f"{value:.2f}" for value in row)) for name, row in shown)
     return Table(("correlation of errors", *names), rows, tuple(range(1, len(names) + 1)))
 
 
-def _coordinate(one: LaneTrace) -> dict[str, Any]:
+def _coordinate(trace: LaneTrace) -> dict[str, Any]:
     """What was compared of one coordinate: charts of errors before and after, evidence of every effect, runs."""
-    lane = one.lane
+    lane = trace.lane
     steps, runs = count(int(lane.counted.sum()), "step"), count(len(np.unique(lane.run)), "run")
-    chance = percent(one.whiteness[1])
+    chance = percent(trace.whiteness[1])
     summary = (
         f"{steps} of {runs} were compared; a fifth of {count(len(lane.run), 'stretch', 'stretches')} was held out in "
-        f"turn. What remains has an autocorrelation of {plain(one.whiteness[0], 2)}; noise alone would have so much "
+        f"turn. What remains has an autocorrelation of {plain(trace.whiteness[0], 2)}; noise alone would have so much "
         f"with a probability of {chance}."
     )
-    best = [row for row in one.ranking if row[1] > 0][:_MOST_BARS]
-    chosen = {finding.part.name for finding in one.findings}
+    best = [row for row in trace.ranking if row[1] > 0][:_MOST_BARS]
+    chosen = {finding.part.name for finding in trace.findings}
     bars = [
         Bar(name, with_spread(gain, error, "nats"), gain / best[0][1], BLUE, faint=name not in chosen)
         for name, gain, error in best
     ]
     charts = {
-        "motion": _motion(one),
-        "correlation": _correlation(one),
-        "pairs": _residuals(one),
+        "motion": _motion(trace),
+        "correlation": _correlation(trace),
+        "pairs": _residuals(trace),
         "ranking": Bars("", tuple(bars)),
-        "runs": _runs(one),
+        "runs": _runs(trace),
     }
     return {"name": lane.coordinate, "summary": summary, **charts}
 
 
-def _runs(one: LaneTrace) -> Table:
-    lane, search = one.lane, one.search
-    kinds = [search.errors(model, kind) for kind in ("one_step", "rollout") for model in (one.nominal, one.final)]
+def _runs(trace: LaneTrace) -> Table:
+    lane, search = trace.lane, trace.search
+    kinds = [search.errors(model, kind) for kind in ("one_step", "rollout") for model in (trace.nominal, trace.final)]
     rows: list[tuple[str, ...]] = []
     for run in np.unique(lane.run)[:_MOST_RUNS]:
         chosen = lane.counted & (lane.run == run)[:, None]
@@ -187,13 +195,13 @@ def _runs(one: LaneTrace) -> Table:
     return Table(("run", "one step, before", "after", "roll-out, before", "after"), tuple(rows), (1, 2, 3, 4))
 
 
-def _motion(one: LaneTrace) -> tuple[Svg, ...]:
+def _motion(trace: LaneTrace) -> tuple[Svg, ...]:
     """Measured motion of some runs, roll-outs of it before and after, and the commands below."""
-    whole = one.lane.whole or one.lane
+    whole = trace.lane.whole or trace.lane
     counted = whole.counted
     errors = np.zeros((2, *whole.z.shape))
-    for number, model in enumerate((one.nominal, one.final)):
-        errors[number][counted] = one.search.rollout_errors(model)
+    for number, model in enumerate((trace.nominal, trace.final)):
+        errors[number][counted] = trace.search.rollout_errors(model)
     return tuple(_run(whole, s, errors[:, s]) for s in evenly(len(whole.run), _MOST_DRAWN).tolist())
 
 
@@ -206,28 +214,30 @@ def _run(whole: Lane, s: int, errors: Floats) -> Svg:
     room, largest = 0.05 * (high - low) + 1e-9, 1.1 * float(np.abs(u).max()) + 1e-9
     ends = float(time[0]), float(time[-1]) + 1e-9
     panel = Panel(_LEFT, _TOP, _WIDTH - _LEFT - _RIGHT, _HEIGHT, *ends, low - room, high + room)
-    told = panel.below(12.0, 0.4 * _HEIGHT, -largest, largest)
+    lower_panel = panel.below(12.0, 0.4 * _HEIGHT, -largest, largest)
     parts = [
         panel.frame,
         panel.curve(time, before, "run chosen", ORANGE),
         panel.curve(time, after, "run chosen", BLUE),
         panel.curve(time, z, "dots small", INK, dots=True),
         panel.y_axis(f"{whole.coordinate}\n[{whole.unit}]"),
-        told.frame,
-        told.level(0.0, "zero"),
-        told.curve(time, u, "trend"),
-        told.y_axis(f"command\n[{whole.unit}]", 2),
-        told.x_axis(f"time in run {whole.run[s]} [s]", whole=False),
+        lower_panel.frame,
+        lower_panel.level(0.0, "zero"),
+        lower_panel.curve(time, u, "trend"),
+        lower_panel.y_axis(f"command\n[{whole.unit}]", 2),
+        lower_panel.x_axis(f"time in run {whole.run[s]} [s]", whole=False),
     ]
-    return drawing(_WIDTH, [panel, told], parts, f"{whole.coordinate} in run {whole.run[s]}, measured and predicted")
+    return drawing(
+        _WIDTH, [panel, lower_panel], parts, f"{whole.coordinate} in run {whole.run[s]}, measured and predicted"
+    )
 
 
-def _residuals(one: LaneTrace) -> tuple[tuple[Svg, Svg], ...]:
+def _residuals(trace: LaneTrace) -> tuple[tuple[Svg, Svg], ...]:
     """One-step errors before and after against time, configuration, direction and size of the command."""
-    lane = one.lane
+    lane = trace.lane
     counted, starts = lane.counted, lane.counted_starts
-    before = one.search.errors(one.nominal, "one_step")[counted]
-    after = one.search.errors(one.final, "one_step")[counted]
+    before = trace.search.errors(trace.nominal, "one_step")[counted]
+    after = trace.search.errors(trace.final, "one_step")[counted]
     u = lane.u[starts]
     side = np.sign(u) + 0.24 * np.linspace(-1, 1, u.size)
     axes = (

@@ -83,13 +83,13 @@ def executed_runs(
     Raises:
         InputError: if the recording has other parts than the model.
     """
-    seen, found = tracks(problem.automaton, recording), []
-    for track, x in zip(seen, configurations(problem, recording, seen), strict=True):
+    tracks_read, values = tracks(problem.automaton, recording), []
+    for track, x in zip(tracks_read, configurations(problem, recording, tracks_read), strict=True):
         rows = recording.select(run=track.run)
         modes = rows.select(part=rows.parts[0]).extra.get("mode", ())
         is_true = x is not track.x
         ending = _ending(problem, modes, x[-1]) if failures is None else failures.get(track.run, "")
-        found.append(
+        values.append(
             ExecutedRun(
                 run=track.run,
                 seconds=track.time - track.time[0],
@@ -101,25 +101,25 @@ def executed_runs(
                 leaving=_leaving(problem, trajectory, x, modes, is_true),
             )
         )
-    return tuple(found)
+    return tuple(values)
 
 
-def configurations(problem: Problem, recording: Recording, seen: tuple[Track, ...] = ()) -> list[Floats]:
+def configurations(problem: Problem, recording: Recording, tracks_read: tuple[Track, ...] = ()) -> list[Floats]:
     """(T, n) configurations [rad or m] of every run: the true ones if the recording has them, else the measured.
 
     Args:
-        seen: the tracks of the recording; empty: they are made.
+        tracks_read: the tracks of the recording; empty: they are made.
     """
-    seen = seen or tracks(problem.automaton, recording)
+    tracks_read = tracks_read or tracks(problem.automaton, recording)
     names = [TRUE_COLUMN.format(name) for name in problem.automaton.coordinate_names]
     if any(name not in recording.extra for name in names):
-        return [track.x for track in seen]
-    found = []
-    for track in seen:
+        return [track.x for track in tracks_read]
+    paths = []
+    for track in tracks_read:
         rows = recording.select(run=track.run)
         rows = rows.select(part=rows.parts[0])
-        found.append(np.array([[float(text) if text else np.nan for text in rows.extra[name]] for name in names]).T)
-    return found
+        paths.append(np.array([[float(text) if text else np.nan for text in rows.extra[name]] for name in names]).T)
+    return paths
 
 
 def poses_of_run(
@@ -135,9 +135,9 @@ def poses_of_run(
     if rows.has_orientation:
         names = parts if len(rows.parts) > 1 or rows.parts[0] in parts else rows.parts
         return {part: rows.select(part=name).poses() for part, name in zip(parts, names, strict=True)}
-    known = [mode if mode in automaton.mode_names else automaton.mode_names[0] for mode in modes or ("",) * len(x)]
+    mode_names = [mode if mode in automaton.mode_names else automaton.mode_names[0] for mode in modes or ("",) * len(x)]
     single = [
-        poses_of_states(automaton, automaton.mode(mode), state[None]) for mode, state in zip(known, x, strict=True)
+        poses_of_states(automaton, automaton.mode(mode), state[None]) for mode, state in zip(mode_names, x, strict=True)
     ]
     return {part: RigidTransform.concatenate([poses[part] for poses in single]) for part in parts}
 
@@ -165,15 +165,15 @@ def _spread(problem: Problem, trajectory: Trajectory) -> Floats:
     """
     automaton, n = problem.automaton, problem.automaton.n
     process = np.diag(np.square(automaton.noise.process_std))
-    known = trajectory.factors @ trajectory.factors.transpose(0, 2, 1)
-    strayed, found = np.zeros((n, n)), [known[0]]
+    covariances = trajectory.factors @ trajectory.factors.transpose(0, 2, 1)
+    strayed, covariances_on = np.zeros((n, n)), [covariances[0]]
     for k, is_transition in enumerate(trajectory.is_transition):
         if not is_transition:
             back = np.eye(n) + automaton.mode(trajectory.modes[k]).B @ trajectory.gains[k]
-            values, vectors = np.linalg.eigh(known[k] + process - known[k + 1])
+            values, vectors = np.linalg.eigh(covariances[k] + process - covariances[k + 1])
             strayed = back @ strayed @ back.T + vectors @ np.diag(np.maximum(values, 0.0)) @ vectors.T
-        found.append(known[k + 1] + strayed)
-    return np.asarray(np.sqrt(np.diagonal(np.array(found), axis1=1, axis2=2)))
+        covariances_on.append(covariances[k + 1] + strayed)
+    return np.asarray(np.sqrt(np.diagonal(np.array(covariances_on), axis1=1, axis2=2)))
 
 
 def _leaving(problem: Problem, trajectory: Trajectory, x: Floats, modes: tuple[str, ...], is_true: bool) -> str:
@@ -186,11 +186,11 @@ def _leaving(problem: Problem, trajectory: Trajectory, x: Floats, modes: tuple[s
     away = x[:rows] - trajectory.means[knots[:rows]]
     far = np.abs(away) > _LEFT_SIGMAS * np.maximum(std, 1e-9)
     stays = far & np.vstack([far[1:], far[-1:]])
-    left = np.flatnonzero(stays.any(axis=1))
-    if not len(left):
+    remaining = np.flatnonzero(stays.any(axis=1))
+    if not len(remaining):
         more = len(x) - 1 - int(steps[-1])
         return f"it took {count(more, 'step')} more than the plan" if more > 0 else ""
-    step = int(left[0])
+    step = int(remaining[0])
     i = int(np.argmax(np.where(stays[step], np.abs(away[step]) / np.maximum(std[step], 1e-9), 0.0)))
     size, unit = quantity(abs(float(away[step, i])), coordinates[i].unit), coordinates[i].unit
     planned = trajectory.modes[knots[step]]
@@ -235,15 +235,15 @@ def _readouts(
     automaton: HybridAutomaton, run: ExecutedRun, clock: Sequence[float], rows: Sequence[int]
 ) -> tuple[tuple[float, tuple[str, ...]], ...]:
     """Seconds, believed mode and configuration of a run at its rows."""
-    found = []
+    lines = []
     for time, row in zip(clock, rows, strict=True):
         mode = f", believed {run.modes[row]}" if run.modes else ""
         values = [
             f"{c.name} = {quantity(float(value), c.unit, degrees=False)} executed"
             for c, value in zip(automaton.coordinates, run.x[row], strict=True)
         ]
-        found.append((time, (f"run {run.run} after {quantity(float(run.seconds[row]), 's')}{mode}", *values)))
-    return tuple(found)
+        lines.append((time, (f"run {run.run} after {quantity(float(run.seconds[row]), 's')}{mode}", *values)))
+    return tuple(lines)
 
 
 def runs_legend() -> list[LegendEntry]:

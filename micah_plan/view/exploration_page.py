@@ -29,42 +29,49 @@ WORDS = {"fast": "nothing moves it", "unknown": "not yet known", "prismatic": "a
 _WIDTH, _LEFT, _RIGHT, _TOP, _HEIGHT, _SIDE = 640.0, 66.0, 14.0, 24.0, 170.0, 280.0
 
 
-def exploration_page(found: Exploration, title: str) -> str:
+def exploration_page(exploration: Exploration, title: str) -> str:
     """The page as HTML text: self-contained, fetches nothing, the same value gives the same bytes."""
-    charts = [] if not found.moments else [_way(found), _fan(found), _forces(found), _kinds(found)]
+    charts = (
+        []
+        if not exploration.moments
+        else [_way(exploration), _fan(exploration), _forces(exploration), _kinds(exploration)]
+    )
     page = {
         "title": title,
         "kind": "exploration: what holds the handle",
-        "badge": _BADGES[found.outcome],
-        "message": f"{found.reason[:1].upper()}{found.reason[1:]}.",
-        "notes": found.notes,
-        "numbers": _numbers(found),
+        "badge": _BADGES[exploration.outcome],
+        "message": f"{exploration.reason[:1].upper()}{exploration.reason[1:]}.",
+        "notes": exploration.notes,
+        "numbers": _numbers(exploration),
         "charts": charts,
     }
     return render("exploration.html.j2", page=page)
 
 
-def _numbers(found: Exploration) -> Table:
-    joints = ", then ".join(found.kinds) or "none moved"
-    stiffness = 1.0 / found.hand.compliance
+def _numbers(exploration: Exploration) -> Table:
+    joints = ", then ".join(exploration.kinds) or "none moved"
+    stiffness = 1.0 / exploration.hand.compliance
     rows = (
-        ("joints", f"{joints} ({percent(found.probability, 0)} sure)"),
-        ("way of the handle", quantity(found.travel, "m")),
-        ("steps", str(found.steps)),
-        ("largest force", f"{quantity(found.largest_force, 'N')} of {quantity(found.scene.largest_force, 'N')}"),
-        ("stiffness of the hand", f"{stiffness:.0f} N/m ± {100 * found.hand.spread:.0f} %"),
+        ("joints", f"{joints} ({percent(exploration.probability, 0)} sure)"),
+        ("way of the handle", quantity(exploration.travel, "m")),
+        ("steps", str(exploration.steps)),
+        (
+            "largest force",
+            f"{quantity(exploration.largest_force, 'N')} of {quantity(exploration.scene.largest_force, 'N')}",
+        ),
+        ("stiffness of the hand", f"{stiffness:.0f} N/m ± {100 * exploration.hand.spread:.0f} %"),
     )
     return Table(("found", ""), rows)
 
 
-def _panel(found: Exploration, low: float, high: float) -> Panel:
-    return Panel(_LEFT, _TOP, _WIDTH - _LEFT - _RIGHT, _HEIGHT, 0.0, max(found.steps, 1) + 0.5, low, high)
+def _panel(exploration: Exploration, low: float, high: float) -> Panel:
+    return Panel(_LEFT, _TOP, _WIDTH - _LEFT - _RIGHT, _HEIGHT, 0.0, max(exploration.steps, 1) + 0.5, low, high)
 
 
-def _way(found: Exploration) -> Chart:
+def _way(exploration: Exploration) -> Chart:
     """The places in the plane in which they spread most, to one scale, with the pushes that moved nothing."""
-    places = np.array([moment.place for moment in found.moments])
-    tips = places + np.array([moment.lead for moment in found.moments])
+    places = np.array([moment.place for moment in exploration.moments])
+    tips = places + np.array([moment.lead for moment in exploration.moments])
     middle = places.mean(axis=0)
     plane = np.linalg.svd(np.concatenate([places, tips]) - middle)[2][:2]
     flat, ends = (places - middle) @ plane.T, (tips - middle) @ plane.T
@@ -91,16 +98,16 @@ def _way(found: Exploration) -> Chart:
     return Chart("The path of the hand", words, drawing(_WIDTH, [panel], parts, "path of the hand"))
 
 
-def _fan(found: Exploration) -> Chart:
+def _fan(exploration: Exploration) -> Chart:
     """Angles between the directions that are believed possible and the one in which the handle went."""
-    places = np.array([moment.place for moment in found.moments])
+    places = np.array([moment.place for moment in exploration.moments])
     steps, angles = [], []
-    for number, moment in enumerate(found.moments):
+    for number, moment in enumerate(exploration.moments):
         onward = _onward(places, number)
         if len(moment.fan):
             steps.append(np.full(len(moment.fan), number + 1.0))
             angles.append(np.degrees(np.arccos(np.clip(moment.fan @ onward, -1.0, 1.0))))
-    panel = _panel(found, 0.0, 180.0)
+    panel = _panel(exploration, 0.0, 180.0)
     parts = [panel.frame, panel.y_axis("angle [°]"), panel.x_axis("step")]
     if steps:
         parts.append(panel.curve(np.concatenate(steps), np.concatenate(angles), "dots small", VERMILLION, dots=True))
@@ -124,10 +131,10 @@ def _onward(places: Floats, number: int) -> Floats:
     return np.asarray(away[far] / max(float(sizes[far]), 1e-9))
 
 
-def _forces(found: Exploration) -> Chart:
-    forces = np.array([np.linalg.norm(moment.force) for moment in found.moments])
-    limit, steps = found.scene.largest_force, np.arange(1.0, len(forces) + 1)
-    panel = _panel(found, 0.0, 1.25 * max(limit, float(forces.max())))
+def _forces(exploration: Exploration) -> Chart:
+    forces = np.array([np.linalg.norm(moment.force) for moment in exploration.moments])
+    limit, steps = exploration.scene.largest_force, np.arange(1.0, len(forces) + 1)
+    panel = _panel(exploration, 0.0, 1.25 * max(limit, float(forces.max())))
     parts = [
         panel.frame,
         panel.area(steps, np.zeros(len(forces)), forces, "spread", PINK),
@@ -140,33 +147,35 @@ def _forces(found: Exploration) -> Chart:
     return Chart("Forces", (), drawing(_WIDTH, [panel], parts, "measured force over steps, and its limit"))
 
 
-def _kinds(found: Exploration) -> Chart:
-    steps, bottom = np.arange(1.0, found.steps + 1), np.zeros(found.steps)
-    panel = _panel(found, 0.0, 1.0)
+def _kinds(exploration: Exploration) -> Chart:
+    steps, bottom = np.arange(1.0, exploration.steps + 1), np.zeros(exploration.steps)
+    panel = _panel(exploration, 0.0, 1.0)
     parts, names = [panel.frame], [Svg()]
     for number, (name, color) in enumerate(KINDS.items()):
-        share = np.array([moment.kinds.get(name, 0.0) for moment in found.moments])
+        share = np.array([moment.kinds.get(name, 0.0) for moment in exploration.moments])
         parts.append(panel.area(steps, bottom, bottom + share, "level", color))
         bottom = bottom + share
         left = _LEFT + 140.0 * number
         names.append(element("rect", kind="level", color=color, x=left, y=4.0, width=12.0, height=12.0))
         names.append(text(left + 17, 14.0, WORDS[name], "number"))
     parts += [*names, panel.y_axis("probability"), panel.x_axis("step")]
-    told = f"What is believed to hold the handle, over {count(found.steps, 'step')}; of several joints, of the last."
-    return Chart("What it is", (told,), drawing(_WIDTH, [panel], parts, "probabilities of kinds over steps"))
+    caption = (
+        f"What is believed to hold the handle, over {count(exploration.steps, 'step')}; of several joints, of the last."
+    )
+    return Chart("What it is", (caption,), drawing(_WIDTH, [panel], parts, "probabilities of kinds over steps"))
 
 
-def exploration_figure(found: Exploration) -> Figure:
+def exploration_figure(exploration: Exploration) -> Figure:
     """Measured forces against their limit, and the probabilities of what holds the handle."""
     from micah_plan.view.figures import empty_figure  # pages need no Matplotlib
 
     figure = empty_figure((7.0, 4.6), layout="constrained")
     force, kinds = figure.subplots(2, 1, sharex=True)
-    steps = np.arange(1, found.steps + 1)
-    force.fill_between(steps, [np.linalg.norm(moment.force) for moment in found.moments], color=PINK, alpha=0.5)
-    force.axhline(found.scene.largest_force, color=MUTED, ls="--", lw=1, label="limit")
+    steps = np.arange(1, exploration.steps + 1)
+    force.fill_between(steps, [np.linalg.norm(moment.force) for moment in exploration.moments], color=PINK, alpha=0.5)
+    force.axhline(exploration.scene.largest_force, color=MUTED, ls="--", lw=1, label="limit")
     force.set_ylabel("force [N]")
-    shares = [[moment.kinds.get(name, 0.0) for moment in found.moments] for name in KINDS]
+    shares = [[moment.kinds.get(name, 0.0) for moment in exploration.moments] for name in KINDS]
     kinds.stackplot(steps, shares, colors=list(KINDS.values()), labels=[WORDS[name] for name in KINDS])
     kinds.set(ylabel="probability", xlabel="step", ylim=(0.0, 1.0))
     for axes in (force, kinds):

@@ -64,7 +64,7 @@ class ColoredSegment:
 def colored_segments(recording: Recording, graph: KinematicGraph | None) -> tuple[ColoredSegment, ...]:
     """All segments of a graph in order, each with the colour of its joint; what fits no joint has its own colour."""
     edges = () if graph is None else graph.edges
-    found: list[ColoredSegment] = []
+    coloured: list[ColoredSegment] = []
     joints = 0
     for edge in edges:
         earlier: list[tuple[Joint, str]] = []
@@ -81,8 +81,8 @@ def colored_segments(recording: Recording, graph: KinematicGraph | None) -> tupl
             label = f"{edge.child}: {label}" if len(edges) > 1 else label
             of_run = rows_of_run(recording, edge, segment.run)
             rows = of_run[(of_run >= segment.start) & (of_run <= segment.end)]
-            found.append(ColoredSegment(segment, edge, color, name, label, rows))
-    return tuple(found)
+            coloured.append(ColoredSegment(segment, edge, color, name, label, rows))
+    return tuple(coloured)
 
 
 def is_misfit(segment: Segment) -> bool:
@@ -244,24 +244,24 @@ class LearnedRun:
 def learned_runs(recording: Recording, graph: KinematicGraph) -> tuple[LearnedRun, ...]:
     """Every part's runs, parts in the order of the graph."""
     segments = colored_segments(recording, graph)
-    found = []
+    stretches_of_runs = []
     for edge in graph.edges:
         runs = list(dict.fromkeys(segment.run for segment in edge.segments))
         for number, run in enumerate(runs):
-            own = tuple(c for c in segments if c.edge is edge and c.segment.run == run)
+            coloured = tuple(c for c in segments if c.edge is edge and c.segment.run == run)
             if len(rows_of_run(recording, edge, run)):
-                found.append(_learned_run(recording, edge, run, number, own))
-    return tuple(found)
+                stretches_of_runs.append(_learned_run(recording, edge, run, number, coloured))
+    return tuple(stretches_of_runs)
 
 
 def _learned_run(
-    recording: Recording, edge: KinematicEdge, run: int, number: int, own: tuple[ColoredSegment, ...]
+    recording: Recording, edge: KinematicEdge, run: int, number: int, coloured: tuple[ColoredSegment, ...]
 ) -> LearnedRun:
     rows = rows_of_run(recording, edge, run)
     poses = parent_poses(recording, edge, run, rows).inv() * recording.poses()[rows]
     moving = [s for s in edge.segments if s.joint.moves and not is_misfit(s)]
     stretches = []
-    for colored in own:
+    for colored in coloured:
         chosen = np.isin(rows, colored.rows)
         if moving:
             closest = min(moving, key=lambda s: (s is not colored.segment, s.run != run, _gap(s, colored.segment)))
@@ -300,13 +300,17 @@ def _traced(
     trace: EvidenceTrace | None, rows: Ints, stretches: list[Stretch]
 ) -> tuple[Ints, tuple[EvidenceLine, ...], tuple[ChangeBar, ...]]:
     traced = np.array(() if trace is None else trace.rows, dtype=np.int64)
-    own = np.isin(traced, rows)
-    if trace is None or not own.any():
-        return traced[own], (), ()
-    density = np.nan_to_num(np.array(trace.log_density, dtype=float)[own], nan=_IMPOSSIBLE, neginf=_IMPOSSIBLE)
-    colors = _model_colors(trace.models, density, traced[own], stretches)
+    is_row = np.isin(traced, rows)
+    if trace is None or not is_row.any():
+        return traced[is_row], (), ()
+    density = np.nan_to_num(np.array(trace.log_density, dtype=float)[is_row], nan=_IMPOSSIBLE, neginf=_IMPOSSIBLE)
+    colors = _model_colors(trace.models, density, traced[is_row], stretches)
     lines = tuple(map(EvidenceLine, trace.models, colors, relative_evidence(density).T))
-    return traced[own], lines, _change_bars(traced[own], np.array(trace.changepoint, dtype=float)[own], rows, stretches)
+    return (
+        traced[is_row],
+        lines,
+        _change_bars(traced[is_row], np.array(trace.changepoint, dtype=float)[is_row], rows, stretches),
+    )
 
 
 def _change_bars(traced: Ints, posterior: Floats, rows: Ints, stretches: list[Stretch]) -> tuple[ChangeBar, ...]:
@@ -538,12 +542,12 @@ def segment_labels(learned: LearnedRun, letter: float) -> tuple[SegmentLabel, ..
         letter: how long one is on the axis [s].
     """
     ends = [-float("inf")] * LEVELS
-    found = []
+    stretches_of_run = []
     for stretch in learned.stretches:
         segment = stretch.segment
         wrong = is_misfit(segment)
-        own = dict(kind_probabilities(segment)).get(segment.joint.kind, segment.probability)
-        text = NO_FIT if wrong else f"{segment.joint.kind} {percent(own, 0)}"
+        share = dict(kind_probabilities(segment)).get(segment.joint.kind, segment.probability)
+        text = NO_FIT if wrong else f"{segment.joint.kind} {percent(share, 0)}"
         half = letter * len(text) / 2
         first, last = float(learned.time[0]), float(learned.time[-1])
         middle = float(np.mean(learned.when([segment.start, segment.end])))
@@ -551,14 +555,14 @@ def segment_labels(learned: LearnedRun, letter: float) -> tuple[SegmentLabel, ..
         level = next((i for i, end in enumerate(ends) if middle - half > end), None)
         if level is not None:
             ends[level] = middle + half
-            found.append(SegmentLabel(text, middle, level, wrong))
-    return tuple(found)
+            stretches_of_run.append(SegmentLabel(text, middle, level, wrong))
+    return tuple(stretches_of_run)
 
 
 def interval_labels(learned: LearnedRun) -> list[tuple[int, str]]:
     """First row and name of every interval in which a segment starts with 95 % probability."""
-    found = [stretch.interval for stretch in learned.stretches[1:] if stretch.interval is not None]
-    return [(low, f"95 %: {low} to {high}" if high > low else f"95 %: {low}") for low, high in found]
+    intervals = [stretch.interval for stretch in learned.stretches[1:] if stretch.interval is not None]
+    return [(low, f"95 %: {low} to {high}" if high > low else f"95 %: {low}") for low, high in intervals]
 
 
 def line_labels(lines: Sequence[EvidenceLine], step: float) -> list[tuple[float, str, bool]]:

@@ -123,8 +123,8 @@ def _draw_block(figure: Figure, block: _Block, top: float, *, several_runs: bool
     box = {"facecolor": MISFIT, "edgecolor": "none", "pad": 4.0} if has_misfit(learned) else None
     title = block_title(learned, several_runs=several_runs)
     _write(figure, top - 0.38, title, fontsize=15, weight="bold", color=INK, va="center", bbox=box)
-    found = "   ·   ".join(block_words(learned))
-    _write(figure, top - 0.7, found, fontsize=10, color=PANEL_INK, va="center")
+    words = "   ·   ".join(block_words(learned))
+    _write(figure, top - 0.7, words, fontsize=10, color=PANEL_INK, va="center")
     width = WIDTH - _SPLIT - (_RIGHT if learned.evidence else _NO_NAMES)
     bottom = top - _HEADER + _GAP
     axes: list[Axes] = []
@@ -190,20 +190,20 @@ def plot_track(space: Any, learned: LearnedRun) -> None:
     size = max(float(np.linalg.norm(np.ptp(learned.position, axis=0))), 1e-3)
     segmented = np.zeros(len(learned.rows), dtype=bool)
     for stretch in learned.stretches:
-        own = np.isin(learned.rows, stretch.rows)
-        segmented |= own
+        is_row = np.isin(learned.rows, stretch.rows)
+        segmented |= is_row
         edge = INK if is_misfit(stretch.segment) else "none"
         space.scatter(
-            *learned.position[own].T, s=17, color=stretch.colored.color, edgecolors=edge, linewidths=0.5,
+            *learned.position[is_row].T, s=17, color=stretch.colored.color, edgecolors=edge, linewidths=0.5,
             depthshade=False,
         )  # fmt: skip
     if not segmented.all():
         space.scatter(*learned.position[~segmented].T, s=9, color=MUTED, depthshade=False)
-    seen = [learned.position]
+    points = [learned.position]
     for stretch in {s.colored.color: s for s in reversed(learned.stretches)}.values():
         if not is_misfit(stretch.segment):
-            seen += _plot_joint(space, stretch, size)
-    _finish(space, np.concatenate(seen), learned.position, "" if learned.in_base else f" in {learned.edge.parent}")
+            points += _plot_joint(space, stretch, size)
+    _finish(space, np.concatenate(points), learned.position, "" if learned.in_base else f" in {learned.edge.parent}")
 
 
 def plot_plain_track(space: Any, recording: Recording) -> None:
@@ -239,12 +239,12 @@ def _plot_joint(space: Any, stretch: Stretch, size: float) -> list[Floats]:
     return [curve, axis, center[None]]
 
 
-def _finish(space: Any, seen: Floats, motion: Floats, frame: str) -> None:
+def _finish(space: Any, points: Floats, motion: Floats, frame: str) -> None:
     """Equal scales on all axes, few ticks, no boxes, and a view that sees the motion spread out."""
     toward = viewing_direction(motion, motion.mean(axis=0), 1.0)
     azimuth = np.degrees(np.arctan2(toward[1], toward[0]))
     space.view_init(elev=float(np.degrees(np.arcsin(toward[2]))), azim=float(azimuth))
-    low, high = seen.min(axis=0), seen.max(axis=0)
+    low, high = points.min(axis=0), points.max(axis=0)
     half = 1.06 * (high - low) / 2
     half = np.maximum(half, max(0.3 * float(half.max()), 1e-3))  # a flat motion still gets a box with a height
     middle = (low + high) / 2

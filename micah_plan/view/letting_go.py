@@ -56,11 +56,11 @@ def letting_go(plan: Plan, problem: Problem, last: Keyframes, begin: float) -> L
     """What follows the last frame of a plan from a time on [s]; None where the object stays in the hand."""
     if plan.release is None or problem.release is None:
         return None
-    found, rest = plan.release, rest_of(problem)
+    release_plan, rest = plan.release, rest_of(problem)
     ends = begin + np.cumsum([0.0, _LOWERING, _OPENING, _WITHDRAWING])
     down, turn, away = (np.linspace(a, b, _FRAMES + 1)[1:] for a, b in pairwise(ends))
     share = np.concatenate([(down - ends[0]) / _LOWERING, np.ones(len(turn) + len(away))])
-    states = last.states[-1] + share[:, None] * (found.contact - last.states[-1])
+    states = last.states[-1] + share[:, None] * (release_plan.contact - last.states[-1])
     turned = np.concatenate([np.zeros(len(down)), (turn - ends[1]) / _OPENING, np.ones(len(away))])
     times = np.concatenate([down, turn, away])
     single = []
@@ -75,7 +75,7 @@ def letting_go(plan: Plan, problem: Problem, last: Keyframes, begin: float) -> L
     looks = zip(pairwise(ends.tolist()), colors, names, strict=True)
     bands = [Band(a, b, color, name) for (a, b), color, name in looks]
     bands[-1] = replace(bands[-1], end=bands[-1].end + _END)
-    arm_times, arm, robot = _arm(found, ends, problem)
+    arm_times, arm, robot = _arm(release_plan, ends, problem)
     return LettingGo(keys, moved, tuple(bands), arm_times, arm, robot, ends[1:3])
 
 
@@ -118,22 +118,22 @@ def release_facts(plan: Plan, problem: Problem) -> list[tuple[str, str]]:
 
 def _turned(problem: Problem, rest: Rest, held: Poses, hand: Floats, share: float) -> Poses:
     grip = problem.hold.grip if problem.hold is not None else None
-    own = {} if grip is None else {part.name: held[part.name] for part in (grip.held, grip.moving)}
-    return rest.poses(own, np.array(hand[:3]), share)
+    held_parts = {} if grip is None else {part.name: held[part.name] for part in (grip.held, grip.moving)}
+    return rest.poses(held_parts, np.array(hand[:3]), share)
 
 
-def _arm(found: ReleasePlan, ends: Floats, problem: Problem) -> tuple[Floats, Floats, RobotDescription | None]:
+def _arm(release_plan: ReleasePlan, ends: Floats, problem: Problem) -> tuple[Floats, Floats, RobotDescription | None]:
     """Times and joints of the arm, and the robot with its gripper open."""
-    if found.lowering is None or found.withdrawing is None:
+    if release_plan.lowering is None or release_plan.withdrawing is None:
         return np.zeros(0), np.zeros((0, 0)), None
     from micah_plan.robot.along_release import with_open_gripper
 
     def spread(arm: ArmTrajectory, begin: float, end: float) -> Floats:
         return np.linspace(begin, end, len(arm.positions))
 
-    away = found.withdrawing
+    away = release_plan.withdrawing
     # Down to where contact is expected: there the way out begins.
-    count = 1 + int(np.argmin(np.abs(found.lowering.positions - away.positions[0]).max(axis=1)))
-    down = replace(found.lowering, positions=found.lowering.positions[:count])
+    count = 1 + int(np.argmin(np.abs(release_plan.lowering.positions - away.positions[0]).max(axis=1)))
+    down = replace(release_plan.lowering, positions=release_plan.lowering.positions[:count])
     times = [spread(down, ends[0], ends[1]), spread(away, ends[2], ends[3])]
     return np.concatenate(times), np.vstack([down.positions, away.positions]), with_open_gripper(problem)

@@ -102,19 +102,19 @@ def remade_on_change(file: Path, make: Callable[[], str]) -> Callable[[], str]:
     Raises:
         InputError: when called, if the file is gone, or whatever `make` raises.
     """
-    seen: tuple[int, int] | None = None
+    latest: tuple[int, int] | None = None
     page = ""
 
     def current() -> str:
-        nonlocal seen, page
+        nonlocal latest, page
         try:
             state = file.stat()
         except OSError as error:
             raise InputError(f"cannot be read: {error.strerror}", source=file, remedy="put it back") from None
         stamp = state.st_mtime_ns, state.st_size
-        if stamp != seen:
+        if stamp != latest:
             page = make()
-            seen = stamp
+            latest = stamp
         return page
 
     return current

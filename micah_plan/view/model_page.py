@@ -146,11 +146,11 @@ def ground_legend(spacing: float) -> list[LegendEntry]:
 
 def readouts(automaton: HybridAutomaton, keys: Keyframes) -> tuple[tuple[float, tuple[str, ...]], ...]:
     """Mode and coordinates at each keyframe, as text."""
-    found = []
+    rows = []
     for time, name, x in zip(keys.times, keys.modes, keys.states, strict=True):
         values = map(_valued, automaton.coordinates, x.tolist())
-        found.append((float(time), (f"mode {name}", *values)))
-    return tuple(found)
+        rows.append((float(time), (f"mode {name}", *values)))
+    return tuple(rows)
 
 
 def _draw_thresholds(scene: Scene, automaton: HybridAutomaton, marks: tuple[Threshold, ...], size: float) -> None:

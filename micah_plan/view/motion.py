@@ -65,9 +65,9 @@ def knot_times(trajectory: Trajectory) -> Floats:
 
 def times_of_steps(trajectory: Trajectory, steps: Floats) -> Floats:
     """(k,) [s] on the page's clock of steps (k,), also of those that come after the plan's last."""
-    known, times = step_times(trajectory), knot_times(trajectory)
-    beyond = np.maximum(steps - known[-1], 0.0) * (_DURATION_S / max(int(known[-1]), 1))
-    return np.asarray(np.interp(steps, known, times) + beyond)
+    durations, times = step_times(trajectory), knot_times(trajectory)
+    beyond = np.maximum(steps - durations[-1], 0.0) * (_DURATION_S / max(int(durations[-1]), 1))
+    return np.asarray(np.interp(steps, durations, times) + beyond)
 
 
 def duration(trajectory: Trajectory, steps: float = 0.0) -> float:
@@ -110,10 +110,10 @@ def poses_over_time(automaton: HybridAutomaton, keys: Keyframes, offset: float |
     states = keys.states + offset
     matrices = {link.child: np.empty((len(states), 4, 4)) for link in automaton.links}
     for name in dict.fromkeys(keys.modes):  # all states of a mode at once
-        rows = np.flatnonzero([own == name for own in keys.modes])
+        rows = np.flatnonzero([mode == name for mode in keys.modes])
         for child, poses in poses_of_states(automaton, automaton.mode(name), states[rows]).items():
             matrices[child][rows] = poses.as_matrix()
-    return {child: RigidTransform.from_matrix(found) for child, found in matrices.items()}
+    return {child: RigidTransform.from_matrix(matrix) for child, matrix in matrices.items()}
 
 
 def handle_path(automaton: HybridAutomaton, keys: Keyframes, part: str) -> Floats:
@@ -132,8 +132,8 @@ def belief_ellipsoids(
     radii: list[Floats] = []
     for name, x, L in zip(keys.modes, keys.states, keys.factors, strict=True):
         spread = handle_jacobian(automaton, automaton.mode(name), x, part) @ L
-        found = ellipsoid(spread @ spread.T, factor, floor)
-        turned, size = _matched(*found, axes[-1]) if axes else found
+        shape = ellipsoid(spread @ spread.T, factor, floor)
+        turned, size = _matched(*shape, axes[-1]) if axes else shape
         axes.append(turned)
         radii.append(size)
     rotations = Rotation.from_matrix(np.stack(axes))

@@ -219,10 +219,10 @@ def bare_scene(page: str) -> str:
     """The scene of a page of `render_scene` alone: MeshCat's viewer with its own controls, and no panels."""
     from micah_plan.view.scene import viewer_javascript
 
-    found = _PAGE_DATA.search(page)
-    if found is None:
+    match = _PAGE_DATA.search(page)
+    if match is None:
         raise InputError("the page has no scene", remedy="take the page of a recording, a model or a plan")
-    data = json.loads(found[1])
+    data = json.loads(match[1])
     named = {"title": data["title"], "kind": "scene"}
     return render("bare.html.j2", page=named, data=data, viewer=Markup(viewer_javascript()))  # noqa: S704
 

@@ -45,11 +45,11 @@ def handle_jacobian(automaton: HybridAutomaton, mode: Mode, x: Floats, part: str
 def chain_coordinates(automaton: HybridAutomaton, part: str) -> tuple[int, ...]:
     """The coordinates that move a part: those of the links from the base to it."""
     by_child = {link.child: link for link in automaton.links}
-    found: list[int] = []
+    numbers: list[int] = []
     while part in by_child:
-        found.append(by_child[part].coordinate)
+        numbers.append(by_child[part].coordinate)
         part = by_child[part].parent
-    return tuple(sorted(set(found)))
+    return tuple(sorted(set(numbers)))
 
 
 def joint_curve(joint: Joint, lower: float, upper: float, point: Floats | None = None) -> Floats:
@@ -78,9 +78,9 @@ def coordinate_range(automaton: HybridAutomaton, mode: Mode, coordinate: int) ->
     states is put 1 rad or 0.2 m away from the other end, or from 0.
     """
     lower, upper = mode.invariant.interval(coordinate)
-    for own in (True, False):
+    for is_first in (True, False):
         for edge in automaton.edges_from(mode.name):
-            if edge.is_self_transition == own:
+            if edge.is_self_transition == is_first:
                 above, below = edge.guard.interval(coordinate)
                 # A guard that holds above a value ends the mode there.
                 upper = above if np.isinf(upper) and np.isfinite(above) else upper
@@ -107,15 +107,15 @@ def representative_state(automaton: HybridAutomaton, mode: Mode) -> Floats:
 
 def thresholds(automaton: HybridAutomaton) -> tuple[Threshold, ...]:
     """The guards between different modes that are a limit on one coordinate; one per coordinate, value and modes."""
-    found: dict[tuple[int, float, frozenset[str]], Threshold] = {}
+    thresholds: dict[tuple[int, float, frozenset[str]], Threshold] = {}
     for edge in automaton.edges:
         for half_space in edge.guard.half_spaces:
             limit = half_space.bound
             if limit is not None and not edge.is_self_transition:
                 coordinate, value, _ = limit
                 key = (coordinate, round(value, 9), frozenset((edge.source, edge.target)))
-                found.setdefault(key, Threshold(edge.source, edge.target, coordinate, value))
-    return tuple(found.values())
+                thresholds.setdefault(key, Threshold(edge.source, edge.target, coordinate, value))
+    return tuple(thresholds.values())
 
 
 def guards_of(automaton: HybridAutomaton, coordinate: int) -> list[float]:

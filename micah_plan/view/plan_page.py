@@ -216,9 +216,9 @@ def _legend(plan: Plan, problem: Problem, size: float, spacing: float) -> list[L
     entries = []
     if plan.trajectory:
         floor = quantity(_FLOOR * size, "m")
-        seen = f"belief: {confidence} ellipsoid of the handle, seen through the object (radii at least {floor})"
+        caption = f"belief: {confidence} ellipsoid of the handle, seen through the object (radii at least {floor})"
         entries += [
-            LegendEntry(BELIEF, seen, "belief", "dot", "b", "belief"),
+            LegendEntry(BELIEF, caption, "belief", "dot", "b", "belief"),
             LegendEntry(BELIEF, f"object at the mean ± {sigmas} σ", "spread", "area", "s", "spread"),
             LegendEntry(INK, "planned path of the handle, by mode", "path", "line"),
         ]

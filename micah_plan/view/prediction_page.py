@@ -68,9 +68,9 @@ def prediction_page(
     scene.reserve(shape_corners(fixed, RigidTransform.identity()))
     entries, handles = [], []
     for order, run in enumerate(worst):
-        entry, seen = _draw_run(scene, automaton, recording, run, order, scale)
+        entry, points = _draw_run(scene, automaton, recording, run, order, scale)
         entries.append(entry)
-        handles += seen
+        handles += points
     spacing = draw_ground_and_frame(scene, size)
     page = ScenePage(
         title=title,
@@ -102,7 +102,7 @@ def _draw_run(
     modes = (run.rollout.modes[0], *run.rollout.modes)
     rolled = np.vstack([run.x[:1], run.x[1:] + run.rollout.configuration])
     predicted = poses_over_time(automaton, Keyframes(clock, tuple(modes[i] for i in rows), rolled[rows]))
-    layer, seen = f"runs/{order}_run", list[Floats]()
+    layer, points = f"runs/{order}_run", list[Floats]()
     for number, link in shown_links(automaton):
         shapes, name = link_shapes(automaton, number), slug(link.child, number)
         for path, poses, color, opacity in (
@@ -113,11 +113,13 @@ def _draw_run(
             scene.animate(path, clock, poses)
             for i in range(0, len(poses), max(1, len(poses) // 6)):
                 scene.reserve(shape_corners(shapes, poses[i]))
-        seen.append(np.asarray(measured[link.child].apply(handle_in_part(automaton, link.child))))
-    steps, rolled_on = (_sizes(automaton, rmse_of_coordinates([one])) for one in (run.one_step, run.rollout))
+        points.append(np.asarray(measured[link.child].apply(handle_in_part(automaton, link.child))))
+    steps, rolled_on = (
+        _sizes(automaton, rmse_of_coordinates([prediction])) for prediction in (run.one_step, run.rollout)
+    )
     words = (f"One step ahead {steps} off, from the first row on {rolled_on} (root mean square).",)
     readouts = _readouts(automaton, run, rolled, modes, scale)
-    return RunEntry(f"run {run.run}", words, layer, run.run, readouts), seen
+    return RunEntry(f"run {run.run}", words, layer, run.run, readouts), points
 
 
 def _readouts(
@@ -135,10 +137,10 @@ def _readouts(
 
 def _sizes(automaton: HybridAutomaton, sizes: Sequence[float]) -> str:
     """Root mean squares (n,) of coordinates: together where they have one unit, else each with its name."""
-    own = automaton.coordinates
-    if len({coordinate.unit for coordinate in own}) == 1:
-        return quantity(float(np.sqrt(np.mean(np.square(sizes)))), own[0].unit)
-    return ", ".join(f"{c.name} {quantity(size, c.unit)}" for c, size in zip(own, sizes, strict=True))
+    coordinates = automaton.coordinates
+    if len({coordinate.unit for coordinate in coordinates}) == 1:
+        return quantity(float(np.sqrt(np.mean(np.square(sizes)))), coordinates[0].unit)
+    return ", ".join(f"{c.name} {quantity(size, c.unit)}" for c, size in zip(coordinates, sizes, strict=True))
 
 
 def _facts(automaton: HybridAutomaton, runs: Sequence[RunPrediction], judged: Judgement) -> list[tuple[str, str]]:
@@ -176,7 +178,9 @@ def _charts(automaton: HybridAutomaton, runs: Sequence[RunPrediction], longest: 
     for i, coordinate in enumerate(automaton.coordinates[:_MOST_COORDINATES]):
         errors = [(run.one_step.configuration[:, i], run.rollout.configuration[:, i]) for run in runs]
         measured = [run.x[:, i] for run in runs]
-        predicted = [(x[1:] + one, x[1:] + rolled) for x, (one, rolled) in zip(measured, errors, strict=True)]
+        predicted = [
+            (x[1:] + step_error, x[1:] + rolled) for x, (step_error, rolled) in zip(measured, errors, strict=True)
+        ]
         panel = top.below(_GAP, height, *_ends([*measured, *(rolled for _, rolled in predicted)]))
         top = panel.below(_GAP, height, *_ends([error for both in errors for error in both]))
         panels += [panel, top]

@@ -119,8 +119,8 @@ class Panel:
 
     def y_axis(self, label: str, most: int = 4) -> Svg:
         """Ticks with numbers, and the label up the side."""
-        found = ticks(self.y0, self.y1, most)
-        parts = [text(self.left - 6, self.y(value) + 4, tick_text(value, found), "number end") for value in found]
+        marks = ticks(self.y0, self.y1, most)
+        parts = [text(self.left - 6, self.y(value) + 4, tick_text(value, marks), "number end") for value in marks]
         middle = self.top + self.height / 2
         for number, line in enumerate(label.split("\n")):
             x = 11.0 + 13 * number
@@ -130,8 +130,8 @@ class Panel:
 
     def x_axis(self, label: str, most: int = 6, *, whole: bool = True) -> Svg:
         """Ticks with numbers, whole ones only where x counts something, and the label below."""
-        found = [value for value in ticks(self.x0, self.x1, most) if not whole or value == round(value)]
-        return self.named_x_axis(label, [(value, tick_text(value, found)) for value in found])
+        marks = [value for value in ticks(self.x0, self.x1, most) if not whole or value == round(value)]
+        return self.named_x_axis(label, [(value, tick_text(value, marks)) for value in marks])
 
     def named_x_axis(self, label: str, named: Sequence[tuple[float, str]]) -> Svg:
         """Ticks with texts, and the label below."""

@@ -149,9 +149,9 @@ def _animated(kind: str, frames: list[bytes], filming: Filming) -> bytes:
 
     images = [Image.open(io.BytesIO(frame)).convert("RGB") for frame in frames]
     if kind == ".gif":
-        seen = [images[0], images[len(images) // 2], images[-1]]
-        side_by_side = Image.new("RGB", (3 * seen[0].width, seen[0].height))
-        for number, image in enumerate(seen):
+        images_used = [images[0], images[len(images) // 2], images[-1]]
+        side_by_side = Image.new("RGB", (3 * images_used[0].width, images_used[0].height))
+        for number, image in enumerate(images_used):
             side_by_side.paste(image, (number * image.width, 0))
         palette = side_by_side.quantize(_COLORS)
         images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
@@ -175,9 +175,9 @@ def _mp4(_: str, frames: list[bytes], filming: Filming) -> bytes:
 
 
 def _ffmpeg() -> str:
-    found = shutil.which("ffmpeg")
-    if found is not None:
-        return found
+    program = shutil.which("ffmpeg")
+    if program is not None:
+        return program
     try:
         from imageio_ffmpeg import get_ffmpeg_exe
     except ImportError:

@@ -122,7 +122,9 @@ def with_contacts(
         edges=(*edges, *hits),
         noise=Noise((*noise.process, joint.process_std), (*noise.observation, joint.observation_std)),
         provenance=learned.provenance,
-        learned=tuple(replace(one, parent=grip.held.name, child=grip.moving.name) for one in learned.learned),
+        learned=tuple(
+            replace(learned_edge, parent=grip.held.name, child=grip.moving.name) for learned_edge in learned.learned
+        ),
     )
     check_automaton(automaton)
     return automaton
@@ -144,15 +146,15 @@ def _check_reach(contact: Contact, surroundings: Surroundings) -> None:
 
 def contact_states(grip: Grip, surroundings: Surroundings, joint: LearnedJoint) -> tuple[Contact, ...]:
     """The contact states of the moving part: ``line`` and ``surface``, with the face's solid where there are more."""
-    found = [
+    frames = [
         (face, piece)
         for face in surroundings.faces
         for piece in touch_pieces(grip, face, joint.datum, joint.low, joint.high, joint.turns)
     ]
-    kinds = [piece.kind for _, piece in found]
+    kinds = [piece.kind for _, piece in frames]
     several = len(surroundings.faces) > 1
     contacts: list[Contact] = []
-    for face, piece in found:
+    for face, piece in frames:
         name = f"{piece.kind} on {face.solid}" if several else piece.kind
         if (kinds.count(piece.kind) > 1 and not several) or any(c.name == name for c in contacts):
             name += f" {1 + sum(c.piece.kind == piece.kind and c.face == face for c in contacts)}"
@@ -209,11 +211,11 @@ class _Product:
         """Into contact, from a piece to the next and back, out of contact, and the end of the last piece."""
         for contact in self.contacts:
             piece, face = contact.piece, contact.face
-            on_face = [other for other in self.contacts if other.face == face]
-            follower = next((other for other in on_face if other.piece.begin == piece.end), None)
+            on_face = [contact for contact in self.contacts if contact.face == face]
+            follower = next((following for following in on_face if following.piece.begin == piece.end), None)
             if contact.is_line:
                 yield Edge(FREE, contact.name, self._begins(contact), contact.entry)
-                if not any(other.piece.end == piece.begin for other in on_face):
+                if not any(before.piece.end == piece.begin for before in on_face):
                     yield Edge(contact.name, FREE, Region((self._withdrawing(face),)))
             if follower is not None:
                 onward = Region((self._past(piece.end, piece.direction),))
@@ -418,8 +420,8 @@ def mode_joints(
     offset = (0.0 if rigid_at is None else rigid_at) - joint.datum
     if joint.turns:
         place, at = np.zeros(3), Rotation.from_rotvec((0.0, -offset, 0.0)).as_quat()
-        own = revolute((0.0, -1.0, 0.0), (0.0, 0.0, 0.0), place, at)
+        hinge = revolute((0.0, -1.0, 0.0), (0.0, 0.0, 0.0), place, at)
     else:
         place, at = np.array([0.0, 0.0, offset]), np.array(IDENTITY)
-        own = prismatic((0.0, 0.0, 1.0), place)
-    return (*slides, in_hand, own if rigid_at is None else rigid(place, at, rigid_at))
+        hinge = prismatic((0.0, 0.0, 1.0), place)
+    return (*slides, in_hand, hinge if rigid_at is None else rigid(place, at, rigid_at))

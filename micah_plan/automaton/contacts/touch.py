@@ -68,7 +68,7 @@ class TouchPiece:
 
 def corners(shapes: tuple[Primitive, ...]) -> Floats:
     """(k, 3) corners of the boxes around shapes, in their part's frame [m]."""
-    found = []
+    lines = []
     for shape in shapes:
         if shape.kind == "box":
             half = np.array(shape.size) / 2
@@ -77,8 +77,8 @@ def corners(shapes: tuple[Primitive, ...]) -> Floats:
         else:
             half = np.full(3, shape.size[0])
         signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-        found.append(Rotation.from_quat(shape.quaternion).apply(signs * half) + np.array(shape.position))
-    return np.concatenate(found) if found else np.zeros((0, 3))
+        lines.append(Rotation.from_quat(shape.quaternion).apply(signs * half) + np.array(shape.position))
+    return np.concatenate(lines) if lines else np.zeros((0, 3))
 
 
 def moved(points: Floats, displacement: float, turns: bool) -> Floats:
@@ -102,7 +102,7 @@ def touch_pieces(grip: Grip, face: Face, datum: float, low: float, high: float, 
     lines = _line_pieces(geometry, low, high)
     pieces: list[TouchPiece] = list(lines)
     for line in lines:
-        next_line = any(np.isclose(other.begin, line.end) for other in lines)
+        next_line = any(np.isclose(neighbour.begin, line.end) for neighbour in lines)
         limit = high if line.direction > 0 else low
         if next_line or abs(limit - line.end) < _SAME_HEIGHT or not grip.pivots or not turns:
             continue

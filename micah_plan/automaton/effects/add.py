@@ -33,11 +33,11 @@ def check_effect(automaton: HybridAutomaton, effect: Effect) -> None:
     Raises:
         InputError: see `with_effect`.
     """
-    own = form(effect.name)
+    effect_form = form(effect.name)
     automaton.index(effect.coordinate)
     for name in effect.modes:
         automaton.mode(name)
-    names, expected = [name for name, _ in effect.parameters], [p.name for p in own.parameters]
+    names, expected = [name for name, _ in effect.parameters], [p.name for p in effect_form.parameters]
     if names != expected:
         raise InputError(f"effect {effect.name} must have the parameters {', '.join(expected)}. Got {shown(names)}")
     if effect.std and len(effect.std) != len(expected):
@@ -53,8 +53,12 @@ def is_possible(effect: Effect) -> bool:
 
 
 def _impossible(effect: Effect) -> list[tuple[float, Parameter]]:
-    known = zip(effect.values, form(effect.name).parameters, strict=True)
-    return [(value, own) for value, own in known if not (np.isfinite(value) and own.lower <= value <= own.upper)]
+    pairs = zip(effect.values, form(effect.name).parameters, strict=True)
+    return [
+        (value, parameter)
+        for value, parameter in pairs
+        if not (np.isfinite(value) and parameter.lower <= value <= parameter.upper)
+    ]
 
 
 def with_learned_channel(automaton: HybridAutomaton, period: float) -> HybridAutomaton:
@@ -71,7 +75,7 @@ def with_learned_channel(automaton: HybridAutomaton, period: float) -> HybridAut
     Raises:
         InputError: if learning found no channel: the model was not learned, or without actions.
     """
-    found: list[Effect] = []
+    effects: list[Effect] = []
     for edge in automaton.learned:
         channel = None if edge.certainty is None else edge.certainty.channel
         links = [link for link in automaton.links if (link.parent, link.child) == (edge.parent, edge.child)]
@@ -80,8 +84,8 @@ def with_learned_channel(automaton: HybridAutomaton, period: float) -> HybridAut
         name = automaton.coordinates[links[0].coordinate].name
         turn = tuple((f"rotation_{k + 1}", value) for k, value in enumerate(channel.frame_rotation))
         steps = min(max(channel.delay, 0.0) / period, float(LONGEST_DELAY))  # motion before its action: no effect
-        found += [Effect("frame_rotation", name, turn), Effect("gain", name, (("gain", channel.gain),))]
-        found += [Effect("delay", name, (("steps", steps),))]
-    if not found:
+        effects += [Effect("frame_rotation", name, turn), Effect("gain", name, (("gain", channel.gain),))]
+        effects += [Effect("delay", name, (("steps", steps),))]
+    if not effects:
         raise InputError("the model holds no action channel", remedy="learn it from a recording with actions")
-    return with_effect(automaton, *found)
+    return with_effect(automaton, *effects)

@@ -46,9 +46,9 @@ class DirectionGain(EffectForm):
     def command(self, ops: Operations, v: Value, p: Values) -> Value:
         return p[0] * ops.maximum(v, 0.0) + p[1] * ops.minimum(v, 0.0)
 
-    def begun(self, seen: Shown) -> Start | None:
-        u = seen.u[seen.counted_starts]
-        ways = [float((sign * u > _TO_REST * seen.command_size).mean()) for sign in (1.0, -1.0)]
+    def begun(self, data: Shown) -> Start | None:
+        u = data.u[data.counted_starts]
+        ways = [float((sign * u > _TO_REST * data.command_size).mean()) for sign in (1.0, -1.0)]
         if min(ways) < _FEW:
             return None
         return Start([[0.9, 0.7], [0.7, 0.9]], (0, 1), [0.3, 0.3])
@@ -82,9 +82,9 @@ class Saturation(EffectForm):
     def command(self, ops: Operations, v: Value, p: Values) -> Value:
         return ops.maximum(ops.minimum(v, p[0]), -p[0])
 
-    def begun(self, seen: Shown) -> Start | None:
-        at = command_sizes(seen, 0.3, 0.6, 0.85)
-        return Start([[q] for q in at], (0,), [0.3 * seen.command_size]) if at else None
+    def begun(self, data: Shown) -> Start | None:
+        at = command_sizes(data, 0.3, 0.6, 0.85)
+        return Start([[q] for q in at], (0,), [0.3 * data.command_size]) if at else None
 
 
 @final
@@ -101,6 +101,6 @@ class DeadZone(EffectForm):
     def command(self, ops: Operations, v: Value, p: Values) -> Value:
         return ops.where(ops.abs(v) <= p[0], 0.0 * v, v - ops.sign(v) * p[0] * p[1])
 
-    def begun(self, seen: Shown) -> Start | None:
-        at = command_sizes(seen, 0.03, 0.1, 0.25, 0.45, 0.7)
-        return Start([[q, lost] for q in at for lost in (0.0, 1.0)], (0,), [0.2 * seen.command_size]) if at else None
+    def begun(self, data: Shown) -> Start | None:
+        at = command_sizes(data, 0.03, 0.1, 0.25, 0.45, 0.7)
+        return Start([[q, lost] for q in at for lost in (0.0, 1.0)], (0,), [0.2 * data.command_size]) if at else None

@@ -61,8 +61,8 @@ class Limit(EffectForm):
             return with_end_moved(automaton, coordinate, end, p[0])
         return _with_clamps(automaton, coordinate, p[0], p[1] > 0)
 
-    def begun(self, seen: Shown) -> Start | None:
-        low, high = seen.visited
+    def begun(self, data: Shown) -> Start | None:
+        low, high = data.visited
         starts = [[low + share * (high - low), 1.0] for share in (0.4, 0.6, 0.8, 0.95)]
         starts += [[low + share * (high - low), -1.0] for share in (0.05, 0.2, 0.4, 0.6)]
         return Start(starts, (0,), [0.1 * (high - low) + 1e-6])
@@ -88,10 +88,10 @@ class GuardShift(EffectForm):
             raise InputError(f"the range of {name} has no {side} end to shift")
         return with_end_moved(automaton, coordinate, end, end + p[0])
 
-    def begun(self, seen: Shown) -> Start | None:
-        low, high = seen.visited
+    def begun(self, data: Shown) -> Start | None:
+        low, high = data.visited
         width, starts = high - low + 1e-6, []
-        for end, side, reached in ((seen.lower, -1.0, low), (seen.upper, 1.0, high)):
+        for end, side, reached in ((data.lower, -1.0, low), (data.upper, 1.0, high)):
             if np.isfinite(end):
                 starts += [[reached - end, side], [0.05 * width, side], [-0.05 * width, side]]
         bounds = {0: (-_LARGEST_SHIFT * width, _LARGEST_SHIFT * width)}
@@ -123,19 +123,19 @@ class GuardHysteresis(EffectForm):
         def half_space(h: HalfSpace) -> HalfSpace:
             return h if h.on_state or not h.b[coordinate] else h.moved(p[0] * abs(h.b[coordinate]))
 
-        def edge(own: Edge) -> Edge:
-            pinned = not automaton.mode(own.source).free[coordinate]
-            return replace(own, guard=own.guard.mapped(half_space)) if pinned else own
+        def edge(original: Edge) -> Edge:
+            pinned = not automaton.mode(original.source).free[coordinate]
+            return replace(original, guard=original.guard.mapped(half_space)) if pinned else original
 
         return mapped(automaton, edge=edge)
 
-    def begun(self, seen: Shown) -> Start | None:
+    def begun(self, data: Shown) -> Start | None:
         """Only where the part may cling to an end, and the recording gets there."""
-        low, high = seen.visited
+        low, high = data.visited
         reach = 0.05 * (high - low)
-        clings = (seen.clings[0] and low < seen.lower + reach) or (seen.clings[1] and high > seen.upper - reach)
-        at = command_sizes(seen, 0.3, 0.7, 0.95) if clings else []
-        return Start([[q] for q in at], (0,), [0.3 * seen.command_size]) if at else None
+        clings = (data.clings[0] and low < data.lower + reach) or (data.clings[1] and high > data.upper - reach)
+        at = command_sizes(data, 0.3, 0.7, 0.95) if clings else []
+        return Start([[q] for q in at], (0,), [0.3 * data.command_size]) if at else None
 
 
 def range_of(automaton: HybridAutomaton, coordinate: int) -> tuple[float, float]:
@@ -247,7 +247,9 @@ def _with_hold(automaton: HybridAutomaton, mode: Mode, i: int, end: float, side:
         for edge in automaton.edges
         if edge.source == mode.name and not _is_of(edge, i)
     ]
-    edges = sorted([*edges, Edge(held.name, mode.name, Region((away,))), *kept], key=lambda own: own.is_self_transition)
+    edges = sorted(
+        [*edges, Edge(held.name, mode.name, Region((away,))), *kept], key=lambda edge: edge.is_self_transition
+    )
     return replace(automaton, modes=(*automaton.modes, held), edges=tuple(edges))
 
 

@@ -33,8 +33,8 @@ class Spring(EffectForm):
     def force(self, ops: Operations, c: Value, v: Value, p: Values) -> Value:
         return -p[0] * (c + p[2] * v - p[1])
 
-    def begun(self, seen: Shown) -> Start | None:
-        low, high = seen.visited
+    def begun(self, data: Shown) -> Start | None:
+        low, high = data.visited
         width = high - low + 1e-6
         rests = (low, 0.5 * (low + high), high)
         starts = [[0.05, rest, ahead] for rest in rests for ahead in (0.0, 1.0)]
@@ -58,12 +58,12 @@ class Gravity(EffectForm):
     def force(self, ops: Operations, c: Value, v: Value, p: Values) -> Value:
         return p[0] * ops.sin(c) + p[1] * ops.cos(c)
 
-    def begun(self, seen: Shown) -> Start | None:
-        return Start([[0.0, 0.0]], (0, 1), [0.3 * seen.command_size] * 2)
+    def begun(self, data: Shown) -> Start | None:
+        return Start([[0.0, 0.0]], (0, 1), [0.3 * data.command_size] * 2)
 
-    def same_as(self, seen: Shown) -> Same | None:
+    def same_as(self, data: Shown) -> Same | None:
         """Along a slide gravity is a bias."""
-        return None if seen.unit == "rad" else Same("bias")
+        return None if data.unit == "rad" else Same("bias")
 
 
 @final
@@ -85,9 +85,9 @@ class Latch(EffectForm):
         x = (c - p[1]) / p[2]
         return -p[0] * x * ops.exp(0.5 - 0.5 * x * x)
 
-    def begun(self, seen: Shown) -> Start | None:
-        low, high = seen.visited
-        width, reach, size = high - low + 1e-6, 0.08 * (high - low) + 1e-6, seen.command_size
+    def begun(self, data: Shown) -> Start | None:
+        low, high = data.visited
+        width, reach, size = high - low + 1e-6, 0.08 * (high - low) + 1e-6, data.command_size
         starts = [[0.3 * size, at, reach] for at in np.linspace(low, high, 7)]
         return Start(starts, (0, 1, 2), [0.3 * size, reach, reach], {1: (low, high), 2: (0.01 * width, 0.25 * width)})
 

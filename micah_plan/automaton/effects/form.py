@@ -114,27 +114,27 @@ class EffectForm:
     is_sought: ClassVar[bool] = True
 
     def __init_subclass__(cls) -> None:
-        own = {layer: None for hook, layer in _HOOKS.items() if getattr(cls, hook) is not getattr(EffectForm, hook)}
-        changes = cls.rebuilt is not EffectForm.rebuilt and "guard" not in own
-        cls.layers = (*own, "geometry") if changes else tuple(own)
+        hooks = {layer: None for hook, layer in _HOOKS.items() if getattr(cls, hook) is not getattr(EffectForm, hook)}
+        changes = cls.rebuilt is not EffectForm.rebuilt and "guard" not in hooks
+        cls.layers = (*hooks, "geometry") if changes else tuple(hooks)
         if cls.layers:
             cls.layer = cls.layers[0]
 
-    def begun(self, seen: Shown) -> Start | None:
+    def begun(self, data: Shown) -> Start | None:
         """Where its fit begins on a recording; None if that cannot show it."""
-        return self.from_neutral(seen)
+        return self.from_neutral(data)
 
-    def from_neutral(self, seen: Shown) -> Start:
+    def from_neutral(self, data: Shown) -> Start:
         """Start at the neutral values, or in the middle of the bounds; what is large is a command, or 0.3."""
         values, scale = [], []
         for parameter in self.parameters:
-            large = seen.command_size if parameter.unit.startswith("coordinate") else _LARGE
+            large = data.command_size if parameter.unit.startswith("coordinate") else _LARGE
             low, high = max(parameter.lower, -large), min(parameter.upper, large)
             values.append(parameter.neutral if parameter.neutral is not None else 0.5 * (low + high))
             scale.append(large)
         return Start([values], tuple(range(len(values))), scale)
 
-    def same_as(self, seen: Shown) -> Same | None:
+    def same_as(self, data: Shown) -> Same | None:
         """Another effect that does exactly the same on such a recording, and is tried in its place."""
         return None
 
@@ -257,8 +257,8 @@ class Same:
     below: float = float("inf")
 
 
-def command_sizes(seen: Shown, *shares: float) -> list[float]:
+def command_sizes(data: Shown, *shares: float) -> list[float]:
     """Quantiles of the sizes of the commands that are no rest [rad or m]; none if all are."""
-    sizes = np.abs(seen.u[seen.counted_starts])
-    sizes = sizes[sizes > _AT_REST * seen.command_size]
+    sizes = np.abs(data.u[data.counted_starts])
+    sizes = sizes[sizes > _AT_REST * data.command_size]
     return [float(q) for q in np.quantile(sizes, shares)] if sizes.size else []

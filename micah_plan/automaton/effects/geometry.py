@@ -44,32 +44,32 @@ class FrameRotation(EffectForm):
         turned = [a + along * b + bent * c for a, b, c in zip(action, once, twice, strict=True)]
         return turned[0] * direction[0] + turned[1] * direction[1] + turned[2] * direction[2]
 
-    def begun(self, seen: Shown) -> Start | None:
+    def begun(self, data: Shown) -> Start | None:
         """Only where actions across the joint have a life of their own.
 
         A small turn adds to each command a share of the action across the joint. Where that follows the command along
         it (a hand that always pushes at one angle, the chord of a long step) it adds what a gain or a saturation would.
         """
-        if seen.action is None:
+        if data.action is None:
             return None
-        rows = seen.counted_starts
-        tangent, u = seen.path.tangents(seen.z[rows])[:, 3:], seen.u[rows]
+        rows = data.counted_starts
+        tangent, u = data.path.tangents(data.z[rows])[:, 3:], data.u[rows]
         squared = np.maximum((tangent**2).sum(axis=1, keepdims=True), 1e-12)
-        across = np.cross(seen.action[rows], tangent) / squared
+        across = np.cross(data.action[rows], tangent) / squared
         along = np.stack([np.ones_like(u), u, u * np.abs(u), u * u], axis=1)
-        own = across - along @ np.linalg.lstsq(along, across, rcond=1e-9)[0]
-        if np.sqrt(np.mean(own**2, axis=0)).max() < _ACROSS * seen.command_size:
+        transverse = across - along @ np.linalg.lstsq(along, across, rcond=1e-9)[0]
+        if np.sqrt(np.mean(transverse**2, axis=0)).max() < _ACROSS * data.command_size:
             return None
         return Start(np.vstack([0.4 * np.eye(3), -0.4 * np.eye(3)]), (0, 1, 2), [0.3] * 3)
 
-    def same_as(self, seen: Shown) -> Same | None:
+    def same_as(self, data: Shown) -> Same | None:
         """A gain, if nothing is told across the joint: turned along it, actions can say no more than they are long."""
-        if seen.action is None or self.begun(seen) is not None:
+        if data.action is None or self.begun(data) is not None:
             return None
-        rows = seen.counted_starts
-        arm2 = (seen.path.tangents(seen.z[rows])[:, 3:] ** 2).sum(axis=1)
-        longest2 = float((seen.action[rows] ** 2).sum(axis=1) @ (1.0 / np.maximum(arm2, 1e-12)))
-        told2 = max(float((seen.u[rows] ** 2).sum()), 1e-300)
+        rows = data.counted_starts
+        arm2 = (data.path.tangents(data.z[rows])[:, 3:] ** 2).sum(axis=1)
+        longest2 = float((data.action[rows] ** 2).sum(axis=1) @ (1.0 / np.maximum(arm2, 1e-12)))
+        told2 = max(float((data.u[rows] ** 2).sum()), 1e-300)
         return Same("gain", _AS_LONG * float(np.sqrt(longest2 / told2)))
 
 

@@ -29,31 +29,31 @@ class CoordinateMotion:
 
     def commanded(self, ops: Operations, v: Value) -> Value:
         """The part of the mode's command v = (B u) that reaches the joint."""
-        for own, p in self.commands:
-            v = own.command(ops, v, p)
+        for command_form, p in self.commands:
+            v = command_form.command(ops, v, p)
         return v
 
     def displacement(self, ops: Operations, c: Value, v: Value) -> Value:
         """Displacement at configuration c under the command v."""
         v = self.commanded(ops, v)
         added = v
-        for own, p in self.forces:
-            added = added + own.force(ops, c, v, p)
+        for force_form, p in self.forces:
+            added = added + force_form.force(ops, c, v, p)
         return added
 
 
 @memoised
 def motions(automaton: HybridAutomaton, mode: Mode) -> dict[int, CoordinateMotion]:
     """The motion of each coordinate (by index) that the mode leaves free and effects without a memory change in it."""
-    found = {}
+    gains = {}
     for index in np.flatnonzero(mode.free).tolist():
         name = automaton.coordinate_names[index]
-        own = [(form(e.name), e.values) for e in automaton.effects if e.coordinate == name and e.acts_in(mode.name)]
-        commands = tuple(pair for pair in own if pair[0].layer == "command")
-        forces = tuple(pair for pair in own if pair[0].layer == "force")
+        forms = [(form(e.name), e.values) for e in automaton.effects if e.coordinate == name and e.acts_in(mode.name)]
+        commands = tuple(pair for pair in forms if pair[0].layer == "command")
+        forces = tuple(pair for pair in forms if pair[0].layer == "force")
         if commands or forces:
-            found[index] = CoordinateMotion(commands, forces)
-    return found
+            gains[index] = CoordinateMotion(commands, forces)
+    return gains
 
 
 def displaced(automaton: HybridAutomaton, mode: Mode, x: Floats, u: Floats) -> tuple[Floats, Floats]:

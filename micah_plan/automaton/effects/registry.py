@@ -49,5 +49,5 @@ def register(new: EffectForm) -> EffectForm:
 
 def unregister(name: str) -> None:
     """Take out a form that `register` added."""
-    if name not in {own.name for own in _LIBRARY}:
+    if name not in {form_class.name for form_class in _LIBRARY}:
         _FORMS.pop(name, None)

@@ -28,9 +28,9 @@ class SensorScale(EffectForm):
     def measured(self, ops: Operations, c: Value, time: Value, p: Values) -> Value:
         return p[0] * c
 
-    def same_as(self, seen: Shown) -> Same | None:
+    def same_as(self, data: Shown) -> Same | None:
         """Only at an end of the range can sensor and motion be told apart."""
-        return None if seen.visits_end() else Same("gain")
+        return None if data.visits_end() else Same("gain")
 
 
 @final
@@ -64,9 +64,9 @@ class Drift(EffectForm):
     def measured(self, ops: Operations, c: Value, time: Value, p: Values) -> Value:
         return c + p[0] * time
 
-    def begun(self, seen: Shown) -> Start | None:
-        return Start([[0.0]], (0,), [0.3 * seen.command_size / seen.period])
+    def begun(self, data: Shown) -> Start | None:
+        return Start([[0.0]], (0,), [0.3 * data.command_size / data.period])
 
-    def same_as(self, seen: Shown) -> Same | None:
+    def same_as(self, data: Shown) -> Same | None:
         """Only at an end of the range can sensor and motion be told apart."""
-        return None if seen.visits_end() else Same("bias")
+        return None if data.visits_end() else Same("bias")

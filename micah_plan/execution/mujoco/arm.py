@@ -107,9 +107,9 @@ class ArmCarrier(Carrier):
         super().put(place)
         self._damp()
 
-    def put_like(self, other: Carrier) -> None:
+    def put_like(self, carrier: Carrier) -> None:
         self._lock()
-        super().put_like(other)
+        super().put_like(carrier)
         self._damp()
 
     def _lock(self) -> None:
@@ -130,8 +130,8 @@ class ArmCarrier(Carrier):
             stopped = [name for name, at in zip(self._arm.joints, reached.stopped, strict=True) if at]
             limit = f": joint limit of {', '.join(stopped)}" if stopped else ""
             away = quantity(float(np.linalg.norm(reached.error[3:])), "m")
-            told = f"the arm's tool could not come nearer than {away} to where it was told to be"
-            self.complaint = told + limit
+            problem = f"the arm's tool could not come nearer than {away} to where it was told to be"
+            self.complaint = problem + limit
         return reached.q
 
     def _damp(self) -> None:

@@ -100,9 +100,13 @@ class PhysicalPlant:
     def _begin(self, rng: np.random.Generator) -> None:
         """A trial starts from the state that `data` has been given, with a new tracker."""
         self.mujoco.mj_forward(self.model, self.data)
-        own = self.parameters
+        parameters = self.parameters
         noise = TrackerNoise(
-            own.position_noise, own.rotation_noise, own.position_wander, own.rotation_wander, own.wander_time
+            parameters.position_noise,
+            parameters.rotation_noise,
+            parameters.position_wander,
+            parameters.rotation_wander,
+            parameters.wander_time,
         )
         self._tracker = PoseTracker(noise, len(self.automaton.links), rng)
         self._calm, self._reach = _CALM, _SHORTEST_LEAP
@@ -149,13 +153,13 @@ class PhysicalPlant:
         everything = int(mujoco.mjtState.mjSTATE_INTEGRATION)
         before = np.empty(mujoco.mj_stateSize(model, everything))
         mujoco.mj_getState(model, data, before, everything)
-        seen = self._free_steps(controls[begin : begin + self._reach])
-        happened = self._suspects(seen)
+        steps = self._free_steps(controls[begin : begin + self._reach])
+        happened = self._suspects(steps)
         for latch in self.latches:
             if self._active[latch.equality]:
-                happened |= latch.opens(self._pull(latch, begin, seen))
+                happened |= latch.opens(self._pull(latch, begin, steps))
             else:
-                happened |= latch.is_near(seen[:, latch.sensor])
+                happened |= latch.is_near(steps[:, latch.sensor])
         length = int(np.argmax(np.append(happened, True)))
         self._reach = max(2 * length, _SHORTEST_LEAP)
         if length < len(happened):
@@ -182,7 +186,7 @@ class PhysicalPlant:
         check_stable(mujoco, data)  # what was counted so far is forgotten now
         kinds = mujoco.mjtState
         physics, forces = int(kinds.mjSTATE_FULLPHYSICS), int(kinds.mjSTATE_XFRC_APPLIED)
-        state, seen = np.empty((1, mujoco.mj_stateSize(model, physics))), np.empty((1, steps, model.nsensordata))
+        state, measured = np.empty((1, mujoco.mj_stateSize(model, physics))), np.empty((1, steps, model.nsensordata))
         mujoco.mj_getState(model, data, state[0], physics)
         rest = np.concatenate([data.xfrc_applied.ravel(), data.eq_active])
         mujoco.rollout.rollout(
@@ -194,11 +198,11 @@ class PhysicalPlant:
             skip_checks=True,
             nstep=steps,
             initial_warmstart=data.qacc_warmstart[None].copy(),
-            sensordata=seen,
+            sensordata=measured,
         )
         check_stable(mujoco, data)
         taken = round((data.time - begin) / model.opt.timestep)  # not all if there was another warning
-        return np.asarray(seen[0, :taken])
+        return np.asarray(measured[0, :taken])
 
     def _careful_step(self, number: int) -> bool:
         """Take step `number` of this control step whatever happens in it; whether anything did."""
@@ -219,14 +223,14 @@ class PhysicalPlant:
         self.mujoco.mj_step2(self.model, self.data)
         return self._look() or happened
 
-    def _suspects(self, seen: Floats) -> Flags:
+    def _suspects(self, measured: Floats) -> Flags:
         """(k,) whether there is something to look at, of which the engine does not know, in steps in which the sensors
         showed (k, sensors)."""
-        return np.zeros(len(seen), dtype=bool)
+        return np.zeros(len(measured), dtype=bool)
 
-    def _pull(self, _latch: Latch, _begin: int, seen: Floats) -> Floats:
+    def _pull(self, _latch: Latch, _begin: int, measured: Floats) -> Floats:
         """(k,) static pull of the hand on a latch's joint in the steps from `begin` on [N m or N]."""
-        return np.zeros(len(seen))
+        return np.zeros(len(measured))
 
     def _follow(self) -> bool:
         """Change the world before a careful step; whether that was necessary."""
@@ -266,11 +270,11 @@ class Carrier:
         data.qpos[self._address] = joints
         data.ctrl[self._motors] = joints
 
-    def put_like(self, other: Carrier) -> None:
+    def put_like(self, carrier: Carrier) -> None:
         """Stand as the same carrier of another world does, pressing as hard."""
-        self.complaint = other.complaint
-        self._plant.data.qpos[self._address] = other._plant.data.qpos[other._address]
-        self._plant.data.ctrl[self._motors] = other._plant.data.ctrl[other._motors]
+        self.complaint = carrier.complaint
+        self._plant.data.qpos[self._address] = carrier._plant.data.qpos[carrier._address]
+        self._plant.data.ctrl[self._motors] = carrier._plant.data.ctrl[carrier._motors]
 
     def orders(self, displacement: Floats, posture: Floats | None) -> Floats:
         """(steps, nu) controls that move the hand by a displacement (3,) [m] from where it is; an arm near a posture

@@ -172,11 +172,11 @@ class HeldPlant(PhysicalPlant):
             incident, complaint = incident or self._released.incident, complaint or self._released.complaint
         x[self._object.hand] = self._object.coordinates(place)
         modes = [FREE, *(mode for mode, latch in latches if self.data.eq_active[latch.equality])]
-        told = " and ".join(part for part in (incident, complaint) if part)
-        return Truth(COLLIDED if incident else modes[-1], x, *self._link_poses(), latched, told, stands)
+        problem = " and ".join(part for part in (incident, complaint) if part)
+        return Truth(COLLIDED if incident else modes[-1], x, *self._link_poses(), latched, problem, stands)
 
-    def _suspects(self, seen: Floats) -> Flags:
-        return self._watch.suspects(seen)
+    def _suspects(self, measured: Floats) -> Flags:
+        return self._watch.suspects(measured)
 
     def _look(self) -> bool:
         return self._watch.look()
@@ -184,8 +184,12 @@ class HeldPlant(PhysicalPlant):
     def _link_poses(self) -> tuple[Floats, Floats]:
         """(l, 3) and (l, 4) poses of the links' children; the hand keeps its orientation."""
         position, quaternion = np.zeros((len(self.automaton.links), 3)), np.zeros((len(self.automaton.links), 4))
-        own = self._released if self._is_open and self._released is not None else None
-        poses, hand = (self._poses(self.parts), self.data.xpos[self._hand]) if own is None else (own.parts, own.hand)
+        release_mode = self._released if self._is_open and self._released is not None else None
+        poses, hand = (
+            (self._poses(self.parts), self.data.xpos[self._hand])
+            if release_mode is None
+            else (release_mode.parts, release_mode.hand)
+        )
         position[self._object.parts], quaternion[self._object.parts] = poses
         return self._with_slides(hand, position, quaternion)
 
@@ -197,17 +201,17 @@ class HeldPlant(PhysicalPlant):
 
     def _measure(self, elapsed: float) -> Measurement:
         position, quaternion = self._seen(*self._link_poses(), elapsed)
-        seen = self._with_slides(position[self._object.slides[-1]].copy(), position, quaternion)
-        own = self._released
-        if own is None:
-            return Measurement(float(self.data.time), *seen, None, self.carrier.joints)
+        measured = self._with_slides(position[self._object.slides[-1]].copy(), position, quaternion)
+        released_mode = self._released
+        if released_mode is None:
+            return Measurement(float(self.data.time), *measured, None, self.carrier.joints)
         if self._is_open:
-            return Measurement(own.time, *seen, np.zeros((len(seen[0]), 3)), own.joints)
-        force = np.zeros((len(seen[0]), 3))
+            return Measurement(released_mode.time, *measured, np.zeros((len(measured[0]), 3)), released_mode.joints)
+        force = np.zeros((len(measured[0]), 3))
         felt = self._push() + self.parameters.force_noise * self._draws.standard_normal(3)
         felt[2] = max(felt[2], self._stopped_by)
         force[self._object.parts[0]] = -felt
-        return Measurement(float(self.data.time), *seen, force, self.carrier.joints)
+        return Measurement(float(self.data.time), *measured, force, self.carrier.joints)
 
 
 def in_mujoco(problem: Problem) -> PhysicalPlant:

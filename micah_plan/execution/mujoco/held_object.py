@@ -82,15 +82,15 @@ class HeldObject:
 
     def _add_pivot(self, world: World, body: Any) -> None:
         """The turn of the part in the hand against a spring; it shows in a coordinate if nothing else shows that."""
-        automaton, grip, own = self._automaton, self._grip, self._parameters
-        spring = {"stiffness": own.pivot_stiffness, "damping": own.pivot_damping}
+        automaton, grip, parameters = self._automaton, self._grip, self._parameters
+        spring = {"stiffness": parameters.pivot_stiffness, "damping": parameters.pivot_damping}
         in_hand, moving = (automaton.links[number].coordinate for number in self.parts)
         world.joint(body, "hinge", "pivot", axis=_HINGE, pos=grip.point, **spring)
         if in_hand in self.hand or (in_hand == moving and _joint(automaton, self.parts[1]).kind != "rigid"):
             return
         nominal, joint = Rotation.from_rotvec(grip.rotation).inv(), _joint(automaton, self.parts[0])
-        zero, one = (nominal * forward(joint, [0.0, 1.0]).rotation).as_rotvec()
-        sign, off = float((one - zero) @ _HINGE), np.linalg.norm(np.cross(joint.center, joint.axis))
+        zero, unit = (nominal * forward(joint, [0.0, 1.0]).rotation).as_rotvec()
+        sign, off = float((unit - zero) @ _HINGE), np.linalg.norm(np.cross(joint.center, joint.axis))
         if joint.kind != "revolute" or abs(abs(sign) - 1.0) > _SAME or off > _SAME:
             raise InputError("a held part can turn in the hand about its point and the hinge's direction only")
         world.show(WorldJoint("pivot", in_hand, round(sign), float(zero @ _HINGE)))
@@ -100,13 +100,13 @@ class HeldObject:
 
         Latches at its end stops catch it as it comes to them, and none ever opens.
         """
-        automaton, grip, own = self._automaton, self._grip, self._parameters
+        automaton, grip, parameters = self._automaton, self._grip, self._parameters
         coordinate = automaton.links[self.parts[1]].coordinate
         pins = {mode.name: pin.value for mode in automaton.modes for pin in mode.pins if pin.coordinate == coordinate}
         datum = max(pins.values(), default=None) if grip.datum is None else grip.datum
         if datum is None:
             raise InputError("nothing says at which configuration the shapes are given", remedy="give 'hold.datum'")
-        positions, capture = [value - datum for value in pins.values()], own.latch_capture
+        positions, capture = [value - datum for value in pins.values()], parameters.latch_capture
         lowest, highest = min([-grip.travel, *positions]), max([0.0, *positions])
         low = [-np.inf if position == lowest else position - capture for position in positions]
         high = [np.inf if position == highest else position + capture for position in positions]
@@ -114,7 +114,7 @@ class HeldObject:
         self.modes = tuple(pins)
         kind, axis = ("hinge", (0.0, -1.0, 0.0)) if joint.kind == "revolute" else ("slide", (0.0, 0.0, 1.0))
         # Soft constraints creep: dry friction holds the part up only if it is stiff.
-        resistance = {"frictionloss": own.joint_friction, "damping": own.joint_damping}
+        resistance = {"frictionloss": parameters.joint_friction, "damping": parameters.joint_damping}
         world.joint(body, kind, "joint", axis=axis, range=(lowest, highest), **STOPS, **resistance)
         world.show(WorldJoint("joint", coordinate, zero=-datum, latches=latches))
 

@@ -113,8 +113,8 @@ class PhysicalParameters:
 
 def defaults(*, held: bool) -> dict[str, float]:
     """The keys of `plant` that a held or a standing object knows, each with the value that it has if none is stated."""
-    own = {item.name: item.metadata["defaults"][held] for item in fields(PhysicalParameters)}
-    return {name: value for name, value in own.items() if value is not None}
+    defaults = {item.name: item.metadata["defaults"][held] for item in fields(PhysicalParameters)}
+    return {name: value for name, value in defaults.items() if value is not None}
 
 
 def amounts(values: Mapping[str, float], *, held: bool) -> Iterator[Amount]:

@@ -181,8 +181,8 @@ class ReleasedPlant(PhysicalPlant):
             name = model.body(number).name
             if name.startswith(SCENE) and model.body_jntnum[number]:
                 here = int(model.jnt_qposadr[model.body_jntadr[number]])
-                other = world.body(name).id
-                there = int(world.jnt_qposadr[world.body_jntadr[other]])
+                partner = world.body(name).id
+                there = int(world.jnt_qposadr[world.body_jntadr[partner]])
                 data.qpos[here : here + 7] = was.qpos[there : there + 7]
         held = before.held
         here = int(model.jnt_qposadr[model.body_jntadr[self._bodies[0]]])
@@ -290,13 +290,15 @@ class ReleasedPlant(PhysicalPlant):
 
 def contact_force(plant: PhysicalPlant, bodies: Sequence[int]) -> Floats:
     """(3,) force on some bodies by all others that they touch [N], base frame."""
-    model, data, total, own = plant.model, plant.data, np.zeros(3), np.zeros(6)
+    model, data, total, velocity = plant.model, plant.data, np.zeros(3), np.zeros(6)
     for number in range(data.ncon):
         contact = data.contact[number]
         inside = [int(model.geom_bodyid[geom]) in bodies for geom in (contact.geom1, contact.geom2)]
         if inside[0] != inside[1]:
-            plant.mujoco.mj_contactForce(model, data, number, own)
-            force = contact.frame.reshape(3, 3).T @ own[:3]  # on the second of the two, along the normal from the first
+            plant.mujoco.mj_contactForce(model, data, number, velocity)
+            force = (
+                contact.frame.reshape(3, 3).T @ velocity[:3]
+            )  # on the second of the two, along the normal from the first
             total += force if inside[1] else -force
     return total
 
@@ -341,8 +343,8 @@ def add_contact_sensors(scene: World, touchable: Collection[str], grip: Grip) ->
     hand, moving = OBJECT + "hand", OBJECT + grip.moving.name
     subtree, body = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
 
-    def add(role: str, shown: list[int], name: str, other: str = "", what: Any = subtree) -> None:
-        meets = {"reftype": subtree, "refname": other} if other else {}
+    def add(role: str, shown: list[int], name: str, partner: str = "", what: Any = subtree) -> None:
+        meets = {"reftype": subtree, "refname": partner} if partner else {}
         sensor = {"name": f"{role}{len(world.sensors)}", "objtype": what, "objname": name, "intprm": shown, **meets}
         world.add_sensor(type=mujoco.mjtSensor.mjSENS_CONTACT, **sensor)
 
@@ -350,8 +352,8 @@ def add_contact_sensors(scene: World, touchable: Collection[str], grip: Grip) ->
     while carried.parent.name != "world":
         carried = carried.parent
     bodies = list(world.worldbody.bodies)
-    fixed = [one.name for one in bodies if one.name.startswith(SCENE) and not len(one.joints)]
-    for root in (one.name for one in bodies if not one.name.startswith(SCENE)):
+    fixed = [body.name for body in bodies if body.name.startswith(SCENE) and not len(body.joints)]
+    for root in (body.name for body in bodies if not body.name.startswith(SCENE)):
         add(_DEPTH, _LEAST_DISTANCE, root)
         for name in fixed:
             if root == carried.name and name.removeprefix(SCENE) in touchable:
@@ -402,12 +404,12 @@ class Watch:
         """Look whether a loose body was knocked over."""
         self.incident = self.incident or self._knocked_over()
 
-    def suspects(self, seen: Floats) -> Flags:
+    def suspects(self, measured: Floats) -> Flags:
         """(k,) whether a contact may be a collision: it is deep, or with what is fixed and may not be touched.
 
         After an incident none is.
         """
-        depth, forbidden, by_both, by_object = (seen[:, columns] for columns in self._columns)
+        depth, forbidden, by_both, by_object = (measured[:, columns] for columns in self._columns)
         deep = (depth < -LARGEST_PENETRATION).any(axis=1)
         by_arm = (by_both > by_object).any(axis=1)
         return np.asarray((deep | forbidden.any(axis=1) | by_arm) & (not self.incident))

@@ -130,12 +130,12 @@ class StandingPlant(PhysicalPlant):
     def _measure(self, elapsed: float, force: Floats) -> Measurement:
         return Measurement(float(self.data.time), *self._seen(*self._poses(self._bodies), elapsed), force)
 
-    def _suspects(self, seen: Floats) -> Flags:
+    def _suspects(self, measured: Floats) -> Flags:
         """Where a hand was too strong, or a part on a path came to its next stretch."""
-        forces = seen[:, self._motors : 2 * self._motors].reshape(len(seen), -1, 3)
+        forces = measured[:, self._motors : 2 * self._motors].reshape(len(measured), -1, 3)
         suspects = np.asarray((self._limited(forces) != forces).any(axis=(1, 2)))
         for guide in self._guides:
-            suspects |= guide.leaves(seen[:, guide.sensor])
+            suspects |= guide.leaves(measured[:, guide.sensor])
         return suspects
 
     def _follow(self) -> bool:
@@ -158,20 +158,20 @@ class StandingPlant(PhysicalPlant):
         size = np.sqrt(np.square(forces).sum(axis=-1, keepdims=True))
         return np.asarray(forces * (self.parameters.max_force / np.maximum(size, self.parameters.max_force)))
 
-    def _pull(self, latch: Latch, begin: int, seen: Floats) -> Floats:
+    def _pull(self, latch: Latch, begin: int, measured: Floats) -> Floats:
         """Of the hands' springs; without damping: the damper's kick when a latch snaps shut is no pull that would open
         it."""
         column, turns, hands = self._levers[latch.joint]
-        places = seen[:, : self._motors].reshape(len(seen), -1, 3)[:, hands]
-        targets = self._targets[begin : begin + len(seen)].reshape(len(seen), -1, 3)[:, hands]
+        places = measured[:, : self._motors].reshape(len(measured), -1, 3)[:, hands]
+        targets = self._targets[begin : begin + len(measured)].reshape(len(measured), -1, 3)[:, hands]
         pulls = self._limited(self.parameters.stiffness * (targets - places))
         if latch.joint in self._guided:
             guide = self._guided[latch.joint]
             above = self.data.xmat[self.model.body(guide.part).parentid[0]].reshape(3, 3)
             return np.asarray(pulls.sum(axis=1) @ above @ guide.lever(latch.position))
         if turns:
-            pulls = np.cross(places - seen[:, None, column : column + 3], pulls)
-        return np.asarray((seen[:, None, column + 3 : column + 6] * pulls).sum(axis=(1, 2)))
+            pulls = np.cross(places - measured[:, None, column : column + 3], pulls)
+        return np.asarray((measured[:, None, column + 3 : column + 6] * pulls).sum(axis=(1, 2)))
 
     def _tuned(self, arms: Floats) -> Floats:
         """(3 l,) the motors' critical damping [N s/m]; sets them and a pace that resolves their springs."""
@@ -191,8 +191,8 @@ class StandingPlant(PhysicalPlant):
     def _moved_with(self, body: int) -> list[int]:
         """Numbers of the parts that a body's joint moves: its own, and those that are attached to it."""
         moved = {body}
-        moved.update(other for other in self._bodies if self.model.body_parentid[other] in moved)
-        return [number for number, other in enumerate(self._bodies) if other in moved]
+        moved.update(body for body in self._bodies if self.model.body_parentid[body] in moved)
+        return [number for number, body in enumerate(self._bodies) if body in moved]
 
 
 def standing_world(automaton: HybridAutomaton, parameters: PhysicalParameters) -> tuple[World, Floats, list[Guide]]:
@@ -385,8 +385,8 @@ class Guide:
             name = f"{self.part}/{number}"
             world.tie(name, self._ties[0, number], self.part, name=name)
         kinds = world.mujoco
-        seen = {"objtype": kinds.mjtObj.mjOBJ_JOINT, "objname": self.part}
-        world.spec.add_sensor(name=self.part + _RUNNER, type=kinds.mjtSensor.mjSENS_JOINTPOS, **seen)
+        reference = {"objtype": kinds.mjtObj.mjOBJ_JOINT, "objname": self.part}
+        world.spec.add_sensor(name=self.part + _RUNNER, type=kinds.mjtSensor.mjSENS_JOINTPOS, **reference)
 
     def find(self, mujoco: Any, model: Any) -> None:
         """Look up the addresses in the compiled world.

@@ -145,13 +145,13 @@ class World:
         for number, latch in enumerate(joint.latches):
             self.tie(joint.name, (latch.position, 0.0), name=latch_name(joint.name, number), active=False)
         if joint.latches:
-            seen = {"objtype": self.mujoco.mjtObj.mjOBJ_JOINT, "objname": joint.name}
-            self.spec.add_sensor(name=sensor_name(joint.name), type=self.mujoco.mjtSensor.mjSENS_JOINTPOS, **seen)
+            reference = {"objtype": self.mujoco.mjtObj.mjOBJ_JOINT, "objname": joint.name}
+            self.spec.add_sensor(name=sensor_name(joint.name), type=self.mujoco.mjtSensor.mjSENS_JOINTPOS, **reference)
 
-    def tie(self, joint: str, coefficients: Sequence[float] | Floats, other: str = "", **attributes: Any) -> None:
+    def tie(self, joint: str, coefficients: Sequence[float] | Floats, joint_2: str = "", **attributes: Any) -> None:
         """Hold a joint at a + b q + ... + e q^4, where q is the position of another joint (without one: 0)."""
         kind = self.mujoco.mjtEq.mjEQ_JOINT
-        constraint = self.spec.add_equality(type=kind, name1=joint, name2=other, **_STIFF, **attributes)
+        constraint = self.spec.add_equality(type=kind, name1=joint, name2=joint_2, **_STIFF, **attributes)
         constraint.data[:5] = [*coefficients, *(5 - len(coefficients)) * [0.0]]
 
 

@@ -122,12 +122,12 @@ def estimate_channel(
     command, delay, rotation, log_gain = _started(steps, command, still.walk, searches)
     mode, noises, extra = _settled(steps, command, still.walk, delay, rotation, log_gain)
     posterior = _integrated(steps, command, noises, mode, still.walk)
-    told = posterior.log_evidence - np.log(len(_SPREADS)) - fit_noise(steps, steps.size, extra).log_density
-    if told <= least_log_odds:
+    score = posterior.log_evidence - np.log(len(_SPREADS)) - fit_noise(steps, steps.size, extra).log_density
+    if score <= least_log_odds:
         return None
-    found = _reported(mode, posterior, track, _explained(steps, command, mode, noises[0][0]))
+    channel = _reported(mode, posterior, track, _explained(steps, command, mode, noises[0][0]))
     # A gain that may as well be none is no estimate.
-    return found if found.covariance[3][3] < found.gain**2 else None
+    return channel if channel.covariance[3][3] < channel.gain**2 else None
 
 
 def with_delayed_actions(track: PartTrack, delay: float) -> PartTrack:
@@ -175,17 +175,17 @@ def _started(
     fits it fits by chance, and halfway between two rows, where neighbours average, every delay seems to explain more.
     So the command is as smooth as explains the steps best, and not smoothed at all only if that explains still more.
     """
-    found, scores = [], []
+    maxima, scores = [], []
     for spread in _SPREADS:
-        given = command.smoothed(spread) if spread else command
-        for some, delays in searches:
-            start = _searched(some, given, walk, delays)
-            left = steps.size - _predicted(steps, given, *start)
-            found.append((given, *start))
-            scores.append(fit_noise(steps, left, np.zeros(len(steps))).log_density)
+        filtered = command.smoothed(spread) if spread else command
+        for subset, delays in searches:
+            start = _searched(subset, filtered, walk, delays)
+            residual = steps.size - _predicted(steps, filtered, *start)
+            maxima.append((filtered, *start))
+            scores.append(fit_noise(steps, residual, np.zeros(len(steps))).log_density)
             if not spread:
                 scores[-1] -= _AVERAGED * len(steps)
-    return found[int(np.argmax(scores))]
+    return maxima[int(np.argmax(scores))]
 
 
 def _searched(steps: Steps, command: Command, walk: float, tried: Floats) -> tuple[float, Floats, float]:
@@ -216,8 +216,8 @@ def _settled(
     width, center = 2.0 / _COARSE_STEPS, delay
     for number in range(_MOST_ROUNDS):
         extra = _unknown(steps, delay, min(width, _MOST_UNKNOWN), walk)
-        left = steps.size - _predicted(steps, command, delay, rotation, log_gain)
-        white = fit_noise(steps, left, extra).white
+        residual = steps.size - _predicted(steps, command, delay, rotation, log_gain)
+        white = fit_noise(steps, residual, extra).white
         noises = _noises(steps, command, white, extra, walk, (delay, rotation, log_gain), number > 0)
         noise = max(noises, key=lambda pair: pair[1])[0]
         mode = _explored(steps, command, noise, center + width * np.linspace(-1, 1, _FINE_DELAYS), rotation, log_gain)
@@ -312,7 +312,8 @@ def _integrated(
     weight = np.exp(mode.log_weight)
     covariance = np.linalg.inv(mode.information)[:3, :3] + (mode.turns * weight[:, None]).T @ mode.turns
     every = Quadratic(
-        np.concatenate([one.normal for one in quadratics]), np.concatenate([one.target for one in quadratics])
+        np.concatenate([quadratic.normal for quadratic in quadratics]),
+        np.concatenate([quadratic.target for quadratic in quadratics]),
     )
     log_weight = (density[:, None] + log_prior).ravel()
     return integrate(every, log_weight, mode.rotation, mode.log_gain, covariance, len(noises), likely)
@@ -436,8 +437,8 @@ class Steps:
         """(d, 9, m) what the entries of g R (row by row) make of the steps, for each delay (d,) [share of the run]."""
         ends = np.concatenate([self.start, self.end])
         path = command.at(ends - delays[:, None])
-        given = path[:, len(self) :] - path[:, : len(self)]
-        product = self.leverage.T[None, :, None, :] * given.transpose(0, 2, 1)[:, None, :, :]
+        commanded = path[:, len(self) :] - path[:, : len(self)]
+        product = self.leverage.T[None, :, None, :] * commanded.transpose(0, 2, 1)[:, None, :, :]
         return product.reshape(len(delays), 9, len(self))
 
 
@@ -487,10 +488,12 @@ def steps_of(
     Args:
         white: variance of one measured configuration [rad² or m²].
     """
-    found = configurations(joint, pieces, track, inlier)
+    configuration = configurations(joint, pieces, track, inlier)
     time = (track.time - track.time[0]) / track.duration
     group = 1 if most is None else max(1, round(len(track) / most))
-    blocks = [(_averaged(time[rows], group), _averaged(c, group), _averaged(calm, group)) for rows, c, calm in found]
+    blocks = [
+        (_averaged(time[rows], group), _averaged(c, group), _averaged(calm, group)) for rows, c, calm in configuration
+    ]
     start = np.concatenate([t[:-1] for t, _, _ in blocks])
     end = np.concatenate([t[1:] for t, _, _ in blocks])
     size = np.concatenate([np.diff(c) for _, c, _ in blocks])
@@ -503,16 +506,16 @@ def steps_of(
     return Steps(start, end, size, _leverage(joint, halfway), linked, white / group)
 
 
-def fit_noise(steps: Steps, left: Floats, extra: Floats) -> StepNoise:
+def fit_noise(steps: Steps, residual: Floats, extra: Floats) -> StepNoise:
     """The most probable random walk and white noise behind what is left (m,) of the steps.
 
     Args:
         extra: (m,) variance known besides [rad² or m²].
     """
-    scale = max(float(np.mean(left**2 / (steps.end - steps.start))), steps.white * 1e-6, 1e-24)
+    scale = max(float(np.mean(residual**2 / (steps.end - steps.start))), steps.white * 1e-6, 1e-24)
 
     def tried(walk: float, white: float) -> StepNoise:
-        return noise_of(steps, left, extra, np.exp(walk) * scale, np.exp(white) * steps.white)
+        return noise_of(steps, residual, extra, np.exp(walk) * scale, np.exp(white) * steps.white)
 
     best, at = max(((tried(w, 0.0), (w, 0.0)) for w in _WALK_DECADES), key=lambda pair: pair[0].log_density)
     width = np.array([0.5, 0.4])
@@ -521,21 +524,23 @@ def fit_noise(steps: Steps, left: Floats, extra: Floats) -> StepNoise:
             for sign in (1.0, -1.0):
                 moved = list(at)
                 moved[i] += sign * width[i]
-                other = tried(moved[0], moved[1])
-                if other.log_density > best.log_density:
-                    best, at = other, (moved[0], moved[1])
+                trial = tried(moved[0], moved[1])
+                if trial.log_density > best.log_density:
+                    best, at = trial, (moved[0], moved[1])
                     break
         width *= 0.6
     return best
 
 
-def noise_of(steps: Steps, left: Floats, extra: Floats, walk: float, white: float) -> StepNoise:
+def noise_of(steps: Steps, residual: Floats, extra: Floats, walk: float, white: float) -> StepNoise:
     """Given noise (variances, see StepNoise), with its density of what is left (m,) of the steps."""
     diagonal = walk * (steps.end - steps.start) + extra + 2 * white * (1 + 1e-9)
     below = np.where(steps.linked, -white, 0.0)
     pivots, factor, _ = lapack.dpttrf(diagonal, below)
-    solved = lapack.dpttrs(pivots, factor, left[:, None])[0][:, 0]
-    misfit = float(left @ solved) + float(np.sum(np.log(np.maximum(pivots, _TINY)))) + len(left) * np.log(2 * np.pi)
+    solved = lapack.dpttrs(pivots, factor, residual[:, None])[0][:, 0]
+    misfit = (
+        float(residual @ solved) + float(np.sum(np.log(np.maximum(pivots, _TINY)))) + len(residual) * np.log(2 * np.pi)
+    )
     prior = (np.log(white / steps.white) / _WHITE_SPREAD) ** 2
     return StepNoise(walk, white, -0.5 * (misfit + prior), pivots, factor)
 
@@ -569,7 +574,7 @@ def configurations(
     A row counts in its average no more than its neighbours do, so what noise is left has nothing to do with that of a
     step from row to row.
     """
-    found = []
+    steps_of_pieces = []
     half = max(1, round(len(track) / (2 * _CALM)))
     for first, last in pieces:
         rows = np.arange(first, last + 1)[inlier[first : last + 1]]
@@ -577,8 +582,8 @@ def configurations(
         measured = inverse(joint, track.position[rows], rotation)
         if joint.turns:
             measured = np.unwrap(measured)
-        found.append((rows, measured, _running_mean(measured, half)))
-    return found
+        steps_of_pieces.append((rows, measured, _running_mean(measured, half)))
+    return steps_of_pieces
 
 
 def with_anchored_actions(
@@ -587,14 +592,19 @@ def with_anchored_actions(
     """The track with the actions of the pieces' rows turned back by what follows the rows' own errors."""
     if not joint.turns or track.action is None:
         return track
-    found = configurations(joint, pieces, track, inlier)
-    rows, error = np.concatenate([r for r, _, _ in found]), np.concatenate([c - calm for _, c, calm in found])
+    configuration = configurations(joint, pieces, track, inlier)
+    rows, error = (
+        np.concatenate([r for r, _, _ in configuration]),
+        np.concatenate([c - calm for _, c, calm in configuration]),
+    )
     if not len(rows):
         return track
     world = None if track.quaternion is None else Rotation.from_quat(track.quaternion[rows])
     action = track.action[rows] if world is None else world.apply(track.action[rows])
     axis, (first, second) = np.array(joint.axis), axis_basis(joint.axis)
-    local = (action @ first + 1j * (action @ second)) * np.exp(-1j * np.concatenate([calm for _, _, calm in found]))
+    local = (action @ first + 1j * (action @ second)) * np.exp(
+        -1j * np.concatenate([calm for _, _, calm in configuration])
+    )
     # A push and a pull have one direction: angles are doubled.
     doubled = local**2 / np.maximum(np.abs(local), 1e-300)
     around = np.convolve(doubled, np.ones(2 * _NEAR + 1))[_NEAR : _NEAR + len(doubled)]

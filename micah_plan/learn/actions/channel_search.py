@@ -84,13 +84,13 @@ def scan(quadratic: Quadratic, log_prior: Floats) -> tuple[NDArray[np.intp], Flo
     score = 0.5 * along**2 / np.maximum(squares, 1e-300) + log_prior[:, None] + log_turned
     best = np.argmax(score, axis=1)
     every = np.arange(len(best))
-    left = score[every, best]
+    remaining = score[every, best]
     gain = along[every, best] / np.maximum(squares[every, best], 1e-300)
-    found: list[int] = []
-    while len(found) < 4 and np.isfinite(left).any():
-        found.append(int(np.argmax(left)))
-        left[max(found[-1] - 2, 0) : found[-1] + 3] = -np.inf
-    index = np.array(found, dtype=np.intp)
+    minima: list[int] = []
+    while len(minima) < 4 and np.isfinite(remaining).any():
+        minima.append(int(np.argmax(remaining)))
+        remaining[max(minima[-1] - 2, 0) : minima[-1] + 3] = -np.inf
+    index = np.array(minima, dtype=np.intp)
     return index, quaternions[best[index]], np.log(np.clip(gain[index], 1e-3, 1e3))
 
 

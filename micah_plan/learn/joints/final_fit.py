@@ -181,10 +181,12 @@ def _advancing(
     The evidence of the two differs by one number, the pitch: tracker and joint err under both, by what each leaves.
     """
     # Rows that are interpolated, or filtered by the tracker, repeat one another.
-    some = np.linspace(0, len(time) - 1, min(len(time), _TELLING_ROWS)).round().astype(int)
+    sample = np.linspace(0, len(time) - 1, min(len(time), _TELLING_ROWS)).round().astype(int)
     start = twisting("screw", hinge.axis, hinge.center, 0.0, hinge.position, hinge.quaternion)
-    fits = [fit_likelihood(one, rows[0][some], rows[1][some], white_noise(stds), _ROUGH) for one in (hinge, start)]
-    turned, advanced = (_left_by(one, time[some], stds, scales) for one in fits)
+    fits = [
+        fit_likelihood(start, rows[0][sample], rows[1][sample], white_noise(stds), _ROUGH) for start in (hinge, start)
+    ]
+    turned, advanced = (_left_by(fit, time[sample], stds, scales) for fit in fits)
     if turned is None or advanced is None or _is_loose(fits[1], advanced.likeliest):
         return None
     screw = fits[1].joint
@@ -244,8 +246,8 @@ class _Rows:
 
     def mixture(self, joint: Joint, stds: tuple[float, float]) -> Mixtures:
         """The mixture of inliers and outliers under a joint."""
-        seen = seen_by(joint, self.position, self.quaternion, stds[1] / stds[0])
-        return self.mixtures(joint.kind, [one[None] for one in seen.squares()], self.weight)
+        compared = seen_by(joint, self.position, self.quaternion, stds[1] / stds[0])
+        return self.mixtures(joint.kind, [square[None] for square in compared.squares()], self.weight)
 
     def mixtures(self, kind: JointKind, squares: list[Floats], weight: Floats) -> Mixtures:
         """The mixtures of squared errors (h, n), of positions and, where measured, of rotations."""
@@ -272,16 +274,16 @@ def _best_start(
     guess: Joint, rows: _Rows, used: NDArray[np.int64], rng: np.random.Generator, draws: int
 ) -> tuple[Joint, tuple[float, float]]:
     """The likeliest of the guess, the closed form and the joints through minimal sets, on some of the rows."""
-    some = used[np.linspace(0, len(used) - 1, min(len(used), _STARTING_ROWS)).round().astype(int)]
-    p, q = rows.of(some)
-    linear, fixed = linear_fits([guess.kind], np.ones((1, len(some)), dtype=bool), p, q)
+    sample = used[np.linspace(0, len(used) - 1, min(len(used), _STARTING_ROWS)).round().astype(int)]
+    p, q = rows.of(sample)
+    linear, fixed = linear_fits([guess.kind], np.ones((1, len(sample)), dtype=bool), p, q)
     drawn = joints_through(guess.kind, p, q, rng, draws)
     starts = concatenated([arrays_of([guess, _carried(guess, p, q)]), drawn, linear.take(np.flatnonzero(fixed))])
     error = compare_arrays(starts, p, q, _ROTATION_LENGTH).error
     squares = [(error[:, -3:] ** 2).sum(axis=1)]
     if q is not None:
         squares.append((error[:, :3] ** 2).sum(axis=1))
-    scored = rows.mixtures(guess.kind, squares, rows.weight[some])
+    scored = rows.mixtures(guess.kind, squares, rows.weight[sample])
     best = int(np.argmax(scored.log_likelihood))
     return starts.joint(best) if best else guess, _stds(scored, best)
 
@@ -337,10 +339,10 @@ def _fitted(joint: Joint, mixtures: Mixtures, has_orientation: bool) -> FittedJo
     )
 
 
-def _stds(mixtures: Mixtures, one: int = 0) -> tuple[float, float]:
+def _stds(mixtures: Mixtures, number: int = 0) -> tuple[float, float]:
     """Std of a rotation (1 rad where not measured) and of a position under one of the joints."""
-    rotation = float(mixtures.stds[1][one]) if len(mixtures.stds) > 1 else 1.0
-    return rotation, float(mixtures.stds[0][one])
+    rotation = float(mixtures.stds[1][number]) if len(mixtures.stds) > 1 else 1.0
+    return rotation, float(mixtures.stds[0][number])
 
 
 def _units(quaternion: Floats | None) -> Floats | None:
@@ -375,8 +377,8 @@ def joints_through(
         axis, point, climbed, fixed = _screws(p, quaternion[chosen])
         center = point + np.sum((p[:, 0] - point) * axis, axis=1, keepdims=True) * axis
         pitch = climbed if KINDS[kind].climbs else pitch
-    found = JointArrays((kind,) * draws, axis, center, p[:, 0], first, pitch)
-    return found.take(np.flatnonzero(fixed & np.isfinite(center).all(axis=1)))
+    candidates = JointArrays((kind,) * draws, axis, center, p[:, 0], first, pitch)
+    return candidates.take(np.flatnonzero(fixed & np.isfinite(center).all(axis=1)))
 
 
 def minimal_rows(kind: JointKind, has_orientation: bool) -> int:

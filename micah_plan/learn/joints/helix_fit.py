@@ -78,25 +78,25 @@ def fit_helix(
         noise: rough one.
         scales: of noise and misfit.
     """
-    seen = seen_by(start, position, None, 1.0)
-    middle = float(np.mean(seen.configuration)) * float(np.hypot(seen.radius, start.pitch))
+    compared = seen_by(start, position, None, 1.0)
+    middle = float(np.mean(compared.configuration)) * float(np.hypot(compared.radius, start.pitch))
     helix, rows = helix_of(start, middle), _Rows(position, wanders(time), scales, start)
     if helix is None:
         return None
     first = _fitted(helix, rows, noise, NUMBERS, _FIRST_STEPS)
     tried = _over_leads(first, rows, noise)
-    log_density = [_log_density(one, rows) for one in tried]
+    log_density = [_log_density(trial, rows) for trial in tried]
     highest = int(np.argmax(log_density))
     likelier = log_density[highest] > _log_density(first, rows)
     best = _fitted(tried[highest].helix, rows, noise, NUMBERS) if likelier else first
     std = float(np.linalg.inv(best.information + np.eye(NUMBERS) / UNKNOWN**2)[-1, -1]) ** 0.5
     tried += _at(best, best.helix.lead + std * np.array(_STDS), rows, noise)
-    log_density += [_log_density(one, rows) for one in tried[len(log_density) :]]
-    leads, order = np.unique([one.helix.lead for one in tried], return_index=True)
+    log_density += [_log_density(trial, rows) for trial in tried[len(log_density) :]]
+    leads, order = np.unique([trial.helix.lead for trial in tried], return_index=True)
     tried = [tried[i] for i in order]
     lead, chance = _chances(leads, np.array(log_density)[order])
     middle = float(np.interp(0.5, np.cumsum(chance) - 0.5 * chance, lead))
-    nearest = min(tried, key=lambda one: abs(one.helix.lead - middle))
+    nearest = min(tried, key=lambda trial: abs(trial.helix.lead - middle))
     (median,) = _at(nearest, np.array([middle]), rows, noise)
     posterior = noise_of(
         median.fit.contrasts, median.fit.chart.in_frame, time, median.fit.seen.configuration, noise.stds, scales
@@ -119,17 +119,17 @@ def _over_leads(start: _Tried, rows: _Rows, noise: TrackerNoise) -> list[_Tried]
 
 def _at(start: _Tried, leads: Floats, rows: _Rows, noise: TrackerNoise) -> list[_Tried]:
     """Helices at lead angles, each fitted from the one before."""
-    found: list[_Tried] = []
+    trials: list[_Tried] = []
     for lead in leads.tolist():
-        before = found[-1] if found else start
+        before = trials[-1] if trials else start
         away = lead - before.helix.lead
         # Where the others go as the angle goes: along the valley of the likelihood.
         others = np.linalg.lstsq(before.information[:-1, :-1], -away * before.information[:-1, -1], rcond=1e-12)[0]
         step = np.append(_shortened(others, before.helix), away)
         helix = before.helix.moved(step) or before.helix.moved(np.append(np.zeros(NUMBERS - 1), away))
         if helix is not None:
-            found.append(_fitted(helix, rows, noise, NUMBERS - 1))
-    return found
+            trials.append(_fitted(helix, rows, noise, NUMBERS - 1))
+    return trials
 
 
 def _fitted(helix: Helix, rows: _Rows, noise: TrackerNoise, free: int, steps: int = _STEPS) -> _Tried:
@@ -183,10 +183,10 @@ def _seen(helix: Helix, rows: _Rows, noise: TrackerNoise) -> tuple[_Tried, Float
     return _Tried(helix, fit, slopes, slopes.T @ information @ slopes, cost), slopes.T @ pull
 
 
-def _log_density(one: _Tried, rows: _Rows) -> float:
+def _log_density(trial: _Tried, rows: _Rows) -> float:
     """Ln density of the lead angle, all other numbers and the noise integrated out."""
-    within = one.fit.chart.in_frame @ one.slopes[:, :-1]
-    return log_evidence(one.fit.contrasts, within, rows.wanders, one.fit.seen.configuration, rows.scales)
+    within = trial.fit.chart.in_frame @ trial.slopes[:, :-1]
+    return log_evidence(trial.fit.contrasts, within, rows.wanders, trial.fit.seen.configuration, rows.scales)
 
 
 def _chances(leads: Floats, log_density: Floats) -> tuple[Floats, Floats]:
@@ -218,10 +218,10 @@ def _covered(median: _Tried, tried: Sequence[_Tried], chance: Floats, spread: Fl
     roots = vectors * np.sqrt(np.maximum(values, 0.0))
     turn = chart.turn  # in the joint's frame nothing depends on the base's
     offs, all_slopes = [], []
-    for one in tried:
-        other, other_chart, slopes = _counted_from(one, start)
-        offs.append(turn @ _difference(other, joint, chart))
-        all_slopes.append(turn @ _carried(other, other_chart, joint, chart) @ slopes[:, :-1] @ roots)
+    for trial in tried:
+        recounted, other_chart, slopes = _counted_from(trial, start)
+        offs.append(turn @ _difference(recounted, joint, chart))
+        all_slopes.append(turn @ _carried(recounted, other_chart, joint, chart) @ slopes[:, :-1] @ roots)
     between = _interpolation(len(tried))
     off, slope = between @ np.array(offs), np.tensordot(between, all_slopes, 1)
     matrix = (chance[:, None] * off).T @ off + np.einsum("i,ijr,ikr->jk", chance, slope, slope)
@@ -230,18 +230,18 @@ def _covered(median: _Tried, tried: Sequence[_Tried], chance: Floats, spread: Fl
     return replace(joint, covariance=ParameterCovariance(chart.names, tuple(tuple(row) for row in rows)))
 
 
-def _counted_from(one: _Tried, start: Joint) -> tuple[Joint, Chart, Floats]:
+def _counted_from(trial: _Tried, start: Joint) -> tuple[Joint, Chart, Floats]:
     """A fitted screw whose origin is closest to that of another, its chart, and slopes (p, 7) there."""
-    c = float(seen_by(one.fit.joint, np.array([start.position]), None, 1.0).configuration[0])
-    length = -c * one.helix.width
-    joint = one.helix.joint(length, start)
+    c = float(seen_by(trial.fit.joint, np.array([start.position]), None, 1.0).configuration[0])
+    length = -c * trial.helix.width
+    joint = trial.helix.joint(length, start)
     chart = chart_of(joint, False)
-    return joint, chart, chart_slopes(one.helix, length, joint, chart)
+    return joint, chart, chart_slopes(trial.helix, length, joint, chart)
 
 
-def _carried(other: Joint, chart: Chart, joint: Joint, here: Chart) -> Floats:
+def _carried(source: Joint, chart: Chart, joint: Joint, here: Chart) -> Floats:
     """(k, p) named parameters of a joint with chart `here` per free number of another one's chart."""
-    axis = np.array(other.axis)
+    axis = np.array(source.axis)
     side = 1.0 if float(axis @ joint.axis) >= 0 else -1.0
     across = here.free[5:, 5:]
     carried = np.zeros((len(here.free), chart.free.shape[1]))
@@ -253,20 +253,20 @@ def _carried(other: Joint, chart: Chart, joint: Joint, here: Chart) -> Floats:
     return carried
 
 
-def _difference(other: Joint, joint: Joint, chart: Chart) -> Floats:
+def _difference(source: Joint, joint: Joint, chart: Chart) -> Floats:
     """(k,) named parameters of a screw less those of a joint, counted from where it comes closest to its origin."""
-    seen = seen_by(other, np.array([joint.position]), None, 1.0)
-    c = float(seen.configuration[0])
-    radial, axis = np.cos(c) * seen.frame[0] + np.sin(c) * seen.frame[1], np.array(other.axis)
-    center = np.array(other.center) + other.pitch * c * axis
+    compared = seen_by(source, np.array([joint.position]), None, 1.0)
+    c = float(compared.configuration[0])
+    radial, axis = np.cos(c) * compared.frame[0] + np.sin(c) * compared.frame[1], np.array(source.axis)
+    center = np.array(source.center) + source.pitch * c * axis
     side = 1.0 if float(axis @ joint.axis) >= 0 else -1.0
     across = chart.free[5:, 5:]
     return np.concatenate(
         [
             chart.basis @ cross(np.array(joint.axis), side * axis),
             chart.basis @ (center - joint.center),
-            [other.pitch - joint.pitch],
-            across @ across.T @ (center + seen.radius * radial - joint.position),
+            [source.pitch - joint.pitch],
+            across @ across.T @ (center + compared.radius * radial - joint.position),
         ]
     )
 

@@ -86,16 +86,16 @@ class JointArrays:
         pitch = np.where(self.twisting, self.pitch + step[:, 12], 0.0)
         return JointArrays(self.kinds, axis, center, carried[2] + step[:, 3:6], quaternion, pitch)
 
-    def where(self, condition: Booleans, other: JointArrays) -> JointArrays:
+    def where(self, condition: Booleans, alternative: JointArrays) -> JointArrays:
         """These joints where a condition (h,) holds, the other ones (of the same kinds) elsewhere."""
         wide = condition[:, None]
         return JointArrays(
             self.kinds,
-            np.where(wide, self.axis, other.axis),
-            np.where(wide, self.center, other.center),
-            np.where(wide, self.position, other.position),
-            np.where(wide, self.quaternion, other.quaternion),
-            np.where(condition, self.pitch, other.pitch),
+            np.where(wide, self.axis, alternative.axis),
+            np.where(wide, self.center, alternative.center),
+            np.where(wide, self.position, alternative.position),
+            np.where(wide, self.quaternion, alternative.quaternion),
+            np.where(condition, self.pitch, alternative.pitch),
         )
 
 
@@ -114,8 +114,8 @@ def arrays_of(joints: Sequence[Joint]) -> JointArrays:
 def concatenated(several: Sequence[JointArrays]) -> JointArrays:
     """All of their joints, one after another."""
     names = ("axis", "center", "position", "quaternion", "pitch")
-    arrays = (np.concatenate([getattr(one, name) for one in several]) for name in names)
-    return JointArrays(tuple(kind for one in several for kind in one.kinds), *arrays)
+    arrays = (np.concatenate([getattr(part, name) for part in several]) for name in names)
+    return JointArrays(tuple(kind for part in several for kind in part.kinds), *arrays)
 
 
 _TELLING_PITCH = 0.05 / (2 * np.pi)  # m/rad
@@ -149,13 +149,13 @@ class Compared:
         """Some of the joints."""
         return Compared(self.configuration[index], self.error[index], self.direction[index])
 
-    def where(self, condition: Booleans, other: Compared) -> Compared:
+    def where(self, condition: Booleans, alternative: Compared) -> Compared:
         """These joints where a condition (h,) holds, the other ones elsewhere."""
         narrow, wide = condition[:, None], condition[:, None, None]
         return Compared(
-            np.where(narrow, self.configuration, other.configuration),
-            np.where(wide, self.error, other.error),
-            np.where(wide, self.direction, other.direction),
+            np.where(narrow, self.configuration, alternative.configuration),
+            np.where(wide, self.error, alternative.error),
+            np.where(wide, self.direction, alternative.direction),
         )
 
 
@@ -219,8 +219,8 @@ def compare_arrays(
         return Compared(configuration, from_start - moved[:, :, 0], moved[:, :, 1])
     error, direction = np.empty((h, 6, n)), np.empty((h, 6, n))
     np.subtract(from_start, moved[:, :, 0], out=error[:, 3:])
-    left = half_cosine[:, None] * relative[:, :4] + half_sine[:, None] * relative[:, 4:]
-    error[:, :3] = rotation_vectors(left)
+    residual = half_cosine[:, None] * relative[:, :4] + half_sine[:, None] * relative[:, 4:]
+    error[:, :3] = rotation_vectors(residual)
     direction[:, :3], direction[:, 3:] = (turning[:, None] * joints.axis)[..., None], moved[:, :, 1]
     return Compared(configuration, error, direction)
 

@@ -48,9 +48,9 @@ def seen_by(joint: Joint, position: Floats, quaternion: Floats | None, rotation_
         rotation_length: weight of rotation against position [m/rad].
     """
     frame, radius = frame_of(joint)
-    seen = compare_all([joint], position, quaternion, rotation_length)
-    c = seen.configuration[0]
-    *rotation, shift = frame @ seen.error[0].reshape(-1, 3, len(c))
+    compared = compare_all([joint], position, quaternion, rotation_length)
+    c = compared.configuration[0]
+    *rotation, shift = frame @ compared.error[0].reshape(-1, 3, len(c))
     if joint.turns:
         (x, y, z), cosine, sine = shift, np.cos(c), np.sin(c)
         shift = np.stack([x * cosine + y * sine, y * cosine - x * sine, z])

@@ -38,8 +38,8 @@ class Fit:
 def seen_with(joint: Joint, position: Floats, quaternion: Floats | None, noise: TrackerNoise) -> Fit:
     """A joint as it is, with rows (n, 3), (n, 4)."""
     rotation_std, position_std = noise.stds
-    seen = seen_by(joint, position, quaternion, position_std / rotation_std)
-    return Fit(joint, chart_of(joint, quaternion is not None), seen, contrasts_of(joint, seen, noise.stds))
+    compared = seen_by(joint, position, quaternion, position_std / rotation_std)
+    return Fit(joint, chart_of(joint, quaternion is not None), compared, contrasts_of(joint, compared, noise.stds))
 
 
 def fit_likelihood(
@@ -99,11 +99,14 @@ def error_covariance(fit: Fit, noise: TrackerNoise, posterior: ErrorPosterior, g
     by_position, by_rotation = _pulled(fit, noise)
     within = gain @ fit.chart.in_frame.T
     noisy = within @ _noise_pull(by_position, by_rotation, posterior) @ within.T + besides
-    missed = [within @ _misfit_pull(one, posterior.modes) @ within.T for one in (by_position, by_rotation)]
+    missed = [
+        within @ _misfit_pull(posterior_of_axis, posterior.modes) @ within.T
+        for posterior_of_axis in (by_position, by_rotation)
+    ]
     sizes = np.stack([posterior.position, posterior.rotation])
     mean = sizes @ posterior.chance
     matrix = noisy + mean[0] * missed[0] + mean[1] * missed[1]
-    variances = np.diag(noisy) + sizes.T @ np.stack([np.diag(one) for one in missed])
+    variances = np.diag(noisy) + sizes.T @ np.stack([np.diag(variance) for variance in missed])
     std = np.sqrt(np.maximum(variances, 0.0))
     return covering(matrix, posterior.chance, np.zeros_like(std), std)
 
@@ -145,15 +148,15 @@ def _noise_pull(by_position: Floats, by_rotation: Floats, posterior: ErrorPoster
     """(p, p) covariance of the pull of a tracker's noise."""
     n, _, p = by_position.shape
     total = np.zeros((p, p))
-    for probability, one in posterior.noises:
+    for probability, noise in posterior.noises:
         for columns, white, wander in (
-            (by_position, one.position_white, one.position_wander),
-            (by_rotation, one.rotation_white, one.rotation_wander),
+            (by_position, noise.position_white, noise.position_wander),
+            (by_rotation, noise.rotation_white, noise.rotation_wander),
         ):
             flat = columns.reshape(-1, p)
             total += probability * white * (flat.T @ flat)
-            if one.process is not None and wander > 0:
-                wandered = one.process.covariance_times(columns.reshape(n, -1))
+            if noise.process is not None and wander > 0:
+                wandered = noise.process.covariance_times(columns.reshape(n, -1))
                 total += probability * wander * (flat.T @ wandered.reshape(-1, p))
     return total
 

@@ -46,8 +46,8 @@ def linear_fits(
     rigid, sliding = kind_of == "rigid", kind_of == "prismatic"
     turning = ~(rigid | sliding)
     # Joints of several kinds are fitted to the same rows: what does not depend on the kind is found once.
-    known: dict[bytes, int] = {}
-    stretch = np.array([known.setdefault(row.tobytes(), len(known)) for row in used], dtype=np.int64)
+    numbers: dict[bytes, int] = {}
+    stretch = np.array([numbers.setdefault(row.tobytes(), len(numbers)) for row in used], dtype=np.int64)
     rows = used[np.unique(stretch, return_index=True)[1]]
     share = rows / np.maximum(rows.sum(axis=1, keepdims=True), 1)
     mean = share @ position
@@ -65,20 +65,22 @@ def linear_fits(
     )
     pitch, turned = np.zeros(len(kinds)), np.zeros(len(kinds), dtype=bool)
     if turning.any():
-        some = np.unique(stretch[turning])
-        at = np.searchsorted(some, stretch[turning])
+        turning_rows = np.unique(stretch[turning])
+        at = np.searchsorted(turning_rows, stretch[turning])
         if quaternion is None:
-            circles, starts, helices, pitches, fixed = _arcs(share[some], centred[some], vectors[some])
-            (axes, centers), starts = (circles[0], circles[1] + mean[some]), starts + mean[some]
+            circles, starts, helices, pitches, fixed = _arcs(
+                share[turning_rows], centred[turning_rows], vectors[turning_rows]
+            )
+            (axes, centers), starts = (circles[0], circles[1] + mean[turning_rows]), starts + mean[turning_rows]
         else:
             axes, centers, starts, pitches, fixed = _turning(
-                share[some], centred[some], middle[some], position, quaternion
+                share[turning_rows], centred[turning_rows], middle[turning_rows], position, quaternion
             )
         axis[turning], center[turning], start[turning] = axes[at], centers[at], starts[at]
         pitch[turning], turned[turning] = np.where(kind_of[turning] == "screw", pitches[at], 0.0), fixed[at]
         if quaternion is None:
             climbs = np.flatnonzero(kind_of == "screw")
-            at = np.searchsorted(some, stretch[climbs])
+            at = np.searchsorted(turning_rows, stretch[climbs])
             axis[climbs], center[climbs] = helices[0][at], helices[1][at] + mean[stretch[climbs]]
     arrays = JointArrays(tuple(kinds), axis, center, start, middle[stretch], pitch)
     return arrays, rigid | (sliding & slid[stretch]) | turned
@@ -100,10 +102,10 @@ def _turning(
     across = np.eye(3) - axis[:, :, None] * axis[:, None]
     matrices = rotation_matrix(quaternion)
     mean_matrix = across @ (share @ matrices.reshape(-1, 9)).reshape(-1, 3, 3)
-    left = (across[:, None] @ matrices - mean_matrix[:, None]).reshape(len(share), -1, 3)
+    residual = (across[:, None] @ matrices - mean_matrix[:, None]).reshape(len(share), -1, 3)
     right = (centred @ across).reshape(len(share), -1, 1)
-    weighted = (left * np.repeat(share, 3, axis=1)[..., None]).swapaxes(1, 2)
-    normal, pulled = weighted @ left, -(weighted @ right)[..., 0]
+    weighted = (residual * np.repeat(share, 3, axis=1)[..., None]).swapaxes(1, 2)
+    normal, pulled = weighted @ residual, -(weighted @ right)[..., 0]
     # What the point has along the axis stays open: the least norm fixes it.
     in_part = (np.linalg.pinv(normal, rcond=1e-6, hermitian=True) @ pulled[..., None])[..., 0]
     mean = share @ position

@@ -112,7 +112,7 @@ class ErrorPosterior:
     @property
     def likeliest(self) -> TrackerNoise:
         """The noise of the likeliest correlation time."""
-        return max(self.noises, key=lambda one: one[0])[1]
+        return max(self.noises, key=lambda pair: pair[0])[1]
 
 
 def white_noise(stds: tuple[float, float]) -> TrackerNoise:
@@ -139,14 +139,14 @@ def noise_of(
     """
     tried = memories(time)
     modes = misfit_modes(configuration)
-    found = _posteriors(contrasts, within, wanders(time), modes, scales)
-    if found is None:
+    posteriors = _posteriors(contrasts, within, wanders(time), modes, scales)
+    if posteriors is None:
         return None
-    score = np.sum([one.log_likelihood for one in found], axis=0)
+    score = np.sum([posterior.log_likelihood for posterior in posteriors], axis=0)
     probability = np.exp(score - score.max())
     probability[probability < _UNLIKELY] = 0.0
     probability /= probability.sum()
-    position, rotation = found[0], found[1] if len(found) > 1 else None
+    position, rotation = posteriors[0], posteriors[1] if len(posteriors) > 1 else None
     noises = tuple(
         (
             float(probability[i]),
@@ -162,7 +162,7 @@ def noise_of(
         if probability[i]
     )
     chance, size = _sizes(position, probability)
-    evidence = _log_density(found, contrasts, within, scales)
+    evidence = _log_density(posteriors, contrasts, within, scales)
     if rotation is None:
         return ErrorPosterior(noises, modes, chance, size, np.zeros_like(size), evidence)
     turning_chance, turning_size = _sizes(rotation, probability)
@@ -172,10 +172,10 @@ def noise_of(
     return ErrorPosterior(noises, modes, both, *sizes, evidence)
 
 
-def _sizes(found: NoisePosterior, probability: Floats) -> tuple[Floats, Floats]:
+def _sizes(posterior: NoisePosterior, probability: Floats) -> tuple[Floats, Floats]:
     """(s,) probabilities and variances of a misfit, over correlation times of given probabilities (f,)."""
-    chance = found.chance @ probability
-    return chance, (found.chance * found.misfit) @ probability / np.maximum(chance, 1e-300)
+    chance = posterior.chance @ probability
+    return chance, (posterior.chance * posterior.misfit) @ probability / np.maximum(chance, 1e-300)
 
 
 def wanders(time: Floats) -> list[OrnsteinUhlenbeck]:
@@ -197,18 +197,18 @@ def log_evidence(
         within: (11, r) of the r numbers that were fitted.
         tried: `wanders` at the times of the rows.
     """
-    found = _posteriors(contrasts, within, tried, misfit_modes(configuration), scales)
-    return 0.0 if found is None else _log_density(found, contrasts, within, scales)
+    posteriors = _posteriors(contrasts, within, tried, misfit_modes(configuration), scales)
+    return 0.0 if posteriors is None else _log_density(posteriors, contrasts, within, scales)
 
 
 def _log_density(
-    found: Sequence[NoisePosterior], contrasts: Sequence[Contrasts], within: Floats, scales: Scales
+    posteriors: Sequence[NoisePosterior], contrasts: Sequence[Contrasts], within: Floats, scales: Scales
 ) -> float:
     columns = np.concatenate([c.design.reshape(-1, FRAME_NUMBERS) @ within for c in contrasts if not c.reach])
     # The posteriors integrate over orthonormal numbers. What rows tell less of than a metre or a radian has no volume.
     squares = np.linalg.eigvalsh(columns.T @ columns)
     volume = 0.5 * float(np.log(np.maximum(squares, scales.least[1] ** 2)).sum())
-    return float(np.logaddexp.reduce(np.sum([one.log_likelihood for one in found], axis=0))) - volume
+    return float(np.logaddexp.reduce(np.sum([posterior.log_likelihood for posterior in posteriors], axis=0))) - volume
 
 
 def _posteriors(
@@ -219,7 +219,7 @@ def _posteriors(
     scales: Scales,
 ) -> list[NoisePosterior] | None:
     """Of the pure contrasts, positions first."""
-    found: list[NoisePosterior] = []
+    posteriors: list[NoisePosterior] = []
     for contrast in contrasts:
         if contrast.reach:
             continue
@@ -228,8 +228,8 @@ def _posteriors(
         posterior = noise_posterior(processes, modes, contrast.error, contrast.design @ within, scale)
         if posterior is None:
             return None
-        found.append(posterior)
-    return found
+        posteriors.append(posterior)
+    return posteriors
 
 
 _TINY = 1e-9  # relative; smaller is round-off
@@ -256,41 +256,43 @@ class Contrasts:
     reach: float = 0.0
 
 
-def contrasts_of(joint: Joint, seen: Seen, stds: tuple[float, float]) -> list[Contrasts]:
+def contrasts_of(joint: Joint, compared: Seen, stds: tuple[float, float]) -> list[Contrasts]:
     """The contrasts of rows: of positions, of rotations and of both, those that the joint has.
 
     Args:
         stds: of a rotation [rad] and a position [m].
     """
     if not joint.turns:
-        return _straight(joint, seen)
-    n, c = len(seen.configuration), seen.configuration
-    radius, reach = seen.radius, float(np.hypot(seen.radius, joint.pitch))
+        return _straight(joint, compared)
+    n, c = len(compared.configuration), compared.configuration
+    radius, reach = compared.radius, float(np.hypot(compared.radius, joint.pitch))
     forwards, upwards = (radius / reach, joint.pitch / reach) if reach > _TINY else (1.0, 0.0)
     cosine, sine = np.cos(c), np.sin(c)
     poses = _turning_design(c, cosine, sine, radius, joint.pitch)
     error = np.empty((n, 2))
     # A configuration that is off by its noise lies outside the circle, by half its variance times the radius.
-    information = (reach / stds[1]) ** 2 + (0.0 if seen.rotation_error is None else stds[0] ** -2)
-    error[:, 0] = seen.position_error[:, 0] - 0.5 * radius / max(information, _TINY)
-    error[:, 1] = upwards * seen.position_error[:, 1] - forwards * seen.position_error[:, 2]
+    information = (reach / stds[1]) ** 2 + (0.0 if compared.rotation_error is None else stds[0] ** -2)
+    error[:, 0] = compared.position_error[:, 0] - 0.5 * radius / max(information, _TINY)
+    error[:, 1] = upwards * compared.position_error[:, 1] - forwards * compared.position_error[:, 2]
     design = np.stack([poses[:, 0], upwards * poses[:, 1] - forwards * poses[:, 2]], axis=1)
     weights = np.zeros((n, 2, 3))
     weights[:, 0, 0], weights[:, 0, 1] = cosine, sine
     weights[:, 1, 0], weights[:, 1, 1], weights[:, 1, 2] = -upwards * sine, upwards * cosine, -forwards
     result = [Contrasts(error, design, weights, None)]
-    if seen.rotation_error is None:
+    if compared.rotation_error is None:
         return result
     turning = np.zeros((n, 2, FRAME_NUMBERS))
     turning[:, 0, _TILT] = turning[:, 1, _TILT + 1] = 1 - cosine
     turning[:, 0, _TILT + 1], turning[:, 1, _TILT] = sine, -sine
     turning[:, 0, _TURN] = turning[:, 1, _TURN + 1] = cosine
     turning[:, 0, _TURN + 1], turning[:, 1, _TURN] = -sine, sine
-    result.append(Contrasts(seen.rotation_error[:, :2], turning, None, np.broadcast_to(np.eye(3)[:2], (n, 2, 3))))
+    result.append(Contrasts(compared.rotation_error[:, :2], turning, None, np.broadcast_to(np.eye(3)[:2], (n, 2, 3))))
     mixed = forwards * poses[:, 1] + upwards * poses[:, 2]
     mixed[:, _TURN + 2] -= reach
     both = (
-        forwards * seen.position_error[:, 1] + upwards * seen.position_error[:, 2] - reach * seen.rotation_error[:, 2]
+        forwards * compared.position_error[:, 1]
+        + upwards * compared.position_error[:, 2]
+        - reach * compared.rotation_error[:, 2]
     )
     by_position = np.stack([-forwards * sine, forwards * cosine, np.full(n, upwards)], axis=1)[:, None]
     by_rotation = np.broadcast_to([0.0, 0.0, -reach], (n, 1, 3))
@@ -298,21 +300,21 @@ def contrasts_of(joint: Joint, seen: Seen, stds: tuple[float, float]) -> list[Co
     return result
 
 
-def _straight(joint: Joint, seen: Seen) -> list[Contrasts]:
+def _straight(joint: Joint, compared: Seen) -> list[Contrasts]:
     """Contrasts of a joint that does not turn."""
-    n, k = len(seen.configuration), 2 if joint.moves else 3
+    n, k = len(compared.configuration), 2 if joint.moves else 3
     design = np.zeros((n, k, FRAME_NUMBERS))
     for i in range(k):
         design[:, i, _MOVE + i] = 1.0
     if joint.moves:
-        design[:, 0, _TILT + 1], design[:, 1, _TILT] = seen.configuration, -seen.configuration
+        design[:, 0, _TILT + 1], design[:, 1, _TILT] = compared.configuration, -compared.configuration
     frame = np.eye(3)
-    result = [Contrasts(seen.position_error[:, :k], design, np.broadcast_to(frame[:k], (n, k, 3)), None)]
-    if seen.rotation_error is not None:
+    result = [Contrasts(compared.position_error[:, :k], design, np.broadcast_to(frame[:k], (n, k, 3)), None)]
+    if compared.rotation_error is not None:
         turning = np.zeros((n, 3, FRAME_NUMBERS))
         for i in range(3):
             turning[:, i, _TURN + i] = 1.0
-        result.append(Contrasts(seen.rotation_error, turning, None, np.broadcast_to(frame, (n, 3, 3))))
+        result.append(Contrasts(compared.rotation_error, turning, None, np.broadcast_to(frame, (n, 3, 3))))
     return result
 
 
@@ -386,12 +388,14 @@ def without_misfit(products: Floats, contrasts: list[slice], tried: Floats) -> t
     # Eigenvectors of the modes' products serve all variances.
     values, vectors = np.linalg.eigh(products[:, behind, behind])
     values = np.maximum(values, 0.0)
-    plain = sum(products[:, one, one] for one in contrasts)
-    on_modes = np.concatenate([vectors.swapaxes(1, 2) @ products[:, behind, one] for one in contrasts], axis=1)
+    plain = sum(products[:, contrast, contrast] for contrast in contrasts)
+    on_modes = np.concatenate(
+        [vectors.swapaxes(1, 2) @ products[:, behind, contrast] for contrast in contrasts], axis=1
+    )
     weight = tried[:, None, None] / (1 + tried[:, None, None] * values)
     wide = np.tile(weight, len(contrasts))[..., None]
-    left = plain - on_modes.swapaxes(1, 2) @ (wide * on_modes)
-    return left, len(contrasts) * np.log1p(tried[:, None, None] * values).sum(axis=2)
+    residual = plain - on_modes.swapaxes(1, 2) @ (wide * on_modes)
+    return residual, len(contrasts) * np.log1p(tried[:, None, None] * values).sum(axis=2)
 
 
 _TIMES = 5  # correlation times tried
@@ -485,10 +489,13 @@ def noise_posterior(
     sizes = misfits_tried(modes)
     contrasts = [slice(i * (rank + 1), (i + 1) * (rank + 1)) for i in range(k)]
     grams, log_misfits = without_misfit(products, contrasts, sizes)
-    left, log_information = _left(grams, scale[0] * degrees)
-    scores = -0.5 * (degrees * np.log(left) + log_information + k * log_dets + log_misfits)
+    residual, log_information = _left(grams, scale[0] * degrees)
+    scores = -0.5 * (degrees * np.log(residual) + log_information + k * log_dets + log_misfits)
     # The first column is the likelihood without wander, which no correlation time changes.
-    score, white = _finer(scores, len(processes)), np.exp(_finer(np.log(left), len(processes))) / max(degrees - 2, 1)
+    score, white = (
+        _finer(scores, len(processes)),
+        np.exp(_finer(np.log(residual), len(processes))) / max(degrees - 2, 1),
+    )
     fine = np.exp(np.linspace(0, np.log(slowness[-1]), _FINE))
     level = np.append(0.0, np.exp(np.linspace(np.log(_RATIOS[0]), np.log(_RATIOS[-1]), _FINE)))
     wander = white * level / (2 * _FASTEST * fine[:, None])

@@ -82,10 +82,10 @@ def relative_rows(
             remedy="record the orientation of every part that others may be attached to",
         )
     measured = recording.poses() if poses is None else poses
-    other = _rows_of(recording, parent)
+    parent_rows = _rows_of(recording, parent)
     pieces = []
     for run in recording.runs:
-        mine, theirs = own[recording.run[own] == run], other[recording.run[other] == run]
+        mine, theirs = own[recording.run[own] == run], parent_rows[recording.run[parent_rows] == run]
         mine = mine[_covered(recording.time[mine], recording.time[theirs])]
         if len(mine) >= FEWEST_ROWS:
             frames = _interpolated(recording.time[theirs], measured[theirs], recording.time[mine])
@@ -124,8 +124,8 @@ def relative_to(recording: Recording, base: str) -> Recording:
                 remedy=f"record both at the same times, or leave the rows of {shown(child)} out",
             )
         relative.append(rows)
-    order = np.argsort(np.concatenate([one.rows for one in relative]), kind="stable")
-    return _joined([one.recording for one in relative]).rows(order)
+    order = np.argsort(np.concatenate([piece.rows for piece in relative]), kind="stable")
+    return _joined([piece.recording for piece in relative]).rows(order)
 
 
 def in_whole_recording(edge: KinematicEdge, relative: RelativeRows, child: str) -> KinematicEdge:
@@ -181,16 +181,16 @@ def _interpolated(time: Floats, poses: RigidTransform, at: Floats) -> RigidTrans
     return RigidTransform.from_components(position, Slerp(time, poses.rotation)(at))
 
 
-def _seen_from(frames: RigidTransform, own: Recording) -> Recording:
+def _seen_from(frames: RigidTransform, child: Recording) -> Recording:
     """Rows of one part in one run, in the frames of another at the same times."""
-    seen = frames.inv() * own.poses()
+    relative_poses = frames.inv() * child.poses()
     turned = frames.rotation.inv()
     return replace(
-        own,
-        position=seen.translation,
-        quaternion=seen.rotation.as_quat(),
-        action=None if own.action is None else displacements_within(frames, own.position, own.action),
-        force=None if own.force is None else turned.apply(own.force.copy()),
+        child,
+        position=relative_poses.translation,
+        quaternion=relative_poses.rotation.as_quat(),
+        action=None if child.action is None else displacements_within(frames, child.position, child.action),
+        force=None if child.force is None else turned.apply(child.force.copy()),
     )
 
 
@@ -199,15 +199,15 @@ def _joined(pieces: Sequence[Recording]) -> Recording:
     first = pieces[0]
 
     def column(name: str) -> Any:
-        arrays = [getattr(one, name) for one in pieces]
+        arrays = [getattr(piece, name) for piece in pieces]
         return None if arrays[0] is None else np.concatenate(arrays)
 
     names = ("time", "position", "quaternion", "action", "force", "run")
     return replace(
         first,
         **{name: column(name) for name in names},
-        part=tuple(name for one in pieces for name in one.part),
-        extra={name: tuple(value for one in pieces for value in one.extra[name]) for name in first.extra},
+        part=tuple(name for piece in pieces for name in piece.part),
+        extra={name: tuple(value for piece in pieces for value in piece.extra[name]) for name in first.extra},
     )
 
 
@@ -256,19 +256,19 @@ def branch_poses(edge: KinematicEdge, relative: RelativeRows, poses: RigidTransf
         (n,) poses, base frame; rows that no segment covers are as they were.
     """
     position, quaternion = poses.translation.copy(), poses.rotation.as_quat()
-    seen, seen_action = relative.recording.poses(), relative.recording.action
+    relative_poses, seen_action = relative.recording.poses(), relative.recording.action
     for segment in edge.segments:
         index = slice(segment.start, segment.end + 1)
         if segment.misfit is not None:
-            local = _smoothed_freely(seen[index])
+            local = _smoothed_freely(relative_poses[index])
         else:
-            rotation = seen.rotation[index] if relative.recording.has_orientation else None
-            c = inverse(segment.joint, seen.translation[index], rotation)
+            rotation = relative_poses.rotation[index] if relative.recording.has_orientation else None
+            c = inverse(segment.joint, relative_poses.translation[index], rotation)
             if segment.joint.kind == "revolute":
                 c = np.unwrap(c)
             if segment.joint.moves:
-                told = np.zeros(len(c)) if seen_action is None else _told(segment.joint, c, seen_action[index])
-                c = told + _smoothed(c - told)
+                log_density = np.zeros(len(c)) if seen_action is None else _told(segment.joint, c, seen_action[index])
+                c = log_density + _smoothed(c - log_density)
             local = forward(segment.joint, c)
         said = relative.frames[index] * local
         rows = relative.rows[index]

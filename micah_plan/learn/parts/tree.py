@@ -227,8 +227,8 @@ def _bodies(able: Mapping[str, tuple[str, ...]], pairs: _Pairs) -> dict[str, str
         for parent in sorted(able[child]):
             mutual = parent < child and child in able[parent]
             if mutual and first[parent] != first[child] and pairs.are_rigid(parent, child):
-                one, other = sorted((first[parent], first[child]))
-                first = {part: one if body == other else body for part, body in first.items()}
+                low, high = sorted((first[parent], first[child]))
+                first = {part: low if body == high else body for part, body in first.items()}
     return {part: body for part, body in first.items() if part != body}
 
 
@@ -237,18 +237,18 @@ def _searched(able: Mapping[str, tuple[str, ...]], pairs: _Pairs) -> tuple[dict[
 
     And its probability among all trees, with the poses found along it.
     """
-    found = dict.fromkeys(able, BASE)
-    best, best_weight, probability = found, -np.inf, 1.0
-    seen: list[dict[str, str]] = []
-    while found not in seen and len(seen) < _MOST_ROUNDS:
-        seen.append(found)
-        weights = _weights(able, found, pairs)
+    parents = dict.fromkeys(able, BASE)
+    best, best_weight, probability = parents, -np.inf, 1.0
+    visited: list[dict[str, str]] = []
+    while parents not in visited and len(visited) < _MOST_ROUNDS:
+        visited.append(parents)
+        weights = _weights(able, parents, pairs)
         # The tree that the poses were found along, valued with these poses.
-        weight = sum(weights[parent, child][0] for child, parent in found.items() if (parent, child) in weights)
+        weight = sum(weights[parent, child][0] for child, parent in parents.items() if (parent, child) in weights)
         if weight > best_weight:
-            best, best_weight = found, weight
-            probability = _share({arc: one[0] for arc, one in weights.items()}, found)
-        found = maximum_arborescence(weights, BASE)
+            best, best_weight = parents, weight
+            probability = _share({arc: pair[0] for arc, pair in weights.items()}, parents)
+        parents = maximum_arborescence(weights, BASE)
     return best, probability
 
 
@@ -260,13 +260,17 @@ def _share(evidence: Mapping[Arc, float], tree: Mapping[str, str]) -> float:
     index = {child: i for i, child in enumerate(tree)}
     laplacian, log_weight = np.zeros((len(tree), len(tree))), 0.0
     for child, j in index.items():
-        own = {parent: one / LOG_ODDS_OVERSTATED for (parent, other), one in evidence.items() if other == child}
-        top = max(own.values())
-        log_weight += own[tree[child]] - top
-        for parent, one in own.items():
-            laplacian[j, j] += np.exp(one - top)
+        odds = {
+            parent: value / LOG_ODDS_OVERSTATED
+            for (parent, child_of_pair), value in evidence.items()
+            if child_of_pair == child
+        }
+        top = max(odds.values())
+        log_weight += odds[tree[child]] - top
+        for parent, value in odds.items():
+            laplacian[j, j] += np.exp(value - top)
             if parent != BASE:
-                laplacian[index[parent], j] -= np.exp(one - top)
+                laplacian[index[parent], j] -= np.exp(value - top)
     return float(np.clip(np.exp(log_weight - np.linalg.slogdet(laplacian)[1]), 0.0, 1.0))
 
 
@@ -352,9 +356,9 @@ def _chosen(weights: Mapping[Arc, Weight], root: str) -> set[Arc]:
         new = (merged if parent in cycle else parent, merged if child in cycle else child)
         if new not in shorter or weight > shorter[new]:
             shorter[new], original[new] = weight, arc
-    found = {original[arc] for arc in _chosen(shorter, root)}
-    entered = next(child for _, child in found if child in cycle)
-    return found | {best[node] for node in cycle if node != entered}
+    arcs = {original[arc] for arc in _chosen(shorter, root)}
+    entered = next(child for _, child in arcs if child in cycle)
+    return arcs | {best[node] for node in cycle if node != entered}
 
 
 def _cycle(best: Mapping[str, Arc], root: str) -> set[str]:
@@ -420,9 +424,9 @@ def _carries(parent: Booleans, child: Booleans) -> bool:
     return bool(parent.any() and (parent & child).sum() >= _SHARE * parent.sum())
 
 
-def _places(own: Recording) -> Floats:
+def _places(recording: Recording) -> Floats:
     """(n, 3 or 12) positions, and directions of the part's axes scaled to lengths [m]."""
-    if own.quaternion is None:
-        return own.position
-    turned = own.poses().rotation.as_matrix().reshape(len(own), 9)
-    return np.concatenate([own.position, ROTATION_LENGTH * turned], axis=1)
+    if recording.quaternion is None:
+        return recording.position
+    turned = recording.poses().rotation.as_matrix().reshape(len(recording), 9)
+    return np.concatenate([recording.position, ROTATION_LENGTH * turned], axis=1)

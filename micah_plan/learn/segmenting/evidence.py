@@ -102,7 +102,7 @@ def all_tabulated(
     begun: bool = False,
 ) -> list[EvidenceTable]:
     """The same of several sets of hypotheses, each under a noise of its own, at once."""
-    together, counts = all_of(pools), [len(one) for one in pools]
+    together, counts = all_of(pools), [len(pool) for pool in pools]
     noise = stacked(noises, counts) if len(pools) > 1 else noises[0]
     pool = pool_of(together, track, noise)
     table, scale = _across(pool, noise)
@@ -123,14 +123,14 @@ def all_tabulated(
     parameters = parameter_counts(together.joints, track.quaternion is not None) + motion.parameters
     cost, denied = parameter_costs(pool, track, noise, trust)
     ends = np.cumsum(counts)
-    found = []
-    for one, own, some in zip(pools, noises, map(slice, ends - counts, ends), strict=True):
-        pool_of_one = pool.part(some, one)
-        held = held_costs(cost[some], denied[some], pool_of_one, own, trust) + of_motion[some]
-        table_of_one = table[:, some].swapaxes(1, 2)
-        numbers = parameters[some], cost[some] + of_motion[some], held, rows[some]
-        found.append(EvidenceTable(trust, pool_of_one, motion.part(some), table_of_one, *numbers))
-    return found
+    tables = []
+    for pool_of_part, noise_of_part, part in zip(pools, noises, map(slice, ends - counts, ends), strict=True):
+        pool_of_one = pool.part(part, pool_of_part)
+        held = held_costs(cost[part], denied[part], pool_of_one, noise_of_part, trust) + of_motion[part]
+        table_of_one = table[:, part].swapaxes(1, 2)
+        numbers = parameters[part], cost[part] + of_motion[part], held, rows[part]
+        tables.append(EvidenceTable(trust, pool_of_one, motion.part(part), table_of_one, *numbers))
+    return tables
 
 
 def _across(pool: Pool, noise: NoiseModel) -> tuple[Floats, Floats]:
@@ -141,8 +141,8 @@ def _across(pool: Pool, noise: NoiseModel) -> tuple[Floats, Floats]:
     peak = np.where(pool.moving, log_peak(d - 1, noise.dof), log_peak(d, noise.dof))[:, None]
     scaling = (noise.decorrelation[:, None] / np.sqrt(noise.left)[:, :, None]).swapaxes(0, 1)
     squares = np.empty((len(scaling), h, n))
-    for one, left, square in zip(scaling, noise.predicted_back(pool.seen.error), squares, strict=True):
-        innovation = one @ left
+    for scale_of_order, residual, square in zip(scaling, noise.predicted_back(pool.seen.error), squares, strict=True):
+        innovation = scale_of_order @ residual
         np.einsum("hdn,hdn->hn", innovation, innovation, out=square)
     # The direction of motion is not counted here.
     precision = (scaling.swapaxes(2, 3) @ scaling).swapaxes(0, 1).reshape(len(noise), -1, d * d)
@@ -168,8 +168,8 @@ def segment_sums(log_density: Floats) -> Floats:
         begin[k, :, : n - k] = log_density[k, k:].T
     begin = np.cumsum(begin, axis=0)
     later = running[:, np.minimum(np.arange(n) + p, n)]
-    known = begin[-1] - later if p else -later
-    sums = running[:, None, 1:] + known[:, :, None]
+    beginning = begin[-1] - later if p else -later
+    sums = running[:, None, 1:] + beginning[:, :, None]
     of_lengths = sums.reshape(h, -1)
     for k in range(min(p - 1, n)):
         of_lengths[:, k :: n + 1][:, : n - k] = begin[k, :, : n - k]

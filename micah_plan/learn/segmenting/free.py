@@ -19,7 +19,7 @@ from micah_plan.learn.track import PartTrack, extent
 
 _WHITE = np.array([0.3, 0.6, 1.0, 1.5])  # stds of white noise that are tried, in the roughness of the rows
 _ACCELERATION = np.geomspace(0.003, 10.0, 12)  # stds of a change of velocity from row to row, in the same unit
-_WHITES, _ACCELERATIONS = (one.ravel() for one in np.meshgrid(_WHITE, _ACCELERATION, indexing="ij"))
+_WHITES, _ACCELERATIONS = (grid.ravel() for grid in np.meshgrid(_WHITE, _ACCELERATION, indexing="ij"))
 _DOF = 8.0  # of Student's distribution
 _ITERATIONS = 4  # of its scale
 FINEST_EXTENT = 1e-3  # m or rad
@@ -51,10 +51,10 @@ def free_log_probability(track: PartTrack, noise: NoiseModel, trust: float) -> f
     trends = [
         trend_of(path[:, i : i + 3], std) for i, std in zip(range(0, path.shape[1], 3), rough(noise), strict=True)
     ]
-    squares = np.sum([one.squares for one in trends], axis=0)
-    sizes = np.sum([one.sizes for one in trends], axis=0)
-    told = float(density(squares, sizes, path.shape[1]).sum()) + sum(one.begun for one in trends)
-    return float(trust * told - len(trends) * price(len(track)))
+    squares = np.sum([trend.squares for trend in trends], axis=0)
+    sizes = np.sum([trend.sizes for trend in trends], axis=0)
+    log_probability = float(density(squares, sizes, path.shape[1]).sum()) + sum(trend.begun for trend in trends)
+    return float(trust * log_probability - len(trends) * price(len(track)))
 
 
 def rough(noise: NoiseModel) -> list[float]:

@@ -89,8 +89,8 @@ def held_steps(along: Along) -> Floats:
         weighted = action * followed[:, None]
         gain = least_norm((weighted.T @ action)[None], (weighted.T @ step)[None], _LEAST_INFORMATION)[0]
         expected = action @ gain
-        left = float(followed @ (step - expected) ** 2 / followed.sum())
-        before, held = held, _smoothed(along, expected, max(left - 2 * along.white, 0.0))
+        variance = float(followed @ (step - expected) ** 2 / followed.sum())
+        before, held = held, _smoothed(along, expected, max(variance - 2 * along.white, 0.0))
         followed = asked * (1 - held)
         if np.abs(held - before).max() < 0.01:
             break

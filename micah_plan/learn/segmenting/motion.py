@@ -69,9 +69,9 @@ class Motion:
     gain: Floats
     parameters: Floats
 
-    def part(self, some: slice) -> Motion:
+    def part(self, part: slice) -> Motion:
         """Of some hypotheses."""
-        return Motion(self.log_density[some], self.gain[some], self.parameters[some])
+        return Motion(self.log_density[part], self.gain[part], self.parameters[part])
 
 
 def fit_motion(
@@ -113,8 +113,8 @@ def fit_motion(
     if action is not None:
         # A prior, which is not tempered as what rows say is.
         hazard = _onward(c) / (trust * _GAP * np.maximum(np.ptp(c, axis=1), 1e-9))
-        given = grid, weight, pool.lever[members], waiting, enough, action, hazard
-        led = _led(innovations[0], innovations[2:], quiet, *given)
+        arguments = grid, weight, pool.lever[members], waiting, enough, action, hazard
+        led = _led(innovations[0], innovations[2:], quiet, *arguments)
         # However little they explain: a hand that pushes does not wait.
         models = [replace(models[0], waiting=led[0].waiting), *led]
     states = [np.stack([getattr(model, name) for model in models], axis=2) for name in ("forth", "back", "waiting")]
@@ -204,13 +204,13 @@ def _freely(
     folded = innovation * direction.T[:, :, None]
     mean = (folded * weight).sum(axis=0) / np.maximum((going * weight).sum(axis=0), 1.0)
     variance, missed = grid, folded - mean * going
-    known, log_quiet = 1 / quiet, np.log(quiet)
+    precision, log_quiet = 1 / quiet, np.log(quiet)
     for _ in range(_EXPECTATION_STEPS):
         moving = quiet + variance
-        odds = log_quiet - np.log(moving) + (missed + mean) ** 2 * known - missed**2 / moving
+        odds = log_quiet - np.log(moving) + (missed + mean) ** 2 * precision - missed**2 / moving
         odds = np.log1p(-rest) - np.log(rest) + 0.5 * odds
         share = weight / (1 + np.exp(-np.clip(odds, -500, 500)))
-        of_going, of_resting = share / moving * going, (weight - share) * known * resting
+        of_going, of_resting = share / moving * going, (weight - share) * precision * resting
         pull = ((of_going + of_resting) * folded).sum(axis=0)
         mean = pull / np.maximum((of_going * going + of_resting * resting).sum(axis=0), 1e-300)
         missed = folded - mean * going
@@ -224,8 +224,8 @@ def _freely(
     spread = np.maximum(square_missed / np.maximum(weight.sum(axis=0), 1.0), 0.01 * grid)
     as_before = log_step_density(innovation - ways * (speed * resting), quiet, ways * speed, spread, rest)
     # Or it changes at once.
-    other = _quiet_density(innovation, quiet + square[:, None]) + np.log(_OTHER_SPEED)
-    both = log_add(log_add(both, as_before) + np.log(0.5 * (1 - _OTHER_SPEED)), other)
+    other_speed = _quiet_density(innovation, quiet + square[:, None]) + np.log(_OTHER_SPEED)
+    both = log_add(log_add(both, as_before) + np.log(0.5 * (1 - _OTHER_SPEED)), other_speed)
     best = np.argmax((both.max(axis=0) * weight).sum(axis=0), axis=1)
     at = np.arange(len(best))
     sure = np.ones(len(best), dtype=bool)
@@ -286,7 +286,7 @@ def _onward(c: Floats) -> Floats:
 
 
 def _led(
-    own: Floats,
+    steps: Floats,
     commanded: Floats,
     quiet: Floats,
     grid: Floats,
@@ -300,7 +300,7 @@ def _led(
     """h along the levers (h, 3), and h of any direction, each for the best E[w²] of the grid.
 
     Args:
-        own, commanded: (n - 1, h, g) and (3, n - 1, h, g) innovations of the configuration and of what was commanded.
+        steps, commanded: (n - 1, h, g) and (3, n - 1, h, g) innovations of the configuration and of what was commanded.
         action: (n, 3) in the part's frame [m].
         hazard: (h,) with which a hand has the part [per rad or m that it gets], signed as the part then goes.
         enough: (h,) how many steps there are to tell from.
@@ -308,26 +308,26 @@ def _led(
     pushes = commanded.transpose(2, 3, 0, 1)
     weighted = pushes * (weight / (quiet + grid)).transpose(1, 2, 0)[:, :, None]
     normal = weighted @ pushes.swapaxes(2, 3)
-    pull = (weighted @ own.transpose(1, 2, 0)[..., None])[..., 0]
+    pull = (weighted @ steps.transpose(1, 2, 0)[..., None])[..., 0]
     information = np.einsum("hi,hgij,hj->hg", lever, normal, lever)
     strength = np.einsum("hi,hgi->hg", lever, pull) / np.where(information > 0, information, 1.0)
     gains = np.stack([strength[..., None] * lever[:, None], least_norm(normal, pull, _LEAST_INFORMATION)])
-    left = own - (gains[..., None, :] @ pushes)[..., 0, :].transpose(0, 3, 1, 2)
-    exactly, loosely = _quiet_density(left, quiet), _quiet_density(left, quiet + grid)
+    residual = steps - (gains[..., None, :] @ pushes)[..., 0, :].transpose(0, 3, 1, 2)
+    exactly, loosely = _quiet_density(residual, quiet), _quiet_density(residual, quiet + grid)
     best = np.argmax((np.maximum(exactly, loosely) * weight).sum(axis=1), axis=2)
     at = np.arange(len(lever))
-    along, turned = (gains[i, at, one] for i, one in enumerate(best))
+    along, turned = (gains[i, at, row] for i, row in enumerate(best))
     # In another frame an action says as much as in the right one, not more. Unbounded, h finds that one push moved
     # the part and another, in much the same direction, did not: a stop would be no evidence of anything any more.
     lengths = np.sqrt(np.sum(np.stack([lever, along, turned]) ** 2, axis=2))
     plausible = lengths[2] <= _MOST_AMPLIFIED * np.maximum(lengths[0], lengths[1])
-    told = enough >= FEWEST_ACTED
-    exact, loose = ([one[i][:, at, chosen] for i, chosen in enumerate(best)] for one in (exactly, loosely))
+    is_enough = enough >= FEWEST_ACTED
+    exact, loose = ([density[i][:, at, chosen] for i, chosen in enumerate(best)] for density in (exactly, loosely))
     # A hand that is not there yet has the part the sooner, the further it gets the way that the part then goes.
     got = np.cumsum(action[:-1] @ np.concatenate([along, turned]).T, axis=0) * np.tile(hazard, 2)
     further = np.diff(np.maximum.accumulate(np.maximum(got, 0.0), axis=0), axis=0, prepend=0.0)
-    absent = [waiting - one for one in np.split(further, 2, axis=1)]
+    absent = [waiting - part for part in np.split(further, 2, axis=1)]
     return [
-        _StepModel(exact[0], loose[0], absent[0], along, 3.0, told),
-        _StepModel(exact[1], loose[1], absent[1], turned, 5.0, told & plausible),
+        _StepModel(exact[0], loose[0], absent[0], along, 3.0, is_enough),
+        _StepModel(exact[1], loose[1], absent[1], turned, 5.0, is_enough & plausible),
     ]

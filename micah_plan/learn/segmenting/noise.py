@@ -74,7 +74,7 @@ class NoiseScales:
         return type(self)(**{name: value[index] for name, value in self._arrays().items()})
 
     def _arrays(self) -> dict[str, Floats]:
-        return {one.name: getattr(self, one.name) for one in fields(self)}
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
     def renewed(self) -> Floats:
@@ -135,11 +135,11 @@ class NoiseModel(NoiseScales):
 
     def whitened(self, errors: Floats) -> Floats:
         """Errors (m, n, d) less their prediction from the p rows before, scaled to unit independent channels."""
-        left = errors.copy()
+        residual = errors.copy()
         for lag in range(1, self.left.shape[1]):
-            left[:, lag:] -= self.coefficients[:, -1, lag - 1, None] * errors[:, :-lag]
-        left /= np.sqrt(self.left[:, -1, None])
-        return np.asarray(left @ self.decorrelation.swapaxes(1, 2))
+            residual[:, lag:] -= self.coefficients[:, -1, lag - 1, None] * errors[:, :-lag]
+        residual /= np.sqrt(self.left[:, -1, None])
+        return np.asarray(residual @ self.decorrelation.swapaxes(1, 2))
 
     def predicted_back(self, errors: Floats) -> Iterator[Floats]:
         """Errors (h, d, n) less their prediction from 0, 1, ... p rows before.
@@ -163,10 +163,10 @@ class NoiseModel(NoiseScales):
 
 def stacked(noises: Sequence[NoiseModel], counts: Sequence[int]) -> NoiseModel:
     """Each of some noises (m = 1) for so many hypotheses."""
-    arrays = [one._arrays() for one in noises]
+    arrays = [noise._arrays() for noise in noises]
     return NoiseModel(
         **{
-            name: np.concatenate([np.repeat(one[name], k, axis=0) for one, k in zip(arrays, counts, strict=True)])
+            name: np.concatenate([np.repeat(array[name], k, axis=0) for array, k in zip(arrays, counts, strict=True)])
             for name in arrays[0]
         }
     )
@@ -180,15 +180,15 @@ def predictors(
     covariance = fast * fast_kept**lags + slow * slow_kept**lags
     covariance[0] += white
     coefficients = np.zeros((most + 1, most, covariance.shape[1]))
-    left = np.zeros((most + 1, covariance.shape[1]))
-    left[0] = covariance[0]
+    variances = np.zeros((most + 1, covariance.shape[1]))
+    variances[0] = covariance[0]
     for order in range(1, most + 1):
         last = coefficients[order - 1, : order - 1]
-        reflection = (covariance[order] - (last * covariance[order - 1 : 0 : -1]).sum(axis=0)) / left[order - 1]
+        reflection = (covariance[order] - (last * covariance[order - 1 : 0 : -1]).sum(axis=0)) / variances[order - 1]
         coefficients[order, : order - 1] = last - reflection * last[::-1]
         coefficients[order, order - 1] = reflection
-        left[order] = left[order - 1] * (1 - reflection**2)
-    return coefficients, left
+        variances[order] = variances[order - 1] * (1 - reflection**2)
+    return coefficients, variances
 
 
 def log_peak(size: int, dof: float | Floats) -> Floats:

@@ -52,7 +52,7 @@ def noises_left(
         any_slow: whether the slow wander may be smaller than it is expected to be.
     """
     shares = _ANY_SLOW if any_slow else _ANY_SLOW[:1]
-    errors, free = (np.stack(some) for some in zip(*(misses(pool, which) for pool, which in answers), strict=True))
+    errors, free = (np.stack(part) for part in zip(*(misses(pool, which) for pool, which in answers), strict=True))
     m, _, d = errors.shape
     correlation = np.tile(np.eye(d), (m, 1, 1))
     # Scales again in the axes that a tracker turns out to have.
@@ -76,9 +76,9 @@ def _scales(
     m, n, d = errors.shape
     order = min(MEMORY, n - 1)
     # Every 3-vector on its own, in the axes and units that its correlation has.
-    own = np.stack([correlation[:, i : i + 3, i : i + 3] for i in range(0, d, 3)], axis=1)
-    scaling = np.linalg.inv(np.linalg.cholesky(own))
-    vectors, along = (scaling @ one.reshape(m, n, d // 3, 3).transpose(0, 2, 3, 1) for one in (errors, free))
+    blocks = np.stack([correlation[:, i : i + 3, i : i + 3] for i in range(0, d, 3)], axis=1)
+    scaling = np.linalg.inv(np.linalg.cholesky(blocks))
+    vectors, along = (scaling @ block.reshape(m, n, d // 3, 3).transpose(0, 2, 3, 1) for block in (errors, free))
     missed = (vectors[..., 1:-1] - 0.5 * (vectors[..., 2:] + vectors[..., :-2])).swapaxes(2, 3)
     share = (along**2).sum(axis=2) / _rough(missed, 3.0)[..., None] ** 2
     size = 3 - share / np.maximum(share.sum(axis=1, keepdims=True), 1e-300)
@@ -92,17 +92,19 @@ def _scales(
     fasts = np.minimum(fast_shares * rough[..., None], _FAST_MOST * np.sqrt(slow)[:, None]) ** 2
     kept = np.broadcast_to(fast_kept, whites.shape)
     slows = np.broadcast_to(slow[:, None] * slow_shares**2, whites.shape)
-    coefficients, left = predictors(whites.ravel(), fasts.ravel(), slows.ravel(), kept.ravel(), slow_kept, order)
+    coefficients, innovation = predictors(whites.ravel(), fasts.ravel(), slows.ravel(), kept.ravel(), slow_kept, order)
     past = np.zeros((*vectors.shape[:3], order, n))
     for lag in range(1, order + 1):
         past[..., lag - 1, lag:] = vectors[..., : n - lag]
-    told = coefficients[-1].reshape(order, *whites.shape).transpose(1, 2, 3, 0)[:, :, None] @ past
-    squares = ((vectors[..., None, :] - told) ** 2).sum(axis=2)
-    variance, size = left[-1].reshape(*whites.shape, 1), size[:, :, None]
+    weights = coefficients[-1].reshape(order, *whites.shape).transpose(1, 2, 3, 0)[:, :, None] @ past
+    squares = ((vectors[..., None, :] - weights) ** 2).sum(axis=2)
+    variance, size = innovation[-1].reshape(*whites.shape, 1), size[:, :, None]
     heavy = _DOFS[0] + size
     density = -0.5 * (size * np.log(variance) + heavy * np.log1p(squares / variance / heavy))
     best = density.sum(axis=3).argmax(axis=2)[..., None]
-    white, fast, slow, kept = (np.take_along_axis(one, best, axis=2)[..., 0] for one in (whites, fasts, slows, kept))
+    white, fast, slow, kept = (
+        np.take_along_axis(parameter, best, axis=2)[..., 0] for parameter in (whites, fasts, slows, kept)
+    )
     return _model(white, fast, slow, kept, slow_kept, n, settings)
 
 
@@ -156,9 +158,9 @@ def _model(
         if value is not None:
             white[:, index], fast[:, index] = value**2, 0.0
     flat = white.ravel(), fast.ravel(), slow.ravel(), fast_kept.ravel()
-    coefficients, left = (
-        np.moveaxis(one.reshape(*one.shape[:-1], m, vectors).repeat(3, axis=-1), -2, 0)
-        for one in predictors(*flat, slow_kept, min(MEMORY, max(n - 1, 0)))
+    coefficients, innovation = (
+        np.moveaxis(part.reshape(*part.shape[:-1], m, vectors).repeat(3, axis=-1), -2, 0)
+        for part in predictors(*flat, slow_kept, min(MEMORY, max(n - 1, 0)))
     )
     return NoiseModel(
         white=white.repeat(3, axis=1),
@@ -169,7 +171,7 @@ def _model(
         correlation=np.tile(np.eye(d), (m, 1, 1)),
         dof=np.full(m, _DOFS[0]),
         coefficients=np.ascontiguousarray(coefficients),
-        left=np.ascontiguousarray(left),
+        left=np.ascontiguousarray(innovation),
     )
 
 

@@ -73,10 +73,10 @@ def held_costs(cost: Floats, denied: Floats, pool: Pool, noise: NoiseModel, trus
     error, direction = pool.seen.error[joints], pool.seen.direction[joints]
     rigid = np.flatnonzero(~pool.moving)
     rows = [np.flatnonzero(used[i]) for i in rigid]
-    missed_by = np.array([error[..., own].mean(axis=2) for own in rows])
-    along = np.moveaxis(direction[..., [own[len(own) // 2] for own in rows]], 2, 0) * reach[:, None]
+    missed_by = np.array([error[..., row].mean(axis=2) for row in rows])
+    along = np.moveaxis(direction[..., [row[len(row) // 2] for row in rows]], 2, 0) * reach[:, None]
     prior = np.diag(noise.slow[0] + noise.white[0]) + along[..., :, None] * along[..., None, :]
-    count = np.array([len(own) for own in rows])[:, None, None, None]
+    count = np.array([len(row) for row in rows])[:, None, None, None]
     size = np.linalg.slogdet(np.eye(prior.shape[-1]) + prior @ information * count)[1]
     missed = np.sum(missed_by * np.linalg.solve(prior, missed_by[..., None])[..., 0], axis=-1)
     result[rigid] = np.minimum(result[rigid], 0.5 * (size + missed).min(axis=1) + denied[rigid])

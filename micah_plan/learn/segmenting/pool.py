@@ -40,16 +40,16 @@ class Hypotheses:
         """Some of them."""
         return Hypotheses(self.joints.take(index), self.used[np.asarray(index, dtype=np.int64)])
 
-    def joined(self, other: Hypotheses) -> Hypotheses:
+    def joined(self, more: Hypotheses) -> Hypotheses:
         """These and others."""
-        return all_of([self, other])
+        return all_of([self, more])
 
 
 def all_of(pools: Sequence[Hypotheses]) -> Hypotheses:
     """The hypotheses of one pool after those of another."""
     if len(pools) == 1:
         return pools[0]
-    return Hypotheses(concatenated([one.joints for one in pools]), np.concatenate([one.used for one in pools]))
+    return Hypotheses(concatenated([pool.joints for pool in pools]), np.concatenate([pool.used for pool in pools]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,41 +70,45 @@ class Pool:
     lever: Floats
     moving: Booleans
 
-    def part(self, some: slice, hypotheses: Hypotheses) -> Pool:
+    def part(self, part: slice, hypotheses: Hypotheses) -> Pool:
         """As some of the hypotheses see the rows."""
-        return Pool(hypotheses, self.seen.take(some), self.along.take(some), self.lever[some], self.moving[some])
+        return Pool(hypotheses, self.seen.take(part), self.along.take(part), self.lever[part], self.moving[part])
 
 
 def pool_of(hypotheses: Hypotheses, track: PartTrack, noise: NoiseModel) -> Pool:
     """Compare all rows of a track with joints; configurations are most likely under the noise's covariance."""
     joints = hypotheses.joints
-    seen = compare_arrays(joints, track.position, track.quaternion, noise.rotation_length)
-    weighed = np.linalg.inv(noise.innovation) @ seen.direction
-    information = np.where(joints.moving[:, None], (weighed * seen.direction).sum(axis=1), 1.0)
+    compared = compare_arrays(joints, track.position, track.quaternion, noise.rotation_length)
+    weighed = np.linalg.inv(noise.innovation) @ compared.direction
+    information = np.where(joints.moving[:, None], (weighed * compared.direction).sum(axis=1), 1.0)
     information = np.maximum(information, 1e-12)
     # The closed form weighs position against rotation by one number; one Newton step brings in the whole covariance.
-    step = (weighed * seen.error).sum(axis=1) / information
-    seen = Compared(seen.configuration + step, seen.error - step[:, None] * seen.direction, seen.direction)
+    step = (weighed * compared.error).sum(axis=1) / information
+    compared = Compared(
+        compared.configuration + step, compared.error - step[:, None] * compared.direction, compared.direction
+    )
     # A tracker's axes show across a joint, not along it: there its noise is that of all axes together.
     share = (weighed / information[:, None]) ** 2
     of_pose = noise.white, noise.fast, noise.slow, noise.fast * noise.fast_kept, noise.slow * noise.slow_kept
     white, fast, slow, *neighbours = np.median(np.stack(of_pose, axis=1) @ share, axis=2).T
-    kept = (covariance / np.maximum(own, _TINY) for covariance, own in zip(neighbours, (fast, slow), strict=True))
+    kept = (
+        covariance / np.maximum(variance, _TINY) for covariance, variance in zip(neighbours, (fast, slow), strict=True)
+    )
     along = NoiseScales(white, fast, slow, *kept)
-    return Pool(hypotheses, seen, along, levers(joints, track.quaternion is not None), joints.moving)
+    return Pool(hypotheses, compared, along, levers(joints, track.quaternion is not None), joints.moving)
 
 
 def windows(rows: int) -> list[tuple[int, int]]:
     """(start, end inclusive) of windows of 1, 1/2, 1/4, 1/8 of the rows, half overlapping."""
-    found: list[tuple[int, int]] = []
+    spans: list[tuple[int, int]] = []
     for level in range(_LEVELS):
         size = rows / 2**level
         if size < _FEWEST_ROWS and level:
             break
         for i in range(2 ** (level + 1) - 1):
             start = round(i * size / 2)
-            found.append((start, min(round(start + size), rows) - 1))
-    return found
+            spans.append((start, min(round(start + size), rows) - 1))
+    return spans
 
 
 def window_hypotheses(track: PartTrack, kinds: Sequence[JointKind], noise: NoiseModel) -> Hypotheses:
@@ -136,14 +140,14 @@ def all_refitted(
     wanted: Sequence[tuple[Sequence[JointKind], Booleans]], track: PartTrack, noise: NoiseModel
 ) -> list[Hypotheses]:
     """The same of several sets of kinds and rows at once, each under one of as many noises."""
-    kinds = [kind for some, _ in wanted for kind in some]
+    kinds = [kind for wanted_kinds, _ in wanted for kind in wanted_kinds]
     used = np.concatenate([rows for _, rows in wanted])
     joints, fixed = linear_fits(kinds, used, track.position, track.quaternion)
-    own = np.repeat(np.arange(len(wanted)), [len(some) for some, _ in wanted])[fixed]
+    owner = np.repeat(np.arange(len(wanted)), [len(wanted_kinds) for wanted_kinds, _ in wanted])[fixed]
     chosen = Hypotheses(joints, used).take(np.flatnonzero(fixed))
-    own_noise = noise.take(own) if len(wanted) > 1 else noise
-    found = Hypotheses(fit_likelihood(chosen.joints, chosen.used, track, own_noise, _ITERATIONS), chosen.used)
-    return [found.take(np.flatnonzero(own == i)) for i in range(len(wanted))]
+    own_noise = noise.take(owner) if len(wanted) > 1 else noise
+    hypotheses = Hypotheses(fit_likelihood(chosen.joints, chosen.used, track, own_noise, _ITERATIONS), chosen.used)
+    return [hypotheses.take(np.flatnonzero(owner == i)) for i in range(len(wanted))]
 
 
 def _spread(rows: Floats) -> float:

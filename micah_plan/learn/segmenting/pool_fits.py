@@ -56,7 +56,7 @@ def fit_likelihood(
         now = now.after(step)
     done.append((now.joints, now.place))
     order = np.argsort(np.concatenate([place for _, place in done]))
-    return concatenated([some for some, _ in done]).take(order)
+    return concatenated([part for part, _ in done]).take(order)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,16 +110,16 @@ class _Fits:
     def after(self, step: Floats) -> _Fits:
         """The joints after a step, where it makes the rows likelier."""
         trial = self.joints.moved(step)
-        seen = compare_arrays(trial, self.position, self.quaternion, self.rotation_length)
-        innovation, cost = _innovations(seen.error, self.coefficients, self.scale, self.decorrelation, self.dof)
+        compared = compare_arrays(trial, self.position, self.quaternion, self.rotation_length)
+        innovation, cost = _innovations(compared.error, self.coefficients, self.scale, self.decorrelation, self.dof)
         better = cost < self.cost
         damping = np.where(better, self.damping / 10, np.maximum(self.damping, _DAMPING) * 100)
         if better.all():
-            return replace(self, joints=trial, seen=seen, innovation=innovation, cost=cost, damping=damping)
+            return replace(self, joints=trial, seen=compared, innovation=innovation, cost=cost, damping=damping)
         return replace(
             self,
             joints=trial.where(better, self.joints),
-            seen=seen.where(better, self.seen),
+            seen=compared.where(better, self.seen),
             innovation=np.where(better[:, None, None], innovation, self.innovation),
             cost=np.where(better, cost, self.cost),
             damping=damping,
@@ -154,16 +154,16 @@ def _start(joints: JointArrays, used: Booleans, track: PartTrack, noise: NoiseMo
     which = np.arange(len(noise))[:, None]
     scale = np.where(used[:, None], 1 / np.sqrt(noise.left[which, order].swapaxes(1, 2)), 0.0)
     coefficients = noise.coefficients[which, order, : order.max()].transpose(2, 0, 3, 1) * scale
-    own = np.zeros(len(joints), dtype=np.int64) if len(noise) == 1 else np.arange(len(joints))
-    of_noise = noise.decorrelation[own], noise.dof[own, None], noise.rotation_length[own]
-    seen = compare_arrays(joints, position, quaternion, of_noise[2])
-    innovation, cost = _innovations(seen.error, coefficients, scale, *of_noise[:2])
+    owner = np.zeros(len(joints), dtype=np.int64) if len(noise) == 1 else np.arange(len(joints))
+    of_noise = noise.decorrelation[owner], noise.dof[owner, None], noise.rotation_length[owner]
+    compared = compare_arrays(joints, position, quaternion, of_noise[2])
+    innovation, cost = _innovations(compared.error, coefficients, scale, *of_noise[:2])
     damping = np.full(len(joints), _DAMPING)
     rows = position, quaternion, coefficients, scale
-    return _Fits(joints, np.arange(len(joints)), *rows, *of_noise, seen, innovation, cost, damping)
+    return _Fits(joints, np.arange(len(joints)), *rows, *of_noise, compared, innovation, cost, damping)
 
 
-def parameter_design(joints: JointArrays, seen: Compared, position: Floats) -> Floats:
+def parameter_design(joints: JointArrays, compared: Compared, position: Floats) -> Floats:
     """(h, d, 13, n) derivative of the model's pose by `JointArrays.moved`'s step, free of the motion along the joint.
 
     Where all joints are rigid (h, d, 6, n): both sides would say the same.
@@ -171,9 +171,9 @@ def parameter_design(joints: JointArrays, seen: Compared, position: Floats) -> F
     Args:
         position: (n, 3) or (h, n, 3) measured positions of the rows that were compared [m].
     """
-    h, d, n = seen.error.shape
-    c = seen.configuration[:, None]
-    points = np.ascontiguousarray(position.swapaxes(-1, -2)) - seen.error[:, -3:]
+    h, d, n = compared.error.shape
+    c = compared.configuration[:, None]
+    points = np.ascontiguousarray(position.swapaxes(-1, -2)) - compared.error[:, -3:]
     every = np.arange(3)
     if not joints.moving.any():
         design = np.zeros((h, 6, 6, n))
@@ -202,8 +202,8 @@ def parameter_design(joints: JointArrays, seen: Compared, position: Floats) -> F
     design[~joints.moving, :, 6:] = 0.0
     design[:, 3:, 12] = np.where(joints.twisting[:, None, None], c, 0.0) * axis
     design = design[:, 6 - d :]
-    length = np.sqrt((seen.direction**2).sum(axis=1, keepdims=True))
-    along = (seen.direction / np.maximum(length, 1e-12))[:, :, None]
+    length = np.sqrt((compared.direction**2).sum(axis=1, keepdims=True))
+    along = (compared.direction / np.maximum(length, 1e-12))[:, :, None]
     design -= along * (along * design).sum(axis=1, keepdims=True)
     return design
 
@@ -221,10 +221,10 @@ def _known_before(used: Booleans, most: int) -> Ints:
 
 def _whitened(values: Floats, coefficients: Floats, scale: Floats) -> Floats:
     """Values (h, d, ..., n) less their prediction from the rows before, in stds; coefficients count in stds too."""
-    left = values * scale
+    squared = values * scale
     for lag, coefficient in enumerate(coefficients, start=1):
-        left[..., lag:] -= coefficient[..., lag:] * values[..., :-lag]
-    return left
+        squared[..., lag:] -= coefficient[..., lag:] * values[..., :-lag]
+    return squared
 
 
 def _innovations(
@@ -244,6 +244,6 @@ def least_norm(normal: Floats, pull: Floats, least: float) -> Floats:
         least: information, relative to that of the best known direction, below which x is 0.
     """
     values, vectors = np.linalg.eigh(normal)
-    known = values > least * values[..., -1:]
-    along = (vectors.swapaxes(-1, -2) @ pull[..., None])[..., 0] * known / np.where(known, values, 1.0)
+    is_determined = values > least * values[..., -1:]
+    along = (vectors.swapaxes(-1, -2) @ pull[..., None])[..., 0] * is_determined / np.where(is_determined, values, 1.0)
     return np.asarray((vectors @ along[..., None])[..., 0])

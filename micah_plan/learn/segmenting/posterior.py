@@ -43,11 +43,11 @@ class ChangepointPosterior:
     log_evidence: float
 
 
-def without_changepoints(found: ChangepointPosterior, probability: float) -> ChangepointPosterior:
+def without_changepoints(posterior: ChangepointPosterior, probability: float) -> ChangepointPosterior:
     """The posterior, where with some probability there is no changepoint at all."""
-    counts = (1 - probability) * found.counts
+    counts = (1 - probability) * posterior.counts
     counts[0] += probability
-    return replace(found, counts=counts, changepoint=(1 - probability) * found.changepoint)
+    return replace(posterior, counts=counts, changepoint=(1 - probability) * posterior.changepoint)
 
 
 def changepoint_posterior(worth: Floats, apart: Floats, prior: LengthPrior, changepoints: int) -> ChangepointPosterior:
@@ -75,7 +75,7 @@ def changepoint_posterior(worth: Floats, apart: Floats, prior: LengthPrior, chan
     follows = np.exp(-apart)
     ahead = _forward(chances, follows, most)
     behind = _backward(chances, np.exp(last + best_before[:-1] - best), follows, most)
-    totals = np.array([np.sum(one * behind[0]) for one in ahead])
+    totals = np.array([np.sum(row * behind[0]) for row in ahead])
     counts = totals / totals.sum()
     changepoint = np.zeros(n)
     starts = np.zeros((changepoints, n))
@@ -94,24 +94,24 @@ def _forward(chances: Floats, follows: Floats, most: int) -> list[Floats]:
     h, n, _ = chances.shape
     first = np.zeros((h, n))
     first[:, 0] = 1.0
-    found = [first]
+    forward = [first]
     for _ in range(1, most):
         # Rows up to t explained, the last segment of hypothesis h; then what may follow it at t + 1.
-        ended = (found[-1][:, None] @ chances)[:, 0]
+        ended = (forward[-1][:, None] @ chances)[:, 0]
         begun = np.zeros((h, n))
         begun[:, 1:] = follows.T @ ended[:, :-1]
-        found.append(begun)
-    return found
+        forward.append(begun)
+    return forward
 
 
 def _backward(chances: Floats, last: Floats, follows: Floats, most: int) -> list[Floats]:
     """(h, n) each: probability of the rows from s on, in 1, 2, ... segments, the first of hypothesis h."""
-    found = [last]
+    backward = [last]
     for _ in range(1, most):
         after = np.zeros_like(last)
-        after[:, :-1] = follows @ found[-1][:, 1:]
-        found.append((chances @ after[:, :, None])[..., 0])
-    return found
+        after[:, :-1] = follows @ backward[-1][:, 1:]
+        backward.append((chances @ after[:, :, None])[..., 0])
+    return backward
 
 
 def _normalised(weights: Floats) -> Floats:
@@ -131,12 +131,12 @@ LOG_ODDS_OVERSTATED = 6.0
 OTHER_MECHANISM = 0.1
 
 
-def posterior_of(found: Segmented, settings: LearnSettings) -> ChangepointPosterior:
+def posterior_of(answer: Segmented, settings: LearnSettings) -> ChangepointPosterior:
     """The posterior over segmentations; joints of the most probable one are paid for once, others by each segment.
 
     Its joints are those of the most probable one, their rivals on the same rows, and rests in the end of any length.
     """
-    table, pieces = found.table, found.segmentation.pieces
+    table, pieces = answer.table, answer.segmentation.pieces
     used = sorted({piece.hypothesis for piece in pieces})
     moving = table.pool.moving
     moves = [i for i in used if moving[i]]
@@ -144,7 +144,9 @@ def posterior_of(found: Segmented, settings: LearnSettings) -> ChangepointPoster
     of_kind = float(np.log(len(settings.kinds)))  # paid once, too, as in the answer
     cost: Floats = table.cost(index, table.rows, bool(moves)) + ANOTHER_JOINT * moving * bool(moves) + of_kind
     # As in the answer: for the rows that they explain, however few they were fitted to.
-    explained = np.array([sum(p.end - p.start + 1.0 for p in pieces if p.hypothesis == one) for one in used])
+    explained = np.array(
+        [sum(p.end - p.start + 1.0 for p in pieces if p.hypothesis == hypothesis) for hypothesis in used]
+    )
     paid = float(table.cost(np.array(used), explained, bool(moves)).sum()) + of_kind * len(used)
     paid += ANOTHER_JOINT * max(len(moves) - 1, 0)
     cost[used] = 0.0
@@ -153,7 +155,7 @@ def posterior_of(found: Segmented, settings: LearnSettings) -> ChangepointPoster
     spare[used] = False
     rests = worth[spare]
     if "rigid" in settings.kinds:
-        ends = rests_in_the_end(table, moves, found.track, found.noise, settings.rest) - of_kind
+        ends = rests_in_the_end(table, moves, answer.track, answer.noise, settings.rest) - of_kind
         rests = np.concatenate([rests, ends])
     # Rests fitted to much the same rows are one rest, told by the best of them.
     worth = np.concatenate([worth[~spare], rests.max(axis=0, keepdims=True)]) if len(rests) else worth
@@ -162,33 +164,36 @@ def posterior_of(found: Segmented, settings: LearnSettings) -> ChangepointPoster
         worth[rigid, 1:, -1] += _ENDS_AT_REST
     # A part does not get from one rest to another without a motion.
     apart: Floats = np.where(np.eye(len(rigid)) > 0, np.inf, ANOTHER_JOINT * np.outer(rigid, rigid))
-    result = changepoint_posterior(worth, apart, found.prior, len(pieces) - 1)
-    return replace(_beside(result, found), log_evidence=result.log_evidence - paid)
+    result = changepoint_posterior(worth, apart, answer.prior, len(pieces) - 1)
+    return replace(_beside(result, answer), log_evidence=result.log_evidence - paid)
 
 
-def _beside(stated: ChangepointPosterior, found: Segmented) -> ChangepointPosterior:
+def _beside(stated: ChangepointPosterior, answer: Segmented) -> ChangepointPosterior:
     """The posterior, where answers of other numbers of segments may have joints fitted to other rows."""
     counts, changepoint = stated.counts.copy(), stated.changepoint.copy()
-    own = len(found.segmentation.pieces)
-    for pieces in {len(one.kinds) for one in found.others} - {own}:
+    count = len(answer.segmentation.pieces)
+    for pieces in {len(other_answer.kinds) for other_answer in answer.others} - {count}:
         if pieces > len(counts):
             continue
-        best = max((one for one in found.others if len(one.kinds) == pieces), key=lambda one: one.log_probability)
+        best = max(
+            (other_answer for other_answer in answer.others if len(other_answer.kinds) == pieces),
+            key=lambda other_answer: other_answer.log_probability,
+        )
         # What the sums over this answer's joints know of it already is not told twice.
-        more = max(_odds(best, found) * stated.counts[own - 1] - stated.counts[pieces - 1], 0.0)
+        more = max(_odds(best, answer) * stated.counts[count - 1] - stated.counts[pieces - 1], 0.0)
         counts[pieces - 1] += more
         changepoint[1:] += more * np.diff(best.of_row)
     total = counts.sum()
     return replace(stated, counts=counts / total, changepoint=changepoint / total)
 
 
-def _odds(other: Alternative, found: Segmented) -> float:
+def _odds(rival: Alternative, answer: Segmented) -> float:
     """How probable another answer is, over the one that was found."""
-    return float(np.exp(min(other.log_probability - found.log_probability, 0.0) / LOG_ODDS_OVERSTATED))
+    return float(np.exp(min(rival.log_probability - answer.log_probability, 0.0) / LOG_ODDS_OVERSTATED))
 
 
 def kind_probabilities(
-    found: Segmented,
+    answer: Segmented,
     hypothesis: int,
     kinds: Sequence[JointKind],
     free: float,
@@ -200,14 +205,14 @@ def kind_probabilities(
         free: log odds of free motion against all segments together [nats].
         doubts: what all rows say against the joint, as its last fit has them.
     """
-    table, pieces = found.table, found.segmentation.pieces
+    table, pieces = answer.table, answer.segmentation.pieces
     names, moving = table.pool.hypotheses.joints.kinds, table.pool.moving
-    governed = np.zeros(len(found.track), dtype=bool)
+    governed = np.zeros(len(answer.track), dtype=bool)
     sums = np.zeros(len(names))
     for piece in pieces:
         if piece.hypothesis == hypothesis:
-            known = np.minimum(np.arange(piece.end - piece.start + 1), len(table.log_density) - 1)
-            sums += table.log_density[known, np.arange(piece.start, piece.end + 1)].sum(axis=0)
+            rows_before = np.minimum(np.arange(piece.end - piece.start + 1), len(table.log_density) - 1)
+            sums += table.log_density[rows_before, np.arange(piece.start, piece.end + 1)].sum(axis=0)
             governed[piece.start : piece.end + 1] = True
     elsewhere = [piece.hypothesis for piece in pieces if piece.hypothesis != hypothesis]
     # A pose costs less if it lies on a joint that moves the part elsewhere, not on the one that it would stand for.
@@ -217,7 +222,7 @@ def kind_probabilities(
     # What the whole segmentation would pay for: one more moving joint, or a rest beside a rest.
     beside = {b if a == hypothesis else a for a, b in pairwise([piece.hypothesis for piece in pieces])}
     another = moving & moving[elsewhere].any() & ~np.isin(np.arange(len(names)), elsewhere)
-    another |= ~moving & any(not moving[one] for one in beside - {hypothesis})
+    another |= ~moving & any(not moving[neighbour] for neighbour in beside - {hypothesis})
     evidence = sums + SCREW_CHOSEN * twisting - ANOTHER_JOINT * another
     worth = evidence / LOG_ODDS_OVERSTATED - RARE_SCREW * twisting
     # Rivals are those fitted to much the same rows: others were paid for by other rows.
@@ -226,14 +231,14 @@ def kind_probabilities(
     rival = shared_rows >= _SAME_ROWS
     rival[hypothesis] = True
     of_kind = [rival & (np.array(names) == kind) for kind in kinds]
-    best = np.array([np.max(worth, where=some, initial=-np.inf) for some in of_kind])
+    best = np.array([np.max(worth, where=members, initial=-np.inf) for members in of_kind])
     share = np.exp(best - best.max())
-    own = list(kinds).index(names[hypothesis])
+    index = list(kinds).index(names[hypothesis])
     # Other answers have noise of their own; under the noise of the one that was found they fare worse.
-    for one in found.others:
-        there = list(kinds).index(one.kinds[int(np.argmax(np.bincount(one.of_row[governed])))])
-        if there != own:
-            share[there] = max(share[there], _odds(one, found) * share[own])
+    for other_answer in answer.others:
+        there = list(kinds).index(other_answer.kinds[int(np.argmax(np.bincount(other_answer.of_row[governed])))])
+        if there != index:
+            share[there] = max(share[there], _odds(other_answer, answer) * share[index])
     if doubts.screw_log_odds is not None:
         hinge_or_screw = [list(kinds).index("revolute"), list(kinds).index("screw")]
         advancing = float(expit(doubts.screw_log_odds - RARE_SCREW))

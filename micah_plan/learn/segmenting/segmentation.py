@@ -54,73 +54,73 @@ _GRAINS = 16  # places that are told apart when proposals are compared
 _CONVERGED = 0.2  # nats
 
 
-def segment_track(track: PartTrack, settings: LearnSettings, known: Segmented | None = None) -> Segmented:
+def segment_track(track: PartTrack, settings: LearnSettings, start: Segmented | None = None) -> Segmented:
     """The most probable segments of a track without outliers.
 
     Two noises start: a fine one (under which there may be many segments) and that which a single joint would leave
     (under which there may be one). What each proposes settles on its own, and the most probable outcome is taken.
 
     Args:
-        known: what was found for the same poses with other actions: then its joints and noise start, alone.
+        start: what was found for the same poses with other actions: then its joints and noise start, alone.
     """
     priors = length_priors(track, settings)
-    if known is None:
+    if start is None:
         tables = _from_two_noises(track, priors[0], settings)
     else:
-        table = known.table
-        tables = [(known.noise, tabulated(table.pool.hypotheses, track, known.noise, settings.rest, table.trust))]
-    proposals = [one for noise, table in tables for one in _proposed(track, noise, table, priors, settings)]
+        table = start.table
+        tables = [(start.noise, tabulated(table.pool.hypotheses, track, start.noise, settings.rest, table.trust))]
+    proposals = [proposal for noise, table in tables for proposal in _proposed(track, noise, table, priors, settings)]
     proposals = _different(proposals)[:_MOST_PROPOSALS]
     outcomes = _settled(proposals, settings)
-    best = max(outcomes, key=lambda one: one.log_probability)
+    best = max(outcomes, key=lambda outcome: outcome.log_probability)
     held = with_rests(best, priors, settings)
     doubted = _settled(_without_a_rest(best), settings)
     outcomes += [] if held is None else _settled([held], settings)
-    outcomes += [one for one in doubted if len(one.segmentation.pieces) < len(best.segmentation.pieces)]
-    best = max(outcomes, key=lambda one: one.log_probability)
-    others = tuple(alternative(one) for one in outcomes if one is not best)
+    outcomes += [outcome for outcome in doubted if len(outcome.segmentation.pieces) < len(best.segmentation.pieces)]
+    best = max(outcomes, key=lambda outcome: outcome.log_probability)
+    others = tuple(alternative(outcome) for outcome in outcomes if outcome is not best)
     return replace(_beside_rivals(best, settings), others=others)
 
 
-def _without_a_rest(found: Segmented) -> list[Segmented]:
+def _without_a_rest(answer: Segmented) -> list[Segmented]:
     """What is left of an answer if a rest is no rest, for each of the few that the rows tell least surely."""
-    pieces, table = found.segmentation.pieces, found.table
+    pieces, table = answer.segmentation.pieces, answer.table
     fewer: list[tuple[float, Segmentation]] = []
     for i, piece in enumerate(pieces):
         beside = [pieces[k].hypothesis for k in (i - 1, i + 1) if 0 <= k < len(pieces)]
-        joint = next((one for one in beside if table.pool.moving[one]), None)
+        joint = next((hypothesis for hypothesis in beside if table.pool.moving[hypothesis]), None)
         if joint is not None and not table.pool.moving[piece.hypothesis]:
             sure = float(np.subtract(*table.sums[[piece.hypothesis, joint], piece.start, piece.end]))
-            left = merged(tuple(replace(p, hypothesis=joint) if k == i else p for k, p in enumerate(pieces)))
-            fewer.append((sure, Segmentation(left, -np.inf)))
-    fewer.sort(key=lambda one: one[0])
-    return [replace(found, segmentation=one) for _, one in fewer[:_MOST_PROPOSALS]]
+            pieces_left = merged(tuple(replace(p, hypothesis=joint) if k == i else p for k, p in enumerate(pieces)))
+            fewer.append((sure, Segmentation(pieces_left, -np.inf)))
+    fewer.sort(key=lambda pair: pair[0])
+    return [replace(answer, segmentation=segmentation) for _, segmentation in fewer[:_MOST_PROPOSALS]]
 
 
-def log_probability_at_most(found: Segmented, settings: LearnSettings) -> float:
+def log_probability_at_most(answer: Segmented, settings: LearnSettings) -> float:
     """ln probability of the joints of an answer under the noise that explains them best, however little it wanders.
 
     That a tracker wanders is expected where segments are told apart, so that no wander becomes a joint. Whether there
     is any joint is asked with all scales open, as they are for free motion.
     """
-    prior, best = found.prior, found.log_probability
+    prior, best = answer.prior, answer.log_probability
     for _ in range(_TIGHTENED):
-        noise = noises_left([(found.table.pool, found.segmentation.which)], settings, any_slow=True)
-        (table,) = _tables([found], noise, settings)
-        own = list(range(len(rows_of_joints(found)[0])))
-        found = Segmented(found.track, noise[0], prior, shared(table, own, prior, settings), table)
-        best = max(best, found.log_probability)
+        noise = noises_left([(answer.table.pool, answer.segmentation.which)], settings, any_slow=True)
+        (table,) = _tables([answer], noise, settings)
+        joints_in_use = list(range(len(rows_of_joints(answer)[0])))
+        answer = Segmented(answer.track, noise[0], prior, shared(table, joints_in_use, prior, settings), table)
+        best = max(best, answer.log_probability)
     return best
 
 
-def best_single(found: Segmented, settings: LearnSettings) -> Segmented:
+def best_single(answer: Segmented, settings: LearnSettings) -> Segmented:
     """The whole track as one segment of the one moving joint (if there is any) that explains it best, under any wander.
 
     Compared under one noise, a joint that misses the rows has made that noise wide, and any kind will do.
     """
-    track, prior = found.track, length_priors(found.track, settings)[0]
-    n, trust = len(track), found.table.trust
-    ones, noises = _singles(track, found.noise, settings, any_slow=True)
+    track, prior = answer.track, length_priors(answer.track, settings)[0]
+    n, trust = len(track), answer.table.trust
+    ones, noises = _singles(track, answer.noise, settings, any_slow=True)
     alone = all_tabulated(ones, track, noises, settings.rest, trust)
     noise = noises[_likeliest(alone, prior, settings)]
     pool = refitted(list(settings.kinds), np.ones((len(settings.kinds), n), dtype=bool), track, noise)
@@ -160,14 +160,14 @@ def _singles(
     kinds: list[JointKind] = [kind for kind in settings.kinds if kind != "rigid"]
     kinds = kinds or list(settings.kinds)
     whole = refitted(kinds, np.ones((len(kinds), len(track)), dtype=bool), track, noise)
-    seen, every = pool_of(whole, track, noise), np.zeros(len(track), dtype=np.int64)
-    noises = noises_left([(seen, every + i) for i in range(len(whole))], settings, any_slow) if len(whole) else []
+    pool, every = pool_of(whole, track, noise), np.zeros(len(track), dtype=np.int64)
+    noises = noises_left([(pool, every + i) for i in range(len(whole))], settings, any_slow) if len(whole) else []
     return [whole.take([i]) for i in range(len(whole))], noises
 
 
 def _likeliest(alone: Sequence[EvidenceTable], prior: LengthPrior, settings: LearnSettings) -> int:
     """Which of some joints, each alone in its table, explains the whole track best."""
-    return int(np.argmax([shared(one, [0], prior, settings).log_probability for one in alone]))
+    return int(np.argmax([shared(table, [0], prior, settings).log_probability for table in alone]))
 
 
 def _proposed(
@@ -176,18 +176,22 @@ def _proposed(
     """What a table proposes under each prior of lengths."""
     # The copy ends here, and with it the evidence of all segments of all windows, which takes much memory.
     read = replace(table)
-    return [Segmented(track, noise, prior, one, table) for prior in priors for one in selections(read, prior, settings)]
+    return [
+        Segmented(track, noise, prior, segmentation, table)
+        for prior in priors
+        for segmentation in selections(read, prior, settings)
+    ]
 
 
 def _different(proposals: Sequence[Segmented]) -> list[Segmented]:
     """The best of those that cut the track at much the same places into the same kinds, best first."""
-    found: dict[tuple[tuple[str, int], ...], Segmented] = {}
-    for one in sorted(proposals, key=lambda p: -p.log_probability):
-        names = one.table.pool.hypotheses.joints.kinds
-        grain = max(len(one.track) // _GRAINS, 1)
-        key = tuple((names[p.hypothesis], round(p.start / grain)) for p in one.segmentation.pieces)
-        found.setdefault(key, one)
-    return list(found.values())
+    best_of: dict[tuple[tuple[str, int], ...], Segmented] = {}
+    for proposal in sorted(proposals, key=lambda p: -p.log_probability):
+        names = proposal.table.pool.hypotheses.joints.kinds
+        grain = max(len(proposal.track) // _GRAINS, 1)
+        key = tuple((names[p.hypothesis], round(p.start / grain)) for p in proposal.segmentation.pieces)
+        best_of.setdefault(key, proposal)
+    return list(best_of.values())
 
 
 def _settled(starts: Sequence[Segmented], settings: LearnSettings) -> list[Segmented]:
@@ -196,9 +200,9 @@ def _settled(starts: Sequence[Segmented], settings: LearnSettings) -> list[Segme
     for _ in range(_MOST_ROUNDS):
         if not open_ones:
             break
-        found = list(open_ones.values())
-        noises = noises_left([(one.table.pool, one.segmentation.which) for one in found], settings)
-        tables = _tables(found, noises, settings)
+        answers = list(open_ones.values())
+        noises = noises_left([(answer.table.pool, answer.segmentation.which) for answer in answers], settings)
+        tables = _tables(answers, noises, settings)
         for i, noise, table in zip(tuple(open_ones), noises, tables, strict=True):
             prior = starts[i].prior
             now = Segmented(starts[0].track, noise, prior, selections(table, prior, settings)[0], table)
@@ -209,27 +213,27 @@ def _settled(starts: Sequence[Segmented], settings: LearnSettings) -> list[Segme
     return best
 
 
-def _beside_rivals(found: Segmented, settings: LearnSettings) -> Segmented:
+def _beside_rivals(answer: Segmented, settings: LearnSettings) -> Segmented:
     """The same segments in a table where every kind of joint is fitted to the rows of each: what is said of them
     compares them with these.
     """
-    (table,) = _tables([found], [found.noise], settings)
-    used, _ = rows_of_joints(found)
-    pieces = tuple(replace(piece, hypothesis=used.index(piece.hypothesis)) for piece in found.segmentation.pieces)
-    return replace(found, table=table, segmentation=replace(found.segmentation, pieces=pieces))
+    (table,) = _tables([answer], [answer.noise], settings)
+    used, _ = rows_of_joints(answer)
+    pieces = tuple(replace(piece, hypothesis=used.index(piece.hypothesis)) for piece in answer.segmentation.pieces)
+    return replace(answer, table=table, segmentation=replace(answer.segmentation, pieces=pieces))
 
 
-def _tables(found: Sequence[Segmented], noises: Sequence[NoiseModel], settings: LearnSettings) -> list[EvidenceTable]:
+def _tables(answers: Sequence[Segmented], noises: Sequence[NoiseModel], settings: LearnSettings) -> list[EvidenceTable]:
     """Of each answer, under a noise: its joints, in the order of `_rows_of_joints`, and their rivals of every kind."""
-    track, kinds = found[0].track, list(settings.kinds)
-    in_use = [rows_of_joints(one) for one in found]
+    track, kinds = answers[0].track, list(settings.kinds)
+    in_use = [rows_of_joints(answer) for answer in answers]
     wanted = [(kinds * len(used), np.repeat(rows, len(kinds), axis=0)) for used, rows in in_use]
     rivals = all_refitted(wanted, track, stacked(noises, [1] * len(noises)))
     pools = [
-        one.table.pool.hypotheses.take(used).joined(more)
-        for one, (used, _), more in zip(found, in_use, rivals, strict=True)
+        answer.table.pool.hypotheses.take(used).joined(more)
+        for answer, (used, _), more in zip(answers, in_use, rivals, strict=True)
     ]
-    return all_tabulated(pools, track, noises, settings.rest, found[0].table.trust)
+    return all_tabulated(pools, track, noises, settings.rest, answers[0].table.trust)
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,18 +277,18 @@ class Segmented:
         return self.segmentation.log_probability
 
 
-def alternative(found: Segmented) -> Alternative:
+def alternative(answer: Segmented) -> Alternative:
     """An answer as an alternative to another one."""
-    pieces, names = found.segmentation.pieces, found.table.pool.hypotheses.joints.kinds
+    pieces, names = answer.segmentation.pieces, answer.table.pool.hypotheses.joints.kinds
     of_row = np.repeat(np.arange(len(pieces)), [piece.end - piece.start + 1 for piece in pieces])
-    return Alternative(tuple(names[piece.hypothesis] for piece in pieces), of_row, found.log_probability)
+    return Alternative(tuple(names[piece.hypothesis] for piece in pieces), of_row, answer.log_probability)
 
 
-def rows_of_joints(found: Segmented) -> tuple[list[int], Booleans]:
+def rows_of_joints(answer: Segmented) -> tuple[list[int], Booleans]:
     """Hypotheses in use, and the rows (u, n) that each explains."""
-    pieces = found.segmentation.pieces
+    pieces = answer.segmentation.pieces
     used = list(dict.fromkeys(piece.hypothesis for piece in pieces))
-    rows = np.zeros((len(used), len(found.track)), dtype=bool)
+    rows = np.zeros((len(used), len(answer.track)), dtype=bool)
     for piece in pieces:
         rows[used.index(piece.hypothesis), piece.start : piece.end + 1] = True
     return used, rows
@@ -302,16 +306,19 @@ def selections(table: EvidenceTable, prior: LengthPrior, settings: LearnSettings
     def under(*members: int) -> Segmentation:
         return shared(table, list(members), prior, settings)
 
-    found = [_fewest(sorted({piece.hypothesis for piece in apart.pieces}), under)]
+    candidates = [_fewest(sorted({piece.hypothesis for piece in apart.pieces}), under)]
     moving, names = table.pool.moving, table.pool.hypotheses.joints.kinds
     rests = [int(i) for i in np.flatnonzero(~moving)] if "rigid" in settings.kinds else []
     for joint in _promising(table):
         members = [joint, *(i for i in rests if i != joint)]
         with_rests = best_segmentation(table, prior, len(settings.kinds), members, {joint})
         used = sorted({piece.hypothesis for piece in with_rests.pieces})
-        found += [under(joint), under(*used)]
-    unique = {tuple((p.start, names[p.hypothesis], p.hypothesis) for p in one.pieces): one for one in found}
-    return sorted(unique.values(), key=lambda one: -one.log_probability)
+        candidates += [under(joint), under(*used)]
+    unique = {
+        tuple((p.start, names[p.hypothesis], p.hypothesis) for p in candidate.pieces): candidate
+        for candidate in candidates
+    }
+    return sorted(unique.values(), key=lambda candidate: -candidate.log_probability)
 
 
 def shared(table: EvidenceTable, members: list[int], prior: LengthPrior, settings: LearnSettings) -> Segmentation:
@@ -319,11 +326,11 @@ def shared(table: EvidenceTable, members: list[int], prior: LengthPrior, setting
 
     So is the choice of their kinds: a part that returns to a joint returns to one of those of the answer.
     """
-    found = best_segmentation(table, prior, 1, members, members)
-    best = _paid_once(found.pieces, table, prior, settings)
+    segmentation = best_segmentation(table, prior, 1, members, members)
+    best = _paid_once(segmentation.pieces, table, prior, settings)
     while True:
-        fewer = [_paid_once(one, table, prior, settings) for one in _without_a_jump(best.pieces, table)]
-        better = max(fewer, key=lambda one: one.log_probability, default=best)
+        fewer = [_paid_once(pieces, table, prior, settings) for pieces in _without_a_jump(best.pieces, table)]
+        better = max(fewer, key=lambda candidate: candidate.log_probability, default=best)
         if better.log_probability <= best.log_probability:
             return best
         best = better
@@ -333,9 +340,9 @@ def _without_a_jump(pieces: tuple[Piece, ...], table: EvidenceTable) -> Iterator
     """The same, but one of two rests without a motion between them is part of the motion on its other side."""
     moving = [bool(table.pool.moving[piece.hypothesis]) for piece in pieces]
     for i, way in product(range(len(pieces)), (-1, 1)):
-        other, beside = i - way, i + way
-        inside = min(other, beside) >= 0 and max(other, beside) < len(pieces)
-        if inside and not moving[i] and not moving[other] and moving[beside]:
+        neighbour, beside = i - way, i + way
+        inside = min(neighbour, beside) >= 0 and max(neighbour, beside) < len(pieces)
+        if inside and not moving[i] and not moving[neighbour] and moving[beside]:
             joint = pieces[beside].hypothesis
             evidence = float(table.sums[joint, pieces[i].start, pieces[i].end])
             yield tuple(replace(p, hypothesis=joint, log_evidence=evidence) if p is pieces[i] else p for p in pieces)
@@ -377,14 +384,14 @@ def _over_places(pieces: Sequence[Piece], table: EvidenceTable, prior: LengthPri
 
 def few(table: EvidenceTable, members: list[int], prior: LengthPrior, settings: LearnSettings) -> Segmentation:
     """Segments of some joints, of which some are dropped while that pays."""
-    return _fewest(members, lambda *some: shared(table, list(some), prior, settings))
+    return _fewest(members, lambda *pieces: shared(table, list(pieces), prior, settings))
 
 
 def _fewest(members: list[int], under: Callable[..., Segmentation]) -> Segmentation:
     best = under(*members)
     while len(members) > 1:
         fewer = [[m for m in members if m != dropped] for dropped in members]
-        tried = [under(*some) for some in fewer]
+        tried = [under(*subset) for subset in fewer]
         i = max(range(len(tried)), key=lambda k: tried[k].log_probability)
         if tried[i].log_probability <= best.log_probability:
             break
@@ -415,13 +422,13 @@ _LENGTHS = 8  # of rests in the end
 _LONGEST = 0.6  # of the rows
 
 
-def with_rests(found: Segmented, priors: Sequence[LengthPrior], settings: LearnSettings) -> Segmented | None:
+def with_rests(answer: Segmented, priors: Sequence[LengthPrior], settings: LearnSettings) -> Segmented | None:
     """The most probable segments if the part was held wherever the actions say that it was, on its main joint.
 
     What there is already stays among what is chosen from. None if the actions say so nowhere, or if no joint moves it.
     """
-    table, track = found.table, found.track
-    used, rows = rows_of_joints(found)
+    table, track = answer.table, answer.track
+    used, rows = rows_of_joints(answer)
     joint = max((i for i in used if table.pool.moving[i]), key=lambda i: rows[used.index(i)].sum(), default=None)
     if track.action is None or "rigid" not in settings.kinds or joint is None:
         return None
@@ -430,12 +437,14 @@ def with_rests(found: Segmented, priors: Sequence[LengthPrior], settings: LearnS
     if not len(inside) or outside.sum() < FEWEST_ACTED:
         return None
     pool = Hypotheses(table.pool.hypotheses.joints.take([joint]), outside)
-    pool = pool.joined(refitted(["rigid"] * len(inside), inside, track, found.noise))
+    pool = pool.joined(refitted(["rigid"] * len(inside), inside, track, answer.noise))
     pool = pool.joined(table.pool.hypotheses.take([i for i in used if i != joint]))
-    tried = tabulated(pool, track, found.noise, settings.rest, table.trust)
+    tried = tabulated(pool, track, answer.noise, settings.rest, table.trust)
     every = list(range(len(pool)))
-    answers = [replace(found, table=tried, prior=one, segmentation=few(tried, every, one, settings)) for one in priors]
-    return max(answers, key=lambda one: one.log_probability)
+    answers = [
+        replace(answer, table=tried, prior=prior, segmentation=few(tried, every, prior, settings)) for prior in priors
+    ]
+    return max(answers, key=lambda answer: answer.log_probability)
 
 
 def rests_in_the_end(

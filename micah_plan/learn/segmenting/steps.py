@@ -114,7 +114,7 @@ def _clearest(track: PartTrack) -> tuple[float, float, Floats]:
     channels = [track.position]
     if track.quaternion is not None:
         channels.append(2 * track.quaternion)
-    return max(((*_clarity_and_sweeps(values), values) for values in channels), key=lambda found: found[0])
+    return max(((*_clarity_and_sweeps(values), values) for values in channels), key=lambda channel: channel[0])
 
 
 def _clarity_and_sweeps(values: Floats) -> tuple[float, float]:
@@ -143,13 +143,13 @@ def _noise(values: Floats, whole: float) -> tuple[int, float]:
     How far rows are from the middle of those `lag` before and after grows with the lag where that is motion, and where
     rows were interpolated between noisy ones; it stays where it is noise that the rows between have forgotten.
     """
-    found: list[float] = []
+    stds: list[float] = []
     lags = [2**i for i in range(16) if 4 * 2**i <= len(values)]
     for lag in lags:
-        found.append(float(np.sqrt(3) * white_std(bends(values, lag))))
-        if len(found) > 1 and found[-1] < _GROWTH * found[-2] and found[-2] < _LARGEST_NOISE * whole:
-            return lags[len(found) - 2], found[-2]
-    return 1, found[0]
+        stds.append(float(np.sqrt(3) * white_std(bends(values, lag))))
+        if len(stds) > 1 and stds[-1] < _GROWTH * stds[-2] and stds[-2] < _LARGEST_NOISE * whole:
+            return lags[len(stds) - 2], stds[-2]
+    return 1, stds[0]
 
 
 def _block_means(values: Floats, size: float) -> Floats:

@@ -101,12 +101,12 @@ def _scores(
     steps = averaged(track, inlier, np.append(starts, end))
     n = len(starts)
     share = n * len(track) / max(end - int(starts[0]), 1) / n
-    own = replace(settings, wander_durations=settings.wander_durations * share)
+    scaled = replace(settings, wander_durations=settings.wander_durations * share)
     later = starts >= row
-    known = Hypotheses(joints, np.stack([~later, later]))
-    seen = pool_of(known, steps, first_noise(steps, own))
-    (noise,) = noises_left([(seen, later.astype(np.int64))], own)
-    density = tabulated(known, steps, noise, settings.rest, 1.0, begun=True).log_density
+    hypotheses = Hypotheses(joints, np.stack([~later, later]))
+    pool = pool_of(hypotheses, steps, first_noise(steps, scaled))
+    (noise,) = noises_left([(pool, later.astype(np.int64))], scaled)
+    density = tabulated(hypotheses, steps, noise, settings.rest, 1.0, begun=True).log_density
     order = len(density) - 1
     before = np.concatenate([[0.0], np.cumsum(density[order, :, 0])])[:-1]
     after = np.zeros(n)

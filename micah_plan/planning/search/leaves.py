@@ -74,13 +74,15 @@ class Leaves:
     def numbers(self, points: Floats) -> Ints:
         """(k,) leaf of each state (k, n), counted as they first appear."""
         values, first = (points / self.speed) @ self.kept.T, list[Floats]()
-        found = np.zeros(len(points), dtype=np.int64)
+        numbers = np.zeros(len(points), dtype=np.int64)
         for row, value in enumerate(values if self.are_many else ()):
-            same = np.flatnonzero([np.abs(value - other).max(initial=0.0) <= _SAME_LEAF for other in first])
-            found[row] = same[0] if same.size else len(first)
+            same = np.flatnonzero(
+                [np.abs(value - representative).max(initial=0.0) <= _SAME_LEAF for representative in first]
+            )
+            numbers[row] = same[0] if same.size else len(first)
             if not same.size:
                 first.append(value)
-        return found
+        return numbers
 
     def put_on(self, x: Floats, points: Floats) -> Floats:
         """(k, n) states next to `points` (k, n) on the leaf of x (n,)."""
@@ -92,8 +94,8 @@ class Leaves:
             return self.put_on(x, states.sample(rng, count))
         found, (low, high) = list[Floats](), self._box(states, x)
         for _ in range(_MOST_DRAWS):
-            own = low + rng.random((count, len(low))) * (high - low)
-            points = x + own @ self.along.T * self.speed
+            draws = low + rng.random((count, len(low))) * (high - low)
+            points = x + draws @ self.along.T * self.speed
             found.extend(points[states.contains(points)])
             if len(found) >= count:
                 return np.array(found[:count])
@@ -126,8 +128,8 @@ def _reduced(rows: Floats) -> Floats:
     rows = rows.copy()
     done: list[int] = []
     for column in range(rows.shape[1]):
-        left = [i for i in range(len(rows)) if i not in done]
-        pivot = max(left, key=lambda i: abs(rows[i, column]), default=None)
+        remaining = [i for i in range(len(rows)) if i not in done]
+        pivot = max(remaining, key=lambda i: abs(rows[i, column]), default=None)
         if pivot is not None and abs(rows[pivot, column]) > _RANK * np.abs(rows).max():
             rows[pivot] /= rows[pivot, column]
             others = np.arange(len(rows)) != pivot
@@ -141,11 +143,11 @@ def leaves_of(mode: Mode, limits: Limits) -> Leaves:
     n, speed = len(limits.speed), limits.speed
     B = mode.B * mode.free[:, None] / speed[:, None]
     driven = np.flatnonzero(np.any(B, axis=1))
-    left, sizes, _ = np.linalg.svd(B[driven], full_matrices=False)
+    vectors, sizes, _ = np.linalg.svd(B[driven], full_matrices=False)
     rank = int(np.sum(sizes > _RANK * sizes.max(initial=0.0)))
     along = np.zeros((n, rank))
     # Coordinates that move independently are their own coordinates.
-    along[driven] = np.eye(rank) if rank == len(driven) else left[:, :rank]
+    along[driven] = np.eye(rank) if rank == len(driven) else vectors[:, :rank]
     fixed = [np.eye(n)[pin.coordinate] for pin in mode.pins]
     fixed += [(np.eye(n)[tie.coordinate] - np.array(tie.weights)) * speed for tie in mode.ties]
     idle = np.flatnonzero(

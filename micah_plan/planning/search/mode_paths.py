@@ -61,7 +61,7 @@ def cheapest_sequences(
         revisits: how many times a sequence may come back to a mode that it has been in.
         is_over: asked now and then; what was found until it says so is returned.
     """
-    search, found = _Search(roadmap), list[VertexPath]()
+    search, paths = _Search(roadmap), list[VertexPath]()
     queue: list[tuple[float, int, int, float, _Prefix, bool]] = []
 
     def push(cost: float, prefix: _Prefix, complete: bool) -> None:
@@ -75,10 +75,10 @@ def cheapest_sequences(
     entry = np.full(roadmap.graphs[mode].shape[0], np.inf)
     entry[vertex] = 0.0
     push(float(search.to_go[mode][vertex]), _Prefix(mode, entry, None, -1, np.full(len(entry), -1)), False)
-    while queue and len(found) < k and not is_over():
+    while queue and len(paths) < k and not is_over():
         *_, cost, prefix, complete = heapq.heappop(queue)
         if complete:
-            found.append(search.trace(prefix, cost))
+            paths.append(search.trace(prefix, cost))
             continue
         reached = search.reached(prefix)
         if prefix.mode in roadmap.goals:
@@ -87,7 +87,7 @@ def cheapest_sequences(
             if source == prefix.mode and prefix.modes.count(target) <= revisits:
                 child = search.follow(prefix, reached, edge, target)
                 push(float(np.min(child.entry + search.to_go[target])), child, False)
-    return found
+    return paths
 
 
 class _Search:

@@ -98,8 +98,8 @@ def search_modes(
         modes = tuple(mode for mode in problem.automaton.modes if mode.name in near)
         automaton = replace(problem.automaton, modes=modes, edges=tuple(edges[i] for i in kept))
         part = replace(problem, automaton=automaton)
-        if found := _searched(part, limits, start_mode, seed, deadline).sequences:
-            named = (replace(one, edges=tuple(kept[i] for i in one.edges)) for one in found)
+        if sequences := _searched(part, limits, start_mode, seed, deadline).sequences:
+            named = (replace(path, edges=tuple(kept[i] for i in path.edges)) for path in sequences)
             return SearchResult(tuple(named))
     return _searched(problem, limits, start_mode, seed, deadline)
 
@@ -118,7 +118,7 @@ def _modes_near_the_way(problem: Problem, start_mode: str) -> set[str]:
     to_goal = _distances(back, {name for name in goals if problem.goal.admits(name)})
     length = {name: from_start[name] + to_goal[name] for name in names & from_start.keys() & to_goal.keys()}
     most = length.get(start_mode, np.inf) + _MORE_TRANSITIONS + 2 * problem.settings.revisits
-    return {name for name, own in length.items() if own <= most} or names
+    return {name for name, steps_to_it in length.items() if steps_to_it <= most} or names
 
 
 def _holds(mode: Mode, index: int, value: float, tolerance: float) -> bool:
@@ -129,12 +129,12 @@ def _holds(mode: Mode, index: int, value: float, tolerance: float) -> bool:
 
 def _distances(neighbours: Mapping[str, set[str]], first: set[str]) -> dict[str, int]:
     """How many transitions lead from the first modes to each that they reach."""
-    found, level, steps = dict.fromkeys(first, 0), first, 0
+    steps_to, level, steps = dict.fromkeys(first, 0), first, 0
     while level:
         steps += 1
-        level = {after for name in level for after in neighbours.get(name, set())} - found.keys()
-        found.update(dict.fromkeys(level, steps))
-    return found
+        level = {after for name in level for after in neighbours.get(name, set())} - steps_to.keys()
+        steps_to.update(dict.fromkeys(level, steps))
+    return steps_to
 
 
 def _searched(problem: Problem, limits: Limits, start_mode: str, seed: int, deadline: Deadline) -> SearchResult:
@@ -209,9 +209,11 @@ def _in_the_way(
 ) -> tuple[str, ...]:
     """The constraints on the path, and the guards on states in all modes, without any one of which the same samples
     would connect start and goal."""
-    without, found = dict[str, Problem](), []
-    for one in problem.constraints:
-        without[one.name] = replace(problem, constraints=tuple(c for c in problem.constraints if c.name != one.name))
+    without, constraints = dict[str, Problem](), []
+    for constraint in problem.constraints:
+        without[constraint.name] = replace(
+            problem, constraints=tuple(c for c in problem.constraints if c.name != constraint.name)
+        )
     for edge in problem.automaton.edges:
         if not edge.is_self_transition and not edge.guard.on_input:
             others = tuple(e for e in problem.automaton.edges if e.guard.name != edge.guard.name)
@@ -223,8 +225,8 @@ def _in_the_way(
         leaves = {mode.name: leaves_of(mode, limits) for mode in problem.automaton.modes}
         graphs = {mode: roadmap_of(points[mode], leaves[mode], motions[mode]) for mode in points}
         if cheapest_sequences(replace(roadmap, graphs=graphs), 1, revisits=problem.settings.revisits):
-            found.append(name)
-    return tuple(found)
+            constraints.append(name)
+    return tuple(constraints)
 
 
 # Stops on the way, and how many of the best beginnings get one more.
@@ -313,11 +315,11 @@ class LocalisingSearch:
         """A path of the mode search with its predicted uncertainty."""
         offsets = [self.roadmap.offsets[mode] for mode in path.modes]
         vertices = [offset + v for offset, part in zip(offsets, path.vertices, strict=True) for v in part]
-        front, own = self._start().belief, np.array([0])
+        front, owner = self._start().belief, np.array([0])
         for i, j in pairwise(vertices):
-            self._advance(front, np.array([i]), np.array([j]), own, own)
-        left = self.beliefs.ending(front.variance, np.array(vertices[-1:]), self._spare(front))
-        uncertainty = float(front.overshoot[0] + left[0])
+            self._advance(front, np.array([i]), np.array([j]), owner, owner)
+        ending = self.beliefs.ending(front.variance, np.array(vertices[-1:]), self._spare(front))
+        uncertainty = float(front.overshoot[0] + ending[0])
         return ScoredPath(tuple(vertices), (0, len(vertices) - 1), path.cost, uncertainty)
 
     def _start(self) -> _Beginning:
@@ -338,8 +340,8 @@ class LocalisingSearch:
         at, ends = self._onward(there.rows(reached), reached)
         spare = self._spare(ends)
         allowed = (ends.visits.max(axis=1, initial=0) <= self.most_visits) & (spare >= 0)
-        left = self.beliefs.ending(ends.variance, at, spare)
-        costs = np.where(allowed, distance[reached] + self.to_go[reached] + ends.overshoot + left, np.inf)
+        ending = self.beliefs.ending(ends.variance, at, spare)
+        costs = np.where(allowed, distance[reached] + self.to_go[reached] + ends.overshoot + ending, np.inf)
         best = np.argsort(costs, kind="stable")[:_MOST_TRACED]
         results = []
         for row in best[np.isfinite(costs[best])]:
@@ -348,7 +350,7 @@ class LocalisingSearch:
             stops = (*beginning.stops, len(vertices) - 1)
             length = beginning.length + float(distance[vertex])
             whole = (*vertices, *along(self.following, vertex, self.size)[1:-1])
-            uncertainty = float(ends.overshoot[row] + left[row])
+            uncertainty = float(ends.overshoot[row] + ending[row])
             path = ScoredPath(whole, (*stops, len(whole) - 1), length + float(self.to_go[vertex]), uncertainty)
             results.append((path, _Beginning(vertices, stops, length, there.rows(reached[[row]]))))
         return results

@@ -110,8 +110,8 @@ def passages(
         is_found = True
         yield search.passage(prefix, w)
         directions = rng.normal(size=(_EXTREMES if prefix.edges else 0, prefix.size))
-        found = [search.extreme(prefix, direction) for direction in directions]
-        corners = np.array([w, *(corner for corner in found if corner is not None)])
+        extremes = [search.extreme(prefix, direction) for direction in directions]
+        corners = np.array([w, *(corner for corner in extremes if corner is not None)])
         for share in rng.dirichlet(np.full(len(corners), _EVENNESS), _MIXTURES) if len(corners) > 1 else ():
             yield search.passage(prefix, share @ corners)
         for corner in corners[1:]:
@@ -162,12 +162,12 @@ class _Search:
             for way in ways:
                 if (shortest := self.shortest(way)) is None:
                     continue
-                made, left, inputs = shortest
-                done, key = len(way.exits) == len(way.modes), made + _EAGERNESS * left
+                made, shortfall, inputs = shortest
+                done, key = len(way.exits) == len(way.modes), made + _EAGERNESS * shortfall
                 before = [far for mode, far in zip(prefix.modes, nearest, strict=True) if mode == way.modes[-1]]
-                if not done and before and left >= min(before) - TOLERANCE:
+                if not done and before and shortfall >= min(before) - TOLERANCE:
                     key += _NO_NEARER
-                entered = nearest if done else (*nearest, left)
+                entered = nearest if done else (*nearest, shortfall)
                 heapq.heappush(queue, (key, next(tickets), way, entered, inputs if done else None))
 
     def passage(self, prefix: _Prefix, w: Floats) -> Passage:
@@ -208,11 +208,11 @@ class _Search:
         )
         least = np.concatenate([prefix.least, np.zeros(2 * v), -apart - room / scale, apart - room / scale])
         cost = np.concatenate([np.zeros(v), np.tile(1.0 / self.limits.max_step, v // m if m else 0), np.ones(g)])
-        found = self._solved(cost, rows, least, v)
-        if found is None:
+        solution = self._solved(cost, rows, least, v)
+        if solution is None:
             return None
-        made, left = float(cost[v : 2 * v] @ found[v : 2 * v]), float(found[2 * v :].sum())
-        return made + TRANSITION_COST * len(prefix.edges), left, found[:v]
+        made, shortfall = float(cost[v : 2 * v] @ solution[v : 2 * v]), float(solution[2 * v :].sum())
+        return made + TRANSITION_COST * len(prefix.edges), shortfall, solution[:v]
 
     def extreme(self, prefix: _Prefix, direction: Floats) -> Floats | None:
         """The inputs (v,) of a sequence that go farthest in a direction (v,)."""
@@ -232,8 +232,8 @@ class _Search:
             return None
         rows, least = rows[least > -np.inf], least[least > -np.inf]
         options = {"primal_feasibility_tolerance": _MISS, "dual_feasibility_tolerance": _MISS}
-        found = linprog(cost, A_ub=-rows, b_ub=-least, bounds=bounds, method="highs", options=options)
-        return np.asarray(found.x) if found.status == 0 else None
+        solution = linprog(cost, A_ub=-rows, b_ub=-least, bounds=bounds, method="highs", options=options)
+        return np.asarray(solution.x) if solution.status == 0 else None
 
     def _moved(self, prefix: _Prefix, mode: Mode) -> tuple[_Prefix, tuple[Floats, Floats]]:
         """The sequence with one more input, in its last mode, and where that leads."""

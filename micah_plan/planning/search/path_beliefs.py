@@ -50,7 +50,9 @@ class PathBeliefs:
         self._inverse = np.array([np.linalg.pinv(mode.B) for mode in modes])
         self._process = np.square([free_process_std(automaton, mode) for mode in modes])
         self._gain = np.square([free_gain_std(automaton, mode) for mode in modes])
-        self._std, self._growth = (np.array([getattr(one, name) for one in sensing]) for name in ("std", "growth"))
+        self._std, self._growth = (
+            np.array([getattr(sensor, name) for sensor in sensing]) for name in ("std", "growth")
+        )
         self._light = sensing[0].at
         self._k = problem.settings.sigmas
 
@@ -130,11 +132,11 @@ class PathBeliefs:
         """(p,) steps from a guard's boundary to where it holds with the planned confidence."""
         deepest = np.zeros(len(variance))
         free = self.problem.automaton.mode(edge.source).free
-        for half_space, own in zip(edge.guard.half_spaces, stds_of(edge), strict=True):
+        for half_space, stds in zip(edge.guard.half_spaces, stds_of(edge), strict=True):
             a = np.array(half_space.a)
             if not a[free].any():
                 continue
-            std = np.sqrt(variance @ a**2 + own**2)
+            std = np.sqrt(variance @ a**2 + stds**2)
             deepest = np.maximum(deepest, self._k * std / float(np.abs(a) @ self.limits.speed))
         return deepest
 

@@ -101,10 +101,10 @@ class Polytope:
         rows = np.block([[eye, -eye], [-eye, -eye], [-self.A, np.zeros_like(self.A)]])
         limits = np.concatenate([point, -point, -self.b])
         bounds = [*zip(self.lower, self.upper, strict=True), *[(0.0, None)] * n]
-        found = linprog(np.repeat([0.0, 1.0], n), A_ub=rows, b_ub=limits, bounds=bounds, method="highs")
-        if found.status != 0:
+        solution = linprog(np.repeat([0.0, 1.0], n), A_ub=rows, b_ub=limits, bounds=bounds, method="highs")
+        if solution.status != 0:
             raise NoWayError("no state of the mode lies within the limits; start in a mode that the state is in")
-        return np.asarray(found.x[:n])
+        return np.asarray(solution.x[:n])
 
     def sample(self, rng: np.random.Generator, count: int) -> Floats:
         """(count, n) random states of the (non-empty) set: uniform in a box, else mixtures of extreme points."""
@@ -122,8 +122,8 @@ class Polytope:
         count = len(directions)
         rows, limits = kron(eye_array(count), -self.A, format="csr"), np.tile(-self.b, count)
         bounds = np.tile(np.stack([self.lower, self.upper], axis=1), (count, 1))
-        found = linprog(-directions.ravel(), A_ub=rows, b_ub=limits, bounds=bounds, method="highs")
-        return np.asarray(found.x).reshape(count, self.n) if found.status == 0 else np.zeros((0, self.n))
+        solution = linprog(-directions.ravel(), A_ub=rows, b_ub=limits, bounds=bounds, method="highs")
+        return np.asarray(solution.x).reshape(count, self.n) if solution.status == 0 else np.zeros((0, self.n))
 
 
 def open_states(mode: Mode, limits: Limits) -> Polytope:

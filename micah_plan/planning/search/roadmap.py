@@ -195,11 +195,11 @@ def along(links: Ints, vertex: int, end: int) -> list[int]:
 
 def roadmap_of(points: Floats, leaves: Leaves, motion: ModeMotion, deadline: Deadline = NEVER) -> csr_array:
     """(v, v) costs [steps] of the allowed motions along PRM*'s connections between the states (v, n) on each leaf."""
-    own, leaf, found = leaves.own(points), leaves.numbers(points), [np.zeros((0, 2), dtype=np.int64)]
+    numbers, leaf, edges = leaves.own(points), leaves.numbers(points), [np.zeros((0, 2), dtype=np.int64)]
     for number in range(leaf.max(initial=-1) + 1):
         rows = np.flatnonzero(leaf == number)
-        found.append(rows[_prm_connections(own[rows], deadline)])
-    pairs = np.concatenate(found)
+        edges.append(rows[_prm_connections(numbers[rows], deadline)])
+    pairs = np.concatenate(edges)
     steps = motion.steps(points[pairs[:, 0]], points[pairs[:, 1]])
     allowed = np.isfinite(steps)
     pairs, steps = pairs[allowed], np.maximum(steps[allowed], _SHORTEST)

@@ -91,7 +91,9 @@ class _Sampler:
         self.target = problem.goal.reached_from(self.start)
         self.states = {mode.name: mode_states(mode, limits) for mode in self._automaton.modes}
         self._leaves = {mode.name: leaves_of(mode, limits) for mode in self._automaton.modes}
-        self._on_leaves: dict[str, list[Floats]] = {mode: [] for mode, own in self._leaves.items() if own.are_many}
+        self._on_leaves: dict[str, list[Floats]] = {
+            mode: [] for mode, leaves_of_mode in self._leaves.items() if leaves_of_mode.are_many
+        }
         self._added: dict[str, dict[bytes, tuple[int, Floats]]] = {name: {} for name in self.states}
         sets = {name: goal_states(problem, limits, name) for name in self.states}
         self.goals = {name: states for name, states in sets.items() if not states.is_empty}
@@ -100,8 +102,8 @@ class _Sampler:
 
     def add(self, mode: str, point: Floats) -> int:
         """The number of a state (n,) in its mode, counted as they are added; the same for one added before."""
-        own = self._added[mode]
-        return own.setdefault((point + 0.0).tobytes(), (len(own), point))[0]  # + 0.0 makes a negative zero positive
+        added = self._added[mode]
+        return added.setdefault((point + 0.0).tobytes(), (len(added), point))[0]  # + 0.0 makes a negative zero positive
 
     def points_of(self, mode: str) -> list[Floats]:
         """The states of a mode, in the order of their numbers."""

@@ -224,10 +224,10 @@ def _farthest(guard: tuple[HalfSpace, ...], guess: PhaseGuess) -> list[HalfSpace
     """
     rows = [h for h in guard if h.on_state]
     apart = _stds_outside(rows, guess)
-    found: list[HalfSpace | None] = [rows[i] for i in np.argmax(apart, axis=0).tolist()]
+    sides: list[HalfSpace | None] = [rows[i] for i in np.argmax(apart, axis=0).tolist()]
     if guess.edge is not None and guess.steps and apart[:, -1].max() <= 0.0:
-        found[-1] = None
-    return found
+        sides[-1] = None
+    return sides
 
 
 def _stds_outside(rows: Sequence[HalfSpace], guess: PhaseGuess) -> Floats:
@@ -283,7 +283,7 @@ def path_terms_of(problem: Problem, limits: Limits, mode: str, pattern: ca.Spars
     x, factor = state[:n], factor_of(state, pattern)
     std = ca.sqrt(ca.sum2(factor**2) + SMALLEST_STD**2)
     acting = [constraint for constraint in problem.constraints if constraint.acts_in(mode)]
-    terms = [term for one in acting for term in path_terms(one, CasadiOperations(), automaton, x, u, std)]
+    terms = [term for effect in acting for term in path_terms(effect, CasadiOperations(), automaton, x, u, std)]
     required = [term for term in terms if isinstance(term, Require)]
     margins = ca.vertcat(ca.SX(0, 1), *(ca.SX(term.margin) for term in required))
     cost = sum((term.amount for term in terms if isinstance(term, Pay)), start=ca.SX(0))
@@ -304,7 +304,7 @@ def path_rows(
 
     A guard on the state is crossed within the step that reaches it, so that step ends behind the reset.
     """
-    found: list[PathRows | None] = []
+    path_rows: list[PathRows | None] = []
     crossing: tuple[int, int] | None = None
     for p, phase in enumerate(guess):
         inputs = {knot: (p, knot - 1) for knot in range(1, phase.steps + 1)}
@@ -312,8 +312,8 @@ def path_rows(
             inputs = {0: crossing, **inputs}
         leaves = phase.edge is not None and not problem.automaton.edges[phase.edge].guard.on_input
         crossing = inputs.pop(phase.steps, None) if leaves else None
-        found.append(_rows(problem, limits, guess, p, inputs, pattern) if problem.constraints and inputs else None)
-    return found
+        path_rows.append(_rows(problem, limits, guess, p, inputs, pattern) if problem.constraints and inputs else None)
+    return path_rows
 
 
 def _rows(
@@ -329,8 +329,8 @@ def _rows(
     covariances = [_covariance(guess[p], i, phase.spreads[knot], knot > 0) for knot, (p, i) in inputs.items()]
     columns = np.array(covariances).reshape(len(knots), -1).T
     states = pack(phase.means[knots], phase.factors[knots], pattern)
-    given = np.array([guess[p].inputs[i] for p, i in led]).T
-    margins, stds, lengths, _ = (np.array(v) for v in terms.function.map(len(knots))(states, given, columns))
+    commands = np.array([guess[p].inputs[i] for p, i in led]).T
+    margins, stds, lengths, _ = (np.array(v) for v in terms.function.map(len(knots))(states, commands, columns))
     # A margin that is flat at one knot of the guess gets the length that it has at another.
     lengths = np.where(lengths > 0.0, lengths, lengths.max(axis=1, keepdims=True, initial=0.0))
     lengths = np.where(lengths > 0.0, lengths, 1.0)

@@ -138,8 +138,8 @@ def _roll(
     for p, name in enumerate(sequence.modes):
         mode, count = compiled_mode(automaton, name), steps[p]
         A, slope = linear_step(automaton, name, mean, limits.max_step, limits.max_step)
-        own = gains[first_knot : first_knot + count]
-        closed = A + slope @ own
+        gain_of_step = gains[first_knot : first_knot + count]
+        closed = A + slope @ gain_of_step
         edge = sequence.edges[p] if p < len(sequence.edges) else None
         path = np.vstack([mean, *sequence.waypoints[p][1:]])
         if edge is not None:
@@ -156,7 +156,7 @@ def _roll(
         inputs = np.clip(inputs, -limits.max_step, limits.max_step)
         means, factors = _roll_phase(mode, mean, factor, inputs)
         spreads = _spreads(mode, spread, factors, closed)
-        phases.append(PhaseGuess(name, edge, first_knot, means, factors, inputs, spreads, own, closed))
+        phases.append(PhaseGuess(name, edge, first_knot, means, factors, inputs, spreads, gain_of_step, closed))
         first_knot += count + 1
         if edge is not None:
             u = inputs[-1] if count else np.zeros(automaton.m)
@@ -269,13 +269,13 @@ def guard_need(
         mode: that the guard leaves.
         std: of the threshold.
     """
-    own, source = automaton.mode(mode), Need(np.array(row.a), row.c, std)
-    idle = ~own.driven & own.free & (source.a != 0.0)
+    mode_of_edge, source = automaton.mode(mode), Need(np.array(row.a), row.c, std)
+    idle = ~mode_of_edge.driven & mode_of_edge.free & (source.a != 0.0)
     if row.on_input or not idle.any() or idle.all(where=source.a != 0.0):
         return source
     worst, ends = 0.0, 0.0
     for i in np.flatnonzero(idle).tolist():
-        low, high = own.interval(i)
+        low, high = mode_of_edge.interval(i)
         worst += source.a[i] * (low if source.a[i] > 0.0 else high)
         ends = float(np.hypot(ends, source.a[i] * _end_std(automaton, mode, i)))
     if not np.isfinite(worst):

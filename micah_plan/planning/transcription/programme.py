@@ -240,16 +240,16 @@ def _input_row(nlp: Transcription, guess: PhaseGuess, step: int, half_space: Hal
 
 def _require_corridor(nlp: Transcription, phase: PhaseVariables, boundaries: list[CorridorRow]) -> None:
     """The boundaries between the ends of the phase."""
-    directions = np.array([one.side.normal for one in boundaries]).T
-    offsets = np.array([one.side.offset for one in boundaries])
-    at = phase.states[:, [one.step for one in boundaries]]
+    directions = np.array([boundary.side.normal for boundary in boundaries]).T
+    offsets = np.array([boundary.side.offset for boundary in boundaries])
+    at = phase.states[:, [boundary.step for boundary in boundaries]]
     margins, stds = _margin_function(nlp.pattern).map(len(boundaries))(at, directions, offsets[None, :])
-    uncertain = [i for i, one in enumerate(boundaries) if one.uncertain]
+    uncertain = [i for i, boundary in enumerate(boundaries) if boundary.uncertain]
     total = ca.sqrt(
         stds[uncertain].T ** 2 + ca.DM([float(boundaries[i].side.spreads[boundaries[i].step]) for i in uncertain])
     )
     scales = np.array([boundaries[i].side.scale for i in uncertain])
-    rows, slacks = [one.row for one in boundaries], phase.slacks[: len(uncertain)]
+    rows, slacks = [boundary.row for boundary in boundaries], phase.slacks[: len(uncertain)]
     _require_with_room(nlp, phase, rows, margins, (uncertain, total, scales, slacks))
 
 
@@ -394,10 +394,10 @@ def lost_motion(
         std = ca.sqrt(ca.sumsqr(ca.mtimes(factor_of(z, pattern).T, ca.DM(h.a))) + variances[i])
         inside *= 0.5 * (1.0 + ca.erf((ca.dot(ca.DM(h.a), z[:n]) - h.c) / (np.sqrt(2.0) * std)))
     probability = ca.Function("inside", [z, variances], [inside]).map(guess.steps + 1)
-    known = np.einsum("ri,kij,rj->rk", a, guess.spreads, a) + np.square(stds_of(edge))[:, None] + SMALLEST_STD**2
+    variance = np.einsum("ri,kij,rj->rk", a, guess.spreads, a) + np.square(stds_of(edge))[:, None] + SMALLEST_STD**2
 
     def expected(states: ca.MX, inputs: ca.MX) -> ca.MX:
-        at = probability(states, known)
+        at = probability(states, variance)
         return ca.sum2(0.5 * (at[:, :-1] + at[:, 1:]) * ca.sum1(ca.mtimes(weights, inputs) ** 2))
 
     return expected

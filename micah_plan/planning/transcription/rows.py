@@ -87,12 +87,12 @@ class Rows(list[Row]):
         violations = [row.violation(float(value)) for row, value in zip(self, g, strict=True)]
         largest = max((v for v in violations if np.isfinite(v)), default=0.0)
         visible = max(NEGLIGIBLE, _VISIBLE_SHARE * largest)
-        found: dict[tuple[str, str], int] = {}
+        counts: dict[tuple[str, str], int] = {}
         for i in sorted(range(len(violations)), key=lambda i: -violations[i]):
-            if violations[i] <= visible or len(found) >= count:
+            if violations[i] <= visible or len(counts) >= count:
                 break
-            found.setdefault((self[i].mode, self[i].label), i)
-        return list(found.values())
+            counts.setdefault((self[i].mode, self[i].label), i)
+        return list(counts.values())
 
 
 @dataclass(frozen=True)

@@ -49,11 +49,11 @@ class BeliefPath:
 
 def solve(nlp: Transcription, time_limit_s: float) -> BeliefPath:
     """The locally optimal belief path. A problem without a solution does not raise: `feasible` and `message` say so."""
-    found = Solver(nlp.programme, time_limit_s).solve()
-    if not found.is_number:
-        worst = "; ".join(map(sentence_of, _worst(nlp, found.w, found.rows))) or "the cost is not a number"
-        return path_of(nlp, replace(found, said=f"{found.said}: {worst}"))
-    return path_of(nlp, found, tuple(_met_in_part(nlp, found.w)) if found.is_feasible else ())
+    solution = Solver(nlp.programme, time_limit_s).solve()
+    if not solution.is_number:
+        worst = "; ".join(map(sentence_of, _worst(nlp, solution.w, solution.rows))) or "the cost is not a number"
+        return path_of(nlp, replace(solution, said=f"{solution.said}: {worst}"))
+    return path_of(nlp, solution, tuple(_met_in_part(nlp, solution.w)) if solution.is_feasible else ())
 
 
 def unmet(nlp: Transcription, time_limit_s: float) -> list[Shortfall]:
@@ -72,14 +72,14 @@ def unmet(nlp: Transcription, time_limit_s: float) -> list[Shortfall]:
     names = list(dict.fromkeys(nlp.rows[i].name for i in asked))
     if asked:
         amounts = [names.index(nlp.rows[i].name) for i in asked]
-        found = Solver(_elastic(programme, rows, asked, amounts), time_limit_s).solve()
-        values = programme.values(found.w[:size])[1]
+        solution = Solver(_elastic(programme, rows, asked, amounts), time_limit_s).solve()
+        values = programme.values(solution.w[:size])[1]
         missed = [
             Shortfall(nlp.rows[min((i for i in asked if nlp.rows[i].name == name), key=values.__getitem__)], amount)
-            for name, amount in zip(names, found.w[size:].tolist(), strict=True)
+            for name, amount in zip(names, solution.w[size:].tolist(), strict=True)
             if amount > NEGLIGIBLE
         ]
-        if found.is_feasible and missed:
+        if solution.is_feasible and missed:
             return sorted(missed, key=lambda shortfall: -shortfall.amount)
     is_loose = nlp.rows.lower < nlp.rows.upper
     loose = np.flatnonzero(is_loose).tolist()
@@ -146,37 +146,37 @@ def _shortfall(nlp: Transcription, w: Floats, number: int, amount: float) -> Sho
     if row.confidence is None:
         return Shortfall(row, amount)
     others = [r for r in nlp.rows if (r.mode, r.knot) == (row.mode, row.knot) and r.kind in ("boundary", "guard")]
-    widths = [width for width in (_width(row, other) for other in others) if width is not None]
+    widths = [width for width in (_width(row, rival) for rival in others) if width is not None]
     return Shortfall(row, amount, float(nlp.stds_at(w)[number]), min(widths, default=None))
 
 
-def _width(row: Row, other: Row) -> float | None:
+def _width(row: Row, rival: Row) -> float | None:
     """The width of the corridor between two boundaries, in the unit of the first; None if they do not face."""
-    if row.half_space is None or other.half_space is None:
+    if row.half_space is None or rival.half_space is None:
         return None
-    a, b = row.sign * np.array(row.half_space.a), other.sign * np.array(other.half_space.a)
+    a, b = row.sign * np.array(row.half_space.a), rival.sign * np.array(rival.half_space.a)
     size, other_size = float(np.linalg.norm(a)), float(np.linalg.norm(b))
     if size == 0.0 or other_size == 0.0:  # on inputs alone
         return None
     if not np.allclose(a / size, -b / other_size, rtol=0.0, atol=1e-9):
         return None
-    return -other.sign * other.half_space.c / other_size * size - row.sign * row.half_space.c
+    return -rival.sign * rival.half_space.c / other_size * size - row.sign * row.half_space.c
 
 
-def path_of(nlp: Transcription, found: Solution, in_part: tuple[Shortfall, ...] = ()) -> BeliefPath:
+def path_of(nlp: Transcription, solution: Solution, in_part: tuple[Shortfall, ...] = ()) -> BeliefPath:
     """The belief path that a solution stands for."""
-    blocks, firsts = blocks_of(nlp, found.w), [phase.first_knot for phase in nlp.guess]
+    blocks, firsts = blocks_of(nlp, solution.w), [phase.first_knot for phase in nlp.guess]
     means, factors = unpack(np.hstack([states for states, _, _ in blocks]), nlp.pattern)
     inputs, is_transition = np.zeros((len(means) - 1, nlp.problem.automaton.m)), np.zeros(len(means) - 1, dtype=bool)
     is_transition[np.array(firsts[1:], dtype=np.int64) - 1] = True
     for first, (_, steps, _) in zip(firsts, blocks, strict=True):
         inputs[first : first + steps.shape[1]] = steps.T
     return BeliefPath(
-        feasible=found.is_feasible,
-        cost=found.cost,
-        message="; ".join([found.said, *map(partly_met, in_part)]),
-        is_out_of_time=found.is_out_of_time,
-        iterations=found.iterations,
+        feasible=solution.is_feasible,
+        cost=solution.cost,
+        message="; ".join([solution.said, *map(partly_met, in_part)]),
+        is_out_of_time=solution.is_out_of_time,
+        iterations=solution.iterations,
         modes=tuple(phase.mode for phase in nlp.guess for _ in range(phase.steps + 1)),
         means=means,
         factors=factors,
