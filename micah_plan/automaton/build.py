@@ -465,7 +465,8 @@ def _joined(first: _Group, second: _Group) -> _Group:
 
 
 def _rests_within(group: _Group, mover: _Group) -> bool:
-    margin = max(group.blur, mover.blur)
+    # Where a motion ends is known to a row.
+    margin = max(group.blur, mover.blur) + _mean_speed(mover.leading)
     return group.is_rigid and mover.lower + margin < group.center < mover.upper - margin
 
 

@@ -73,6 +73,8 @@ def chained(
     """
     chain = list(before)
     placed: dict[Joint, Joint] = {}
+    # Orientations of joints that only positions tell mean nothing.
+    length = 0.0 if track.quaternion is None else noise.rotation_length
     for piece in fitted:
         last = chain[-1].joint if chain else None
         if piece.joint in placed:
@@ -85,15 +87,15 @@ def chained(
         if not piece.joint.moves:
             moving = _last_moving(chain)
             if moving is not None and last is not None and last.kind != "rigid":
-                reached = _configuration_of(piece.joint, moving, noise)
+                reached = _configuration_of(piece.joint, moving, length)
             chain.append(replace(piece, joint=replace(piece.joint, fixed_at=reached)))
             continue
         joint = _directed(piece, chain, track, inlier, noise)
         start = _near(joint, piece.start, piece, track, inlier, noise)
         if last is not None and last.kind == "rigid":
-            start = _configuration_of(last, joint, noise)
+            start = _configuration_of(last, joint, length)
         elif last is not None:
-            reached, start = _meeting(last, reached, joint, start, noise)
+            reached, start = _meeting(last, reached, joint, start, length)
         placed[piece.joint] = joint = shifted(joint, start - reached)
         chain.append(replace(piece, joint=joint))
         reached = _near(joint, piece.end, piece, track, inlier, noise)
@@ -159,10 +161,9 @@ def left_by(joint: Joint, rows: Ints, track: PartTrack, rotation_length: float) 
 
 
 def _meeting(
-    before: Joint, before_near: float, after: Joint, after_near: float, noise: MeasurementNoise
+    before: Joint, before_near: float, after: Joint, after_near: float, length: float
 ) -> tuple[float, float]:
     """Configurations of two joints, near given ones, at which their poses are closest: by projecting to and fro."""
-    length = noise.rotation_length
     for _ in range(_PROJECTIONS):
         pose = forward(after, after_near)
         before_near = float(inverse(before, pose.translation, pose.rotation, length, near=before_near)[0])
@@ -171,10 +172,10 @@ def _meeting(
     return before_near, after_near
 
 
-def _configuration_of(rigid: Joint, moving: Joint, noise: MeasurementNoise) -> float:
+def _configuration_of(rigid: Joint, moving: Joint, length: float) -> float:
     """Where on a moving joint a rigid one holds the part."""
     pose = forward(rigid, 0.0)
-    return float(inverse(moving, pose.translation, pose.rotation, noise.rotation_length)[0])
+    return float(inverse(moving, pose.translation, pose.rotation, length)[0])
 
 
 def _directed(

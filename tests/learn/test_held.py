@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from micah_plan.automaton.build import build_automaton
 from micah_plan.learn.learn import learn_graph
 from micah_plan.learn.segmenting.held import Along, held_rows, held_steps
+from micah_plan.recording.value import Recording
 
 STD = 0.002
 
@@ -86,6 +90,40 @@ def test_a_long_run_has_its_stops_too(kind: str, number: int, variant: str, miss
     assert one.found >= one.stops - missed, one.answer
     assert one.many == 0
     assert not one.wrong
+
+
+@pytest.mark.parametrize("columns", ["poses", "positions"])
+@pytest.mark.parametrize(("kind", "number", "seed"), [("revolute", 1, 40), ("revolute", 3, 42), ("prismatic", 2, 41)])
+def test_the_model_has_the_stops_that_were_learned(
+    kind: str, number: int, seed: int, columns: str, cycles: ModuleType
+) -> None:
+    """Where a motion ends is known to a row, so its joint reaches a little beyond the rest."""
+    recording, _ = cycles.recording_of(kind, number, cycles.Variant(), seed)
+    recording = recording if columns == "poses" else replace(recording, quaternion=None)
+    graph = learn_graph(recording)
+    assert [mode.name for mode in build_automaton(graph).modes] == ["rigid_1", kind, "rigid_2"]
+    segments = graph.edges[0].segments
+    for before, rest in zip(segments[::2], segments[1::2], strict=True):
+        away = abs(rest.joint.fixed_at - before.configuration_end)
+        assert away < 4 * before.observation_std + (before.configuration_range[1] - before.configuration_range[0]) / 40
+
+
+@pytest.mark.slow
+def test_a_long_rest_before_many_motions_hides_few_of_them(cycles: ModuleType) -> None:
+    recording, stops = cycles.recording_of("revolute", 6, cycles.Variant(), 30)
+    rng, rows = np.random.default_rng(0), 1000
+    turned = Rotation.from_rotvec(0.004 * rng.standard_normal((rows, 3))) * Rotation.from_quat(recording.quaternion[0])
+    late = Recording(
+        time=np.arange(rows + len(recording)) / 20,
+        position=np.vstack([recording.position[0] + 0.001 * rng.standard_normal((rows, 3)), recording.position]),
+        quaternion=np.vstack([turned.as_quat(), recording.quaternion]),
+        action=np.vstack([np.zeros((rows, 3)), recording.action]),
+    )
+    starts = [one.start - rows for one in learn_graph(late).edges[0].segments if one.joint.kind == "rigid"]
+    # Those that share a window with the rest may be missed: it takes most of that window's steps.
+    assert sum(any(abs(start - stop) <= cycles.NEAR for start in starts) for stop in stops) >= len(stops) - 2
+    still = late.rows(np.arange(rows))
+    assert [one.joint.kind for one in learn_graph(still).edges[0].segments] == ["rigid"]
 
 
 @pytest.mark.slow

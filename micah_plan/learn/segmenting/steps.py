@@ -23,6 +23,7 @@ _FINE_STRIDE = 0.02  # of the extent
 _GROWTH = 1.3  # from one lag to the double, from which on it is motion (2 to 4) or wander (1.4)
 _LARGEST_NOISE = 0.25  # of the extent
 _FIRST_STRETCH, _MOVED = 64, 0.5  # rows; of the extent of the whole run
+_CLEAR = 10.0  # times its noise, by which a part that moves is further away at some time
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,25 +89,26 @@ def averaged(track: PartTrack, inlier: Booleans, first: Ints) -> PartTrack:
 
 
 def sweeps_of(track: PartTrack) -> float:
-    """Path over that of once there and back, of position or rotation, whichever is clearer."""
-    return _clearest(track)[1]
+    """Path over that of once there and back, of position or rotation, whichever is clearer.
+
+    The most of all rows and of the stretches in which the part clearly moves: among rows of a rest, many motions would
+    pass for noise.
+    """
+    _, sweeps, values = _clearest(track)
+    whole, size = extent(values), _FIRST_STRETCH
+    while size < len(values):
+        for begin in range(0, len(values) - size // 2, size // 2):
+            stretch = values[begin : begin + size]
+            if extent(stretch) >= _MOVED * whole:
+                clarity, there_and_back = _clarity_and_sweeps(stretch)
+                sweeps = max(sweeps, there_and_back) if clarity >= _CLEAR else sweeps
+        size *= 2
+    return sweeps
 
 
 def is_long(track: PartTrack, inlier: Booleans) -> bool:
-    """Whether a part moves to and fro more than `WINDOW_SWEEPS` times.
-
-    Looked at from the start on, in stretches that double: in all rows, many motions would pass for noise. A stretch in
-    which the part has hardly moved yet shows how it trembles.
-    """
-    values = _clearest(track.take(np.flatnonzero(inlier)))[2]
-    whole = extent(values)
-    end = _FIRST_STRETCH
-    while True:
-        if extent(values[:end]) >= _MOVED * whole and _clarity_and_sweeps(values[:end])[1] > WINDOW_SWEEPS:
-            return True
-        if end >= len(values):
-            return False
-        end *= 2
+    """Whether a part moves to and fro more than `WINDOW_SWEEPS` times."""
+    return sweeps_of(track.take(np.flatnonzero(inlier))) > WINDOW_SWEEPS
 
 
 def _clearest(track: PartTrack) -> tuple[float, float, Floats]:
