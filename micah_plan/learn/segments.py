@@ -160,9 +160,7 @@ def left_by(joint: Joint, rows: Ints, track: PartTrack, rotation_length: float) 
     return off if rotation is None else np.hstack([(rotation * closest.rotation.inv()).as_rotvec(), off])
 
 
-def _meeting(
-    before: Joint, before_near: float, after: Joint, after_near: float, length: float
-) -> tuple[float, float]:
+def _meeting(before: Joint, before_near: float, after: Joint, after_near: float, length: float) -> tuple[float, float]:
     """Configurations of two joints, near given ones, at which their poses are closest: by projecting to and fro."""
     for _ in range(_PROJECTIONS):
         pose = forward(after, after_near)
