@@ -18,6 +18,7 @@ from kinds_plant import RATE, Floats, random_joint, tracker_noise, written_actio
 from kinds_scoring import SURE, kinds_of, probability
 from scipy.spatial.transform import Rotation
 
+from micah_plan.automaton.build import build_automaton, misfit_error
 from micah_plan.learn.learn import learn_graph
 from micah_plan.recording.value import Recording
 
@@ -27,7 +28,8 @@ NEAR = 6
 @dataclass(frozen=True)
 class Variant:
     """Noise of the tracker [m], and of the actions: their gain, how they are turned [rad] and how late they are; the
-    share by which the part slips; whether it is pushed against its ends, or moved between them only."""
+    share by which the part slips; whether it is pushed against its ends, or moved between them only; whether its
+    orientation is measured."""
 
     white: float = 0.001
     gain: float = 1.0
@@ -35,6 +37,7 @@ class Variant:
     late: int = 0
     slip: float = 0.05
     pushed: bool = True
+    oriented: bool = True
 
 
 VARIANTS = {
@@ -43,6 +46,7 @@ VARIANTS = {
     "actions halved": Variant(gain=0.5),
     "turned by 30 degrees": Variant(turned=np.pi / 6),
     "late by 2 rows": Variant(late=-2),
+    "positions alone": Variant(oriented=False),
     "not pushed": Variant(pushed=False),
 }
 
@@ -72,17 +76,20 @@ def recording_of(kind: str, cycles: int, variant: Variant, seed: int) -> tuple[R
     frame = Rotation.from_rotvec(variant.turned * axis / max(float(np.linalg.norm(axis)), 1e-9))
     action = written_actions(np.array(command), frame, variant.gain, variant.late, 0.03, rng)
     quaternion = (Rotation.from_rotvec(turns) * Rotation.from_matrix(rotation)).as_quat()
-    return Recording(np.arange(len(position)) / RATE, position + shifts, quaternion, action), stops
+    columns = position + shifts, quaternion if variant.oriented else None, action
+    return Recording(np.arange(len(position)) / RATE, *columns), stops
 
 
 @dataclass(frozen=True)
 class Count:
-    """Of one recording: stops found, in all and too many; whether it is surely wrong; seconds; the answer."""
+    """Of one recording: stops found, in all and too many; whether it is surely wrong, and whether the model has the
+    joint with both its stops, or without if it was not pushed; seconds; the answer."""
 
     found: int
     stops: int
     many: int
     wrong: bool
+    modelled: bool
     seconds: float
     answer: str
 
@@ -90,15 +97,19 @@ class Count:
 def counted(kind: str, cycles: int, variant: Variant, seed: int) -> Count:
     recording, stops = recording_of(kind, cycles, variant, seed)
     begin = process_time()
-    (edge,) = learn_graph(recording).edges
+    graph = learn_graph(recording)
     took = process_time() - begin
+    (edge,) = graph.edges
     rests = [one.start for one in edge.segments if one.joint.kind == "rigid"]
     hits = sum(any(abs(start - stop) <= NEAR for start in rests) for stop in stops)
     kinds = kinds_of(edge.segments, True)
     right = kinds == ((kind, "rigid") * (2 * cycles) if variant.pushed else (kind,))
     sure = min(probability(one) for one in edge.segments)
     answer = " ".join(f"{one.joint.kind[:4]}{one.start}" for one in edge.segments)
-    return Count(hits, len(stops), max(len(rests) - len(stops), 0), sure >= SURE and not right, took, answer)
+    modes = [] if misfit_error(graph) else [mode.name for mode in build_automaton(graph).modes]
+    modelled = modes == (["rigid_1", kind, "rigid_2"] if variant.pushed else [kind])
+    many = max(len(rests) - len(stops), 0)
+    return Count(hits, len(stops), many, sure >= SURE and not right, modelled, took, answer)
 
 
 def main() -> None:
@@ -109,7 +120,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--answers", action="store_true", help="print every answer")
     given = parser.parse_args()
-    print(f"{'cycles':>6} {'variant':<22}{'found':>12}{'too many':>10}{'surely wrong':>14}{'seconds each':>14}")
+    print(f"{'cycles':>6} {'variant':<22}{'found':>12}{'too many':>10}{'surely wrong':>14}{'models':>10}{'seconds':>9}")
     for cycles in given.cycles:
         for name, variant in VARIANTS.items():
             seeds = range(given.first, given.first + given.seeds)
@@ -118,9 +129,10 @@ def main() -> None:
                 print("\n".join(row.answer for row in rows))
             share = f"{sum(row.found for row in rows)} of {sum(row.stops for row in rows)}"
             wrong = f"{sum(row.wrong for row in rows)} of {len(rows)}"
+            models = f"{sum(row.modelled for row in rows)} of {len(rows)}"
             took = np.mean([row.seconds for row in rows])
             many = sum(row.many for row in rows)
-            print(f"{cycles:>6} {name:<22}{share:>12}{many:>10}{wrong:>14}{took:>14.2f}", flush=True)
+            print(f"{cycles:>6} {name:<22}{share:>12}{many:>10}{wrong:>14}{models:>10}{took:>9.2f}", flush=True)
 
 
 if __name__ == "__main__":
