@@ -242,8 +242,7 @@ class OnlineLearner:
         if not full and middle == len(window.pieces) - 1 and window.is_new(middle):
             self._window.coarsen()
             return
-        row = int(window.run.track.rows[cut])
-        start = window.run.certainties[middle].start if cut == piece.start else RowPosterior((row,), (1.0,))
+        start = window.run.certainties[middle].start if cut == piece.start else None
         segments = self._after_open(window, window.segments(self.run, cut))
         self._committed += segments[:-1]
         self._log_evidence += window.run.posterior.log_evidence * cut / len(window.last)
@@ -264,7 +263,7 @@ class Entry:
         before: the pieces whose joints are the last moving one, and the one that holds before the window.
         within: whether the window begins within the segment before it.
         reached: configuration there.
-        start: posterior of the row at which a segment starts that begins where the window does.
+        start: posterior of the row at which a segment starts that begins where the window does; None: nothing tells.
     """
 
     known: tuple[Joint, ...]
@@ -302,9 +301,7 @@ class Entry:
         for hypothesis in dict.fromkeys(run.hypotheses):
             pieces_of_joint = [piece for piece, of in zip(run.pieces, run.hypotheses, strict=True) if of == hypothesis]
             rows = np.concatenate([piece.index(run.inlier) for piece in pieces_of_joint])
-            same[hypothesis] = (
-                None if run.certainties[0].misfit else self._known(pieces_of_joint[0].joint, rows, run, settings)
-            )
+            same[hypothesis] = self._known(pieces_of_joint[0].joint, rows, run, settings)
         pieces = []
         for piece, hypothesis in zip(run.pieces, run.hypotheses, strict=True):
             joint = same[hypothesis]
@@ -323,7 +320,9 @@ class Entry:
             return np.asarray((errors.reshape(len(errors), -1, 3) ** 2).sum(axis=2).mean(axis=0))
 
         least = missed(joint)
-        candidates = [candidate for candidate in self.known if candidate.kind == joint.kind]
+        # Where the part moves freely its joint says nothing.
+        able = () if run.certainties[0].misfit else self.known
+        candidates = [candidate for candidate in able if candidate.kind == joint.kind]
         excess = [float(((missed(candidate) - least) / deviation**2).max()) for candidate in candidates]
         return candidates[int(np.argmin(excess))] if min(excess, default=np.inf) <= 1.0 else None
 

@@ -32,7 +32,7 @@ class LearnSettings:
         rest: prior probability that a part on a moving joint rests in a step, where actions do not tell.
         outlier_weight: w of the outlier prior p(γ) ∝ exp(-w γ).
         draws: minimal sets that MLESAC tries per fit.
-        window: most rows that are looked at again where rows are learned online.
+        window: most rows of a window, where a long run or rows that still come in are learned.
         resolution: steps to which rows are averaged while the part moves once through its range; changepoints are
             then found again to the row, and joints are fitted to all rows.
         sweeps: how often the part moves there and back, for the number of steps of a run that is learned at once; None:

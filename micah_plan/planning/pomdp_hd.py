@@ -67,7 +67,7 @@ def with_memory(problem: Problem, sequence: ModeSequence) -> ModeSequence:
 
 
 def planned(attempt: Attempt, search_result: SearchResult | None = None) -> Plan:
-    """The algorithm; `found`: mode sequences to optimise over x, None: those that a search finds.
+    """The algorithm; `search_result`: mode sequences to optimise over x, None: those that a search finds.
 
     A memory of inputs does not change which mode sequences there are. Where the mean of no plan follows its own modes
     other transitions come first, and search and optimisation are told which (`chains`).

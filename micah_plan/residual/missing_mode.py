@@ -1,6 +1,6 @@
 """A mode that the automaton lacks: changepoints of the residual along the configuration, found as those of poses are.
 
-Rows in order of their configuration are the stream of the changepoint recursion. In each piece the innovation is either
+Rows in order of their configuration are cut by the changepoint recursion. In each piece the innovation is either
 noise, as the model says, or noise about a line in the command (other motion than modelled: a gain and a drift), whose
 coefficients are integrated out. What changes gradually is no mode, so the pieces must predict held-out rows better than
 a smooth function of the configuration does, and better than the effects that were found.

@@ -109,7 +109,7 @@ def put_at(mean: ca.SX, factor: ca.SX, pins: Sequence[Pin]) -> tuple[ca.SX, ca.S
 
 
 def _rotate(column: list[ca.SX], second: list[ca.SX], row: int) -> None:
-    """Rotate two columns so that `other` vanishes in that row; column[row] >= 0 and the rows above are zero in both.
+    """Rotate two columns so that `second` vanishes in that row; column[row] >= 0 and the rows above are zero in both.
 
     column[row] is floored smoothly, not the radius, so that the map stays a rotation (loses no variance) at zero.
     """

@@ -67,10 +67,10 @@ def planted_table(positions_only: bool = False) -> EvidenceTable:
 def test_the_planted_segments_are_the_most_probable(positions_only: bool) -> None:
     table = planted_table(positions_only)
     names = table.pool.hypotheses.joints.kinds
-    found = best_segmentation(table, LengthPrior(35.0, 2.0), len(LearnSettings().kinds))
-    assert [names[piece.hypothesis] for piece in found.pieces] == ["revolute", "rigid"]
-    assert abs(found.pieces[1].start - 40) <= 2
-    for piece in found.pieces:
+    segmentation = best_segmentation(table, LengthPrior(35.0, 2.0), len(LearnSettings().kinds))
+    assert [names[piece.hypothesis] for piece in segmentation.pieces] == ["revolute", "rigid"]
+    assert abs(segmentation.pieces[1].start - 40) <= 2
+    for piece in segmentation.pieces:
         every = [table.charged(i)[piece.start, piece.end] for i in range(len(names))]
         assert piece.log_evidence == pytest.approx(max(every))
         assert piece.hypothesis == int(np.argmax(every))
@@ -93,6 +93,6 @@ def test_a_changepoint_is_not_refined_where_no_row_counts_on_one_of_its_sides(co
     inlier = np.zeros(80, dtype=bool)
     inlier[counted] = True
     joints = arrays_of([JOINTS["revolute"], rigid(track.position[-1], track.quaternion[-1])])
-    found = locate(joints, 40, 4.0, (0, 80), track, inlier, LearnSettings())
-    assert found.row == 40 if inlier.sum() < 80 else abs(found.row - 40) <= 2
-    assert len(found.rows) == 1 if inlier.sum() < 80 else len(found.rows) > 1
+    located = locate(joints, 40, 4.0, (0, 80), track, inlier, LearnSettings())
+    assert located.row == 40 if inlier.sum() < 80 else abs(located.row - 40) <= 2
+    assert len(located.rows) == 1 if inlier.sum() < 80 else len(located.rows) > 1

@@ -85,11 +85,11 @@ def test_a_part_opened_and_shut_several_times_has_a_stop_each_time(kind: str, nu
 )
 def test_a_long_run_has_its_stops_too(kind: str, number: int, variant: str, missed: int, cycles: ModuleType) -> None:
     """How often something happens does not matter: a long run is learned in windows that show its joint each."""
-    one = cycles.counted(kind, number, cycles.VARIANTS[variant], 12)
-    assert one.stops == 2 * number
-    assert one.found >= one.stops - missed, one.answer
-    assert one.many == 0
-    assert not one.wrong
+    count = cycles.counted(kind, number, cycles.VARIANTS[variant], 12)
+    assert count.stops == 2 * number
+    assert count.found >= count.stops - missed, count.answer
+    assert count.many == 0
+    assert not count.wrong
 
 
 @pytest.mark.parametrize("columns", ["poses", "positions"])
@@ -119,19 +119,19 @@ def test_a_long_rest_before_many_motions_hides_few_of_them(cycles: ModuleType) -
         quaternion=np.vstack([turned.as_quat(), recording.quaternion]),
         action=np.vstack([np.zeros((rows, 3)), recording.action]),
     )
-    starts = [one.start - rows for one in learn_graph(late).edges[0].segments if one.joint.kind == "rigid"]
+    starts = [segment.start - rows for segment in learn_graph(late).edges[0].segments if segment.joint.kind == "rigid"]
     # Those that share a window with the rest may be missed: it takes most of that window's steps.
     assert sum(any(abs(start - stop) <= cycles.NEAR for start in starts) for stop in stops) >= len(stops) - 2
     still = late.rows(np.arange(rows))
-    assert [one.joint.kind for one in learn_graph(still).edges[0].segments] == ["rigid"]
+    assert [segment.joint.kind for segment in learn_graph(still).edges[0].segments] == ["rigid"]
 
 
 @pytest.mark.slow
 def test_a_row_between_a_rest_and_a_motion_is_no_rest_elsewhere(cycles: ModuleType) -> None:
     """A drawer's step on the way out lay on the pose of the other end, as far as a tracker's drift may say it."""
-    one = cycles.counted("prismatic", 5, cycles.VARIANTS["plain"], 1)
-    assert one.found == one.stops, one.answer
-    assert not one.wrong
+    count = cycles.counted("prismatic", 5, cycles.VARIANTS["plain"], 1)
+    assert count.found == count.stops, count.answer
+    assert not count.wrong
 
 
 def test_a_part_that_is_moved_many_times_and_never_pushed_has_no_stop(cycles: ModuleType) -> None:

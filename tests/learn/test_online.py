@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -85,6 +86,19 @@ def test_a_part_that_returns_to_a_joint_has_the_same_again() -> None:
     assert all(abs(s.start - row) <= 4 for s, row in zip(segments[1:], planted, strict=True))
     assert len({segment.joint for segment in segments}) == 2
     assert [segment.start for segment in segments[1:]] == [segment.end + 1 for segment in segments[:-1]]
+
+
+@pytest.mark.parametrize(("aside", "joints"), [(0.0, 1), (0.05, 2)])
+def test_a_joint_elsewhere_is_another_one(aside: float, joints: int) -> None:
+    """The known joint stands for a window's only where it explains its rows: 5 cm further it does not."""
+    swings = 0.45 * (1 - np.cos(2 * np.pi * np.arange(480) / 60))
+    recording = recorded([(JOINTS["revolute"], swings)] * 2, np.random.default_rng(4))
+    position = recording.position.copy()
+    position[480:] += aside
+    learner = learned(replace(recording, position=position), 960)
+    segments = learner.segments()
+    assert len({segment.joint for segment in segments}) == joints
+    assert segments[-1].end == 959
 
 
 @pytest.mark.slow

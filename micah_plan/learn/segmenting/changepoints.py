@@ -23,7 +23,7 @@ from scipy.special import gammainc, gammaincc
 
 from micah_plan.arrays import Floats, Ints
 from micah_plan.errors import InputError
-from micah_plan.learn.segmenting.evidence import EvidenceTable
+from micah_plan.learn.segmenting.evidence import EvidenceTable, best_of
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
@@ -73,7 +73,10 @@ def best_segmentation(
         paid: those whose parameters cost a segment nothing (whoever chose them pays).
     """
     chosen = np.arange(len(table.rows)) if members is None else np.array(members)
-    best = _best_of(table, chosen, paid)
+    if members is None and not paid:
+        best = table.best
+    else:
+        best = best_of(table.sums[i] if i in paid else table.charged(i) for i in chosen.tolist())
     spans, log_probability = most_probable_spans(best + (length_terms(prior, len(best)) - np.log(kinds)))
     charged = ~np.isin(chosen, list(paid))
     pieces = []
@@ -81,15 +84,6 @@ def best_segmentation(
         evidence = table.sums[chosen, start, end] - charged * table.cost(chosen, np.array(end - start + 1.0))
         pieces.append(Piece(start, end, int(chosen[np.argmax(evidence)]), float(best[start, end])))
     return Segmentation(tuple(pieces), log_probability)
-
-
-def _best_of(table: EvidenceTable, members: Ints, paid: Collection[int]) -> Floats:
-    """(n, n) evidence of whichever of some hypotheses is best for a segment, by first and last row."""
-    layers = (table.sums[i] if i in paid else table.charged(i) for i in members.tolist())
-    best = next(layers).copy()
-    for layer in layers:
-        np.maximum(best, layer, out=best)
-    return best
 
 
 def most_probable_spans(worth: Floats) -> tuple[list[tuple[int, int]], float]:

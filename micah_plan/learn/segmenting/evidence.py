@@ -10,7 +10,7 @@ Source: MICAH, ln L ≈ ln p(y | M, θ̂, a) - k/2 ln(t - s).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -66,6 +66,11 @@ class EvidenceTable:
         # The cost of a segment depends on its length alone.
         costs = sliding_window_view(self.cost(np.array([index]), lengths), n)[::-1]
         return np.asarray(self.sums[index] - costs)
+
+    @cached_property
+    def best(self) -> Floats:
+        """(n, n) the same of whichever hypothesis is best for a segment."""
+        return best_of(self.charged(i) for i in range(len(self.rows)))
 
     def cost(self, index: Ints, rows: Floats, held: bool = True) -> Floats:
         """What a segment of so many rows pays for a hypothesis' parameters."""
@@ -152,6 +157,15 @@ def _across(pool: Pool, noise: NoiseModel) -> tuple[Floats, Floats]:
     tails = heavy * np.log1p(squares / heavy) + np.log(np.maximum(information, 1e-12))
     # Given how far off a row is across the joint, Student's distribution is as much wider along it.
     return peak - 0.5 * tails + volume, 1 + (squares[-1] - (heavy - noise.dof[:, None])) / heavy
+
+
+def best_of(layers: Iterable[Floats]) -> Floats:
+    """(n, n) the largest of evidences (n, n), one at a time: all at once would take much memory."""
+    rest = iter(layers)
+    best = next(rest).copy()
+    for layer in rest:
+        np.maximum(best, layer, out=best)
+    return best
 
 
 def segment_sums(log_density: Floats) -> Floats:
