@@ -3,8 +3,9 @@
     OMP_NUM_THREADS=1 python benchmarks/cycles.py [--cycles N ...] [--seeds K] [--first SEED]
 
 Doors and drawers with an end on either side, 30 to 50 rows of motion each way and 15 to 30 rows of pushing, in the
-variants of the table. A stop is found if a rigid segment begins within six rows of it; more rigid segments than stops
-are "too many". An answer is surely wrong if it is said with 95 % or more and its segments are others.
+variants of the table; some are left alone for longer than they move. A stop is found if a rigid segment begins within
+six rows of it; more rigid segments than stops are "too many". An answer is surely wrong if it is said with 95 % or more
+and its segments are others.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ NEAR = 6
 class Variant:
     """Noise of the tracker [m], and of the actions: their gain, how they are turned [rad] and how late they are; the
     share by which the part slips; whether it is pushed against its ends, or moved between them only; whether its
-    orientation is measured."""
+    orientation is measured; rows for which it is left alone before the first motion, at the first end and at last."""
 
     white: float = 0.001
     gain: float = 1.0
@@ -38,6 +39,7 @@ class Variant:
     slip: float = 0.05
     pushed: bool = True
     oriented: bool = True
+    alone: tuple[int, int, int] = (0, 0, 0)
 
 
 VARIANTS = {
@@ -48,6 +50,10 @@ VARIANTS = {
     "late by 2 rows": Variant(late=-2),
     "positions alone": Variant(oriented=False),
     "not pushed": Variant(pushed=False),
+    "1,000 rows before": Variant(alone=(1000, 0, 0)),
+    "1,000 rows at an end": Variant(alone=(0, 1000, 0)),
+    "1,000 rows after": Variant(alone=(0, 0, 1000)),
+    "all three, not pushed": Variant(pushed=False, alone=(1000, 1000, 1000)),
 }
 
 
@@ -55,18 +61,20 @@ def recording_of(kind: str, cycles: int, variant: Variant, seed: int) -> tuple[R
     """A recording, and the last rows of motion, at which the part arrives at an end."""
     rng = np.random.default_rng([seed, cycles, len(kind)])
     joint, travel = random_joint(kind, rng, np.array([0.6, 0.1, 0.3]))
-    asked: list[Floats] = []
+    before, between, after = (np.zeros(rows) for rows in variant.alone)
+    asked: list[Floats] = [before]
     for half in range(2 * cycles):
         rows, pushed = int(rng.integers(30, 51)), int(rng.integers(15, 31)) if variant.pushed else 0
         sign = 1.0 if half % 2 == 0 else -1.0
         pace = np.exp(0.2 * rng.standard_normal(rows))
         far = 1.02 if variant.pushed else 0.9
         asked += [sign * far * travel * pace / pace.sum(), np.full(pushed, sign * travel / rows)]
+        asked += [between] if half == 0 else []
     c, configuration, command, stops = 0.0, [0.0], [], []
-    for step in np.concatenate(asked):
+    for step in np.concatenate([*asked, after]):
         reached = float(np.clip(c + step * (1 + variant.slip * rng.standard_normal()), 0.0, travel))
         command.append(step * joint.tangent(c))
-        if variant.pushed and reached == c and (len(configuration) < 2 or configuration[-2] != c):
+        if variant.pushed and step and reached == c and (len(configuration) < 2 or configuration[-2] != c):
             stops.append(len(configuration) - 1)
         c = reached
         configuration.append(c)

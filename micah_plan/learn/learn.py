@@ -28,7 +28,7 @@ from micah_plan.learn.parts.tree import learn_tree
 from micah_plan.learn.run import LearnedRun, learn_acted_run
 from micah_plan.learn.segmenting.noise import LEAST_TRUST, MeasurementNoise, trust_in
 from micah_plan.learn.segmenting.noise_fit import first_noise
-from micah_plan.learn.segmenting.steps import MOST_SWEEPS, is_long, steps_of, sweeps_of
+from micah_plan.learn.segmenting.steps import MOST_SWEEPS, activity_of, is_long, steps_of
 from micah_plan.learn.segments import FittedPiece, configurations, to_segment
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.learn.track import PartTrack, find_inliers, part_track
@@ -80,8 +80,11 @@ def _in_common(recording: Recording, settings: LearnSettings) -> LearnSettings:
     if not long_enough:
         return replace(settings, trust=settings.trust or LEAST_TRUST)
     inliers = [find_inliers(track) for track in long_enough]
-    sweeps = [sweeps_of(track.take(np.flatnonzero(inlier))) for track, inlier in zip(long_enough, inliers, strict=True)]
-    settings = replace(settings, sweeps=settings.sweeps or max(sweeps))
+    motions = [
+        activity_of(track, np.flatnonzero(inlier)).motions_in(int(inlier.sum()))
+        for track, inlier in zip(long_enough, inliers, strict=True)
+    ]
+    settings = replace(settings, sweeps=settings.sweeps or max(motions))
     steps = [steps_of(track, inlier, settings) for track, inlier in zip(long_enough, inliers, strict=True)]
     trusts = [trust_in(first_noise(step.track, settings.of_steps(step.size)), settings) for step in steps]
     return replace(settings, trust=float(np.mean(trusts)))

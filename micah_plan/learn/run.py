@@ -103,7 +103,7 @@ def segment_run(
     track: PartTrack,
     settings: LearnSettings,
     inlier: Booleans | None = None,
-    start: Segmented | None = None,
+    start: SegmentedRun | None = None,
 ) -> SegmentedRun:
     """Cut a track into segments.
 
@@ -112,8 +112,8 @@ def segment_run(
         start: what was found for the same poses with other actions, to start from.
     """
     inlier = find_inliers(track) if inlier is None else inlier
-    steps = steps_of(track, inlier, settings)
-    segmented = segment_track(steps.track, steps.assumed(settings), start)
+    steps = steps_of(track, inlier, settings) if start is None else start.steps.of(track)
+    segmented = segment_track(steps.track, steps.assumed(settings), None if start is None else start.segmented)
     posterior = posterior_of(segmented, settings)
     return SegmentedRun(track, inlier, steps, segmented, posterior)
 
@@ -215,7 +215,8 @@ def _located(
     joints = segmented.table.pool.hypotheses.joints.take([before.hypothesis, after.hypothesis])
     limits = since, int(steps.first[after.end + 1])
     row = max(int(steps.first[after.start]), since + 1)
-    return locate(joints, row, steps.size, limits, track, inlier, settings.of_steps(steps.size))
+    widest = float(np.diff(steps.first[after.start - 1 : after.start + 2]).max())
+    return locate(joints, row, widest, limits, track, inlier, settings.of_steps(steps.size))
 
 
 def _joints(
@@ -309,15 +310,17 @@ def learn_acted_run(
         the run, whose track has the actions where they acted if that explains it better; None where there are no
         actions or they say nothing.
     """
-    learned = learn_run(track, settings, rng, inlier=inlier)
+    segmented_run = segment_run(track, settings, inlier)
+    learned = with_joints(segmented_run, settings, rng)
     channel = _channel(learned, track)
     if channel is None:
         return learned, None
     std = float(np.sqrt(channel.covariance[CHANNEL_NAMES.index("delay")][CHANNEL_NAMES.index("delay")]))
-    step = track.duration / len(learned.segmented.track)
+    step = segmented_run.steps.size * track.duration / len(track)
     if abs(channel.delay) > max(_SURE * std, _STEP_SHARE * step):
         delayed = with_delayed_actions(track, channel.delay)
-        again = segment_run(delayed, settings, learned.inlier, learned.segmented)
+        start = replace(segmented_run, segmented=learned.segmented)
+        again = segment_run(delayed, settings, learned.inlier, start)
         if again.posterior.log_evidence > learned.posterior.log_evidence + _DECISIVE:
             moved = with_joints(again, settings, rng)
             return moved, _channel(moved, track) or channel

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.build import build_automaton
 from micah_plan.learn.learn import learn_graph
@@ -17,19 +14,6 @@ from micah_plan.learn.segmenting.held import Along, held_rows, held_steps
 from micah_plan.recording.value import Recording
 
 STD = 0.002
-
-
-@pytest.fixture(scope="module")
-def cycles() -> ModuleType:
-    """The benchmark, whose simulation uses nothing of the learner."""
-    folder = str(Path(__file__).parents[2] / "benchmarks")
-    sys.path.insert(0, folder)
-    try:
-        import cycles
-
-        return cycles
-    finally:
-        sys.path.remove(folder)
 
 
 def along(steps: list[float], held: list[tuple[int, int]], seed: int = 0) -> Along:
@@ -108,22 +92,43 @@ def test_the_model_has_the_stops_that_were_learned(
         assert away < 4 * before.observation_std + (before.configuration_range[1] - before.configuration_range[0]) / 40
 
 
-@pytest.mark.slow
-def test_a_long_rest_before_many_motions_hides_few_of_them(cycles: ModuleType) -> None:
-    recording, stops = cycles.recording_of("revolute", 6, cycles.Variant(), 30)
-    rng, rows = np.random.default_rng(0), 1000
-    turned = Rotation.from_rotvec(0.004 * rng.standard_normal((rows, 3))) * Rotation.from_quat(recording.quaternion[0])
-    late = Recording(
-        time=np.arange(rows + len(recording)) / 20,
-        position=np.vstack([recording.position[0] + 0.001 * rng.standard_normal((rows, 3)), recording.position]),
-        quaternion=np.vstack([turned.as_quat(), recording.quaternion]),
-        action=np.vstack([np.zeros((rows, 3)), recording.action]),
+@pytest.mark.parametrize("alone", [(1000, 0, 0), (0, 1000, 0), (0, 0, 1000), (300, 300, 300)])
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_however_long_a_part_is_left_alone_its_stops_are_the_same(
+    kind: str, alone: tuple[int, int, int], cycles: ModuleType
+) -> None:
+    """A tracker is switched on long before a motion: rests take no steps from it."""
+    count = cycles.counted(kind, 1, cycles.Variant(alone=alone), 4)
+    assert (count.found, count.stops, count.many) == (2, 2, 0), count.answer
+    assert count.modelled
+    still = cycles.counted(kind, 1, cycles.Variant(pushed=False, alone=alone), 4)
+    assert still.answer.split()[0].startswith(kind[:4])
+    assert not still.wrong
+
+
+def test_a_push_of_many_rows_is_one_stop(cycles: ModuleType) -> None:
+    recording, (stop, shut) = cycles.recording_of("prismatic", 1, cycles.Variant(), 5)
+    at, more = stop + 5, 600
+    index = np.concatenate([np.arange(at), np.full(more, at), np.arange(at, len(recording))])
+    shaken = (
+        0.001 * np.random.default_rng(0).standard_normal((len(index), 3)) * (np.diff(index, prepend=-1) == 0)[:, None]
     )
-    starts = [segment.start - rows for segment in learn_graph(late).edges[0].segments if segment.joint.kind == "rigid"]
-    # Those that share a window with the rest may be missed: it takes most of that window's steps.
-    assert sum(any(abs(start - stop) <= cycles.NEAR for start in starts) for stop in stops) >= len(stops) - 2
-    still = late.rows(np.arange(rows))
-    assert [segment.joint.kind for segment in learn_graph(still).edges[0].segments] == ["rigid"]
+    time = np.arange(len(index)) / 20
+    columns = recording.position[index] + shaken, recording.quaternion[index], recording.action[index]
+    starts = [s.start for s in learn_graph(Recording(time, *columns)).edges[0].segments if s.joint.kind == "rigid"]
+    assert len(starts) == 2
+    assert np.abs(np.array(starts) - (stop, shut + more)).max() <= cycles.NEAR
+
+
+@pytest.mark.slow
+def test_a_long_rest_before_many_motions_hides_none(cycles: ModuleType) -> None:
+    count = cycles.counted("revolute", 6, cycles.VARIANTS["1,000 rows before"], 30)
+    assert (count.found, count.many) == (12, 0), count.answer
+
+
+def test_nothing_but_rest_is_a_rest(cycles: ModuleType) -> None:
+    recording, _ = cycles.recording_of("revolute", 1, cycles.VARIANTS["1,000 rows before"], 30)
+    assert [s.joint.kind for s in learn_graph(recording.rows(np.arange(1000))).edges[0].segments] == ["rigid"]
 
 
 @pytest.mark.slow

@@ -2,7 +2,8 @@
 
 What learning assumes of neighbouring rows (how fast a tracker wanders, how often a part rests, how long a segment is)
 it assumes of neighbouring steps. So the same motion sampled 16 times as often gives the same segments, at the same
-cost, and white noise is averaged before it is looked at. Changepoints are then found again to the row.
+cost, and white noise is averaged before it is looked at. A rest counts at most as long as the motion from end to end:
+however early the tracker was switched on, a motion has its steps. Changepoints are then found again to the row.
 """
 
 from __future__ import annotations
@@ -16,14 +17,17 @@ from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack, bends, extent, white_std
 
-_BLOCKS, _FEWEST_BLOCKS = 256, 8  # in which the length of the path is measured
+_BLOCKS, _FEWEST_BLOCKS = 2048, 8  # in which the length of the path is measured
 WINDOW_SWEEPS = 4.0  # there and back in a window; what moves more often is learned in several
 MOST_SWEEPS = 16.0  # for which there are steps, where all rows are learned at once
 _FINE_STRIDE = 0.02  # of the extent
 _GROWTH = 1.3  # from one lag to the double, from which on it is motion (2 to 4) or wander (1.4)
 _LARGEST_NOISE = 0.25  # of the extent
-_FIRST_STRETCH, _MOVED = 64, 0.5  # rows; of the extent of the whole run
 _CLEAR = 10.0  # times its noise, by which a part that moves is further away at some time
+_STRIDE = 3  # times the fine stride, which noise does not make
+_PUSH = 0.1  # of the root mean square action
+_WITH_REST = 1.25  # times the rows of motion, with rests, for which `resolution` steps are enough
+_REST = 4  # times the usual duration of a stride, in which a part that moves makes one
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +36,14 @@ class Steps:
 
     Attributes:
         track: (m,) steps: means of the poses of a few rows; actions command the way from a step to the next one.
+        counted: (n,) rows that steps are means of.
         first: (m + 1,) first row of every step in the track of all rows, and the number of rows.
-        size: mean number of rows of a step.
+        size: mean number of rows that a step is the mean of.
         sweeps: how often the part moves there and back.
     """
 
     track: PartTrack
+    counted: Booleans
     first: Ints
     size: float
     sweeps: float
@@ -45,6 +51,10 @@ class Steps:
     def assumed(self, settings: LearnSettings) -> LearnSettings:
         """What is assumed of the rows, of the steps."""
         return replace(settings.of_steps(self.size), sweeps=max(self.sweeps, 1.0))
+
+    def of(self, track: PartTrack) -> Steps:
+        """The same rows averaged, of a track that has other actions."""
+        return replace(self, track=averaged(track, self.counted, self.first))
 
 
 def steps_of(track: PartTrack, inlier: Booleans, settings: LearnSettings) -> Steps:
@@ -54,13 +64,65 @@ def steps_of(track: PartTrack, inlier: Booleans, settings: LearnSettings) -> Ste
         inlier: (n,) rows that count; a step without any is part of the one before.
         settings: with the number of sweeps, if they are not to be counted here.
     """
-    used = np.flatnonzero(inlier)
-    sweeps = sweeps_of(track.take(used)) if settings.sweeps is None else settings.sweeps
-    wanted = min(round(settings.resolution * float(np.clip(sweeps, 1.0, MOST_SWEEPS))), len(used))
+    used, sweeps, motions = np.flatnonzero(inlier), settings.sweeps, settings.sweeps
+    if sweeps is None or motions is None:
+        activity = activity_of(track, used)
+        used, sweeps, motions = activity.rows, activity.sweeps, activity.motions_in(len(activity.rows))
+    wanted = min(round(settings.resolution * float(np.clip(motions, 1.0, MOST_SWEEPS))), len(used))
     begins = np.unique(np.linspace(0, len(used), wanted, endpoint=False).astype(np.int64))
     first = np.append(used[begins], len(track))
     first[0] = 0
-    return Steps(averaged(track, inlier, first), first, len(track) / len(begins), sweeps)
+    counted = np.zeros(len(track), dtype=bool)
+    counted[used] = True
+    return Steps(averaged(track, counted, first), counted, first, len(used) / len(begins), sweeps)
+
+
+@dataclass(frozen=True, eq=False)
+class Activity:
+    """When a part moves.
+
+    Attributes:
+        rows: (k,) those that count, fewer of long rests: as many as a motion from end to end takes.
+        moving: how many of them are of motion; all, where motion cannot be told from noise.
+        sweeps: how often the part moves there and back: its path over that of once there and back.
+    """
+
+    rows: Ints
+    moving: int
+    sweeps: float
+
+    def motions_in(self, rows: int) -> float:
+        """For how many motions there and back there are steps in so many rows: for more than there are among rests."""
+        return max(self.sweeps, 1.0) * max(rows / (_WITH_REST * self.moving), 1.0)
+
+
+def activity_of(track: PartTrack, used: Ints) -> Activity:
+    """When a part moves, by position or rotation, whichever is clearer, of the rows `used` of its track."""
+    is_pushed = _is_pushed(track)
+    while True:
+        path = max((_path(values) for values in _channels(track.take(used))), key=lambda path: path.clarity)
+        if path.clarity < _CLEAR:
+            return Activity(used, len(used), path.sweeps)
+        rows = np.diff(np.append(path.begins, len(used)))
+        moving = int(np.minimum(rows, _REST * np.median(rows)).sum())
+        one_way = int(np.ceil(moving / (2 * max(path.sweeps, 0.5))))
+        # Of a part that stands still while it is pushed, the pushes tell something else than the rest.
+        group = 2 * np.repeat(np.arange(len(rows)), rows) + is_pushed[used]
+        counts = np.bincount(group)
+        if counts.max() <= one_way:
+            return Activity(used, moving, path.sweeps)
+        place = np.empty(len(used), dtype=np.int64)
+        place[np.argsort(group, kind="stable")] = np.arange(len(used)) - np.repeat(np.cumsum(counts) - counts, counts)
+        share = np.minimum(one_way / np.maximum(counts, 1), 1.0)[group]
+        used = used[np.floor((place + 1) * share) > np.floor(place * share)]
+
+
+def _is_pushed(track: PartTrack) -> Booleans:
+    """(n,) whether an action asks for more than a small part of what most actions ask for."""
+    if track.action is None:
+        return np.zeros(len(track), dtype=bool)
+    size = np.linalg.norm(track.action, axis=1)
+    return np.asarray(size > _PUSH * np.sqrt(np.mean(size[size > 0] ** 2))) if size.any() else size > 0
 
 
 def averaged(track: PartTrack, inlier: Booleans, first: Ints) -> PartTrack:
@@ -88,55 +150,51 @@ def averaged(track: PartTrack, inlier: Booleans, first: Ints) -> PartTrack:
     return PartTrack(track.rows[middle], time, mean(track.position[used]), quaternion, action)
 
 
-def sweeps_of(track: PartTrack) -> float:
-    """Path over that of once there and back, of position or rotation, whichever is clearer.
-
-    The most of all rows and of the stretches in which the part clearly moves: among rows of a rest, many motions would
-    pass for noise.
-    """
-    _, sweeps, values = _clearest(track)
-    whole, size = extent(values), _FIRST_STRETCH
-    while size < len(values):
-        for begin in range(0, len(values) - size // 2, size // 2):
-            stretch = values[begin : begin + size]
-            if extent(stretch) >= _MOVED * whole:
-                clarity, there_and_back = _clarity_and_sweeps(stretch)
-                sweeps = max(sweeps, there_and_back) if clarity >= _CLEAR else sweeps
-        size *= 2
-    return sweeps
-
-
 def is_long(track: PartTrack, inlier: Booleans) -> bool:
     """Whether a part moves to and fro more than `WINDOW_SWEEPS` times."""
-    return sweeps_of(track.take(np.flatnonzero(inlier))) > WINDOW_SWEEPS
+    return activity_of(track, np.flatnonzero(inlier)).sweeps > WINDOW_SWEEPS
 
 
-def _clearest(track: PartTrack) -> tuple[float, float, Floats]:
-    """Extent over noise, path over there and back, and rows, of position or rotation, whichever is clearer."""
-    channels = [track.position]
-    if track.quaternion is not None:
-        channels.append(2 * track.quaternion)
-    return max(((*_clarity_and_sweeps(values), values) for values in channels), key=lambda channel: channel[0])
+@dataclass(frozen=True, eq=False)
+class _Path:
+    """The path of a part in strides that noise does not make.
+
+    Attributes:
+        clarity: extent over noise.
+        sweeps: its length over that of once there and back.
+        begins: (k,) row at which each stride begins.
+    """
+
+    clarity: float
+    sweeps: float
+    begins: Ints
 
 
-def _clarity_and_sweeps(values: Floats) -> tuple[float, float]:
-    """Extent over noise, and path over there and back, of rows (n, k)."""
+def _channels(track: PartTrack) -> list[Floats]:
+    """Rows (n, k) of position [m], and of rotation [rad] where it is measured."""
+    return [track.position] if track.quaternion is None else [track.position, 2 * track.quaternion]
+
+
+def _path(rows: Floats) -> _Path:
+    """The path of rows (n, k)."""
     # Noise of a finer time scale than the finest steps does not matter, and looks different at every sampling rate.
-    values = _block_means(values, len(values) / _BLOCKS)
+    values = _block_means(rows, len(rows) / _BLOCKS)
     if len(values) < 4:
-        return 0.0, 1.0
+        return _Path(0.0, 1.0, np.zeros(1, dtype=np.int64))
     whole = extent(values)
     lag, level = _noise(values, whole)
     # Noise makes a path longer than the motion: average until it is small, and go in strides that are long against it.
     fine = _FINE_STRIDE * max(whole, 1e-12)
     means = _block_means(values, min(lag * (level / fine) ** 2, len(values) / _FEWEST_BLOCKS))
     points = means.tolist()
-    anchor, path = points[0], 0.0
-    for point in points[1:]:
-        length = dist(point, anchor)
-        if length > 3 * fine:
-            path, anchor = path + length, point
-    return whole / max(level, 1e-12), 0.5 * path / max(extent(means), 1e-12)
+    anchor, length, strides = points[0], 0.0, [0]
+    for number, point in enumerate(points[1:], 1):
+        stride = dist(point, anchor)
+        if stride > _STRIDE * fine:
+            length, anchor = length + stride, point
+            strides.append(number)
+    begins = np.array(strides, dtype=np.int64) * len(rows) // len(means)
+    return _Path(whole / max(level, 1e-12), 0.5 * length / max(extent(means), 1e-12), begins)
 
 
 def _noise(values: Floats, whole: float) -> tuple[int, float]:
