@@ -16,8 +16,8 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.certainty import EdgeCertainty, SegmentCertainty
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import Joint
@@ -26,7 +26,7 @@ from micah_plan.errors import InputError, shown
 from micah_plan.learn.online import METHODS, Method, OnlineLearner
 from micah_plan.learn.parts.tree import learn_tree
 from micah_plan.learn.run import LearnedRun, learn_acted_run
-from micah_plan.learn.segmenting.noise import LEAST_TRUST, MeasurementNoise, trust_in
+from micah_plan.learn.segmenting.noise import MeasurementNoise, trust_in
 from micah_plan.learn.segmenting.noise_fit import first_noise
 from micah_plan.learn.segmenting.steps import MOST_SWEEPS, activity_of, is_long, steps_of
 from micah_plan.learn.segments import FittedPiece, configurations, to_segment
@@ -34,6 +34,9 @@ from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.learn.track import PartTrack, find_inliers, part_track
 from micah_plan.quantities import Progress
 from micah_plan.recording.value import Recording
+
+# Times [s] of the rows that steps are means of, by part and run.
+Counted = dict[tuple[str, int], Floats]
 
 
 def learn_graph(
@@ -65,33 +68,45 @@ def learn_graph(
     if len(recording) == 0:
         raise InputError("recording has no rows", remedy="record the motion of at least one part")
     chosen = settings or LearnSettings()
+    counted: Counted = {}
     if len(recording.parts) > 1:
-        chosen = _in_common(recording, chosen)
+        chosen, counted = _in_common(recording, chosen)
     if method == "champ":
         recording = replace(recording, action=None)
-    return learn_tree(recording, lambda pair: learn_edge(pair, chosen, seed), progress)
+    return learn_tree(recording, lambda pair: learn_edge(pair, chosen, seed, counted), progress)
 
 
-def _in_common(recording: Recording, settings: LearnSettings) -> LearnSettings:
-    """One number of steps and one power of the likelihood for all pairs of parts: a tree compares their evidence."""
-    first = {part: int(run) for part, run in reversed(list(zip(recording.part, recording.run, strict=True)))}
-    tracks = [part_track(recording, first[part], part) for part in recording.parts]
-    long_enough = [track for track in tracks if len(track) >= FEWEST_ROWS]
-    if not long_enough:
-        return replace(settings, trust=settings.trust or LEAST_TRUST)
-    inliers = [find_inliers(track) for track in long_enough]
-    motions = [
-        activity_of(track, np.flatnonzero(inlier)).motions_in(int(inlier.sum()))
-        for track, inlier in zip(long_enough, inliers, strict=True)
-    ]
+def _in_common(recording: Recording, settings: LearnSettings) -> tuple[LearnSettings, Counted]:
+    """One number of steps, one power of the likelihood and the same rows of a part for all pairs that it is in.
+
+    A tree compares their evidence.
+    """
+    counted: Counted = {}
+    motions: list[float] = []
+    trusts: list[float] = []
+    tracks: dict[str, tuple[PartTrack, Ints]] = {}
+    for part in recording.parts:
+        for run in recording.select(part=part).runs:
+            track = part_track(recording, run, part)
+            activity = activity_of(track, np.flatnonzero(find_inliers(track)))
+            counted[part, run] = track.time[activity.rows]
+            motions.append(activity.motions_in(len(activity.rows)))
+            tracks.setdefault(part, (track, activity.rows))
     settings = replace(settings, sweeps=settings.sweeps or max(motions))
-    steps = [steps_of(track, inlier, settings) for track, inlier in zip(long_enough, inliers, strict=True)]
-    trusts = [trust_in(first_noise(step.track, settings.of_steps(step.size)), settings) for step in steps]
-    return replace(settings, trust=float(np.mean(trusts)))
+    for track, rows in tracks.values():
+        step = steps_of(track, np.isin(np.arange(len(track)), rows), settings)
+        trusts.append(trust_in(first_noise(step.track, settings.of_steps(step.size)), settings))
+    return replace(settings, trust=float(np.mean(trusts))), counted
 
 
-def learn_edge(recording: Recording, settings: LearnSettings, seed: int) -> KinematicEdge:
-    """How the only part of a recording moves in the frame that its poses are given in, all runs on one coordinate."""
+def learn_edge(
+    recording: Recording, settings: LearnSettings, seed: int, counted: Counted | None = None
+) -> KinematicEdge:
+    """How the only part of a recording moves in the frame that its poses are given in, all runs on one coordinate.
+
+    Args:
+        counted: times of the rows that steps are means of, by part and run; of others by how the part moves here.
+    """
     part = recording.parts[0]
     tracks = [part_track(recording, run, part) for run in recording.runs]
     lengths = [len(track) for track in tracks]
@@ -116,7 +131,10 @@ def learn_edge(recording: Recording, settings: LearnSettings, seed: int) -> Kine
             segments += run_segments
             edges.append(learner.edge().certainty)
             continue
-        learned, sure_of_edge = _learned(track, settings, rng, inlier)
+        times = (counted or {}).get((part, run))
+        is_counted = inlier if times is None else inlier & np.isin(track.time, times)
+        enough = is_counted.sum() >= FEWEST_ROWS  # of a pair that is seldom seen together
+        learned, sure_of_edge = _learned(track, settings, rng, inlier, is_counted if enough else inlier)
         edges.append(sure_of_edge)
         chain = list(learned.pieces)
         longest = max((piece for piece in chain if piece.joint.moves), key=_rows, default=None)
@@ -135,10 +153,11 @@ def _learned(
     track: PartTrack,
     settings: LearnSettings,
     rng: np.random.Generator,
-    inlier: NDArray[np.bool_] | None = None,
+    inlier: Booleans | None = None,
+    counted: Booleans | None = None,
 ) -> tuple[LearnedRun, EdgeCertainty]:
     """What one track tells, and how sure that is of all of its segments."""
-    learned, channel = learn_acted_run(track, settings, rng, inlier)
+    learned, channel = learn_acted_run(track, settings, rng, inlier, counted)
     counts = tuple(float(p) for p in learned.posterior.counts)
     return learned, EdgeCertainty(learned.posterior.log_evidence, (counts,), channel, learned.trace)
 
@@ -223,7 +242,7 @@ def _aligned_segments(
 
 
 def _alignment(
-    joint: Joint, reference: Joint, rows: NDArray[np.int64], track: PartTrack, noise: MeasurementNoise
+    joint: Joint, reference: Joint, rows: Ints, track: PartTrack, noise: MeasurementNoise
 ) -> tuple[bool, float]:
     """Whether a joint counts backwards along a reference, and what to add to its configurations then."""
     along_joint, common = configurations(joint, rows, track, noise), configurations(reference, rows, track, noise)

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from micah_plan.arrays import Booleans
 from micah_plan.automaton.certainty import CHANNEL_NAMES, ActionChannel, EvidenceTrace, RowPosterior, SegmentCertainty
@@ -104,15 +103,19 @@ def segment_run(
     settings: LearnSettings,
     inlier: Booleans | None = None,
     start: SegmentedRun | None = None,
+    counted: Booleans | None = None,
 ) -> SegmentedRun:
     """Cut a track into segments.
 
     Args:
         inlier: (n,) rows that are no outliers; None: to be found.
         start: what was found for the same poses with other actions, to start from.
+        counted: (n,) rows that steps may be means of; None: those that are no outliers.
     """
     inlier = find_inliers(track) if inlier is None else inlier
-    steps = steps_of(track, inlier, settings) if start is None else start.steps.of(track)
+    steps = (
+        steps_of(track, inlier if counted is None else counted, settings) if start is None else start.steps.of(track)
+    )
     segmented = segment_track(steps.track, steps.assumed(settings), None if start is None else start.segmented)
     posterior = posterior_of(segmented, settings)
     return SegmentedRun(track, inlier, steps, segmented, posterior)
@@ -297,7 +300,11 @@ _STEP_SHARE = 0.5  # of a step of the segmentation; a shorter delay changes noth
 
 
 def learn_acted_run(
-    track: PartTrack, settings: LearnSettings, rng: np.random.Generator, inlier: NDArray[np.bool_] | None = None
+    track: PartTrack,
+    settings: LearnSettings,
+    rng: np.random.Generator,
+    inlier: Booleans | None = None,
+    counted: Booleans | None = None,
 ) -> tuple[LearnedRun, ActionChannel | None]:
     """What a run tells, with its actions, and the channel that they came through.
 
@@ -305,12 +312,13 @@ def learn_acted_run(
         track: with or without actions.
         rng: for MLESAC.
         inlier: (n,) rows that are no outliers; None: to be found.
+        counted: (n,) rows that steps may be means of; None: those that are no outliers.
 
     Returns:
         the run, whose track has the actions where they acted if that explains it better; None where there are no
         actions or they say nothing.
     """
-    segmented_run = segment_run(track, settings, inlier)
+    segmented_run = segment_run(track, settings, inlier, counted=counted)
     learned = with_joints(segmented_run, settings, rng)
     channel = _channel(learned, track)
     if channel is None:
