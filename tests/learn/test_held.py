@@ -106,6 +106,12 @@ def test_however_long_a_part_is_left_alone_its_stops_are_the_same(
     assert not still.wrong
 
 
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_a_part_opened_slowly_and_shut_quickly_has_its_stops(kind: str, cycles: ModuleType) -> None:
+    count = cycles.counted(kind, 1, cycles.Variant(slow=12), 5)
+    assert (count.found, count.many) == (2, 0), count.answer
+
+
 def test_a_push_of_many_rows_is_one_stop(cycles: ModuleType) -> None:
     recording, (stop, shut) = cycles.recording_of("prismatic", 1, cycles.Variant(), 5)
     at, more = stop + 5, 600

@@ -27,7 +27,8 @@ _CLEAR = 10.0  # times its noise, by which a part that moves is further away at 
 _STRIDE = 3  # times the fine stride, which noise does not make
 _PUSH = 0.1  # of the root mean square action
 _WITH_REST = 1.25  # times the rows of motion, with rests, for which `resolution` steps are enough
-_REST = 4  # times the usual duration of a stride, in which a part that moves makes one
+_QUICK = 0.25  # of the strides are quicker than what a moving part is expected to make
+_REST = 4  # times as long as such a stride is rest, or so slow that it needs no more steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +84,8 @@ class Activity:
 
     Attributes:
         rows: (k,) those that count, fewer of long rests: as many as a motion from end to end takes.
-        moving: how many of them are of motion; all, where motion cannot be told from noise.
+        moving: how many of them are of motion, of slow strides as many as quick ones take; all, where motion cannot be
+            told from noise.
         sweeps: how often the part moves there and back: its path over that of once there and back.
     """
 
@@ -104,7 +106,7 @@ def activity_of(track: PartTrack, used: Ints) -> Activity:
         if path.clarity < _CLEAR:
             return Activity(used, len(used), path.sweeps)
         rows = np.diff(np.append(path.begins, len(used)))
-        moving = int(np.minimum(rows, _REST * np.median(rows)).sum())
+        moving = int(np.minimum(rows, _REST * np.quantile(rows, _QUICK)).sum())
         one_way = int(np.ceil(moving / (2 * max(path.sweeps, 0.5))))
         # Of a part that stands still while it is pushed, the pushes tell something else than the rest.
         group = 2 * np.repeat(np.arange(len(rows)), rows) + is_pushed[used]
