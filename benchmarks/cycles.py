@@ -30,7 +30,8 @@ NEAR = 6
 class Variant:
     """Noise of the tracker [m], and of the actions: their gain, how they are turned [rad] and how late they are; the
     share by which the part slips; whether it is pushed against its ends, or moved between them only; whether its
-    orientation is measured; how many times as slowly as it is shut it is opened; rows for which it is left alone before
+    orientation is measured; speed of the pushes, of that of the motion; how many times as slowly as it is shut it is
+    opened; rows for which it is left alone before
     the first motion, at the first end and at last."""
 
     white: float = 0.001
@@ -40,6 +41,7 @@ class Variant:
     slip: float = 0.05
     pushed: bool = True
     oriented: bool = True
+    softly: float = 1.0
     slow: int = 1
     alone: tuple[int, int, int] = (0, 0, 0)
 
@@ -52,6 +54,7 @@ VARIANTS = {
     "late by 2 rows": Variant(late=-2),
     "positions alone": Variant(oriented=False),
     "not pushed": Variant(pushed=False),
+    "pushed a fifth as fast": Variant(softly=0.2),
     "opened 8 times slower": Variant(slow=8),
     "1,000 rows before": Variant(alone=(1000, 0, 0)),
     "1,000 rows at an end": Variant(alone=(0, 1000, 0)),
@@ -71,7 +74,7 @@ def recording_of(kind: str, cycles: int, variant: Variant, seed: int) -> tuple[R
         sign = 1.0 if half % 2 == 0 else -1.0
         pace = np.exp(0.2 * rng.standard_normal(rows if half % 2 else rows * variant.slow))
         far = 1.02 if variant.pushed else 0.9
-        asked += [sign * far * travel * pace / pace.sum(), np.full(pushed, sign * travel / rows)]
+        asked += [sign * far * travel * pace / pace.sum(), np.full(pushed, variant.softly * sign * travel / rows)]
         asked += [between] if half == 0 else []
     c, configuration, command, stops = 0.0, [0.0], [], []
     for step in np.concatenate([*asked, after]):

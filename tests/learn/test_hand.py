@@ -121,7 +121,7 @@ def test_a_part_that_is_pressed_at_a_stop_and_moved_back_was_held_there(kind: st
 def test_the_less_a_hand_pushes_at_a_rest_the_less_certain_it_is(kind: str) -> None:
     """The joint may have the part there as well: that was no rival, and every rest was told with certainty."""
     means = []
-    for push in (0.2, 1.0):
+    for push in (0.1, 1.0):
         pushed = [acted(kind, np.zeros(0), np.full(40, push), Noise(0.002, 0.01), seed) for seed in range(3)]
         ends = [learn_graph(one).edges[0].segments[-1] for one in pushed]
         means.append(np.mean([end.probability for end in ends if end.joint.kind == "rigid"]))

@@ -108,7 +108,14 @@ def test_however_long_a_part_is_left_alone_its_stops_are_the_same(
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_a_part_opened_slowly_and_shut_quickly_has_its_stops(kind: str, cycles: ModuleType) -> None:
-    count = cycles.counted(kind, 1, cycles.Variant(slow=12), 5)
+    count = cycles.counted(kind, 1, cycles.Variant(slow=6), 5)
+    assert (count.found, count.many) == (2, 0), count.answer
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_a_push_that_is_slower_than_the_motion_tells_a_stop_too(kind: str, cycles: ModuleType) -> None:
+    """A hand slows down where it meets an end: how far it asks for counts, not how fast."""
+    count = cycles.counted(kind, 1, cycles.VARIANTS["pushed a fifth as fast"], 5)
     assert (count.found, count.many) == (2, 0), count.answer
 
 

@@ -17,7 +17,7 @@ def test_innovations_are_those_of_the_normal_density_of_all_rows() -> None:
     scale = rng.uniform(0.5, 2.0, (2, n))
     rows = np.cumsum(rng.normal(size=(2, n)), axis=1)
     along = NoiseScales(white, fast, slow, fast_kept, slow_kept)
-    innovation, variance = innovations_of(rows[..., None], along, walk, scale)
+    innovation, variance = innovations_of(rows[..., None], along, np.broadcast_to(walk, (n - 1, 2, 3)), scale)
 
     index = np.arange(n)
     apart, common = np.abs(index[:, None] - index), np.minimum(index[:, None], index)

@@ -2,8 +2,9 @@
 
 c_{t+1} = c_t + h·a_t + w_t. Without actions (CHAMP) h = 0, and w_t is 0 with probability ρ, the prior share of rest,
 and N(μ, q) otherwise, with μ the typical step of the demonstration. With them w_t is what the action leaves
-unexplained: nothing while the part follows exactly, N(0, q) while it does so loosely, two states that rarely change. So
-a part that is left alone is explained at no cost, however long it rests. A part may also wait for the hand, whatever
+unexplained: nothing while the part follows exactly, N(0, q |a_t|²) while it does so loosely, two states that rarely
+change. So a part that is left alone is explained at no cost, however long it rests, and a slow push that moves nothing
+tells a stop as a quick one does. A part may also wait for the hand, whatever
 that does, but the hand has it the sooner, the further it gets the way that the part then goes: pushed in vain for
 longer, it is locked. That holds where actions explain too little to predict steps from, too.
 
@@ -33,6 +34,7 @@ FEWEST_ACTED = 12  # rows to tell an action channel
 _LEAST_INFORMATION = 1e-8  # relative; in a direction of less, actions say nothing
 _TRACKED = 3  # steps over which a speed is followed
 _SLOWEST = 0.5  # of the typical speed; slower is rest
+_UNASKED = 0.1  # of the mean square action, at least, as which a step counts for how loosely it moves a part
 _OTHER_SPEED = 0.1  # probability that the speed is neither the typical one nor that before
 _TINY = 1e-16
 _TURNING = 0.01  # probability that a step goes the other way than the one before
@@ -98,25 +100,24 @@ def fit_motion(
     squares = (weight[..., 0].T * (c[:, 1:] - c[:, :-1]) ** 2).sum(axis=1) / enough
     mean_square = np.maximum(squares, np.maximum(white * 1e-3, _TINY))
     grid = mean_square[:, None] * _STEP_SHARES
-    # The last column is the filter of a part that has not moved yet.
-    variances = np.concatenate([grid, np.zeros((len(grid), 1))], axis=1)
+    free, led, still = _step_variances(grid, action, n)
+    variances = np.concatenate([free, led, still], axis=2)
     innovations, quiet = innovations_of(_signals(c, action), pool.along.take(members), variances, scale[members])
     waiting = _quiet_density(innovations[0, :, :, -1], quiet[:, :, -1])
     # Without gaps: NumPy is slow at rows of three numbers.
-    innovations, quiet = np.ascontiguousarray(innovations[..., :-1]), np.ascontiguousarray(quiet[:, :, :-1])
-    free = innovations[0], innovations[1], quiet, mean_square
-    models = [
-        _freely(
-            *free, np.repeat(weight, grid.shape[1], axis=2), rest, _directions(c), *_speeds(c, weight, white), waiting
-        )
-    ]
+    of_free, of_led = slice(0, free.shape[2]), slice(free.shape[2], -1)
+    step, ramp, calm = (np.ascontiguousarray(rows[..., of_free]) for rows in (innovations[0], innovations[1], quiet))
+    weights = np.repeat(weight, grid.shape[1], axis=2)
+    speeds = _directions(c), *_speeds(c, weight, white)
+    models = [_freely(step, ramp, calm, mean_square, weights, rest, *speeds, waiting)]
     if action is not None:
         # A prior, which is not tempered as what rows say is.
         hazard = _onward(c) / (trust * _GAP * np.maximum(np.ptp(c, axis=1), 1e-9))
-        arguments = grid, weight, pool.lever[members], waiting, enough, action, hazard
-        led = _led(innovations[0], innovations[2:], quiet, *arguments)
+        signals, quiet = np.ascontiguousarray(innovations[..., of_led]), np.ascontiguousarray(quiet[:, :, of_led])
+        arguments = led, weight, pool.lever[members], waiting, enough, action, hazard
+        by_actions = _led(signals[0], signals[2:], quiet, *arguments)
         # However little they explain: a hand that pushes does not wait.
-        models = [replace(models[0], waiting=led[0].waiting), *led]
+        models = [replace(models[0], waiting=by_actions[0].waiting), *by_actions]
     states = [np.stack([getattr(model, name) for model in models], axis=2) for name in ("forth", "back", "waiting")]
     density = _either(states, begun)
     numbers = np.array([m.parameters for m in models])
@@ -127,6 +128,20 @@ def fit_motion(
     result.gain[members] = np.stack([m.gain for m in models], axis=1)[every, chosen]
     result.parameters[members] = numbers[chosen]
     return result
+
+
+def _step_variances(grid: Floats, action: Floats | None, n: int) -> tuple[Floats, Floats, Floats]:
+    """Variances (n - 1, h, g) of steps that nothing leads, that actions lead, and of a part that has not moved yet.
+
+    The more an action asks for, the further the part may miss it; where nothing is asked, it hardly moves.
+    """
+    free = np.broadcast_to(grid, (n - 1, *grid.shape))
+    still = np.zeros((n - 1, len(grid), 1))
+    if action is None:
+        return free, free[:, :, :0], still
+    asked = (action[:-1] ** 2).sum(axis=1)
+    relative = np.maximum(asked / max(float(asked.mean()), 1e-300), _UNASKED)
+    return free, relative[:, None, None] * grid, still
 
 
 def _signals(c: Floats, action: Floats | None) -> Floats:
@@ -147,22 +162,21 @@ def log_step_density(innovation: Floats, quiet: Floats, mean: Floats, variance: 
     return log_add(log_rest, log_go)
 
 
-def innovations_of(signals: Floats, along: NoiseScales, grid: Floats, scale: Floats) -> tuple[Floats, Floats]:
+def innovations_of(signals: Floats, along: NoiseScales, steps: Floats, scale: Floats) -> tuple[Floats, Floats]:
     """Innovations (k, n-1, h, g) of signals (h, n, k) and their variances without a step (n-1, h, g).
 
-    A Kalman filter of the configuration, which takes steps of the variances `grid` and with which the slow wander goes,
-    and of the fast wander, which is forgotten.
+    A Kalman filter of the configuration, which takes steps of the variances `steps` (n-1, h, g) and with which the slow
+    wander goes, and of the fast wander, which is forgotten.
     """
-    n, g = signals.shape[1], grid.shape[1]
+    n, g = signals.shape[1], steps.shape[2]
     noise = (along.white[:, None] * scale).T[1:, :, None]
-    added = grid + (along.slow * (1 - along.slow_kept**2))[:, None]
+    added = steps + (along.slow * (1 - along.slow_kept**2))[:, None]
     kept, fast = along.fast_kept[:, None], along.fast[:, None]
-    shape = (n - 1, *added.shape)
     # How far to trust a row does not depend on the signals.
-    of_place, of_wander, total = np.empty(shape), np.empty(shape), np.empty(shape)
+    of_place, of_wander, total = (np.empty(added.shape) for _ in range(3))
     place, both, wander = along.white[:, None] + fast, -fast, fast
     for t in range(n - 1):
-        place, both, wander = place + added, kept * both, kept**2 * wander + (1 - kept**2) * fast
+        place, both, wander = place + added[t], kept * both, kept**2 * wander + (1 - kept**2) * fast
         seen_place, seen_wander = place + both, both + wander
         total[t] = seen_place + seen_wander + noise[t]
         of_place[t], of_wander[t] = seen_place / total[t], seen_wander / total[t]
@@ -177,7 +191,7 @@ def innovations_of(signals: Floats, along: NoiseScales, grid: Floats, scale: Flo
         innovations[t - 1] -= error
         state += of_place[t - 1] * innovations[t - 1]
         error += of_wander[t - 1] * innovations[t - 1]
-    return innovations.transpose(1, 0, 2, 3), total - grid
+    return innovations.transpose(1, 0, 2, 3), total - steps
 
 
 def _freely(
