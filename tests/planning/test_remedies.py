@@ -160,7 +160,7 @@ def test_a_start_a_hair_outside_of_its_range_is_not_a_collision(mean: dict[str, 
 def test_a_start_far_outside_says_how_far() -> None:
     (finding,) = solve(held(theta=-0.5), advise=False).findings
     assert finding.level == "start"
-    assert "it misses mode 'free' by 0.503 rad" in finding.sentence
+    assert "it misses mode 'free' by 0.50" in finding.sentence
 
 
 def test_a_start_or_a_goal_inside_a_body_is_named() -> None:
