@@ -151,6 +151,7 @@ def test_the_corpus_is_large_and_nearly_all_of_it_is_told() -> None:
 UNBOUNDED = (
     "learned.*.log_evidence",
     "learned.*.segments.*.rows.*",
+    "learned.*.actions.delay",  # 3 ms, where actions are in time: 30 s then, as long as a run may be
     "learned.*.actions.covariance.*.*",
     "covariances.*.*.matrix.*.*",  # a std 100 times as large: a joint that is hardly known
     "parts.*.shapes.*.position.*",
