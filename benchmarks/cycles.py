@@ -30,9 +30,8 @@ NEAR = 6
 class Variant:
     """Noise of the tracker [m], and of the actions: their gain, how they are turned [rad] and how late they are; the
     share by which the part slips; whether it is pushed against its ends, or moved between them only; whether its
-    orientation is measured; speed of the pushes, of that of the motion; how many times as slowly as it is shut it is
-    opened; rows for which it is left alone before
-    the first motion, at the first end and at last."""
+    orientation is measured; how fast it is pushed, of how fast it is moved; how many times slower than shut it is
+    opened; for how many rows it is left alone before the first motion, at the first end and at last."""
 
     white: float = 0.001
     gain: float = 1.0

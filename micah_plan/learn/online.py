@@ -27,7 +27,7 @@ from micah_plan.errors import InputError, shown
 from micah_plan.learn.actions.channel import with_delayed_actions
 from micah_plan.learn.run import LearnedRun, learn_acted_run, learn_run
 from micah_plan.learn.segmenting.noise import MeasurementNoise
-from micah_plan.learn.segmenting.steps import WINDOW_SWEEPS, activity_of
+from micah_plan.learn.segmenting.steps import is_long
 from micah_plan.learn.segments import FittedPiece, chained, left_by, to_segment
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.learn.track import PartTrack, find_inliers, measured_track
@@ -224,7 +224,7 @@ class OnlineLearner:
         rows = self._window.settle()
         if rows is None:
             return
-        full = activity_of(rows.track, np.flatnonzero(find_inliers(rows.track))).sweeps >= WINDOW_SWEEPS
+        full = is_long(rows.track, find_inliers(rows.track))
         if full or len(rows) >= self.settings.window:
             self._commit(full)
         rows = self._window.rows()

@@ -151,7 +151,7 @@ def test_the_corpus_is_large_and_nearly_all_of_it_is_told() -> None:
 UNBOUNDED = (
     "learned.*.log_evidence",
     "learned.*.segments.*.rows.*",
-    "learned.*.actions.delay",  # 3 ms, where actions are in time: 30 s then, as long as a run may be
+    "models/cabinet.yaml learned.*.actions.delay",  # 3 ms, since its actions are in time: 30 s then
     "learned.*.actions.covariance.*.*",
     "covariances.*.*.matrix.*.*",  # a std 100 times as large: a joint that is hardly known
     "parts.*.shapes.*.position.*",
@@ -208,7 +208,7 @@ def test_a_number_10_000_times_too_large_is_told(tmp_path: Path, name: str) -> N
             yaml.dump(data, file)
         found = check_file(path)
         if not found.faults and not found.warnings:
-            assert any(fnmatch(key, pattern) for pattern in UNBOUNDED), key
+            assert any(fnmatch(key, pattern) or fnmatch(f"{name} {key}", pattern) for pattern in UNBOUNDED), key
     assert len(tried) >= 4
 
 

@@ -160,7 +160,10 @@ def test_a_start_a_hair_outside_of_its_range_is_not_a_collision(mean: dict[str, 
 def test_a_start_far_outside_says_how_far() -> None:
     (finding,) = solve(held(theta=-0.5), advise=False).findings
     assert finding.level == "start"
-    assert "it misses mode 'free' by 0.50" in finding.sentence
+    low = float(finding.constraint.split("[")[1].split(",")[0])
+    assert 0 <= low < 0.01
+    assert finding.amount == pytest.approx(low + 0.5)
+    assert f"it misses mode 'free' by {finding.amount:.3f} rad" in finding.sentence
 
 
 def test_a_start_or_a_goal_inside_a_body_is_named() -> None:
