@@ -126,9 +126,10 @@ def _check_experiment(file: Path) -> tuple[str, ...]:
 
 def _check_plan(file: Path) -> tuple[str, ...]:
     from micah_plan.documents.plan import load_plan
+    from micah_plan.task.plausible import suspicions_of_plan
 
-    load_plan(file)
-    return ()
+    stored = load_plan(file)
+    return (*suspicions_of(stored.problem), *suspicions_of_plan(stored.plan, stored.problem))
 
 
 _CHECKS: dict[FileKind, Callable[[Path], tuple[str, ...]]] = {

@@ -21,10 +21,12 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import with_memory_states
 from micah_plan.documents.fields import (
     Count,
+    Digest,
     Line,
     Lines,
     Listed,
     ModeName,
+    ModeNames,
     Name,
     Names,
     NonNegative,
@@ -66,9 +68,9 @@ Interval = Annotated[tuple[Probability, ...], Listed(2, 2)]
 class CandidateDocument(Document):
     makes = Candidate
 
-    modes: Names = doc("Mode sequence.")
-    search_cost: float = doc("Cost of its cheapest roadmap path.")
-    cost: float | None = doc("Optimised cost; null if the optimisation failed.")
+    modes: ModeNames = doc("Mode sequence.")
+    search_cost: NonNegative = doc("Cost of its cheapest roadmap path.")
+    cost: NonNegative | None = doc("Optimised cost; null if the optimisation failed.")
     message: str = doc("Result of its optimisation.")
 
 
@@ -155,13 +157,13 @@ class PlanDocument(Document):
     outcome: Outcome = doc("solved, no_plan or not_verified.")
     reason: str = doc("One sentence.")
     mode_sequence: Names = doc("Modes visited, in order.")
-    cost: float | None = doc("Total cost of the trajectory.")
+    cost: NonNegative | None = doc("Total cost of the trajectory.")
     goal_error: NonNegative | None = doc("Largest predicted distance from the goal [rad or m].")
     goal_std: NonNegative | None = doc("Largest predicted std at the goal [rad or m].")
     success_probability: Probability | None = doc("Share of roll-outs that ended in the goal set.")
     success_interval: Interval | None = doc("95 % interval of the probability of success, given that share.", None)
     verification_trials: Count = doc("Number of roll-outs.")
-    seed: int = doc("Seed of search and verification.")
+    seed: Count = doc("Seed of search and verification.")
     candidates: list[CandidateDocument] = doc("Mode sequences tried, cheapest search cost first.")
     findings: list[FindingDocument] = doc(
         "What stands in the way; of a solved plan, what it keeps only in part.",
@@ -173,7 +175,7 @@ class PlanDocument(Document):
     arm: ArmDocument | None = doc("The robot along the trajectory; null without a robot.", None)
     release: ReleasePlanDocument | None = doc("How the hand lets go; null where it keeps the object.", None)
     problem_file: Line = doc("Name of the problem file that was solved; empty if made in Python.")
-    digests: dict[Name, Line] = doc("SHA-256 of the input files, by role.")
+    digests: dict[Name, Digest] = doc("SHA-256 of the input files, by role.")
     problem: dict[str, Any] = doc("The problem, laid out as a problem file.")
     model: dict[str, Any] = doc("Its model with the noise planned with, laid out as a model file.")
 
@@ -183,6 +185,9 @@ class PlanDocument(Document):
         if self.outcome == "solved" and self.verification_trials > 0 and share is None:
             problem = f"expected the share of {self.verification_trials} roll-outs, found nothing"
             raise at.at("success_probability").error(problem, _AGAIN)
+        if share is not None and self.verification_trials == 0:
+            problem = f"expected the number of roll-outs of which {share:g} succeeded, found 0"
+            raise at.at("verification_trials").error(problem, _AGAIN)
         if share is None or interval is None:
             return
         if not interval[0] - _ROUNDING <= share <= interval[1] + _ROUNDING:

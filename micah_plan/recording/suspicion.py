@@ -9,13 +9,17 @@ Rules, each of them with what it cannot see:
   that is granted is 10 m in each direction, 17 m across. A part that moves over more than `LARGEST_EXTENT_M` (70 % of
   its rows, so that outliers do not count), or is farther than `FARTHEST_M` from the origin in most rows, was probably
   given in millimetres. A part that moves by less than 20 mm close to the origin does not show it.
+- **No motion.** One row of each part in each run shows where it was, and nothing else.
 - **Continuity.** Rows that are no measurements of one continuous motion, see `breaks`.
 - **Actions.** A hand that is told to move more than `LARGEST_ACTION_M` per row, and a hundred times as far as the part
   moves (90 % of the rows each), was probably told millimetres. Parts that move less than 0.3 mm per row do not show it.
+  One whose whole way is less than a thousandth of where the part gets was probably not told metres either.
+- **Forces.** A hand that pushes with more than `LARGEST_FORCE_N` (90 % of the rows), a ton, was read in another unit.
 - **Gaps.** One row more than `LONGEST_GAP_S` after the one before, in the same run, is a clock that was set or two
   recordings in one.
 - **Time.** One pose in more than `LONGEST_STEP_S` (median) does not show how a part moves; a clock in milliseconds,
-  microseconds or nanoseconds does. One faster than 200 Hz in milliseconds does not show it.
+  microseconds or nanoseconds does. One faster than 200 Hz in milliseconds does not show it. One pose in less than
+  `SHORTEST_STEP_S` is a clock in minutes, hours or days.
 - **Quaternions.** Which component is the scalar cannot be seen from how fast a part turns: reordering is an orthogonal
   map of quaternions, so all angles between rows remain. But a part that turns about a fixed axis moves with it: its
   origin is p = c + R r with constant c, r. If that holds twice as well with the scalar taken first, or four times as
@@ -48,6 +52,8 @@ FARTHEST_M = 50.0
 LONGEST_STEP_S = 5.0
 LARGEST_ACTION_M = 0.3
 LONGEST_GAP_S = 3600.0
+SHORTEST_STEP_S = 1e-5
+LARGEST_FORCE_N = 1e4
 
 _FEWEST_ROWS = 10
 _CLOCKS = tuple((name, second) for name, second in TIMES.items() if second < 1.0)
@@ -70,6 +76,8 @@ _SIGNS = {
 _AS_READ = "--units m,s"
 # Millimetres are a thousand times metres; noise makes steps of the part look larger than they are.
 _FAR_MORE = 100.0
+# A hand that gains a hundredfold moves a part further than all of its actions; ten times that is another unit.
+_FAR_LESS = 1000.0
 
 
 def suspicions(recording: Recording) -> tuple[str, ...]:
@@ -77,8 +85,9 @@ def suspicions(recording: Recording) -> tuple[str, ...]:
     lines: list[str] = [*misread(recording)]
     for part in recording.parts:
         rows = recording.select(part=part)
-        lines += [_actions(rows, part), "" if "quaternion" in recording.conventions else _quaternion(rows, part)]
-    lines += [*breaks(recording), _gap(recording)]
+        lines += [_actions(rows, part), _forces(rows, part)]
+        lines += ["" if "quaternion" in recording.conventions else _quaternion(rows, part)]
+    lines += [*breaks(recording), _gap(recording), _no_motion(recording)]
     return tuple(line for line in lines if line)
 
 
@@ -103,7 +112,7 @@ def require_conventions(recording: Recording) -> None:
 
 
 def _length(rows: Recording, part: str) -> str:
-    extent = float(np.linalg.norm(np.subtract(*np.quantile(rows.position, [0.85, 0.15], axis=0))))
+    extent = _extent(rows)
     distance = float(np.median(np.linalg.norm(rows.position, axis=1)))
     if extent > LARGEST_EXTENT_M:
         sentence = f"part '{part}' moves over {quantity(extent, 'm')}"
@@ -112,6 +121,21 @@ def _length(rows: Recording, part: str) -> str:
     else:
         return ""
     return f"{sentence}; positions and actions are read in m: if these are millimetres, say so: --units mm"
+
+
+def _extent(rows: Recording) -> float:
+    """Over what a part moves, but for the few rows that are furthest out [m]."""
+    return float(np.linalg.norm(np.subtract(*np.quantile(rows.position, [0.85, 0.15], axis=0))))
+
+
+def _forces(rows: Recording, part: str) -> str:
+    sizes = np.zeros(0) if rows.force is None else np.linalg.norm(rows.force, axis=1)
+    sizes = sizes[np.isfinite(sizes)]
+    force = float(np.quantile(sizes, 0.9)) if len(sizes) else 0.0
+    if force <= LARGEST_FORCE_N:
+        return ""
+    sentence = f"part '{part}' is pushed with {quantity(force, 'N')}; forces are read in N: if they are not, say so"
+    return f"{sentence}: --columns fx=FACTOR*fx,fy=FACTOR*fy,fz=FACTOR*fz"
 
 
 def _actions(rows: Recording, part: str) -> str:
@@ -123,6 +147,11 @@ def _actions(rows: Recording, part: str) -> str:
         return ""
     asked = float(np.quantile(sizes, 0.9))
     moved = float(np.quantile(np.linalg.norm(np.diff(rows.position, axis=0), axis=1), 0.9))
+    way, extent = float(sizes.sum()), _extent(rows)
+    if extent > _FAR_LESS * way:
+        sentence = f"part '{part}' moves over {quantity(extent, 'm')}, all actions together over {quantity(way, 'm')}"
+        columns = "ax=FACTOR*ax,ay=FACTOR*ay,az=FACTOR*az"
+        return f"{sentence}; actions are read in m: if they are not, say so: --columns {columns}"
     if asked <= LARGEST_ACTION_M or asked <= _FAR_MORE * moved:
         return ""
     return (
@@ -140,11 +169,20 @@ def _gap(recording: Recording) -> str:
     return f"a row is {quantity(longest, 's')} after the one before it; {remedy}"
 
 
+def _no_motion(recording: Recording) -> str:
+    if len(_steps(recording)):
+        return ""
+    return "no run has two rows of one part, so no motion is seen; give a part the same name and run in all of its rows"
+
+
 def _clock(recording: Recording) -> str:
     steps = _steps(recording)
+    step = float(np.median(steps)) if len(steps) else 0.0
+    if 0.0 < step < SHORTEST_STEP_S:
+        remedy = "times are read in s: if they are not, say how many rows a second has: --rate HZ"
+        return f"rows are {quantity(step, 's')} apart, and no tracker is so fast; {remedy}"
     if not _slow(steps):
         return ""
-    step = float(np.median(steps))
     clock = next((name for name, ticks in _CLOCKS if step * ticks <= _SLOWEST_S), "ns")
     return f"rows are {quantity(step, 's')} apart; times are read in s: if they are in {clock}, say so: --units {clock}"
 

@@ -261,7 +261,17 @@ def disagreement(plan: Plan, problem: Problem) -> tuple[str, str] | None:
     if share is not None and share < (least := least_share(confidence, plan.verification_trials)):
         said = f"outcome solved, but its share of successes {share:g} is less than the {least:.3g} that"
         return "success_probability", f"{said} the confidence {confidence:g} asks for"
+    if (amiss := _belief_amiss(plan.trajectory.factors)) is not None:
+        return "trajectory.factors", amiss
     return _step_amiss(plan.trajectory, problem) or _end_amiss(plan, plan.trajectory, problem)
+
+
+def _belief_amiss(factors: Floats) -> str | None:
+    """The first covariance (K, n, n) whose factor is none."""
+    for k, factor in enumerate(factors):
+        if np.triu(factor, 1).any() or (np.diag(factor) < 0).any():
+            return f"knot {k}: expected a lower triangular factor with a diagonal of at least 0"
+    return None
 
 
 def _end_amiss(plan: Plan, trajectory: Trajectory, problem: Problem) -> tuple[str, str] | None:
@@ -275,6 +285,9 @@ def _end_amiss(plan: Plan, trajectory: Trajectory, problem: Problem) -> tuple[st
             "goal_error",
             f"expected the distance {error:g} of the last knot from the goal, found {plan.goal_error:g}",
         )
+    std = goal.std(trajectory.factors[-1])
+    if plan.goal_std is not None and abs(std - plan.goal_std) > _ROUNDING:
+        return "goal_std", f"expected the std {std:g} of the last knot, found {plan.goal_std:g}"
     if not goal.contains(last, trajectory.means[-1]):
         return "trajectory", f"outcome solved, but its last knot, in mode '{last}', is not in the goal"
     return None

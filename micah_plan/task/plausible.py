@@ -11,6 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.automaton.plausible import (
     FARTHEST_M,
@@ -24,6 +26,7 @@ from micah_plan.automaton.plausible import (
 )
 from micah_plan.task.body import Body, volume
 from micah_plan.task.experiment import Experiment, Scene
+from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Hold, Problem, Release
 
 _MOST_STEPS = 10_000
@@ -40,6 +43,27 @@ def suspicions(problem: Problem) -> tuple[str, ...]:
     amounts = [*_along_coordinates(problem), *_places(problem), *_of_scene(problem.scene)]
     amounts += [] if problem.hold is None else _of_hold(problem.hold)
     amounts += [] if problem.release is None else _of_release(problem.release)
+    return tuple(implausible(amounts))
+
+
+def suspicions_of_plan(plan: Plan, problem: Problem) -> tuple[str, ...]:
+    """What looks wrong in the belief and the feedback of a plan, one line each, with its key and its worst knot."""
+    if plan.trajectory is None:
+        return ()
+    coordinates = problem.automaton.coordinates
+    stds = np.linalg.norm(plan.trajectory.factors, axis=2)
+    # What one std of the belief corrects, all coordinates together.
+    corrections = np.linalg.norm(plan.trajectory.gains @ plan.trajectory.factors[:-1], axis=2)
+    # Memories of effects come behind the coordinates and the inputs that the problem names.
+    places = {name.name: i for i, name in enumerate(coordinates)}
+    of_inputs = [(k, places[name.name]) for k, name in enumerate(problem.automaton.inputs) if name.name in places]
+    worst = [("factors", i, stds[:, i]) for i in range(len(coordinates))]
+    worst += [("gains", i, corrections[:, k]) for k, i in of_inputs]
+    amounts = []
+    for key, i, sizes in worst:
+        if len(sizes):
+            place, scale = f"trajectory.{key}.{int(np.argmax(sizes))}", _scale(problem, i)
+            amounts.append(Amount(f"{place}: {coordinates[i].name}", float(sizes.max()), coordinates[i].unit, *scale))
     return tuple(implausible(amounts))
 
 

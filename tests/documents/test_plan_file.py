@@ -14,6 +14,7 @@ from any_automaton import automata
 from attempts import attempt, told
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.documents.plan import (
@@ -33,12 +34,17 @@ from micah_plan.task.settings import PlannerSettings
 from micah_plan.task.start import Start
 
 
+def covariances_in(random: np.random.Generator, knots: int, n: int) -> NDArray[np.float64]:
+    drawn = random.normal(size=(knots, n, n))
+    return drawn @ drawn.swapaxes(1, 2) + np.eye(n)
+
+
 def trajectory_in(modes: tuple[str, ...], n: int, m: int) -> Trajectory:
     random, knots = np.random.default_rng(0), len(modes)
     return Trajectory(
         modes=modes,
         means=random.normal(size=(knots, n)),
-        factors=np.tril(random.normal(size=(knots, n, n))),
+        factors=np.linalg.cholesky(covariances_in(random, knots, n)),
         inputs=random.normal(size=(knots - 1, m)),
         gains=random.normal(size=(knots - 1, m, n)),
         is_transition=np.array([a != b for a, b in itertools.pairwise(modes)], dtype=bool),
@@ -48,7 +54,8 @@ def trajectory_in(modes: tuple[str, ...], n: int, m: int) -> Trajectory:
 def door_trajectory() -> Trajectory:
     """One step of the door, and the transition at its end."""
     drawn = trajectory_in(("revolute", "revolute", "rigid"), 1, 1)
-    return replace(drawn, means=np.array([[1.17], [1.21], [1.2]]), inputs=np.array([[0.04], [0.0]]))
+    means, factors = np.array([[1.17], [1.21], [1.2]]), np.array([[[0.03]], [[0.02]], [[0.004]]])
+    return replace(drawn, means=means, factors=factors, inputs=np.array([[0.04], [0.0]]))
 
 
 @pytest.fixture
@@ -60,7 +67,7 @@ def problem(door: HybridAutomaton) -> Problem:
         PlannerSettings(max_step=(0.05,), confidence=0.9),
         {"mass": 1.5},
         "some/where/p.yaml",
-        {"problem": "ab", "model": "cd"},
+        {"problem": "ab" * 32, "model": "cd" * 32},
     )
 
 
@@ -126,7 +133,7 @@ def test_plans_of_any_automaton_read_back(
     names = [mode.name for mode in automaton.modes]
     modes = tuple(data.draw(st.lists(st.sampled_from(names), min_size=knots, max_size=knots)))
     problem = Problem(automaton, Start((0.0,) * n, (0.1,) * n, names[0]), Goal(((n - 1, 1e3, 0.1),)))
-    plan = Plan("not_verified", "Maybe.", trajectory_in(modes, n, m), success_probability=0.5)
+    plan = Plan("not_verified", "Maybe.", trajectory_in(modes, n, m), success_probability=0.5, verification_trials=2)
     write_plan(plan, problem, tmp_path / "plan.json")
     assert_same(load_plan(tmp_path / "plan.json"), plan, problem)
 
