@@ -23,7 +23,7 @@ Source: Blom and Bar-Shalom, "The interacting multiple model algorithm", IEEE Tr
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -49,7 +49,14 @@ from micah_plan.belief.gaussian import (
 from micah_plan.belief.hybrid_belief import BeliefBatch, HybridBelief, batch_of
 from micah_plan.belief.layout import Layout, Rows, layout_of
 from micah_plan.belief.pieces import Ends, Pieces, joined, side_by_side
-from micah_plan.belief.truncation import NEGLIGIBLE, log_probability, truncated
+from micah_plan.belief.truncation import (
+    NEGLIGIBLE,
+    is_cut,
+    log_probability,
+    onto_boundary,
+    truncated,
+    uncut,
+)
 from micah_plan.errors import InputError
 
 Belief = TypeVar("Belief", HybridBelief, BeliefBatch)
@@ -123,9 +130,9 @@ def update(automaton: HybridAutomaton, belief: Belief, z: ArrayLike) -> Belief:
     """The belief, or beliefs, after measuring z, NaN where there is no measurement.
 
     Each mode measures as `HybridAutomaton.sensing` says, where its mean is. Mode weights move by the likelihood. A
-    mode's state lies outside the guards that leave it, else it would have left: the mean is brought back if the
-    measurement drew it behind one, and the likelihood counts only the part outside. A belief whose every mode excludes
-    what is measured is lost, and begins anew from it, see `lost`.
+    mode's state lies outside the guards that leave it, else it would have left: what is measured is a Gaussian that is
+    cut there, see `truncation`. A belief whose every mode excludes what is measured is lost, and begins anew from it,
+    see `found_again`.
 
     Args:
         z: (n,) [rad or m]; of many beliefs (t, n).
@@ -256,14 +263,12 @@ def _updated(layout: Layout, beliefs: BeliefBatch, z: Floats, chosen: Booleans) 
     mode, owner = chosen.nonzero()
     at = mode * chosen.shape[1] + owner
     mean, factor = (means, factors) if at.size == chosen.size else (those(means, at), those(factors, at))
-    seen = np.full((layout.n, owner.size), np.nan)
+    seen, weight = np.full((layout.n, owner.size), np.nan), weights[mode, owner]
     seen[: layout.own] = those(z, owner)
-    after, narrowed, score = measured(mean, factor, seen, _sensing_std(layout, mode, mean))
-    if len(layout.outside[1]):
-        score += _outside(layout, mode, (mean, factor), (after, narrowed))
+    after, narrowed, score = _measured_in_modes(layout, mode, mean, factor, seen, weight >= NEGLIGIBLE)
     scores = np.full(chosen.shape, -np.inf)
     with np.errstate(divide="ignore"):
-        scores[mode, owner] = score + np.log(weights[mode, owner])
+        scores[mode, owner] = score + np.log(weight)
     best = scores.max(axis=0)
     weights = np.exp(scores - best)
     if at.size < chosen.size:
@@ -271,6 +276,26 @@ def _updated(layout: Layout, beliefs: BeliefBatch, z: Floats, chosen: Booleans) 
     evidence = best + np.log(weights.sum(axis=0))
     posterior = BeliefBatch.of(weights / weights.sum(axis=0), after, narrowed, layout.own)
     return _found_again(layout, beliefs, posterior, z, evidence)
+
+
+def _measured_in_modes(
+    layout: Layout, mode: Ints, mean: Floats, factor: Floats, seen: Floats, likely: Booleans
+) -> tuple[Floats, Floats, Floats]:
+    """`measured`, of states that lie outside of the guards which end their modes (p,)."""
+    std = _sensing_std(layout, mode, mean)
+    mean, factor, before, piled = _uncut_at_guards(layout, mode, mean, factor, likely)
+    says = before > _LOG_NEGLIGIBLE
+    mean, factor, score = measured(mean, factor, seen, std)
+    mean, factor, chance = _cut_at_guards(layout, mode, mean, factor, says)
+    score += chance - np.where(says, before, 0.0).sum(axis=0)
+    for part in piled:
+        at = part.number
+        on_it, sharp, likelihood = measured(part.mean, part.factor, those(seen, at), those(std, at))
+        both = np.stack([score[at] + np.log1p(-part.share), likelihood + np.log(part.share)])
+        score[at] = logsumexp(both, axis=0)
+        merged = mixed(np.exp(both - score[at]), [those(mean, at), on_it], [those(factor, at), sharp])
+        mean, factor = with_those(mean, at, merged[0]), with_those(factor, at, merged[1])
+    return mean, factor, score
 
 
 def _found_again(
@@ -291,36 +316,72 @@ def _found_again(
     return BeliefBatch.of(weights, means, factors, after.n), anew
 
 
-Gaussians = tuple[Floats, Floats]
-"""Means (n, p) and factors (n, n, p)."""
+@dataclass(frozen=True, eq=False)
+class _Piled:
+    """States that lie on the boundary of one guard, of some of p Gaussians.
 
-
-def _outside(layout: Layout, mode: Ints, before: Gaussians, after: Gaussians) -> Floats:
-    """(p,) log P(after) - log P(before), P the probability that a state lies outside of the guards that end its mode.
-
-    Means after the measurement that lie behind a guard are brought back, in place. A guard behind which all of the
-    belief before lies says nothing: the automaton itself put the state there, where it takes no transition twice at
-    one instant, and what has no probability is no condition.
+    Attributes:
+        number: (c,) of the Gaussians.
+        share: (c,) of their probability.
+        mean, factor: (n, c), (n, n, c) of these states.
     """
-    both = np.concatenate([before[0], after[0]], axis=1), np.concatenate([before[1], after[1]], axis=2)
-    margin, row = _margins(layout, np.concatenate([mode, mode]), *both)
-    chances = log_probability(margin, row)
-    says = chances[:, : mode.size] > _LOG_NEGLIGIBLE
-    score, last = (np.where(says, half, 0.0).sum(axis=0) for half in np.split(chances, 2, axis=1))
-    behind = np.flatnonzero((says & (margin[:, mode.size :] < 0)).any(axis=0))
-    if behind.size:
-        # One guard after the other, each given the ones before.
-        last[behind], (mean, factor) = 0.0, (those(values, behind) for values in after)
-        for number in range(len(margin)):
-            margins, rows = (values[number] for values in _margins(layout, mode[behind], mean, factor))
-            margins[~says[number, behind]] = np.inf
-            last[behind] += log_probability(margins, rows)
-            out = (margins < 0).nonzero()[0]
-            if out.size:
-                inward, root = truncated(those(mean, out), those(factor, out), margins[out], those(rows, out))
-                mean[:, out], factor[..., out] = inward, lower_factors(root)
-        after[0][:, behind], after[1][..., behind] = mean, factor
-    return np.asarray(last - score)
+
+    number: Ints
+    share: Floats
+    mean: Floats
+    factor: Floats
+
+
+def _uncut_at_guards(
+    layout: Layout, mode: Ints, mean: Floats, factor: Floats, likely: Booleans
+) -> tuple[Floats, Floats, Floats, list[_Piled]]:
+    """The Gaussians whose part outside of the guards that end a mode are states (n, p), (n, n, p) in these modes (p,).
+
+    Args:
+        likely: (p,) which are worth it; the others stay as they are.
+
+    Returns:
+        their means and factors, (l, p) the log probability of lying outside of each guard given those behind it, and
+        what lies on a guard's boundary instead.
+    """
+    margins = _margins(layout, mode, mean, factor)
+    chances, near, piled = log_probability(*margins), is_cut(*margins) & likely, list[_Piled]()
+    for number in map(int, np.flatnonzero(near.any(axis=1))):
+        cut = near[number].nonzero()[0]
+        mean_there, factor_there = those(mean, cut), those(factor, cut)
+        margin, row = _margin(layout, number, mode[cut], mean_there, factor_there)
+        wider_mean, wider, share = uncut(mean_there, factor_there, margin, row)
+        there = (share < 1.0).nonzero()[0]
+        if there.size:
+            at_it = onto_boundary(*(those(values, there) for values in (mean_there, factor_there, margin, row)))
+            piled.append(_Piled(cut[there], 1.0 - share[there], at_it[0], lower_factors(at_it[1])))
+        wider = lower_factors(wider)
+        mean, factor = with_those(mean, cut, wider_mean), with_those(factor, cut, wider)
+        chances[number, cut] = log_probability(*_margin(layout, number, mode[cut], wider_mean, wider))
+    return mean, factor, chances, piled
+
+
+def _cut_at_guards(
+    layout: Layout, mode: Ints, mean: Floats, factor: Floats, says: Booleans
+) -> tuple[Floats, Floats, Floats]:
+    """Means and factors of Gaussians given that they lie outside of the guards of their modes, and its log (p,).
+
+    Args:
+        says: (l, p) whether a guard says so. One behind which all of the belief before lies does not: the automaton
+            itself put the state there, where it takes no transition twice at one instant, and what has no probability
+            is no condition.
+    """
+    margins, rows = _margins(layout, mode, mean, factor)
+    near = says & (margins < 0.0) | says & is_cut(margins, rows)
+    chances = np.where(near | ~says, 0.0, log_probability(margins, rows))
+    for number in map(int, np.flatnonzero(near.any(axis=1))[::-1]):
+        cut = near[number].nonzero()[0]
+        there = those(mean, cut), those(factor, cut)
+        margin = _margin(layout, number, mode[cut], *there)
+        chances[number, cut] = log_probability(*margin)
+        inward, narrower = truncated(*there, *margin)
+        mean, factor = with_those(mean, cut, inward), with_those(factor, cut, lower_factors(narrower))
+    return mean, factor, chances.sum(axis=0)
 
 
 def _margins(layout: Layout, mode: Ints, mean: Floats, factor: Floats) -> tuple[Floats, Floats]:
@@ -328,6 +389,13 @@ def _margins(layout: Layout, mode: Ints, mean: Floats, factor: Floats) -> tuple[
     weights, offsets = (those(values, mode) for values in layout.outside)
     margin = np.einsum("lip,ip->lp", weights, mean) - offsets
     return margin, np.einsum("lip,ikp->lkp", weights, factor)
+
+
+def _margin(layout: Layout, number: int, mode: Ints, mean: Floats, factor: Floats) -> tuple[Floats, Floats]:
+    """The same of one guard: (p,) and (k, p)."""
+    weights, offsets = (those(values[number], mode) for values in layout.outside)
+    margin = np.einsum("ip,ip->p", weights, mean) - offsets
+    return margin, np.einsum("ip,ikp->kp", weights, factor)
 
 
 def _sensing_std(layout: Layout, mode: Ints, mean: Floats) -> Floats:

@@ -1,19 +1,18 @@
 """Gaussians cut by half-spaces: those split by one that they move into, and those known to lie within one.
 
-The state before a step has margin m0 to a guard and the state after it m1; both are Gaussian and correlated. Crossing
-is m0 <= 0 and m1 > 0: a state that is outside and comes inside. Testing m1 > 0 alone would let mass leak at rest,
-because the Gaussian fitted to a density that ends at the guard has a tail behind it. A state of that tail at m0 = y
-stands for one as far in front of the guard, at -y, and crosses if the step moves it by more than y.
+A state that is still in its mode lies in front of the guards that leave it. So what a belief's mean and covariance
+describe ends at the guard, and is skewed: a Gaussian that is cut there (`truncated`), of which these are the moments.
+`uncut` finds it.
 
-Only two directions of the noise move the margins: about their means m0 = s0 ζ0 and m1 = k ζ0 + t ζ1. In the plane of
-(ζ0, ζ1) what crosses and the tail that does are two `wedges`, whose moments are known in closed form. Where those lose
-digits, quadrature over ζ0 with closed forms over ζ1 replaces them.
+The state before a step has margin m0 to a guard and the state after it m1; both are Gaussian and correlated. Crossing
+is m0 <= 0 and m1 > 0: a state that is outside and comes inside. Only two directions of the noise move the margins:
+about their means m0 = s0 ζ0 and m1 = k ζ0 + t ζ1. In the plane of (ζ0, ζ1) what crosses is a wedge, whose moments are
+known in closed form. Where those lose digits, quadrature over ζ0 with closed forms over ζ1 replaces them.
 
 Moments of a standard Gaussian in the plane over half-planes and wedges, in closed form, many at once.
 
 Moments are arrays whose first index says of what: 1, x, y, xx, xy, yy (`MASS` to `YY`), not normalised. A wedge lies on
-one side of an upright line, above a line that crosses it; two of them share the upright line and the point on it: what
-crosses into a half-space within a step fills the left one, and the tail behind the half-space the right one.
+the left of an upright line, above a line that crosses it.
 
 Sources: Rosenbaum, "Moments of a truncated bivariate normal distribution", JRSS B 1961, written here with Stokes'
 theorem; Owen, "Tables for computing bivariate normal probabilities", Annals of Mathematical Statistics 1956.
@@ -85,23 +84,20 @@ class Shares:
 
 
 def split(mean: Floats, factor: Floats, margins: Margins) -> Shares:
-    """What crosses into half-spaces and what stays.
+    """What crosses into half-spaces and what stays, of densities that end at them where the step begins.
 
-    Moments are exact up to rounding or quadrature (1e-9), those of what crosses without the tail behind the guard. Only
-    if a mean itself starts behind the guard, the mass there is no tail: it counts as inside, and crosses.
+    Moments are exact up to rounding or quadrature (1e-9). Only what has its mean behind the half-space is there: all
+    that is inside crosses.
 
     Args:
         mean, factor: (..., p) and (..., k, p).
     """
     first, second, plane = _whitened(margins)
-    moments, tail = _moments_of_shares(plane, plane.m0 > 0)
+    moments = _moments_before(plane)
     probability = np.empty(margins.mean.shape)
-    np.minimum(1.0, moments[MASS, 0] + tail, out=probability[0])
-    empty = (moments[MASS, 0] < _NOTHING).nonzero()[0]
-    if empty.size:
-        # Without any mass to fit moments to, nothing crosses.
-        probability[0, empty] = 0.0
-        moments[..., empty] = WHOLE[:, None]
+    np.minimum(1.0, moments[MASS, 0], out=probability[0])
+    # Without any mass to fit moments to, nothing crosses.
+    probability[0, moments[MASS, 0] < _NOTHING] = 0.0
     np.subtract(1.0, probability[0], out=probability[1])
     lost = ((probability < NEGLIGIBLE) | (moments[MASS] < _NOTHING)).nonzero()
     if lost[0].size:
@@ -134,6 +130,74 @@ def truncated(mean: Floats, factor: Floats, margin: Floats, row: Floats) -> tupl
     return mean + along * mills, factor - (along * (1.0 - np.sqrt(variance)))[..., None, :] * direction
 
 
+def is_cut(margin: Floats, row: Floats) -> Booleans:
+    """(..., p) where what has a margin above 0, of means (..., p) and rows (..., k, p), is cut there."""
+    z = margin / np.sqrt(np.einsum("...kp,...kp->...p", row, row) + SMALLEST_STD**2)
+    return np.asarray((z >= 0.0) & (z < _WHOLE))
+
+
+def uncut(mean: Floats, factor: Floats, margin: Floats, row: Floats) -> tuple[Floats, Floats, Floats]:
+    """Means and factors of the Gaussians that have the given ones once cut at a margin above 0: `truncated` undone.
+
+    A Gaussian that is cut at its own mean has a mean `_STEEPEST` stds ahead. Where states pile up on a boundary the
+    mean is nearer: then a share of them has that shape, and together with those on it (`onto_boundary`) the mean and
+    the std.
+
+    Args:
+        mean, factor: (..., p) and (..., k, p).
+        margin, row: (p,) means of the margins and (k, p) the rows of their square roots; `is_cut` holds for them.
+
+    Returns:
+        means, factors, and the share (p,) of them that does not lie on the boundary.
+    """
+    direction, along, ahead = _along(factor, margin, row)
+    back, wider, share = _before_cut(ahead)
+    return mean - along * back, factor + (along * (wider - 1.0))[..., None, :] * direction, share
+
+
+def onto_boundary(mean: Floats, factor: Floats, margin: Floats, row: Floats) -> tuple[Floats, Floats]:
+    """Means and factors of Gaussians given that a margin is 0; arguments as of `uncut`."""
+    direction, along, ahead = _along(factor, margin, row)
+    return mean - along * ahead, factor - along[..., None, :] * direction
+
+
+def _along(factor: Floats, margin: Floats, row: Floats) -> tuple[Floats, Floats, Floats]:
+    """The direction of noise (k, p) that moves margins, how it moves states (..., p), and the margins in stds (p,)."""
+    std = np.sqrt(np.einsum("kp,kp->p", row, row) + SMALLEST_STD**2)
+    direction = row / std
+    return direction, np.einsum("...kp,kp->...p", factor, direction), margin / std
+
+
+def _before_cut(ahead: Floats) -> tuple[Floats, Floats, Floats]:
+    """By how much Gaussians lie nearer to where they are cut than what is left, how much wider they are, and the share.
+
+    Args:
+        ahead: (p,) of the cut lies the mean of what is left, in its stds, as the answers are; of what is partly on the
+            boundary the mean and std of all of it.
+    """
+    place, wider = (np.interp(ahead, _CUT_MEANS, values) for values in (_CUT_PLACES, _WIDER))
+    share, piled = np.ones(ahead.shape), ahead < _STEEPEST
+    if np.count_nonzero(piled):
+        z = np.maximum(ahead[piled], _NEAREST)
+        share[piled] = (1.0 + 1.0 / _STEEPEST**2) * z**2 / (1.0 + z**2)
+        wider[piled] = z / share[piled] / _CUT_DISTANCES[0]
+    return ahead - wider * place, wider, share
+
+
+def _cut(place: Floats) -> tuple[Floats, Floats]:
+    """Of Gaussians of std 1 that lie `place` in front of where they are cut: mean distance and std of what is left."""
+    mills = np.sqrt(2 / np.pi) / erfcx(-place / np.sqrt(2))
+    return place + mills, np.sqrt(1.0 - mills * (mills + place))
+
+
+# From where half of it is cut off to where a thousandth of a millionth is.
+_CUT_PLACES = np.linspace(0.0, 6.0, 8_001)
+_CUT_DISTANCES, _CUT_STDS = _cut(_CUT_PLACES)
+_WIDER, _CUT_MEANS = 1.0 / _CUT_STDS, _CUT_DISTANCES / _CUT_STDS
+_STEEPEST, _WHOLE = float(_CUT_MEANS[0]), float(_CUT_MEANS[-1])
+_NEAREST = 0.05  # nearly all of it lies on the boundary
+
+
 def log_probability(margin: Floats, row: Floats) -> Floats:
     """log P(m > 0) (..., p) of margins with means (..., p) and rows (..., k, p)."""
     z = margin / np.sqrt(np.einsum("...kp,...kp->...p", row, row) + SMALLEST_STD**2)
@@ -141,6 +205,42 @@ def log_probability(margin: Floats, row: Floats) -> Floats:
     if inside[0].size:
         result[inside] = log_ndtr(z[inside])
     return result
+
+
+def _moments_before(plane: _Plane) -> Floats:
+    """Moments (6, 2, p) of what crosses and of what stays, of densities that end at the half-spaces before the step.
+
+    What has its mean in front of a half-space has all of it there: a part lies on it, the rest is a Gaussian cut by it.
+    """
+    inside = plane.m0 > 0
+    is_whole = inside | (plane.s0 == 0)
+    ahead = np.where(is_whole, np.inf, -plane.m0 / np.where(is_whole, 1.0, plane.s0))
+    near = (ahead < _WHOLE).nonzero()[0]
+    if not near.size:
+        return _moments_of_shares(plane, inside)
+    shift, scale, share = np.zeros(ahead.size), np.ones(ahead.size), np.ones(ahead.size)
+    shift[near], scale[near], share[near] = _before_cut(ahead[near])
+    m0, m1 = plane.m0 + plane.s0 * shift, plane.m1 + plane.k * shift
+    wider = _Plane(m0, plane.s0 * scale, m1, plane.k * scale, plane.t)
+    moments = _moments_of_shares(wider, inside)
+    moments[..., near] *= share[near] / ndtr(-m0[near] / wider.s0[near])
+    moments[XX] = scale**2 * moments[XX] + shift * (2 * scale * moments[X] + shift * moments[MASS])
+    moments[XY] = scale * moments[XY] + shift * moments[Y]
+    moments[X] = scale * moments[X] + shift * moments[MASS]
+    there = share < 1.0
+    if there.any():
+        on_it = _on_the_boundary(plane.where(there), ahead[there])
+        moments[..., there] += np.multiply(1.0 - share[there], on_it)
+    return moments
+
+
+def _on_the_boundary(plane: _Plane, place: Floats) -> Floats:
+    """Moments (6, 2, p) of what crosses and of what stays, of states that are all at ζ0 = place."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        offset = -(plane.m1 + plane.k * place) / plane.t
+    upward = half_planes(np.clip(np.nan_to_num(offset, nan=_SURELY, posinf=_SURELY), -_SURELY, _SURELY))
+    mass, y, yy = upward[MASS], upward[X], upward[XX]
+    return np.stack([mass, place * mass, y, place**2 * mass, place * y, yy])
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,30 +277,30 @@ def _whitened(margins: Margins) -> tuple[Floats, Floats, _Plane]:
     return first, second, _Plane(m0, s0, m1, k, t)
 
 
-def _moments_of_shares(plane: _Plane, inside: Booleans) -> tuple[Floats, Floats]:
-    """Moments (6, 2, p) of what crosses and of what stays, and the mass of the tail that crosses (p,).
+def _moments_of_shares(plane: _Plane, inside: Booleans) -> Floats:
+    """Moments (6, 2, p) of what crosses and of what stays.
 
-    `inside`: the mass that starts behind the guard is no tail and crosses.
+    `inside`: the mass that starts behind the guard crosses; else there is none.
     """
-    # The smaller angle between the lines that bound the wedges and where both margins move as one, roughly.
+    # The smaller angle between the lines that bound the wedge and where both margins move as one, roughly.
     wedged = plane.t > _SINE * (np.abs(plane.k) + 2 * plane.s0)
     if np.count_nonzero(wedged) == wedged.size:
-        moments, tail, sure = _closed(plane, inside)
+        moments, sure = _closed(plane, inside)
         if np.count_nonzero(sure) == sure.size:
-            return moments, tail
+            return moments
         is_open = ~sure
     else:
-        moments, tail, is_open = np.empty((6, 2, len(inside))), np.zeros(len(inside)), ~wedged
+        moments, is_open = np.empty((6, 2, len(inside))), ~wedged
         is_point = plane.s0 == 0
         if is_point.any():
             moments[..., is_point] = _from_known_start(plane.where(is_point), inside[is_point])
             is_open &= ~is_point
         if wedged.any():
-            moments[..., wedged], tail[wedged], sure = _closed(plane.where(wedged), inside[wedged])
+            moments[..., wedged], sure = _closed(plane.where(wedged), inside[wedged])
             is_open[wedged] = ~sure
     if is_open.any():
-        moments[..., is_open], tail[is_open] = _integrate(plane.where(is_open), inside[is_open])
-    return moments, tail
+        moments[..., is_open] = _integrate(plane.where(is_open), inside[is_open])
+    return moments
 
 
 def _from_known_start(plane: _Plane, inside: Booleans) -> Floats:
@@ -210,30 +310,24 @@ def _from_known_start(plane: _Plane, inside: Booleans) -> Floats:
     return half_planes(np.where(inside, -_SURELY, np.clip(offset, -_SURELY, _SURELY)))
 
 
-def _closed(plane: _Plane, inside: Booleans) -> tuple[Floats, Floats, Booleans]:
+def _closed(plane: _Plane, inside: Booleans) -> tuple[Floats, Booleans]:
     """As `_moments_of_shares`, for margins that both move; and whether the closed forms are sure (p,).
 
-    What crosses is the wedge of m0 < 0 and m1 > 0, the tail that does that of m0 > 0 and m1 > 2 m0.
+    What crosses is the wedge of m0 < 0 and m1 > 0.
     """
-    place, slope, offset = -plane.m0 / plane.s0, np.empty((2, len(inside))), np.empty((2, len(inside)))
-    slope[0], slope[1] = plane.k, plane.k - 2 * plane.s0
-    offset[0], offset[1] = plane.m1, plane.m1 - 2 * plane.m0
-    moments, beyond = wedges(place, slope, plane.t, offset)
-    tail = moments[MASS, 1].copy()
-    moments[:, 1] += moments[:, 0]
-    np.subtract(WHOLE, moments[:, 1], out=moments[:, 1])
+    place, moments = -plane.m0 / plane.s0, np.empty((6, 2, len(inside)))
+    moments[:, 0], beyond = wedge(place, plane.k, plane.t, plane.m1)
+    # The mass in front of the guard that does not cross is what stays.
+    np.subtract(half_planes(place)[:, 1], moments[:, 0], out=moments[:, 1])
     if np.count_nonzero(inside):
-        # The mass in front of the guard that does not cross is what stays.
-        moments[:, 1, inside] = half_planes(place[inside])[:, 1] - moments[:, 0, inside]
         moments[:, 0, inside] = WHOLE - moments[:, 1, inside]
-        tail[inside] = 0.0
     crossing, staying = moments[MASS]
-    sure = (crossing > _SURE * beyond[0]) | (crossing + tail < 0.9 * NEGLIGIBLE)
+    sure = (crossing > _SURE * beyond) | (crossing < 0.9 * NEGLIGIBLE)
     sure &= (staying > _SURE) | (staying < 0.1 * NEGLIGIBLE)
-    return moments, tail, sure
+    return moments, sure
 
 
-def _integrate(plane: _Plane, inside: Booleans) -> tuple[Floats, Floats]:
+def _integrate(plane: _Plane, inside: Booleans) -> Floats:
     """As `_moments_of_shares`, by quadrature over ζ0 and closed forms over ζ1."""
     edges = _breaks(plane)
     # Only intervals that are not empty: (i, nodes) of them, each with the number of its Gaussian.
@@ -245,30 +339,26 @@ def _integrate(plane: _Plane, inside: Booleans) -> tuple[Floats, Floats]:
     m0, s0, m1, k, t = (v[owner, None] for v in (plane.m0, plane.s0, plane.m1, plane.k, plane.t))
     start, reach = m0 + s0 * zeta, m1 + k * zeta
     behind, inner = start > 0, inside[owner, None]
-    reach = np.where(behind, np.where(inner, np.inf, reach - 2 * start), reach)
+    reach, mass = np.where(behind, np.inf, reach), np.where(behind & ~inner, 0.0, mass)
     with np.errstate(divide="ignore", invalid="ignore"):
         spread = np.clip(-reach / t, -_SURELY, _SURELY)
     limit = np.where(t > 0, spread, np.where(reach > 0, -_SURELY, _SURELY))
     above, density = ndtr(-limit), np.exp(-0.5 * limit**2) / np.sqrt(2 * np.pi)
-    counted = np.where(inner | ~behind, mass, 0.0)
     first = np.searchsorted(owner, np.arange(len(inside)))
-    crossing = _summed(first, counted, zeta, above, density, limit)
+    crossing = _summed(first, mass, zeta, above, density, limit)
     staying = _summed(first, mass, zeta, 1 - above, -density, limit)
-    moments = np.stack([crossing, staying], axis=1)
-    tail = np.add.reduceat(((mass - counted) * above).sum(axis=1), first)
-    return moments, np.asarray(tail)
+    return np.stack([crossing, staying], axis=1)
 
 
 def _breaks(plane: _Plane) -> Floats:
-    """(p, 18) sorted ends of the intervals of quadrature; those that are not needed are empty."""
+    """(p, 13) sorted ends of the intervals of quadrature; those that are not needed are empty."""
     m0, s0, m1, k, t = plane.m0, plane.s0, plane.m1, plane.k, plane.t
     fixed = np.array([-REACH, -4.0, -1.5, 0.0, 1.5, 4.0, REACH])
     columns = [np.broadcast_to(fixed, (len(k), fixed.size))]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         columns.append(np.where(s0 > 0, -m0 / s0, REACH)[:, None])
-        for offset, slope in ((m1, k), (m1 - 2 * m0, k - 2 * s0)):
-            ends = (np.array([-6.0, -2.0, 0.0, 2.0, 6.0]) * t[:, None] - offset[:, None]) / slope[:, None]
-            columns.append(np.where(np.abs(slope)[:, None] * REACH > SMALLEST_STD, ends, REACH))
+        ends = (np.array([-6.0, -2.0, 0.0, 2.0, 6.0]) * t[:, None] - m1[:, None]) / k[:, None]
+        columns.append(np.where(np.abs(k)[:, None] * REACH > SMALLEST_STD, ends, REACH))
     return np.sort(np.clip(np.concatenate(columns, axis=1), -REACH, REACH), axis=1)
 
 
@@ -314,46 +404,42 @@ def half_planes(offset: Floats) -> Floats:
     return moments
 
 
-def wedges(place: Floats, slope: Floats, spread: Floats, offset: Floats) -> tuple[Floats, Floats]:
-    """Moments left and right of the upright line ζ0 = place, over slope * ζ0 + spread * ζ1 + offset > 0.
+def wedge(place: Floats, slope: Floats, spread: Floats, offset: Floats) -> tuple[Floats, Floats]:
+    """Moments (6, p) left of the upright line ζ0 = place, over slope * ζ0 + spread * ζ1 + offset > 0.
 
     Args:
-        place, spread: (p,), spreads above 0.
-        slope, offset: (2, p) of the lines on the left and on the right, which meet on the upright line.
+        place, slope, spread, offset: (p,), spreads above 0.
 
     Returns:
-        moments (6, 2, p), and (2, p) the probabilities that lie beyond the two lines of each wedge, seen from the
-        origin: masses are exact to 1e-16 times them.
+        moments, and (p,) the probability that lies beyond the two lines, seen from the origin: masses are exact to
+        1e-16 times it.
     """
     # Owen's T wants to know on which side of the origin a line runs: the point is moved by a negligible amount, along a
     # direction that no line has.
     place, offset = place + _TINY, offset - (slope + _ASIDE * spread) * _TINY
     squared = slope**2 + spread**2
     size = np.sqrt(squared)
-    # Distances from the origin: of the upright line and the others, and along them from the foot points to the point.
-    at, along = np.empty((2, 3, place.size))
-    at[0], at[1:] = place, offset / size
-    along[0] = (slope[0] * place + offset[0]) / -spread
-    along[1:] = _SIDES * (place * squared + slope * offset) / (spread * size)
+    # Distances from the origin: of the upright line and the other, and along them from the foot points to the point.
+    at = np.stack([place, offset / size])
+    along = np.stack([(slope * place + offset) / -spread, -(place * squared + slope * offset) / (spread * size)])
     signs, tails, ends = np.sign(at), ndtr(-np.abs(at)), ndtr(-along)
     density = _ROOT * np.exp(-0.5 * at**2)
     sectors = owens_t(at, along / at)
-    beyond = tails[0] + tails[1:]
     # Seen from the point, a wedge is the plane's sector between two lines; T is that between a line and its foot point.
-    mass = sectors[1:] - _SIDES * (sectors[0] - 0.5 * signs[0] * tails[0]) - 0.5 * signs[1:] * tails[1:]
-    mass += (signs[0] == -_SIDES) & (signs[1:] > 0)
-    moments = np.empty((6, 2, place.size))
+    mass = sectors[1] + sectors[0] - 0.5 * signs[0] * tails[0] - 0.5 * signs[1] * tails[1]
+    mass += (signs[0] > 0) & (signs[1] > 0)
+    moments = np.empty((6, place.size))
     mass = np.maximum(mass, 0.0, out=moments[MASS])
     # Stokes' theorem: both edges, and what their ends at the point add.
     across, upward = slope / size, spread / size
-    above, edge = _SIDES * (density[0] * ends[0]), density[1:] * ends[1:]
-    end = _SIDES * (density[0] * _ROOT * np.exp(-0.5 * along[0] ** 2))
+    above, edge = -density[0] * ends[0], density[1] * ends[1]
+    end = -density[0] * _ROOT * np.exp(-0.5 * along[0] ** 2)
     bent = end * slope / spread
-    straight = edge * at[1:] + bent
+    straight = edge * at[1] + bent
     tilted = straight * across
     moments[X] = above + across * edge
     moments[Y] = upward * edge
     moments[XX] = mass + at[0] * above + bent - tilted * across
     moments[XY] = end - tilted * upward
     moments[YY] = mass - straight * upward**2
-    return moments, beyond
+    return moments, tails[0] + tails[1]

@@ -36,6 +36,8 @@ from micah_plan.task.start import draw_states
 
 # With more modes than this only those near a plan are rolled out, so many transitions away.
 FEW_MODES, _NEAR = 32, 2
+# Of the noise, where there is none: what moves may not be known exactly.
+_HARDLY = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,8 +171,15 @@ class Departure:
 
 
 def departure(problem: Problem, trajectory: Trajectory) -> Departure | None:
-    """Where a plan leaves its own modes if nothing is random; None if it leads into the goal, or follows them all."""
+    """Where a plan leaves its own modes if nothing is random; None if it leads into the goal, or follows them all.
+
+    The pilot knows that, so its estimates are the true states.
+    """
     problem, _ = nearby(problem, trajectory)
+    noise = problem.automaton.noise
+    still = replace(noise, process_std=tuple(_HARDLY * std for std in noise.process_std))
+    sharp = replace(problem.start, std=tuple(_HARDLY * std for std in problem.start.std))
+    problem = replace(problem, automaton=replace(problem.automaton, noise=still), start=sharp)
     plain = without_input_memory(problem)
     automaton, knots = plain.automaton, time_knots(trajectory)
     nothing = np.zeros((knots.size, 1, automaton.n))

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from reference_step import step
-from scalar_belief import scalar_filter as scalar
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.belief import filter as batch
@@ -44,7 +43,7 @@ def test_leaving_a_wall_does_not_bump_into_it(
     walls: HybridAutomaton, mode: str, u: tuple[float, float], offset: tuple[float, float]
 ) -> None:
     belief = at_contact(mode, offset)
-    after = scalar.predict(walls, belief, u)
+    after = batch.predict(walls, belief, u)
     wanted = LEAVING[mode, u]
     assert after.weights[MODES.index(wanted)] > 1 - 1e-6
     at_wall = np.array([-20.0 if abs(value + 20.0) < 1 else 30.0 for value in belief.means[0]])
@@ -54,6 +53,6 @@ def test_leaving_a_wall_does_not_bump_into_it(
 
 
 def test_pressing_on_stays_at_the_wall(walls: HybridAutomaton) -> None:
-    after = scalar.predict(walls, at_contact("corner", (0.03, 0.03)), (-3.0, -3.0))
+    after = batch.predict(walls, at_contact("corner", (0.03, 0.03)), (-3.0, -3.0))
     assert after.weights[MODES.index("corner")] == pytest.approx(1.0)
     np.testing.assert_allclose(after.means[MODES.index("corner")], [-19.97, -19.97])

@@ -1,8 +1,8 @@
 """At ends, guards and resets the state is no Gaussian: how much of it lies outside of the filter's 95 % region.
 
-At ends hardly more than 5 %: what is cut off lies on the end. Behind a guard one mode keeps a tail and the other gets
-one: skewed, where a Gaussian is not, so up to an eighth lies outside in a step in which a measurement contradicts what
-was believed.
+Hardly more than 5 %: what is cut off at an end lies on it, and what is left in front of a guard is a Gaussian that is
+cut there. Only where a jump throws states away from the guard on which the new mode begins are they two heaps, which
+one mean and one std do not tell.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from micah_plan.automaton.transition import TransitionBatch
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
 
-AT_ENDS, AT_GUARDS = 0.08, 0.13
+OUTSIDE, WITH_JUMPS = 0.08, 0.12
 MEASURED = {"every step": 1, "every third step": 3, "never": 1000}
 
 
@@ -76,7 +76,7 @@ def worst(name: str, every: int, seed: int, count: int) -> float:
 @pytest.mark.parametrize("every", MEASURED.values(), ids=list(MEASURED))
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_little_mass_lies_outside(name: str, every: int) -> None:
-    assert worst(name, every, 0, 5_000) < (AT_ENDS if name == "two ends" else AT_GUARDS)
+    assert worst(name, every, 0, 20_000) < (WITH_JUMPS if "jumps" in name else OUTSIDE)
 
 
 @pytest.mark.evidence
@@ -85,5 +85,5 @@ def test_little_mass_lies_outside(name: str, every: int) -> None:
 def test_little_mass_lies_outside_of_many(name: str, every: int) -> None:
     found = [worst(name, every, seed, 200_000) for seed in range(8)]
     print(f"{name}, measured {every}: median {np.median(found):.3f}, worst {max(found):.3f}")
-    assert np.median(found) < 0.09
-    assert max(found) < (AT_ENDS if name == "two ends" else AT_GUARDS)
+    assert np.median(found) < OUTSIDE
+    assert max(found) < (WITH_JUMPS if "jumps" in name else OUTSIDE)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scalar_belief.one_at_a_time import mixed, split, truncate
+from scipy.optimize import brentq
 from scipy.stats import norm, truncnorm
 
-from micah_plan.belief.truncation import NEGLIGIBLE
+from micah_plan.belief.truncation import NEGLIGIBLE, is_cut, onto_boundary, truncated, uncut
 
 # Joint of start and end: [x0, x1] with x1 = x0 + 0.1 + noise; the guard is x >= 0.
 BEFORE, AFTER = (np.array([1.0, 0.0]), 0.0), (np.array([0.0, 1.0]), 0.0)
@@ -61,14 +62,83 @@ def test_parts_sum_up_to_the_whole(start: float, motion: float, noise: float) ->
     assert np.allclose(root @ root.T, factor @ factor.T, atol=1e-7)
 
 
-def test_the_tail_behind_the_guard_neither_leaks_at_rest_nor_stays_behind() -> None:
+@pytest.mark.parametrize("end", [-0.8, -0.1, 0.0, 0.3])
+def test_from_a_known_start_all_that_ends_inside_crosses(end: float) -> None:
+    crossing, staying = split(*moving(-0.5, 0.0, end + 0.5, 0.4), BEFORE, AFTER)
+    assert crossing.probability == pytest.approx(norm.cdf(end / 0.4), abs=1e-9)
+    for part, within in ((crossing, (-end / 0.4, np.inf)), (staying, (-np.inf, -end / 0.4))):
+        assert part.mean == pytest.approx([-0.5, truncnorm(*within, loc=end, scale=0.4).mean()], abs=1e-7)
+
+
+def test_nothing_is_behind_the_guard_before_the_step() -> None:
     at_rest = split(*moving(-0.02, 0.1, 0.0, 0.0), BEFORE, AFTER)
     assert at_rest[0].probability == 0.0
     assert np.array_equal(at_rest[1].mean, [-0.02, -0.02])
-    pushed = split(*moving(-0.02, 0.1, 1.0, 0.0), BEFORE, AFTER)
+    pushed = split(*moving(-0.1, 0.05, 1.0, 0.0), BEFORE, AFTER)
     assert pushed[0].probability == pytest.approx(1.0, abs=1e-9)
     retreating = split(*moving(-0.02, 0.1, -0.3, 0.0), BEFORE, AFTER)
     assert retreating[0].probability == 0.0
+
+
+def before_the_cut(ahead: float) -> tuple[float, float, float]:
+    """Mean and std of a Gaussian that, cut at 0, has the mean -ahead and the std 1, and its share; the rest is at 0.
+
+    By SciPy's own moments and root finding. A Gaussian whose mean lies behind 0 is never asked for.
+    """
+    steepest = truncnorm(-np.inf, 0.0)
+    if ahead < -steepest.mean() / steepest.std():
+        # Share and size of a half Gaussian that with a lump at 0 has these moments.
+        share = steepest.mean() ** 2 * (1 + ahead**2) / steepest.moment(2) / ahead**2
+        size = np.sqrt((1 + ahead**2) * share / steepest.moment(2))
+        return 0.0, float(size), 1 / float(share)
+
+    def lacks(place: float) -> float:
+        cut = truncnorm(-np.inf, place)
+        return float((place - cut.mean()) / cut.std() - ahead)
+
+    place = brentq(lacks, 0.0, 12.0)
+    scale = 1 / float(truncnorm(-np.inf, place).std())
+    return -place * scale, scale, 1.0
+
+
+@pytest.mark.parametrize("ahead", [0.2, 0.4, 0.8, 1.2, 1.4, 2.0, 3.5])
+@pytest.mark.parametrize(("motion", "noise"), [(0.0, 0.3), (0.8, 0.0), (0.8, 0.5), (-0.5, 0.4), (2.5, 1.0)])
+def test_what_crosses_is_that_of_samples_of_the_density_that_ends_at_the_guard(
+    ahead: float, motion: float, noise: float
+) -> None:
+    rng, count = np.random.default_rng(7), 400_000
+    mean, std, share = before_the_cut(ahead)
+    drawn = rng.random(count)
+    start = mean + std * norm.ppf(drawn * norm.cdf(-mean / std))
+    start[rng.random(count) > share] = 0.0
+    assert start.mean() == pytest.approx(-ahead, abs=0.01)
+    assert start.std() == pytest.approx(1.0, abs=0.01)
+    path = np.column_stack([start, start + motion + noise * rng.standard_normal(count)])
+    fires = path[:, 1] > 0
+    for part, chosen in zip(split(*moving(-ahead, 1.0, motion, noise), BEFORE, AFTER), (fires, ~fires), strict=True):
+        assert part.probability == pytest.approx(chosen.mean(), abs=0.004)
+        if chosen.mean() > 0.01:
+            np.testing.assert_allclose(part.mean, path[chosen].mean(axis=0), rtol=0.03, atol=0.03)
+            np.testing.assert_allclose(part.factor @ part.factor.T, np.cov(path[chosen].T), rtol=0.03, atol=0.05)
+
+
+@pytest.mark.parametrize("ahead", [0.9, 1.4, 2.0, 3.5, 5.9])
+def test_uncut_is_truncated_undone(ahead: float) -> None:
+    """Up to the width of a table's row; along the margin and across it."""
+    mean, factor = np.array([[ahead], [0.3]]), np.array([[[1.0], [0.0]], [[0.5], [0.7]]])
+    margin, row = np.array([ahead]), np.array([[1.0], [0.0]])
+    assert is_cut(margin, row)[0]
+    wider_mean, wider, (share,) = uncut(mean, factor, margin, row)
+    back, narrow = truncated(wider_mean, wider, wider_mean[0], wider[0])
+    if share == 1.0:
+        np.testing.assert_allclose(back, mean, atol=1e-6)
+        np.testing.assert_allclose(narrow, factor, atol=1e-6)
+    else:
+        # With what lies on the boundary it has the mean and the std.
+        on_it, _ = onto_boundary(mean, factor, margin, row)
+        assert on_it[0, 0] == pytest.approx(0.0, abs=1e-12)
+        assert share * back[0, 0] == pytest.approx(ahead, rel=1e-6)
+        assert share * (back[0, 0] ** 2 + narrow[0, 0, 0] ** 2) == pytest.approx(1 + ahead**2, rel=1e-6)
 
 
 def test_a_mean_inside_crosses_even_when_it_moves_out() -> None:

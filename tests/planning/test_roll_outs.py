@@ -16,10 +16,10 @@ from planning_examples import (
     with_settings,
 )
 from reference_step import step
-from scalar_belief import scalar_filter as scalar
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Light, Noise, Reset
 from micah_plan.automaton.lifted import threshold_stds, with_boundaries
+from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.feedback import feedback_input, time_knots
 from micah_plan.planning.limits import limited_input, limits_of
@@ -47,21 +47,21 @@ def noisy(automaton: HybridAutomaton, process: float, observation: float) -> Hyb
 def one_roll_out(
     problem: Problem, trajectory: Trajectory, chances: Chances, trial: int
 ) -> tuple[str, np.ndarray, HybridBelief]:
-    """The scalar twin: the true mode and state at the end, and the belief."""
+    """Alone: the true mode and state at the end, and the belief."""
     automaton, limits = problem.automaton, limits_of(problem)
     certain = not threshold_stds(automaton).size
     truth = automaton if certain else with_boundaries(automaton, chances.objects.shifts[trial])
     mode, x = trajectory.modes[0], chances.starts[trial]
-    belief = scalar.initial_belief(automaton, problem.start.mean, problem.start.std, mode)
+    belief = initial_belief(automaton, problem.start.mean, problem.start.std, mode)
     for number, knot in enumerate(time_knots(trajectory)):
         estimate = belief.means[belief.most_likely]
         wanted = feedback_input(trajectory, int(knot), estimate)
         u = limited_input(automaton.modes[belief.most_likely], estimate, wanted, limits.max_step)
         after = step(truth, mode, x, u, chances.process[number, trial])
         mode, x = after.mode, after.x
-        predicted = scalar.predict(automaton, belief, u)
+        predicted = predict(automaton, belief, u)
         std = automaton.sensing(automaton.mode(mode)).std_at(x)
-        belief = scalar.update(automaton, predicted, x + std * chances.observation[number, trial])
+        belief = update(automaton, predicted, x + std * chances.observation[number, trial])
     return mode, x, belief
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from scalar_belief.scalar_truncation import Part
 
 from micah_plan.automaton.hybrid import Pin
 from micah_plan.belief import gaussian, truncation
@@ -38,6 +38,14 @@ def replaced_at_pins(mean: np.ndarray, factor: np.ndarray, pins: Sequence[Pin]) 
 
 
 Margin = tuple[np.ndarray, float]
+
+
+class Part(NamedTuple):
+    """A share of a Gaussian as one of its own: probability, mean (N,) and any square root (N, K) of its covariance."""
+
+    probability: float
+    mean: np.ndarray
+    factor: np.ndarray
 
 
 def split(mean: np.ndarray, factor: np.ndarray, before: Margin, after: Margin) -> tuple[Part, Part]:
