@@ -8,7 +8,7 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.quantities import count, interval, listed, percent, plain, quantity, with_spread
-from micah_plan.residual.calibrate import Calibration, FoundEffect
+from micah_plan.residual.calibrate import Calibration, FoundEffect, began
 from micah_plan.residual.lane import Lane
 from micah_plan.residual.trace import LaneTrace
 from micah_plan.residual.verdict import SENTENCES, Verdict
@@ -121,9 +121,8 @@ def _effect(effect: FoundEffect) -> dict[str, str]:
         sentences.append(f"It acts only in {', '.join(effect.effect.modes)}.")
     if not effect.is_added:
         sentences.append("It makes the roll-out worse, so the new model does not have it.")
-    if effect.since is not None:
-        run, time = effect.since
-        sentences.append(f"It is seen from {quantity(time, 's')} into run {run}.")
+    if effect.effect.since is not None:
+        sentences.append(f"It began {began(effect.effect.since)}.")
     others = f"This recording does not distinguish it from {', '.join(effect.tied)}. To do so: {effect.experiment}."
     words = {"name": effect.effect.name, "sentences": " ".join(sentences), "source": effect.source}
     return {**words, "ambiguity": others if effect.tied else ""}

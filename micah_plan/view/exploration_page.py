@@ -1,24 +1,32 @@
-"""The page of an exploration: where the hand went, how hypotheses thinned out, what force it took, how sure it was.
+"""The page of an exploration: where the hand went and pulled, what it took the handle for, what force it took.
 
 The figure of an exploration: what force it took, and how sure it became, step by step.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.arrays import Floats
 from micah_plan.explore.run import Exploration
 from micah_plan.quantities import count, percent, quantity
-from micah_plan.view.page import Chart, Status, Table, render
-from micah_plan.view.palette import BLUE, GREEN, MUTED, ORANGE, PINK, VERMILLION
-from micah_plan.view.svg import Panel, Svg, drawing, element, text
+from micah_plan.view.camera import camera
+from micah_plan.view.drawing import JointLook, draw_ground, draw_joint
+from micah_plan.view.page import Band, Chart, LegendEntry, ScenePage, Status, Timeline, render_scene
+from micah_plan.view.palette import BLUE, GREEN, GRID, INK, MUTED, ORANGE, PINK, VERMILLION
+from micah_plan.view.placement import coordinate_range
+from micah_plan.view.scene import Scene
+from micah_plan.view.solids import arrow, beads, tube
+from micah_plan.view.svg import Panel, Svg, played, text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_Drawn = Callable[[Panel], list[Svg]]
 _BADGES: dict[str, tuple[str, Status]] = {
     "opened": ("opened", "good"),
     "held": ("held", "fair"),
@@ -26,96 +34,170 @@ _BADGES: dict[str, tuple[str, Status]] = {
 }
 KINDS = {"fast": MUTED, "unknown": GREEN, "prismatic": ORANGE, "revolute": BLUE}
 WORDS = {"fast": "nothing moves it", "unknown": "not yet known", "prismatic": "a slide", "revolute": "a hinge"}
-_WIDTH, _LEFT, _RIGHT, _TOP, _HEIGHT, _SIDE = 640.0, 66.0, 14.0, 24.0, 170.0, 280.0
+_WIDTH, _LEFT, _RIGHT, _TOP, _HEIGHT = 420.0, 66.0, 8.0, 8.0, 150.0
+_STEP_S, _SHORTEST_S, _LONGEST_S = 0.25, 4.0, 20.0
+_MOST_FANS, _SMALLEST = 12, 0.05
+_FORCE_LENGTH = 0.5  # of the size of the scene, of the arrow of the largest force that was measured
 
 
 def exploration_page(exploration: Exploration, title: str) -> str:
     """The page as HTML text: self-contained, fetches nothing, the same value gives the same bytes."""
-    charts = (
-        []
-        if not exploration.moments
-        else [_way(exploration), _fan(exploration), _forces(exploration), _kinds(exploration)]
+    scene, times = Scene(), _times(exploration)
+    places = np.array([moment.place for moment in exploration.moments]).reshape(-1, 3)
+    scene.reserve(places)
+    size = max(float(np.linalg.norm(np.ptp(places, axis=0))) if len(places) else 0.0, _SMALLEST)
+    if len(places):
+        _draw_way(scene, exploration, places, size)
+        _animate(scene, exploration, places, size, times)
+    _draw_model(scene, exploration, size)
+    spacing = draw_ground(scene)
+    page = ScenePage(
+        title=title,
+        kind="exploration",
+        camera=camera(scene, places if len(places) else np.zeros((1, 3))),
+        badge=_BADGES[exploration.outcome],
+        message=f"{exploration.reason[:1].upper()}{exploration.reason[1:]}.",
+        facts=_facts(exploration),
+        details=[("What went wrong on the way", exploration.notes)] if exploration.notes else [],
+        legend=_legend(exploration, spacing),
+        timeline=_timeline(exploration, times),
+        charts=[_forces(exploration), _kinds(exploration), _fan(exploration)] if len(places) else [],
     )
-    page = {
-        "title": title,
-        "kind": "exploration: what holds the handle",
-        "badge": _BADGES[exploration.outcome],
-        "message": f"{exploration.reason[:1].upper()}{exploration.reason[1:]}.",
-        "notes": exploration.notes,
-        "numbers": _numbers(exploration),
-        "charts": charts,
-    }
-    return render("exploration.html.j2", page=page)
+    return render_scene(page, scene)
 
 
-def _numbers(exploration: Exploration) -> Table:
-    joints = ", then ".join(exploration.kinds) or "none moved"
+def _times(exploration: Exploration) -> Floats:
+    """(k,) of each step on the player [s]."""
+    steps = exploration.steps
+    return np.linspace(0.0, min(max(_STEP_S * steps, _SHORTEST_S), _LONGEST_S), steps) if steps > 1 else np.zeros(steps)
+
+
+def _draw_way(scene: Scene, exploration: Exploration, places: Floats, size: float) -> None:
+    """The way of the handle, where the hand pulled from each place, and the directions that were thought possible."""
+    scene.mesh("way/line", tube(places, 0.006 * size), BLUE)
+    scene.mesh("way/places", beads(places, 0.014 * size), BLUE)
+    scene.mesh("way/first", beads(places[:1], 0.035 * size), GREEN)
+    leads = np.array([moment.lead for moment in exploration.moments])
+    scene.lines("pulls/lines", np.stack([places, places + leads], axis=1).reshape(-1, 3), MUTED)
+    told = [number for number, moment in enumerate(exploration.moments) if len(moment.fan)]
+    for number in told[:: max(len(told) // _MOST_FANS, 1)]:
+        tips = places[number] + 0.15 * size * exploration.moments[number].fan
+        ends = np.stack([np.broadcast_to(places[number], tips.shape), tips], axis=1)
+        scene.lines(f"fan/{number}", ends.reshape(-1, 3), VERMILLION)
+
+
+def _animate(scene: Scene, exploration: Exploration, places: Floats, size: float, times: Floats) -> None:
+    """The hand along its way, with the force that it measured as an arrow."""
+    forces = np.array([moment.force for moment in exploration.moments])
+    lengths = np.linalg.norm(forces, axis=1)
+    scene.mesh("hand/place/tip", beads(np.zeros((1, 3)), 0.03 * size), ORANGE)
+    scene.mesh("hand/force/arrow", arrow(np.zeros(3), np.array([_FORCE_LENGTH * size, 0.0, 0.0]), 0.012 * size), PINK)
+    turns = [_turned_to(force) for force in forces]
+    scales = np.repeat(np.maximum(lengths / max(float(lengths.max()), 1e-9), 1e-3)[:, None], 3, axis=1)
+    if len(times) > 1:
+        scene.animate("hand/place", times, RigidTransform.from_translation(places))
+        pointed = RigidTransform.from_components(places, Rotation.concatenate(turns))
+        scene.animate("hand/force", times, pointed, scales=scales)
+    else:
+        scene.place("hand", RigidTransform.from_translation(places[0]))
+
+
+def _turned_to(direction: Floats) -> Rotation:
+    """The turn of the x axis into a direction (3,); none for no direction."""
+    return Rotation.align_vectors(direction[None], np.eye(3)[:1])[0] if direction.any() else Rotation.identity()
+
+
+def _draw_model(scene: Scene, exploration: Exploration, size: float) -> None:
+    """The joints that were found, along the ranges that the hand went."""
+    model = exploration.model
+    if model is None:
+        return
+    for index, mode in enumerate(model.modes):
+        for number, (link, joint) in enumerate(zip(model.links, mode.joints, strict=True)):
+            if joint.moves:
+                limits = coordinate_range(model, mode, link.coordinate)[:2]
+                draw_joint(scene, f"joints/{index}_{number}", joint, limits, JointLook(INK, size, thickness=0.5))
+
+
+def _facts(exploration: Exploration) -> list[tuple[str, str]]:
     stiffness = 1.0 / exploration.hand.compliance
-    rows = (
-        ("joints", f"{joints} ({percent(exploration.probability, 0)} sure)"),
-        ("way of the handle", quantity(exploration.travel, "m")),
-        ("steps", str(exploration.steps)),
-        (
-            "largest force",
-            f"{quantity(exploration.largest_force, 'N')} of {quantity(exploration.scene.largest_force, 'N')}",
-        ),
-        ("stiffness of the hand", f"{stiffness:.0f} N/m ± {100 * exploration.hand.spread:.0f} %"),
+    limit = quantity(exploration.scene.largest_force, "N")
+    return [
+        ("Joints", f"{', then '.join(exploration.kinds) or 'none moved'} ({percent(exploration.probability, 0)} sure)"),
+        ("Way of the handle", quantity(exploration.travel, "m")),
+        ("Steps", str(exploration.steps)),
+        ("Largest force", f"{quantity(exploration.largest_force, 'N')} of {limit}"),
+        ("Stiffness of the hand", f"{stiffness:.0f} N/m ± {100 * exploration.hand.spread:.0f} %"),
+    ]
+
+
+def _legend(exploration: Exploration, spacing: float) -> list[LegendEntry]:
+    entries = [
+        LegendEntry(ORANGE, "the hand", "hand/place", "dot"),
+        LegendEntry(PINK, "the force that it measures", "hand/force", "line"),
+        LegendEntry(BLUE, "places of the handle, the first one green", "way", "line"),
+        LegendEntry(MUTED, "from each place to where the hand pulled", "pulls", "line"),
+        LegendEntry(VERMILLION, "directions in which the handle was believed to go", "fan", "line"),
+    ]
+    found = [LegendEntry(INK, "joints that were found", "joints", "line")] if exploration.model is not None else []
+    kinds = [LegendEntry(color, WORDS[name]) for name, color in KINDS.items()]
+    grid = LegendEntry(GRID, f"grid of {quantity(spacing, 'm')}, frame of the hand's base", "ground", "line")
+    return [*(entries if exploration.moments else []), *found, *(kinds if exploration.moments else []), grid]
+
+
+def _timeline(exploration: Exploration, times: Floats) -> Timeline:
+    """What is most believed to hold the handle, step by step, with force and way."""
+    if len(times) < 2:
+        return Timeline()
+    likeliest = [max(KINDS, key=lambda name: moment.kinds.get(name, 0.0)) for moment in exploration.moments]
+    changes = [0, *(k for k in range(1, len(likeliest)) if likeliest[k] != likeliest[k - 1])]
+    ends = [*changes[1:], len(likeliest) - 1]
+    bands = tuple(
+        Band(float(times[first]), float(times[end]), KINDS[likeliest[first]], WORDS[likeliest[first]])
+        for first, end in zip(changes, ends, strict=True)
     )
-    return Table(("found", ""), rows)
+    readouts = tuple(
+        (
+            float(time),
+            (
+                f"step {number} of {exploration.steps}",
+                f"{quantity(float(np.linalg.norm(moment.force)), 'N')}, way {quantity(moment.way, 'm')}",
+                f"{WORDS[name]}: {percent(moment.kinds.get(name, 0.0), 0)}",
+            ),
+        )
+        for number, (time, moment, name) in enumerate(zip(times, exploration.moments, likeliest, strict=True), start=1)
+    )
+    return Timeline(float(times[-1]), bands, readouts)
 
 
-def _panel(exploration: Exploration, low: float, high: float) -> Panel:
-    return Panel(_LEFT, _TOP, _WIDTH - _LEFT - _RIGHT, _HEIGHT, 0.0, max(exploration.steps, 1) + 0.5, low, high)
-
-
-def _way(exploration: Exploration) -> Chart:
-    """The places in the plane in which they spread most, to one scale, with the pushes that moved nothing."""
-    places = np.array([moment.place for moment in exploration.moments])
-    tips = places + np.array([moment.lead for moment in exploration.moments])
-    middle = places.mean(axis=0)
-    plane = np.linalg.svd(np.concatenate([places, tips]) - middle)[2][:2]
-    flat, ends = (places - middle) @ plane.T, (tips - middle) @ plane.T
-    low, high = np.vstack([flat, ends]).min(axis=0), np.vstack([flat, ends]).max(axis=0)
-    centre, wide = (low + high) / 2.0, _WIDTH - _LEFT - _RIGHT
-    reach = 0.55 * max(float(np.max((high - low) / [wide / _SIDE, 1.0])), 0.02)
-    across = reach * wide / _SIDE
-    edges = (centre[0] - across, centre[0] + across, centre[1] - reach, centre[1] + reach)
-    panel = Panel(_LEFT, _TOP, wide, _SIDE, *map(float, edges))
-    pulls = [
-        panel.curve(np.array([p[0], e[0]]), np.array([p[1], e[1]]), "line other")
-        for p, e in zip(flat, ends, strict=True)
-    ]
-    parts = [
-        panel.frame,
-        *pulls,
-        panel.curve(flat[:, 0], flat[:, 1], "line", BLUE),
-        panel.curve(flat[:, 0], flat[:, 1], "dots", BLUE, dots=True),
-        element("circle", kind="dots small", color=GREEN, cx=panel.x(flat[0, 0]), cy=panel.y(flat[0, 1]), r=8.0),
-        panel.y_axis("[m]"),
-        panel.x_axis("[m], in the plane of the motion", 6, whole=False),
-    ]
-    words = ("Blue: places of the handle, ringed the first one. Thin lines: from each place to where the hand pulled.",)
-    return Chart("The path of the hand", words, drawing(_WIDTH, [panel], parts, "path of the hand"))
+def _chart(
+    exploration: Exploration, title: str, words: Sequence[str], limits: tuple[float, float], label: str, parts: _Drawn
+) -> Chart:
+    """A chart over the steps, whose line follows the player."""
+    last = max(exploration.steps, 1) + 0.5
+    panel = Panel(_LEFT, _TOP, _WIDTH - _LEFT - _RIGHT, _HEIGHT, 0.0, last, *limits)
+    frames = tuple((float(time), panel.x(number)) for number, time in enumerate(_times(exploration), start=1))
+    return Chart(title, tuple(words), played(_WIDTH, [panel], parts(panel), "step", label), keyframes=frames)
 
 
 def _fan(exploration: Exploration) -> Chart:
     """Angles between the directions that are believed possible and the one in which the handle went."""
     places = np.array([moment.place for moment in exploration.moments])
-    steps, angles = [], []
+    steps, angles = [np.zeros(0)], [np.zeros(0)]
     for number, moment in enumerate(exploration.moments):
-        onward = _onward(places, number)
         if len(moment.fan):
             steps.append(np.full(len(moment.fan), number + 1.0))
-            angles.append(np.degrees(np.arccos(np.clip(moment.fan @ onward, -1.0, 1.0))))
-    panel = _panel(exploration, 0.0, 180.0)
-    parts = [panel.frame, panel.y_axis("angle [°]"), panel.x_axis("step")]
-    if steps:
-        parts.append(panel.curve(np.concatenate(steps), np.concatenate(angles), "dots small", VERMILLION, dots=True))
+            angles.append(np.degrees(np.arccos(np.clip(moment.fan @ _onward(places, number), -1.0, 1.0))))
+
+    def parts(panel: Panel) -> list[Svg]:
+        dots = panel.curve(np.concatenate(steps), np.concatenate(angles), "dots small", VERMILLION, dots=True)
+        return [panel.y_axis("angle [°]"), dots]
+
     words = (
         "Each dot is one of the 40 most probable hypotheses of a direction in which the handle can go: its angle to "
         "the direction in which the handle went from there.",
     )
-    return Chart("The fan of hypotheses", words, drawing(_WIDTH, [panel], parts, "angles of hypotheses over steps"))
+    return _chart(exploration, "The fan of hypotheses", words, (0.0, 180.0), "angles of hypotheses over steps", parts)
 
 
 def _onward(places: Floats, number: int) -> Floats:
@@ -134,35 +216,36 @@ def _onward(places: Floats, number: int) -> Floats:
 def _forces(exploration: Exploration) -> Chart:
     forces = np.array([np.linalg.norm(moment.force) for moment in exploration.moments])
     limit, steps = exploration.scene.largest_force, np.arange(1.0, len(forces) + 1)
-    panel = _panel(exploration, 0.0, 1.25 * max(limit, float(forces.max())))
-    parts = [
-        panel.frame,
-        panel.area(steps, np.zeros(len(forces)), forces, "spread", PINK),
-        panel.curve(steps, forces, "line", PINK),
-        panel.level(limit, "guard"),
-        text(panel.right - 4, panel.y(limit) - 5, "limit", "number end"),
-        panel.y_axis("force [N]"),
-        panel.x_axis("step"),
-    ]
-    return Chart("Forces", (), drawing(_WIDTH, [panel], parts, "measured force over steps, and its limit"))
+
+    def parts(panel: Panel) -> list[Svg]:
+        return [
+            panel.area(steps, np.zeros(len(forces)), forces, "spread", PINK),
+            panel.curve(steps, forces, "line", PINK),
+            panel.level(limit, "guard"),
+            text(panel.right - 4, panel.y(limit) - 5, "limit", "number end"),
+            panel.y_axis("force [N]"),
+        ]
+
+    high = 1.25 * max(limit, float(forces.max()))
+    return _chart(exploration, "Forces", (), (0.0, high), "measured force over steps, and its limit", parts)
 
 
 def _kinds(exploration: Exploration) -> Chart:
-    steps, bottom = np.arange(1.0, exploration.steps + 1), np.zeros(exploration.steps)
-    panel = _panel(exploration, 0.0, 1.0)
-    parts, names = [panel.frame], [Svg()]
-    for number, (name, color) in enumerate(KINDS.items()):
-        share = np.array([moment.kinds.get(name, 0.0) for moment in exploration.moments])
-        parts.append(panel.area(steps, bottom, bottom + share, "level", color))
-        bottom = bottom + share
-        left = _LEFT + 140.0 * number
-        names.append(element("rect", kind="level", color=color, x=left, y=4.0, width=12.0, height=12.0))
-        names.append(text(left + 17, 14.0, WORDS[name], "number"))
-    parts += [*names, panel.y_axis("probability"), panel.x_axis("step")]
+    steps = np.arange(1.0, exploration.steps + 1)
+
+    def parts(panel: Panel) -> list[Svg]:
+        shares, bottom = [panel.y_axis("probability")], np.zeros(exploration.steps)
+        for name, color in KINDS.items():
+            share = np.array([moment.kinds.get(name, 0.0) for moment in exploration.moments])
+            shares.append(panel.area(steps, bottom, bottom + share, "level", color))
+            bottom = bottom + share
+        return shares
+
     caption = (
-        f"What is believed to hold the handle, over {count(exploration.steps, 'step')}; of several joints, of the last."
+        f"What is believed to hold the handle, over {count(exploration.steps, 'step')}, in the colours of the legend; "
+        "of several joints, of the last."
     )
-    return Chart("What it is", (caption,), drawing(_WIDTH, [panel], parts, "probabilities of kinds over steps"))
+    return _chart(exploration, "What it is", (caption,), (0.0, 1.0), "probabilities of kinds over steps", parts)
 
 
 def exploration_figure(exploration: Exploration) -> Figure:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +21,7 @@ from micah_plan.explore.hand import Hand
 from micah_plan.explore.record import Slips
 from micah_plan.explore.run import Exploration, explore
 from micah_plan.task.experiment import Scene
+from micah_plan.view.exploration_page import exploration_page
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
@@ -67,6 +70,32 @@ def test_a_turned_scene_gives_the_same_answer() -> None:
     assert (plain.outcome, plain.kinds, plain.steps) == (turned.outcome, turned.kinds, turned.steps)
     assert turned.largest_force == pytest.approx(plain.largest_force, rel=1e-3)
     assert turned.probability == pytest.approx(plain.probability, abs=1e-3)
+
+
+def data_of(page: str) -> dict[str, Any]:
+    data: dict[str, Any] = json.loads(page.split('id="page-data">')[1].split("</script>")[0])
+    return data
+
+
+@pytest.mark.parametrize("thing", [DRAWER, TWO, LOCKED], ids=lambda thing: thing.family)
+def test_its_page_plays_each_step(thing: Thing) -> None:
+    found, _ = run(thing)
+    page = exploration_page(found, "a handle")
+    data = data_of(page)
+    assert len(data["readouts"]) == found.steps
+    assert [line[0] for _, line in data["readouts"][:2]] == [f"step {k} of {found.steps}" for k in (1, 2)]
+    assert ("joints" in data["layers"]) == (found.model is not None)
+    assert {"hand/place", "hand/force", "way", "pulls", "fan"} <= set(data["layers"])
+    assert page == exploration_page(found, "a handle")
+    assert page.count('class="cursor"') == 3
+
+
+@pytest.mark.parametrize("steps", [0, 1])
+def test_the_page_of_hardly_any_steps_stands_still(steps: int) -> None:
+    found, _ = run(LOCKED)
+    page = exploration_page(replace(found, moments=found.moments[:steps]), "a handle")
+    assert data_of(page)["duration"] == 0.0
+    assert page.count("<svg") == 3 * steps
 
 
 def test_the_same_seed_gives_the_same_model() -> None:
