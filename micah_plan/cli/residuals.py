@@ -279,7 +279,7 @@ def calibrated(calibration: Calibration, seconds: float) -> dict[str, Any]:
 
 
 def _effect(found: FoundEffect) -> dict[str, Any]:
-    effect = found.effect
+    effect, since = found.effect, found.effect.since
     names = [name for name, _ in effect.parameters]
     return {
         "name": effect.name,
@@ -290,7 +290,7 @@ def _effect(found: FoundEffect) -> dict[str, Any]:
         "interval_95": {name: list(pair) for name, pair in zip(names, found.interval, strict=True)},
         "coordinate": effect.coordinate,
         "modes": list(effect.modes),
-        "since": None if found.since is None else {"run": found.since[0], "time_s": found.since[1]},
+        "since": None if since is None else {"run": since.run, "time_s": since.time},
         "tied_with": list(found.tied),
         "separating_experiment": found.experiment or None,
         "sentence": found.sentence,

@@ -24,7 +24,7 @@ from micah_plan.automaton.certainty import (
 )
 from micah_plan.automaton.check import checks
 from micah_plan.automaton.effects.registry import form
-from micah_plan.automaton.effects.value import Effect
+from micah_plan.automaton.effects.value import Effect, Since
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Coordinate, HybridAutomaton, Link, Mode
 from micah_plan.automaton.joint import JointKind, ParameterCovariance
@@ -220,6 +220,14 @@ class InitialDocument(Document):
         return dict(zip(cls.model_fields, value, strict=True))
 
 
+class SinceDocument(Document):
+    makes = Since
+
+    time: NonNegative = doc("Since the start of a run [s].")
+    run: int | None = doc("Number of the run in which it began; absent: in every run from that time on.", None)
+    digest: Line = doc("SHA-256 of the rows of that run; recordings without them were made later.", "")
+
+
 class EffectDocument(Document):
     makes = Effect
 
@@ -229,6 +237,7 @@ class EffectDocument(Document):
     std: dict[Name, NonNegative] = doc("Their standard deviations, if estimated.", dict)
     modes: ModeNames = doc("Modes in which it acts; absent: in all.", tuple)
     note: Line = doc("A remark for people.", "")
+    since: SinceDocument | None = doc("From when on it acts in the recording in which it was seen.", None)
 
     def meanings(self, at: Located, scope: Scope) -> dict[str, Any]:
         own = super().meanings(at, scope)

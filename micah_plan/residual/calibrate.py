@@ -20,13 +20,14 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.ends import range_of
 from micah_plan.automaton.effects.registry import form
-from micah_plan.automaton.effects.value import Effect
+from micah_plan.automaton.effects.value import Effect, Since
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.split import with_split
 from micah_plan.automaton.tracks import Track
 from micah_plan.errors import InputError
 from micah_plan.quantities import Progress, count, interval, percent, plain, quantity
 from micah_plan.recording.value import Recording
+from micah_plan.residual.epochs import dated
 from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.faulty_runs import faulty_runs
 from micah_plan.residual.fit import CONFIDENCE
@@ -60,7 +61,6 @@ class FoundEffect:
         interval: (low, high) of each parameter at 95 %; low = high for one that was not fitted.
         evidence: what held-out predictions lose without it [nats].
         tied: other effects that would do as well.
-        since: (run, time in it [s]) from which on it was seen; None: from the start.
         derived: (name, value) of parameters in other units: times in s of those in steps.
         sentence, source: of its form.
         experiment: what would tell it from those it is tied with; empty if there are none.
@@ -72,7 +72,6 @@ class FoundEffect:
     interval: tuple[tuple[float, float], ...]
     evidence: float
     tied: tuple[str, ...]
-    since: tuple[int, float] | None
     derived: tuple[tuple[str, float], ...]
     sentence: str
     source: str
@@ -148,8 +147,7 @@ class Calibration:
     def written(self) -> tuple[ResidualSize, ...]:
         """Errors of each coordinate with the new model on all of its recording [rad or m], as `predict` has them.
 
-        `after` is of rows that the parameters were not fitted to, and of effects since when they were seen; what is
-        written has all effects from the start. Empty where `predict` refuses these runs.
+        `after` is of rows that the parameters were not fitted to. Empty where `predict` refuses these runs.
         """
         if refused(self.automaton, self.recording):
             return ()
@@ -188,12 +186,8 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
     """The calibration with all runs of a recording."""
     examination = examined(automaton, recording)
     _check_usable(automaton, examination)
-    corrected, measured, beyond, able = (
-        examination.automaton,
-        examination.measured,
-        examination.beyond,
-        examination.searches,
-    )
+    corrected, able = examination.automaton, examination.searches
+    measured, beyond = examination.measured, examination.beyond
     traces = tuple(
         trace(search, _shared(progress, number, len(able)) if progress else None) for number, search in enumerate(able)
     )
@@ -201,7 +195,8 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
     effects = [_direct_effect(direct) for direct in examination.direct]
     effects += [effect for trace in traces for effect in _all_found(trace, beyond)]
     effects.sort(key=lambda effect: -effect.evidence)
-    improved, refusing = _written(corrected, beyond, with_shifts(_to_add(traces), beyond), recording)
+    to_add = [dated(effect, recording) for effect in with_shifts(_to_add(traces), beyond)]
+    improved, refusing = _written(corrected, beyond, to_add, recording)
     kept_out = {(effect.name, effect.coordinate, effect.modes) for effect in refusing}
     effects = [
         replace(effect, is_added=False)
@@ -234,7 +229,7 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
         notes=(
             *notes_on(traces),
             *(f"{name}: no effect has that name" for name in examination.beside),
-            *map(_told_of_since, (effect for effect in effects if effect.since is not None and effect.is_added)),
+            *(_told_of_since(found.effect) for found in effects if found.effect.since is not None and found.is_added),
             *(f"{effect.name} of {effect.coordinate} was not added: {reason}" for effect, reason in refusing.items()),
             *([f"predict refuses these runs: {why}"] if (why := refused(improved, recording)) else []),
             *told_of_rows(beyond, measured, examination.late),
@@ -265,13 +260,19 @@ def _written(
     return made(kept), refusing
 
 
-def _told_of_since(effect: FoundEffect) -> str:
-    run, time = effect.since or (0, 0.0)
-    when = f"run {run}" if time == 0.0 else f"{quantity(time, 's')} into run {run}"
+def _told_of_since(effect: Effect) -> str:
     return (
-        f"{effect.effect.name} of {effect.effect.coordinate} was seen from {when} on; the new model has it from the "
-        "start: it is the object as it was in the end"
+        f"{effect.name} of {effect.coordinate} began {began(effect.since)}: in this recording predict has it from "
+        "there on; later recordings, plans and executions always have it"
     )
+
+
+def began(since: Since | None) -> str:
+    """From when on, in words."""
+    if since is None:
+        return "before"
+    run = "each run" if since.run is None else f"run {since.run}"
+    return f"with {run}" if since.time == 0.0 else f"{quantity(since.time, 's')} into {run}"
 
 
 def _check_usable(automaton: HybridAutomaton, examination: Examined) -> None:
@@ -317,7 +318,6 @@ def _found(lane: Lane, finding: Finding, beyond: Sequence[Beyond]) -> FoundEffec
         interval=tuple((float(low), float(high)) for low, high in ends),
         evidence=finding.evidence,
         tied=finding.tied,
-        since=_since(lane, finding.part.starts[0]),
         derived=tuple(
             ("seconds", value * lane.period)
             for value, parameter in zip(effect.values, effect_form.parameters, strict=True)
@@ -343,7 +343,7 @@ def _direct_effect(direct: DirectFinding) -> FoundEffect:
     reach = 0.5 * _STDS_WIDE
     interval = tuple((v - reach * s, v + reach * s) for v, s in zip(effect.values, std, strict=True))
     units = tuple(parameter.unit for parameter in effect_form.parameters)
-    return FoundEffect(effect, units, interval, evidence, (), None, (), effect_form.sentence, effect_form.source, "")
+    return FoundEffect(effect, units, interval, evidence, (), (), effect_form.sentence, effect_form.source, "")
 
 
 def effect_of(lane: Lane, part: Candidate, interval: Floats | None = None) -> Effect:
@@ -356,20 +356,19 @@ def effect_of(lane: Lane, part: Candidate, interval: Floats | None = None) -> Ef
     ]
     pairs = tuple(zip([parameter.name for parameter in effect_form.parameters], values, strict=True))
     since = _since(lane, part.starts[0])
-    note = "" if since is None else f"seen from run {since[0]}, {quantity(since[1], 's')} on"
     spread = () if interval is None else tuple(float(high - low) / _STDS_WIDE for low, high in interval[:count])
-    return Effect(effect_form.name, lane.coordinate, pairs, spread, part.term.modes, note)
+    return Effect(effect_form.name, lane.coordinate, pairs, spread, part.term.modes, since=since)
 
 
-def _since(lane: Lane, values: Floats) -> tuple[int, float] | None:
+def _since(lane: Lane, values: Floats) -> Since | None:
     order, time = values[-GATES:]
     if np.isfinite(time):
-        return int(lane.run[0]), float(time)
+        return Since(float(time))
     if not np.isfinite(order):
         return None
     later = np.argwhere(lane.counted_starts & (lane.order >= order))
     s, t = later[np.argmin(lane.order[later[:, 0], later[:, 1]])]
-    return int(lane.run[s]), float(lane.time[s, t])
+    return Since(float(lane.time[s, t]), int(lane.run[s]))
 
 
 def _to_add(traces: Sequence[LaneTrace]) -> list[Effect]:

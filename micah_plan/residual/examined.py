@@ -16,8 +16,8 @@ Source: Geisser, The predictive sample reuse method, JASA 1975 (each observation
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -28,8 +28,9 @@ from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import Track
 from micah_plan.recording.value import Recording
+from micah_plan.residual.epochs import beginning
 from micah_plan.residual.geometry import Beside, DirectFinding, geometry_findings, lying_beside
-from micah_plan.residual.lane import ENOUGH_RUNS, lanes
+from micah_plan.residual.lane import ENOUGH_RUNS, Lane, lanes
 from micah_plan.residual.leftover import Leftover
 from micah_plan.residual.likelihood import student_t_log_density
 from micah_plan.residual.search import Search
@@ -89,7 +90,7 @@ def examined(automaton: HybridAutomaton, recording: Recording) -> Examined:
     Raises:
         InputError: if the recording has other parts than the model.
     """
-    every, late = read_tracks(automaton, recording)
+    gates, (every, late) = beginning(automaton, recording), read_tracks(automaton, recording)
     is_at = tuple(map(at_measurements, every))
     geometry, read = geometry_findings(automaton, is_at), reading_findings(automaton, is_at)
     corrected = with_effect(automaton, *(finding.effect for finding in (*geometry, *read)))
@@ -104,11 +105,16 @@ def examined(automaton: HybridAutomaton, recording: Recording) -> Examined:
         seen=is_at,
         measured=measured,
         beyond=beyond,
-        searches=tuple(Search(lane) for lane in able if lane.counted.any()),
+        searches=tuple(Search(as_begun(lane, gates)) for lane in able if lane.counted.any()),
         beside=lying_beside(corrected, tuple(map(at_measurements, measured))) if measured else (),
         is_readable=bool(able),
         late=late,
     )
+
+
+def as_begun(lane: Lane, gates: Collection[Effect]) -> Lane:
+    """The lane whose effects have acted from the start, but for those that began in this recording."""
+    return replace(lane, effects=tuple(e if e in gates else replace(e, since=None) for e in lane.effects))
 
 
 def _has_own_inputs(automaton: HybridAutomaton) -> bool:

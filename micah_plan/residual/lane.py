@@ -34,8 +34,9 @@ from micah_plan.residual.seen import sections
 
 # Rows before a stretch from the middle of a run: they bring filter and memories up to date and are not counted.
 WARM_UP = 15
-# Stretches of long runs have this many rows; fewer rows are read than `MOST_ROWS`, evenly over the recording.
-_LONGEST = 250
+# Stretches of long runs have at most this many rows, which costs a seventh more for warming up, and the time of a
+# prediction goes with the longest stretch. Fewer rows are read than `MOST_ROWS`, evenly over the recording.
+_LONGEST = 100
 MOST_ROWS = 20_000
 # Roll-outs go over whole runs, up to this many rows.
 _LONGEST_ROLLOUT = 3000

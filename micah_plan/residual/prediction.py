@@ -22,8 +22,9 @@ from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError
 from micah_plan.quantities import Progress, interval, quantity
 from micah_plan.recording.value import Recording
+from micah_plan.residual.epochs import Place, versions
 from micah_plan.residual.geometry import beside
-from micah_plan.residual.seen import at_measurements, beyond_range, noise_of, opened, read_tracks, without_gaps
+from micah_plan.residual.seen import at_measurements, beyond_range, noise_of, opened
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +86,8 @@ def predict_recording(
     equation 2) through guards and resets, in the mode that the belief filter holds most likely and from within its
     range. Roll-out: from the first measured pose with all actions of the run, never looking at a measurement
     again. Where commands are places (`follow`), each is the measured pose plus the action, wherever the roll-out is.
-    A run with gaps in its times is predicted in its consecutive parts, and joints go on where the recording goes beyond
+    A run with gaps in its times is predicted in its consecutive parts, as is one in which an effect began (see
+    `epochs`), and joints go on where the recording goes beyond
     a range that no mode ends (see `seen`). Over rows that are no measurements the prediction goes on, to the next that
     is one.
 
@@ -103,29 +105,34 @@ def predict_recording(
             "expected actions, found no columns ax, ay, az",
             remedy="record the commanded displacements to predict motion",
         )
-    reaching, usable = _usable(automaton, recording)
-    if not usable:
+    predicted, groups = list[tuple[Place, RunPrediction]](), _usable(automaton, recording)
+    for reaching, parts in groups:
+        runs = _predicted(reaching, [track for _, track in parts], progress or (lambda *_: None))
+        predicted += zip([place for place, _ in parts], runs, strict=True)
+    if not predicted:
         raise InputError("expected a run of at least 2 rows, found none", remedy="record a longer run")
-    return tuple(_predicted(reaching, usable, progress or (lambda *_: None)))
+    return tuple(run for _, run in sorted(predicted, key=lambda pair: pair[0]))
 
 
 def refused(automaton: HybridAutomaton, recording: Recording) -> str:
     """Why `predict_recording` refuses a recording with actions: a run starts where no mode allows; empty if not."""
-    reaching, usable = _usable(automaton, recording)
-    for track in usable:
-        try:
-            first_belief(reaching, track)
-        except InputError as error:
-            return error.problem
+    for reaching, parts in _usable(automaton, recording):
+        for _, track in parts:
+            try:
+                first_belief(reaching, track)
+            except InputError as error:
+                return error.problem
     return ""
 
 
-def _usable(automaton: HybridAutomaton, recording: Recording) -> tuple[HybridAutomaton, list[Track]]:
-    """The automaton with joints that go on as far as the recording, and the consecutive parts of its runs."""
-    usable = [track_piece for track in read_tracks(automaton, recording)[0] for track_piece in without_gaps(track)]
-    if not usable:
-        return automaton, []
-    return opened(automaton, beyond_range(automaton, [at_measurements(track).x for track in usable])), usable
+def _usable(
+    automaton: HybridAutomaton, recording: Recording
+) -> list[tuple[HybridAutomaton, list[tuple[Place, Track]]]]:
+    """The model as it was in each part of a recording, its joints going on as far as that, and these parts."""
+    return [
+        (opened(model, beyond_range(model, [at_measurements(track).x for _, track in parts])), parts)
+        for model, parts in versions(automaton, recording)
+    ]
 
 
 def rmse(errors: list[Floats]) -> float:

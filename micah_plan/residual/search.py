@@ -17,6 +17,8 @@ from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.effects.forces import SMOOTH_BUMPS
 from micah_plan.automaton.effects.form import EffectForm, Start
 from micah_plan.automaton.effects.registry import form, forms
+from micah_plan.automaton.effects.value import Effect
+from micah_plan.residual.epochs import acts
 from micah_plan.residual.fit import (
     Fit,
     Problem,
@@ -95,7 +97,7 @@ class Search:
     def __init__(self, lane: Lane) -> None:
         self.lane = lane
         self.given: Model = tuple(Term(form(effect.name), effect.modes) for effect in lane.effects)
-        self._given = np.array([v for effect in lane.effects for v in (*effect.values, *NEVER_GATED)])[None]
+        self._given = np.array([v for effect in lane.effects for v in (*effect.values, *gates_of(effect, lane))])[None]
         self.freedom = _FREEDOMS[0]
         self._rolled: dict[Scored, Floats] = {}
         self.smoothed: dict[Scored, Scored] = {}
@@ -390,7 +392,20 @@ def gated(part: Candidate, since_order: Sequence[float], since_time: Sequence[fl
     return replace(part, starts=starts)
 
 
-NEVER_GATED = (-np.inf,) * GATES
+NEVER_GATED = (-np.inf, -np.inf)
+
+
+def gates_of(effect: Effect, lane: Lane) -> tuple[float, float]:
+    """From which place in a recording and which time in a run an effect of the model acts."""
+    since = effect.since
+    if since is None:
+        return NEVER_GATED
+    if since.run is None:
+        return -np.inf, since.time
+    acting = np.stack([acts(since, run, time) for run, time in zip(lane.run.tolist(), lane.time, strict=True)])
+    return float(lane.order[acting & lane.counted_starts].min(initial=np.inf)), -np.inf
+
+
 # The form of a correction without a name.
 UNNAMED = "unexplained"
 

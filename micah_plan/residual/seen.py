@@ -101,7 +101,7 @@ def read_tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[tuple
     excesses = []
     for track in tracks(automaton, recording):
         rows = np.flatnonzero(track.is_measured)
-        excesses.append(_rows(track, int(rows[0]), int(rows[-1]) + 1) if len(rows) else track)
+        excesses.append(rows_of(track, int(rows[0]), int(rows[-1]) + 1) if len(rows) else track)
     late = rows_late(excesses)
     return tuple(_taken_back(track, late) for track in excesses if len(track.time) > late), late
 
@@ -110,7 +110,7 @@ def _taken_back(track: Track, late: int) -> Track:
     """A run whose actions are stored `late` rows after those that they move: the last rows then have none."""
     if not late or track.u is None or track.action is None:
         return track
-    shorter = _rows(track, 0, len(track.time) - late)
+    shorter = rows_of(track, 0, len(track.time) - late)
     return replace(shorter, u=track.u[late:], action=track.action[late:])
 
 
@@ -231,10 +231,11 @@ def sections(time: Floats) -> list[tuple[int, int]]:
 
 def without_gaps(track: Track) -> list[Track]:
     """The parts of a run in which rows are consecutive, of two rows or more."""
-    return [_rows(track, a, b) for a, b in sections(track.time) if b - a > 1]
+    return [rows_of(track, a, b) for a, b in sections(track.time) if b - a > 1]
 
 
-def _rows(track: Track, first: int, end: int) -> Track:
+def rows_of(track: Track, first: int, end: int) -> Track:
+    """Some rows of a run."""
     steps = slice(first, end - 1)
     u, action = (None if commands is None else commands[steps] for commands in (track.u, track.action))
     return _taken(track, slice(first, end), u, action)

@@ -6,6 +6,21 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
+class Since:
+    """From when on an effect acts in the recording in which it was seen; in plans and executions it always does.
+
+    Attributes:
+        time: since the start of a run [s].
+        run: number of that run; it acts in all later ones too. None: in every run from that time on.
+        digest: of the rows of that run (`Recording.digest`): recordings without them were made later.
+    """
+
+    time: float
+    run: int | None = None
+    digest: str = ""
+
+
+@dataclass(frozen=True)
 class Effect:
     """One effect of an automaton.
 
@@ -15,7 +30,8 @@ class Effect:
         parameters: (name, value) in the form's order and units.
         std: of each parameter, from the fit; empty if they were not estimated.
         modes: in which it acts; empty: in all.
-        note: a remark for people, such as since which run it was seen.
+        note: a remark for people.
+        since: from when on; None: always.
     """
 
     name: str
@@ -24,6 +40,7 @@ class Effect:
     std: tuple[float, ...] = ()
     modes: tuple[str, ...] = ()
     note: str = ""
+    since: Since | None = None
 
     @property
     def values(self) -> tuple[float, ...]:

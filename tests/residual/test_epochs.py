@@ -1,0 +1,87 @@
+"""Effects that began: the written model predicts its own recording as it was, and later ones as the object is now."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import planted_effects as plants
+import pytest
+
+from micah_plan.automaton.effects.add import with_effect
+from micah_plan.automaton.effects.value import Effect, Since
+from micah_plan.documents.model import load_model, model_text
+from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.epochs import beginning, dated
+from micah_plan.residual.prediction import predict_recording, rmse
+
+
+def weaker(since_run: int, factor: float = 0.85):
+    def moves(c, u, _, memory):
+        return c + (factor if memory["run"] >= since_run else 1.0) * u
+
+    return moves
+
+
+def rolled(automaton, recording) -> float:
+    return rmse([run.rollout.configuration for run in predict_recording(automaton, recording)])
+
+
+@pytest.fixture(scope="module")
+def dropped():
+    return plants.door_recording(plants.runs_of(weaker(5), 10, 50, 0))
+
+
+@pytest.fixture(scope="module")
+def found(door, dropped):
+    return calibrate(door, dropped)
+
+
+def test_the_written_model_is_as_good_as_is_said_on_its_own_recording(found, dropped, tmp_path) -> None:
+    (effect,) = found.automaton.effects
+    assert effect.name == "gain"
+    assert effect.since is not None
+    assert effect.since.run == 6  # the sixth: plants count runs from 0
+    path = tmp_path / "new.yaml"
+    path.write_text(model_text(found.automaton))
+    written = load_model(path)
+    assert written.effects == found.automaton.effects
+    assert rolled(written, dropped) == pytest.approx(found.after.rollout, rel=0.1)
+    always = replace(written, effects=(replace(effect, since=None),))
+    assert rolled(always, dropped) > 2.0 * rolled(written, dropped)
+
+
+def test_nothing_is_left_to_find_with_the_written_model(found, dropped) -> None:
+    again = calibrate(found.automaton, dropped)
+    assert again.verdict == "none"
+    assert again.effects == ()
+
+
+def test_later_recordings_have_it_from_the_start(door, found) -> None:
+    later = plants.door_recording(plants.runs_of(weaker(0), 6, 50, 1))
+    assert beginning(found.automaton, later) == ()
+    assert rolled(found.automaton, later) < 0.3 * rolled(door, later)
+
+
+def test_runs_that_were_set_aside_change_nothing(found, dropped) -> None:
+    fewer = dropped.rows(~np.isin(dropped.run, [2, 8]))
+    assert len(beginning(found.automaton, fewer)) == 1
+    assert rolled(found.automaton, fewer) == pytest.approx(rolled(found.automaton, dropped), rel=0.3)
+
+
+def test_a_run_in_the_middle_of_which_it_began_is_predicted_in_two_parts(door, dropped) -> None:
+    at = float(dropped.select(run=5).time[20] - dropped.select(run=5).time[0])
+    effect = dated(Effect("gain", "door", (("gain", 0.85),), since=Since(at, 5)), dropped)
+    runs = predict_recording(with_effect(door, effect), dropped)
+    assert [run.run for run in runs] == [1, 2, 3, 4, 5, 5, 6, 7, 8, 9, 10]
+    assert [len(run.time) for run in runs][4:6] == [21, len(dropped.select(run=5).time) - 20]
+
+
+@pytest.mark.parametrize("name", ["gain", "delay", "sensor_scale"])
+def test_what_begins_in_each_run_does_so_in_every_recording(door, dropped, name: str) -> None:
+    values = {"gain": ("gain", 0.5), "delay": ("steps", 2.0), "sensor_scale": ("scale", 0.8)}[name]
+    begun = with_effect(door, Effect(name, "door", (values,), since=Since(1e6)))
+    assert rolled(begun, dropped) == rolled(door, dropped)
+    always = replace(begun, effects=(replace(begun.effects[0], since=Since(0.0)),))
+    plain = with_effect(door, Effect(name, "door", (values,)))
+    assert rolled(always, dropped) == rolled(plain, dropped) != rolled(door, dropped)
