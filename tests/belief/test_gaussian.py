@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scalar_belief import one_at_a_time
-from scalar_belief import scalar_gaussian as gaussian
 from scipy.stats import multivariate_normal, norm
+from single_gaussian import one_at_a_time
+from single_gaussian import reference as gaussian
 
 from micah_plan.automaton.hybrid import Pin, Reset
 from micah_plan.automaton.region import HalfSpace

@@ -9,10 +9,10 @@ import casadi as ca
 import numpy as np
 import pytest
 from baseline_direct import mixture_step
-from scalar_belief import scalar_gaussian as gaussian
-from scalar_belief.one_at_a_time import truncate
 from scipy.special import log_ndtr
 from scipy.stats import norm, truncnorm
+from single_gaussian import reference as gaussian
+from single_gaussian.one_at_a_time import truncate
 from uncertain_joints import SHUT, unsure_door
 
 from micah_plan.automaton.region import above

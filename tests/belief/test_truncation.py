@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scalar_belief.one_at_a_time import mixed, split, truncate
 from scipy.optimize import brentq
 from scipy.stats import norm, truncnorm
+from single_gaussian.one_at_a_time import mixed, split, truncate
 
 from micah_plan.belief.truncation import NEGLIGIBLE, is_cut, onto_boundary, truncated, uncut
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from planning_examples import planar_problem, with_settings
-from scalar_belief import one_at_a_time
-from scalar_belief import scalar_gaussian as gaussian
 from scipy.sparse import csr_array
+from single_gaussian import one_at_a_time
+from single_gaussian import reference as gaussian
 
 from micah_plan.api.stages import execute, solve
 from micah_plan.documents.problem import load_problem

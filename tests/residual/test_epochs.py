@@ -11,6 +11,7 @@ import pytest
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect, Since
 from micah_plan.documents.model import load_model, model_text
+from micah_plan.errors import InputError
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.epochs import beginning, dated
 from micah_plan.residual.prediction import predict_recording, rmse
@@ -85,3 +86,10 @@ def test_what_begins_in_each_run_does_so_in_every_recording(door, dropped, name:
     always = replace(begun, effects=(replace(begun.effects[0], since=Since(0.0)),))
     plain = with_effect(door, Effect(name, "door", (values,)))
     assert rolled(always, dropped) == rolled(plain, dropped) != rolled(door, dropped)
+
+
+def test_what_changes_the_model_itself_cannot_begin(door) -> None:
+    shift = Effect("guard_shift", "door", (("shift", -0.1), ("side", 1.0)))
+    assert with_effect(door, shift).effects == (shift,)
+    with pytest.raises(InputError, match="guard_shift changes the model itself, so it cannot begin"):
+        with_effect(door, replace(shift, since=Since(1.0)))

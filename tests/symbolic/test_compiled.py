@@ -8,8 +8,8 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from scalar_belief import one_at_a_time
-from scalar_belief import scalar_gaussian as gaussian
+from single_gaussian import one_at_a_time
+from single_gaussian import reference as gaussian
 from uncertain_joints import swinging
 
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Light, Link, Mode, Noise, Pin, Reset

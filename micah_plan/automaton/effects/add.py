@@ -40,6 +40,9 @@ def check_effect(automaton: HybridAutomaton, effect: Effect) -> None:
     names, expected = [name for name, _ in effect.parameters], [p.name for p in effect_form.parameters]
     if names != expected:
         raise InputError(f"effect {effect.name} must have the parameters {', '.join(expected)}. Got {shown(names)}")
+    if effect.since is not None and effect_form.layer in ("guard", "geometry"):
+        problem = f"effect {effect.name} changes the model itself, so it cannot begin (key 'since')"
+        raise InputError(problem, remedy="leave 'since' out: the model is that of the object as it is now")
     if effect.std and len(effect.std) != len(expected):
         raise InputError(f"effect {effect.name} must have {len(expected)} stds or none. Got {len(effect.std)}")
     for value, parameter in _impossible(effect):
