@@ -59,6 +59,7 @@ from micah_plan.residual.verdict import Facts, Outcome, outcome_of
 
 # Candidates as good as the best are tied with it, or within two standard errors up to so much per stretch [nats].
 _ERRORS = 2.0
+_OPEN_ERRORS = 3.0  # of what is looked at again, before it is judged
 _SLACK = 0.5
 # Independent runs, or motions of the only run, from which on evidence of rows is evidence.
 ENOUGH_INDEPENDENT = 5
@@ -249,12 +250,16 @@ def _explored(search: Search, progress: Progress) -> tuple[tuple[Scored, ...], G
     # Displacements that the part carries out in any way that is smooth: few one-way runs look as if they were places.
     loose = _smoothed(search, search.nominal)
     rivals = [growth.chosen, loose, *((growth.blocked,) if growth.blocked is not None else ())]
-    if not means_places(search, place, ranked(rivals)[0]):
-        # Where neither is ahead, places are tied with what was found.
-        return singles, replace(growth, alternatives=(*growth.alternatives, place))
-    search.nominal = place
-    more, growth = _grown(search, for_places, progress)
-    return (*singles, place, *more), growth
+    best, before = ranked(rivals)[0], search.nominal
+    are_places, is_open = means_places(search, place, best), may_mean_places(search, place, best)
+    if are_places or is_open:
+        search.nominal = place
+        more, grown = _grown(search, for_places, progress)
+        if are_places or means_places(search, grown.chosen, best, before):
+            return (*singles, place, *more), grown
+        search.nominal = before
+    # Where neither is ahead, places are tied with what was found.
+    return singles, replace(growth, alternatives=(*growth.alternatives, place))
 
 
 def _grown(search: Search, library: Sequence[Candidate], progress: Progress) -> tuple[tuple[Scored, ...], Growth]:
@@ -530,12 +535,27 @@ _FREEDOM, _FINEST = 2.0, 1e-3
 _HEARD = 0.25
 
 
-def means_places(search: Search, place: Scored, displaced: Scored) -> bool:
-    """Whether commands that are places predict better than the best model of displacements."""
+def may_mean_places(search: Search, place: Scored, displaced: Scored) -> bool:
+    """Whether commands may be places once these have a further effect, as the best model of displacements has.
+
+    Alone they predict not surely worse than it, and earlier ones foretell them better than they do displacements.
+    """
+    if search.lane.is_outside or not is_worth(place, search.nominal, search.lane):
+        return False
+    gain, error = place.over(displaced)
+    return gain > -_OPEN_ERRORS * error and len(displaced.parts) > len(place.parts) and _regularity(search.lane) > 0.0
+
+
+def means_places(search: Search, place: Scored, displaced: Scored, nominal: Scored | None = None) -> bool:
+    """Whether commands that are places predict better than the best model of displacements.
+
+    Args:
+        nominal: the model without either; None: that of the search.
+    """
     if search.lane.is_outside:
         rolled, displaced_squares = (search.squares(model, "whole") for model in (place, displaced))
         return rolled < displaced_squares
-    if not is_worth(place, search.nominal, search.lane):
+    if not is_worth(place, nominal or search.nominal, search.lane):
         return False
     gain, regular = place.over(displaced)[0], _regularity(search.lane)
     if gain + _HEARD * min(regular, 0.0) > LEAST_EVIDENCE:

@@ -9,7 +9,7 @@ import pytest
 from micah_plan.automaton.tracks import tracks
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.lane import lanes
-from micah_plan.residual.prediction import predict_recording
+from micah_plan.residual.prediction import predict_recording, rmse
 from micah_plan.residual.search import Search
 from micah_plan.residual.trace import followed, means_places
 
@@ -71,3 +71,17 @@ def test_displacements_that_fall_short_are_no_places(door, noise, disturbance) -
     runs = plants.runs_of(plants.short_steps, 8, 40, 3, noise=noise, disturbance=disturbance)
     found = calibrate(door, plants.door_recording(runs))
     assert [one.effect.name for one in found.effects] == ["gain"]
+
+
+@pytest.mark.slow
+def test_places_are_seen_where_a_motor_swings_beyond_the_range() -> None:
+    """Alone places then predict single steps worse than two effects on displacements, which roll out far worse."""
+    pytest.importorskip("mujoco")
+    from position_control import KINDS, model, recording_of, simulated
+
+    rng = np.random.default_rng([1, sum(map(ord, "second order")), 5])
+    runs = [simulated(KINDS["second order"], 5.0, rng) for _ in range(8)]
+    found = calibrate(model(slides=False), recording_of(runs[:4], slides=False, rate=5.0))
+    assert found.effects[0].effect.name == "follow"
+    unseen = predict_recording(found.automaton, recording_of(runs[4:], slides=False, rate=5.0))
+    assert rmse([run.rollout.configuration for run in unseen]) < 0.03
