@@ -372,7 +372,7 @@ def _cut_at_guards(
             is no condition.
     """
     margins, rows = _margins(layout, mode, mean, factor)
-    near = says & (margins < 0.0) | says & is_cut(margins, rows)
+    near = says & ((margins < 0.0) | is_cut(margins, rows))
     chances = np.where(near | ~says, 0.0, log_probability(margins, rows))
     for number in map(int, np.flatnonzero(near.any(axis=1))[::-1]):
         cut = near[number].nonzero()[0]

@@ -121,12 +121,9 @@ def truncated(mean: Floats, factor: Floats, margin: Floats, row: Floats) -> tupl
         mean, factor: (..., p) and (..., k, p).
         margin, row: (p,) its means and (k, p) the rows of its square roots.
     """
-    std = np.sqrt(np.einsum("kp,kp->p", row, row) + SMALLEST_STD**2)
-    z = margin / std
+    direction, along, z = _along(factor, margin, row)
     mills = np.sqrt(2 / np.pi) / erfcx(-z / np.sqrt(2))
     variance = np.where(z > -100.0, 1.0 - mills * (mills + z), 1.0 / np.minimum(z, -1.0) ** 2)
-    direction = row / std
-    along = np.einsum("...kp,kp->...p", factor, direction)
     return mean + along * mills, factor - (along * (1.0 - np.sqrt(variance)))[..., None, :] * direction
 
 
