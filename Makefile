@@ -15,7 +15,7 @@ test: $(BIN)/python  ## the quick test suite
 evidence: $(BIN)/python  ## what takes long: tests over many seeds and new random examples, and the mutants that tests notice
 	$(BIN)/python -m pip install --quiet -e '.[dev,robots]'
 	$(BIN)/pytest -n auto -m evidence --hypothesis-profile=evidence -rA
-	$(BIN)/python benchmarks/mutants.py
+	$(BIN)/python -m benchmarks mutants
 
 $(BIN)/python:
 	$(PYTHON) -m venv .venv

@@ -1,6 +1,6 @@
 """Planning now against planning at an earlier commit, in one run.
 
-    python benchmarks/against.py REVISION [PROBLEM.yaml ...] [--repeats 3] [--seed 0] [--json FILE]
+    python -m benchmarks against REVISION [PROBLEM.yaml ...] [--repeats 3] [--seed 0] [--json FILE]
 
 Both states plan the same problems in turn, each in processes of its own with one thread, and the least of the repeats
 counts. Times are milliseconds of the processor, before and after, with after : before.

@@ -1,6 +1,6 @@
 """Calibration against what people would use instead, on the same logs and splits: roll-outs, one step, and names.
 
-    python benchmarks/against_learners.py [--logs joint_1 backlash ...] [--seed 100]
+    python -m benchmarks against_learners [--logs joint_1 backlash ...] [--seed 100]
 
 Logs: the real ones of `executions` in ../shared/data with one run (fitted to the first half, judged on the second:
 commands of the arm that repeat within a half do not reach over it), and plants of `unseen_plants.py` (fitted to one

@@ -1,6 +1,6 @@
 """Processor time of the hybrid filter along plans: over many roll-outs at once, and for one belief alone.
 
-    python benchmarks/belief.py [PROBLEM.yaml ...] [--trials 1000] [--seed 0] [--repeats 5] [--json FILE]
+    python -m benchmarks belief [PROBLEM.yaml ...] [--trials 1000] [--seed 0] [--repeats 5] [--json FILE]
 
 Every problem is planned, its plan is rolled out that many times, and what the filter was told then is told to it again:
 once to all beliefs together, once to the first one alone. Times are of the processor, per step of the plan (set

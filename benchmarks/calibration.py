@@ -1,6 +1,6 @@
 """How often learning is right, and how often it says so: rates over simulated recordings.
 
-    python benchmarks/calibration.py [--trials 20] [--seed 0]
+    python -m benchmarks calibration [--trials 20] [--seed 0]
 
 1. Motion that no single joint holds: how often the answer is "no single-joint model fits".
 2. Joints under trackers that wander: how often that answer is a false alarm, and how often the stop is found.

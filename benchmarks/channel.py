@@ -1,6 +1,6 @@
 """How well the action channel is estimated: coverage of its 95 % intervals over simulated recordings.
 
-    python benchmarks/channel.py [--trials 200] [--case N] [--as-believed]
+    python -m benchmarks channel [--trials 200] [--case N] [--as-believed]
 
 Each trial plants a joint, a motion that the actions command but for a random walk, and a channel: the frame of the
 actions turned by up to 180°, gains of 0.05 to 3, delays of -0.1 to 0.5 s. The rotation is compared by the Mahalanobis

@@ -1,6 +1,6 @@
 """Plan, execute in MuJoCo where something acts that nobody declared, calibrate on the logs, plan and execute again.
 
-    python benchmarks/close_the_loop.py [seeds] [first seed] [drawer|door|stapler ...]
+    python -m benchmarks close_the_loop [seeds] [first seed] [drawer|door|stapler ...]
 
 Every seed draws what acts, and how much: friction at the handle (physics), or what happens between the command and the
 hand. The devices are written here, by themselves: nothing of them is shared with the library's effects, and two of

@@ -1,6 +1,6 @@
 """Which random states lead a roadmap through narrow corridors between bodies: uniform ones, bridges, or on the faces.
 
-    python benchmarks/corridors.py [--seeds 6] [--samples 16 32 64 128]
+    python -m benchmarks corridors [--seeds 6] [--samples 16 32 64 128]
 
 A point in two or three dimensions goes through plates with a window each, at alternating sides, all of it turned; to
 touch a plate is a mode change, as the collisions of held objects are. `faces` is what the planner does: its states of

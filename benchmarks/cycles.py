@@ -1,6 +1,6 @@
 """How many stops are found where a part is opened, pushed against its end, shut and pushed against that, several times.
 
-    OMP_NUM_THREADS=1 python benchmarks/cycles.py [--cycles N ...] [--seeds K] [--first SEED]
+    OMP_NUM_THREADS=1 python -m benchmarks cycles [--cycles N ...] [--seeds K] [--first SEED]
 
 Doors and drawers with an end on either side, 30 to 50 rows of motion each way and 15 to 30 rows of pushing, in the
 variants of the table; some are left alone for longer than they move. A stop is found if a rigid segment begins within

@@ -1,7 +1,7 @@
 """Recovery of planted effects and false alarms: how often named right, parameter error, coverage, held-out error.
 
-    python benchmarks/effects.py [--seeds 2] [--sizes 3] [--runs 10] [--effects gain ...] [--controls 20] [--jobs 1]
-    python benchmarks/effects.py --grid --sizes 1 2 3 5 --runs 2 5 20 --seeds 5 --controls 0 --jobs 2
+    python -m benchmarks effects [--seeds 2] [--sizes 3] [--runs 10] [--effects gain ...] [--controls 20] [--jobs 1]
+    python -m benchmarks effects --grid --sizes 1 2 3 5 --runs 2 5 20 --seeds 5 --controls 0 --jobs 2
 
 The plants are those of the tests (a hinged door simulated by hand); they share no code with the library. The size of an
 effect is the root mean square of what it changes in a step, over the steps that it changes, over the std of a

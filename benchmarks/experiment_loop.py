@@ -1,6 +1,6 @@
 """Three rounds of calibration: executions of a plan, then the experiments that calibration writes; a device is hidden.
 
-    python benchmarks/experiment_loop.py [--plants nominal mujoco] [--devices late slow ...] [--seeds 2]
+    python -m benchmarks experiment_loop [--plants nominal mujoco] [--devices late slow ...] [--seeds 2]
 
 In round 1 the drawer's plan is executed three times. While the answer is open (nothing found, tied, partly,
 unexplained) the experiment that `calibrate --experiment` writes is carried out, and all logs are calibrated together.

@@ -1,6 +1,6 @@
 """How well `explore` opens what nobody has demonstrated, beside a compliant pull and a circle fitted and followed.
 
-    python benchmarks/explore.py [--objects 330] [--first-seed 10000] [--faults] [--json FILE]
+    python -m benchmarks explore [--objects 330] [--first-seed 10000] [--faults] [--json FILE]
 
 Objects of `explore_plants.py`, families in turn, all else drawn by seed. Right: opened with 0.19 m of true way and
 exactly the true joints, or held if locked. Forces are those at rest after each step. The baselines know the stiffness

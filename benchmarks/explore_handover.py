@@ -1,6 +1,6 @@
 """Whether what an exploration left is a model to plan with: objects that were opened are closed and opened again by it.
 
-    python benchmarks/explore_handover.py [--objects 44] [--first-seed 20000] [--rounds 3]
+    python -m benchmarks explore_handover [--objects 44] [--first-seed 20000] [--rounds 3]
 
 The plant is the same one, as it was left. `solve` plans to 20 % of the way and back to 90 %; `execute` carries both
 out. Done: the true way ends within 6 % of the range and 1 cm of what was asked. With more rounds, `calibrate` gets the

@@ -1,6 +1,6 @@
 """How well `explore` opens objects that MuJoCo simulates: hand compliance, friction, latches, inertia, tracker noise.
 
-    python benchmarks/explore_physics.py [--objects 100] [--first-seed 10000] [--plant own|mujoco] [--json FILE]
+    python -m benchmarks explore_physics [--objects 100] [--first-seed 10000] [--plant own|mujoco] [--json FILE]
 
 `own`: a world of this file for ten families: chains of slides and hinges, latches that a pull opens, panels that bend,
 pulled by a damped spring. `mujoco`: the plant of that name that the package has, for the nine of them that it can

@@ -1,6 +1,6 @@
 """How often the 95 % intervals of a fitted joint hold the truth, over repeated simulations.
 
-    python benchmarks/fit_coverage.py [--trials 300] [--seed 0] [--kind revolute ...] [--scan]
+    python -m benchmarks fit_coverage [--trials 300] [--seed 0] [--kind revolute ...] [--scan]
 
 Each trial plants a joint, adds a tracker's noise (white, or white with an Ornstein-Uhlenbeck wander) to its poses and
 fits it again from a rough guess. An interval is the estimate -+ 1.96 stds of its reported covariance. Origins are

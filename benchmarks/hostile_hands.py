@@ -1,6 +1,6 @@
 """Hands, force sensors and trackers that fail or lie while `explore` pushes: the force spent, and what is claimed.
 
-    OMP_NUM_THREADS=1 python benchmarks/hostile_hands.py [--seeds 5] [--first 0] [--kinds NAME ...] [--runs]
+    OMP_NUM_THREADS=1 python -m benchmarks hostile_hands [--seeds 5] [--first 0] [--kinds NAME ...] [--runs]
 
 Each kind of fault meets a handle on a slide or hinge that moves, and one that is fast, with limits of 10 to 45 N; hands
 are springs of 300 to 20,000 N/m. "over" counts runs in which the true force on the handle was above the limit, "worst"

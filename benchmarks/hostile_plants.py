@@ -1,6 +1,6 @@
 """Machines and trackers that fail or lie while `execute` follows a plan: what is claimed, and what is commanded.
 
-    OMP_NUM_THREADS=1 python benchmarks/hostile_plants.py [PROBLEM.yaml ...] [--seeds 10] [--kinds none ...]
+    OMP_NUM_THREADS=1 python -m benchmarks hostile_plants [PROBLEM.yaml ...] [--seeds 10] [--kinds none ...]
 
 Each plant is the nominal one with a fault that begins at a step of its own, and answers as a machine without a
 referee: success is what the belief says. "false" counts successes whose true state is not in the goal, "missed" those

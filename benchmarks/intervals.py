@@ -1,6 +1,6 @@
 """How often 95 % intervals of a learned model hold the truth, from 5 to 120 Hz, under five kinds of a tracker's noise.
 
-    OMP_NUM_THREADS=1 python benchmarks/intervals.py [--seeds K] [--first SEED] [--rates HZ ...] [--noises NAME ...]
+    OMP_NUM_THREADS=1 python -m benchmarks intervals [--seeds K] [--first SEED] [--rates HZ ...] [--noises NAME ...]
 
 A door or a drawer is moved for six seconds up to its end and pushed against that for three. Axis, centre and radius are
 compared as in `fit_coverage.py`; `row` is the first row of the stop, of which a tracker that is late tells another one.

@@ -1,6 +1,6 @@
 """Problems of a lab that need what happens between the knots, beside a script that looks at nothing.
 
-    OMP_NUM_THREADS=1 python benchmarks/lab_problems.py [--seeds K] [--executions N]
+    OMP_NUM_THREADS=1 python -m benchmarks lab_problems [--seeds K] [--executions N]
 
 The problems are those of `tests/planning/test_between_knots.py`: a slot in a plate, a hole in a table, a hand that must
 not let go too high, a speed limit near a wall, a gap and a way around it, a flap that falls shut, one hand and four

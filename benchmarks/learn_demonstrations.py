@@ -1,6 +1,6 @@
 """What `learn` finds in recorded demonstrations: a row per file and method, over several seeds, with the time taken.
 
-Usage: python benchmarks/learn_demonstrations.py [FILE_OR_FOLDER ...] [--seeds N]
+Usage: python -m benchmarks learn_demonstrations [FILE_OR_FOLDER ...] [--seeds N]
 
 Without arguments it reads ../shared/data/demonstrations (or $MICAH_DATA/demonstrations).
 """

@@ -1,6 +1,6 @@
 """Processor time of learning: recordings as a whole, growth with their rows and sweeps, and online per row.
 
-Usage: python benchmarks/learn_speed.py [FILE_OR_FOLDER ...] [--most ROWS]
+Usage: python -m benchmarks learn_speed [FILE_OR_FOLDER ...] [--most ROWS]
 
 Times are of one process (set OMP_NUM_THREADS=1 for one core), after a first run that is not counted: the median of
 five, and the least of them, for a busy machine slows all. A sweep is once there and back. Memory is the peak that

@@ -1,8 +1,8 @@
 """Learning on kinds of motion, not on files: how often it is right, and how often it is right when it says so.
 
-    python benchmarks/learning_kinds.py [--kinds NAME ...] [--seeds 20] [--first 0] [--json FILE]
-    python benchmarks/learning_kinds.py --turned 24 --seeds 2 [--recordings DIR]
-    python benchmarks/learning_kinds.py --perturbed --seeds 5 [--recordings DIR]
+    python -m benchmarks learning_kinds [--kinds NAME ...] [--seeds 20] [--first 0] [--json FILE]
+    python -m benchmarks learning_kinds --turned 24 --seeds 2 [--recordings DIR]
+    python -m benchmarks learning_kinds --perturbed --seeds 5 [--recordings DIR]
 
 A kind (`kinds_catalogue.py`) is a motion drawn at random by seed: joints, axes, base frames, noise, lengths, hand. The
 first table counts, per kind, the recordings whose kinds of joint are right in their order (and whose tree is), those

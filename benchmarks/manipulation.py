@@ -1,6 +1,6 @@
 """The paper's manipulation experiment in MuJoCo: five tasks each on a microwave door and on a drawer.
 
-    python benchmarks/manipulation.py [--trials 20] [--seed 0] [--json FILE]
+    python -m benchmarks manipulation [--trials 20] [--seed 0] [--json FILE]
 
 Plans are made with the models that were learned from the shipped demonstrations, `models/microwave.yaml` and
 `models/drawer.yaml`. They are executed on the true objects of `examples/objects.py`, whose parameters the models only

@@ -1,6 +1,6 @@
 """Calibration on real motion: errors before and after on held-out rows, and what lies between actions and motion.
 
-    python benchmarks/measured.py [DATA]
+    python -m benchmarks measured [DATA]
 
 DATA has the folders `executions` and `demonstrations`; without it ../shared/data (or $MICAH_DATA) is read. Executions
 are compared with a joint fitted to their poses alone, demonstrations with the model that is learned from them: there

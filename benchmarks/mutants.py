@@ -1,6 +1,6 @@
 """How many small mistakes in the source the tests notice: random mutants, each run against the nearest tests.
 
-    python benchmarks/mutants.py [--mutants N] [--seed S] [--revision COMMIT] [--jobs J]
+    python -m benchmarks mutants [--mutants N] [--seed S] [--revision COMMIT] [--jobs J]
 
 A mutant is the package with one comparison turned around, one number changed by 10 % (a whole one by 1) or one term of
 a sum dropped. It is killed if a test fails or its tests take longer than ten minutes. The nearest tests are the

@@ -1,6 +1,6 @@
 """Runs of every shipped problem on the nominal plant, which is the model itself: nothing may be found in them.
 
-    python benchmarks/own_runs.py [--problems drawer_open ...] [--trials 4] [--seed 0] [--logs FOLDER]
+    python -m benchmarks own_runs [--problems drawer_open ...] [--trials 4] [--seed 0] [--logs FOLDER]
 
 `predict` should say noise (or that it cannot be sure), and `calibrate` `none`. What a hand holds is predicted, not
 calibrated. With `--logs`, runs are kept in a folder, and those that are there are not made again.

@@ -1,6 +1,6 @@
 """What an execution in MuJoCo takes beside the engine.
 
-    python benchmarks/physics.py [PROBLEM.yaml ...] [--repeats 5] [--seed 0] [--json FILE]
+    python -m benchmarks physics [PROBLEM.yaml ...] [--repeats 5] [--seed 0] [--json FILE]
 
 One seeded trial of each problem's plan is executed and its controls are recorded at every physics step. `engine` is a
 plain loop of `mj_step` over these controls, `plant` repeats the trial's commands on the plant (hand, latches, contacts,

@@ -1,6 +1,6 @@
 """Held objects put where they can only go by contact: plans and executions of three solvers in one table.
 
-    python benchmarks/placements.py [PROBLEM.yaml ...] [--trials 100] [--nominal 20] [--seed 1000] [--jobs 2]
+    python -m benchmarks placements [PROBLEM.yaml ...] [--trials 100] [--nominal 20] [--seed 1000] [--jobs 2]
                                     [--solvers contact no-contact rrt] [--json FILE]
 
 `contact` is the planner as it is; `no-contact` is the same planner, but the object may touch nothing; `rrt` is the

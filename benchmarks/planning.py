@@ -1,6 +1,6 @@
 """Planning over all problems by all planners: times, cost, the true state at the end, success predicted and observed.
 
-    python benchmarks/planning.py [PROBLEM.yaml ...] [--planners pomdp-hd direct rrt] [--trials 1000] [--executions 0]
+    python -m benchmarks planning [PROBLEM.yaml ...] [--planners pomdp-hd direct rrt] [--trials 1000] [--executions 0]
                                   [--users 0] [--seed 0] [--jobs 1] [--json FILE]
 
 `cost` is what POMDP-HD minimises (goal error, final variance, effort), computed alike for all planners.

@@ -1,6 +1,6 @@
 """How planning grows with knots, dimensions and modes: seconds by stage and memory, one fresh process per case.
 
-    python benchmarks/planning_growth.py [--figure FILE.png] [--seed 0]
+    python -m benchmarks planning_growth [--figure FILE.png] [--seed 0]
 
 The model is a cabinet: doors that latch shut until they are pulled, which gives two modes each, and drawers. Knots: one
 drawer with ever smaller steps. Dimensions: drawers that all open. Modes: six coordinates (or more), ever more of them

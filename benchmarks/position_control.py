@@ -1,6 +1,6 @@
 """Joints under position control in MuJoCo, calibrated from logs of where they were told to go.
 
-    python benchmarks/position_control.py [--seeds 2] [--kinds second ...] [--rates 5 20 100]
+    python -m benchmarks position_control [--seeds 2] [--kinds second ...] [--rates 5 20 100]
 
 A motor pulls a hinge or a slide towards goals that jump now and then or move on, and the log has goals (as displacement
 from the measured place) and encoder readings at 5, 20 or 100 Hz. Half of the runs are calibrated; of the others the

@@ -1,6 +1,6 @@
 """Whether probabilities are right: of what is said with 0.9, nine in ten should be true.
 
-    python benchmarks/reliability.py [--trials 150] [--seed 0]
+    python -m benchmarks reliability [--trials 150] [--seed 0]
 
 Joints of random kind, travel and place are moved by a hand at an uneven pace under trackers of random noise, white and
 wandering, with or without orientations. Every second one is then held for a random time. Short travels, short stops and

@@ -1,6 +1,6 @@
 """How far apart the parameters of one real joint are that different rows tell, in stds that were stated.
 
-    python benchmarks/repeated_joints.py [DATA] [--json FILE]
+    python -m benchmarks repeated_joints [DATA] [--json FILE]
 
 DATA has the folder `tracks`; without it ../shared/data (or $MICAH_DATA) is read. No truth is known, but two estimates
 of one joint differ by a normal variable of the sum of their variances, if these are honest. Compared are

@@ -1,6 +1,6 @@
 """Planning anew while a plan is being executed: what a control step has to wait for.
 
-    python benchmarks/replan.py [PROBLEM.yaml ...] [--beliefs 6] [--seed 0] [--json FILE]
+    python -m benchmarks replan [PROBLEM.yaml ...] [--beliefs 6] [--seed 0] [--json FILE]
 
 New plans are asked for from beliefs next to the knots of each plan, their means off by half of their stds at random.
 Times are the median milliseconds of the processor of one answer: `rest`, as executions ask for it, through the modes

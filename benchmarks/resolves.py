@@ -1,6 +1,6 @@
 """Optimising the rest of a plan again: with the programme kept, and with a new one each time.
 
-    python benchmarks/resolves.py [PROBLEM.yaml ...] [--beliefs 10] [--sequences] [--seed 0] [--json FILE]
+    python -m benchmarks resolves [PROBLEM.yaml ...] [--beliefs 10] [--sequences] [--seed 0] [--json FILE]
 
 The rest of each plan is optimised from beliefs next to it, their means off by half of their stds at random. `new` and
 `kept` are the median seconds of the processor of one answer, feedback left out; `first` builds what is kept.

@@ -1,6 +1,6 @@
 """Files, lines and the median file of every package, at an earlier commit and now.
 
-    python benchmarks/size.py REVISION [--kinds] [--constants PACKAGE]
+    python -m benchmarks size REVISION [--kinds] [--constants PACKAGE]
 
 With `--kinds`, what the lines are, without the packages that the restructuring left alone: code, docstrings, blank
 lines, imports, heads of functions and comments. With `--constants`, the numbers that a package's modules name, with

@@ -1,6 +1,6 @@
 """Whether executions that stop are in the goal as often as they believe; and the walled domain in closed loop.
 
-    python benchmarks/stopping.py [--trials 120] [--walled 100] [--seed 0]
+    python -m benchmarks stopping [--trials 120] [--walled 100] [--seed 0]
 
 First table: a low confidence and goals made smaller, so that failures are frequent enough to count. Of the executions
 that stop because they believe to be in the goal: the mean probability that they believe in, and the share that is

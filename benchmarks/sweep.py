@@ -1,6 +1,6 @@
 """500 small problems: killed twice and resumed, against undisturbed runs; throughput on processes and a Dask cluster.
 
-    python benchmarks/sweep.py [--cases 500] [--json FILE]
+    python -m benchmarks sweep [--cases 500] [--json FILE]
 
 Two drawer problems, five goals, five uncertainties of the start, and seeds. Every run is `micah-plan sweep` in its own
 process. Of the disturbed runs, one is killed (SIGKILL) when a third and again when two thirds of its cases are in

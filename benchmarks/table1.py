@@ -1,6 +1,6 @@
 """The paper's Table I in simulation, the paper's numbers beside ours, and the measured demonstrations over many seeds.
 
-    python benchmarks/table1.py [--demonstrations 20] [--seeds 20] [--verbose] [--json FILE]
+    python -m benchmarks table1 [--demonstrations 20] [--seeds 20] [--verbose] [--json FILE]
                                 [--object microwave] [--handling "no actions"] [--method act-champ] [--epsilon 0.05]
 
 Six cases: a microwave and a drawer; with grasp, with periods of no actions, and without grasp. Every demonstration is

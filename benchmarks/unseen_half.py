@@ -1,6 +1,6 @@
 """What a calibration on the first half of a log says of the second: full roll-outs, beside two numbers fitted by hand.
 
-    python benchmarks/unseen_half.py [FILE.csv ...]
+    python -m benchmarks unseen_half [FILE.csv ...]
 
 Without files those of `executions` in ../shared/data (or $MICAH_DATA). Of a log with several runs each is left out in
 turn: how far it ends beside what the controller believed, and beside its roll-out, before and after.

@@ -1,6 +1,6 @@
 """Effects in plants that the code under test does not know, and controls without any: what calibration says of them.
 
-    python benchmarks/unseen_plants.py [--seeds 2] [--first-seed 0] [--kinds bias ...] [--controls 25] [--list]
+    python -m benchmarks unseen_plants [--seeds 2] [--first-seed 0] [--kinds bias ...] [--controls 25] [--list]
 
 A kind is right if every effect of the plant is named (first, or as what would do as well), or, where the plant has
 something that no effect of the library is, if the verdict is `partly` or `unexplained`. `false` counts the answers that

@@ -1,6 +1,6 @@
 """Variants of the shipped problems: is every answer right, and does every number in a remedy work?
 
-    python benchmarks/variants.py [--seed 0] [--trials 20] [--only WORD] [--remedies] [--json FILE]
+    python -m benchmarks variants [--seed 0] [--trials 20] [--only WORD] [--remedies] [--json FILE]
 
 The goal is moved by 5 to 15 cm each way, stacks and tables are higher or lower, corridors narrower, spreads wider, a
 body stands in the way, a target lies beyond an end stop. An answer `solved` is right if executions of the plan (on the

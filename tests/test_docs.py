@@ -224,19 +224,32 @@ def test_every_page_is_in_the_navigation_and_every_concept_on_the_home_page() ->
 
 
 def test_every_benchmark_named_in_the_docs_exists_and_takes_the_options_shown() -> None:
-    """Commands `python benchmarks/...`: the script is there, and knows its options (it mentions them in its source)."""
-    shown = [command for page in PAGES for command in re.findall(r"python (benchmarks/[^`\n]+)", text_of(page))]
+    """Commands `python -m benchmarks NAME ...`: it is there, and knows its options (it mentions them in its source)."""
+    shown = [command for page in PAGES for command in re.findall(r"python -m benchmarks ([a-z][^`\n]*)", text_of(page))]
     assert len(shown) > 15
     for command in shown:
-        script, *arguments = shlex.split(command, comments=True)
-        source = text_of(script)
+        name, *arguments = shlex.split(command, comments=True)
+        source = text_of(f"benchmarks/{name}.py")
         assert [a for a in arguments if a.startswith("--") and f'"{a}"' not in source] == [], command
 
 
-def test_every_benchmark_is_on_the_page_of_evidence() -> None:
+def benchmark(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "benchmarks", *arguments]
+    return subprocess.run(command, capture_output=True, encoding="utf-8", cwd=ROOT, check=False)
+
+
+def test_every_benchmark_is_listed_with_what_it_measures_and_is_on_the_page_of_evidence() -> None:
+    listed = dict(re.split(r"  +", line, maxsplit=1) for line in benchmark().stdout.splitlines())
+    assert all(sentence[-1] in ".?" for sentence in listed.values()), listed
     page = text_of("docs/evidence.md")
-    scripts = [file for file in (ROOT / "benchmarks").glob("*.py") if "__main__" in file.read_text(encoding="utf-8")]
-    assert [file.name for file in scripts if f"benchmarks/{file.name}" not in page] == []
+    assert [name for name in listed if not re.search(rf"-m benchmarks {name}\b|benchmarks/{name}\.py", page)] == []
+
+
+def test_a_benchmark_is_run_by_its_name() -> None:
+    assert "usage: belief.py" in benchmark("belief", "--help").stdout
+    unknown = benchmark("beleif")
+    assert (unknown.returncode, unknown.stdout) == (2, "")
+    assert unknown.stderr == "no benchmark is called 'beleif'; did you mean belief?\n"
 
 
 def test_generated_pages_link_to_places_of_their_own(generated: dict[str, str]) -> None:
