@@ -401,6 +401,15 @@ def test_an_interrupt_is_told_by_its_exit_code(stopped):
     assert printed.err.startswith("error: interrupted")
 
 
+def test_an_interrupt_while_a_compiled_module_is_loaded_is_no_bug(stopped):
+    failed = ImportError("initialization failed")
+    failed.__cause__ = KeyboardInterrupt()
+    ended, printed = stopped(failed, SystemExit)
+    assert ended.code == 130
+    assert printed.err.startswith("error: interrupted")
+    assert stopped(ImportError("initialization failed"), SystemExit)[0].code == 70
+
+
 def test_an_unexpected_exception_says_that_it_is_a_bug(stopped):
     ended, printed = stopped(RuntimeError("no such\nthing"), SystemExit)
     assert ended.code == 70
@@ -415,17 +424,19 @@ import sys
 class Interrupt:
     def find_spec(self, name, path=None, target=None):
         if name == "typer":
-            raise KeyboardInterrupt
+            raise HOW
 sys.meta_path.insert(0, Interrupt())
 from micah_plan.cli import main
 main()
 """
 
 
-def test_an_interrupt_while_libraries_are_loaded_is_one_line() -> None:
-    done = subprocess.run([sys.executable, "-c", _INTERRUPT], capture_output=True, text=True, check=False)
+@pytest.mark.parametrize("how", ["KeyboardInterrupt", "ImportError from KeyboardInterrupt()"])
+def test_an_interrupt_while_libraries_are_loaded_is_one_line(how: str) -> None:
+    script = _INTERRUPT.replace("HOW", how)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (130, "")
     assert done.stderr == "error: interrupted; no file was left half-written\n"
-    command = [sys.executable, "-c", _INTERRUPT, "--json"]
+    command = [sys.executable, "-c", script, "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (130, '{"error": "interrupted; no file was left half-written"}\n')

@@ -6,7 +6,7 @@ line, before any work, and so are outputs of a wrong kind or that would overwrit
 
 import os
 
-from micah_plan.cli.interrupted import end_interrupted
+from micah_plan.cli.interrupted import end_interrupted, is_of_an_interruption
 
 __all__ = ["main"]
 
@@ -19,6 +19,8 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         from micah_plan.cli.application import main as run
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ImportError) as error:
+        if not is_of_an_interruption(error):
+            raise
         end_interrupted()
     run()

@@ -15,7 +15,7 @@ import typer
 from micah_plan import __version__
 from micah_plan.cli.console import BAD_INPUT, NO_RESULT, OUR_BUG, Interrupted, err, out
 from micah_plan.cli.files import check, convert, demo, diff, doctor, fault, new, schema
-from micah_plan.cli.interrupted import INTERRUPTED, SENTENCE
+from micah_plan.cli.interrupted import INTERRUPTED, SENTENCE, is_of_an_interruption
 from micah_plan.cli.learning import explore, learn
 from micah_plan.cli.pages import show
 from micah_plan.cli.planning import execute, explain, solve
@@ -89,7 +89,7 @@ def main() -> None:
             problem = (error.strerror or str(error)).lower()
             _fail(InputError(problem, source=str(error.filename)[:80], remedy=_OF_THE_SYSTEM[error.errno]), BAD_INPUT)
     except Exception as error:
-        code = _bug(error)
+        code = INTERRUPTED if is_of_an_interruption(error) else _bug(error)
     if code == INTERRUPTED:  # what typer makes of a KeyboardInterrupt within a command
         _fail(SENTENCE, INTERRUPTED)
     sys.exit(code)

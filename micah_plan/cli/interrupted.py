@@ -16,3 +16,10 @@ def end_interrupted() -> NoReturn:
         print(json.dumps({"error": SENTENCE}))
     print(f"error: {SENTENCE}", file=sys.stderr)
     sys.exit(INTERRUPTED)
+
+
+def is_of_an_interruption(error: BaseException | None) -> bool:
+    """Whether an error comes from Ctrl-C: a compiled module that was being loaded then only says that it failed."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__
+    return error is not None
