@@ -17,23 +17,23 @@ FOLDER = Path(__file__).resolve().parent
 
 def benchmarks() -> dict[str, str]:
     """The first sentence of each script that measures something, by its name."""
-    found = {}
+    sentences = {}
     for script in sorted(FOLDER.glob("*.py")):
         text = script.read_text(encoding="utf-8")
         if script.stem != "__main__" and 'if __name__ == "__main__"' in text:
-            found[script.stem] = (ast.get_docstring(ast.parse(text)) or "").split("\n\n")[0].replace("\n", " ")
-    return found
+            sentences[script.stem] = (ast.get_docstring(ast.parse(text)) or "").split("\n\n")[0].replace("\n", " ")
+    return sentences
 
 
 def main() -> None:
-    known = benchmarks()
+    scripts = benchmarks()
     if len(sys.argv) < 2:
-        width = max(map(len, known))
-        print("\n".join(f"{name:{width}}  {sentence}" for name, sentence in known.items()))
+        width = max(map(len, scripts))
+        print("\n".join(f"{name:{width}}  {sentence}" for name, sentence in scripts.items()))
         return
     name, *arguments = sys.argv[1:]
-    if name not in known:
-        close = get_close_matches(name, known)
+    if name not in scripts:
+        close = get_close_matches(name, scripts)
         hint = f"did you mean {close[0]}?" if close else "leave the name out to list them"
         print(f"no benchmark is called '{name}'; {hint}", file=sys.stderr)
         sys.exit(2)

@@ -284,7 +284,7 @@ def _measured_in_modes(
     """`measured`, of states that lie outside of the guards which end their modes (p,)."""
     std = _sensing_std(layout, mode, mean)
     mean, factor, before, piled = _uncut_at_guards(layout, mode, mean, factor, likely)
-    says = before > _LOG_NEGLIGIBLE
+    says = (before > _LOG_NEGLIGIBLE) & likely
     mean, factor, score = measured(mean, factor, seen, std)
     mean, factor, chance = _cut_at_guards(layout, mode, mean, factor, says)
     score += chance - np.where(says, before, 0.0).sum(axis=0)
@@ -338,7 +338,7 @@ def _uncut_at_guards(
     """The Gaussians whose part outside of the guards that end a mode are states (n, p), (n, n, p) in these modes (p,).
 
     Args:
-        likely: (p,) which are worth it; the others stay as they are.
+        likely: (p,) which are worth it; the others stay as they are, and guards say nothing of them.
 
     Returns:
         their means and factors, (l, p) the log probability of lying outside of each guard given those behind it, and
@@ -349,7 +349,7 @@ def _uncut_at_guards(
     for number in map(int, np.flatnonzero(near.any(axis=1))):
         cut = near[number].nonzero()[0]
         mean_there, factor_there = those(mean, cut), those(factor, cut)
-        margin, row = _margin(layout, number, mode[cut], mean_there, factor_there)
+        margin, row = _margins(layout, mode[cut], mean_there, factor_there, number)
         wider_mean, wider, share = uncut(mean_there, factor_there, margin, row)
         there = (share < 1.0).nonzero()[0]
         if there.size:
@@ -357,7 +357,7 @@ def _uncut_at_guards(
             piled.append(_Piled(cut[there], 1.0 - share[there], at_it[0], lower_factors(at_it[1])))
         wider = lower_factors(wider)
         mean, factor = with_those(mean, cut, wider_mean), with_those(factor, cut, wider)
-        chances[number, cut] = log_probability(*_margin(layout, number, mode[cut], wider_mean, wider))
+        chances[number, cut] = log_probability(*_margins(layout, mode[cut], wider_mean, wider, number))
     return mean, factor, chances, piled
 
 
@@ -377,25 +377,23 @@ def _cut_at_guards(
     for number in map(int, np.flatnonzero(near.any(axis=1))[::-1]):
         cut = near[number].nonzero()[0]
         there = those(mean, cut), those(factor, cut)
-        margin = _margin(layout, number, mode[cut], *there)
+        margin = _margins(layout, mode[cut], *there, number)
         chances[number, cut] = log_probability(*margin)
         inward, narrower = truncated(*there, *margin)
         mean, factor = with_those(mean, cut, inward), with_those(factor, cut, lower_factors(narrower))
     return mean, factor, chances.sum(axis=0)
 
 
-def _margins(layout: Layout, mode: Ints, mean: Floats, factor: Floats) -> tuple[Floats, Floats]:
-    """By how much states (n, p), (n, k, p) in these modes (p,) lie outside of guards (l, p), and a'F (l, k, p)."""
-    weights, offsets = (those(values, mode) for values in layout.outside)
-    margin = np.einsum("lip,ip->lp", weights, mean) - offsets
-    return margin, np.einsum("lip,ikp->lkp", weights, factor)
+def _margins(
+    layout: Layout, mode: Ints, mean: Floats, factor: Floats, number: int | slice = slice(None)
+) -> tuple[Floats, Floats]:
+    """By how much states (n, p), (n, k, p) in these modes (p,) lie outside of guards (l, p), and a'F (l, k, p).
 
-
-def _margin(layout: Layout, number: int, mode: Ints, mean: Floats, factor: Floats) -> tuple[Floats, Floats]:
-    """The same of one guard: (p,) and (k, p)."""
+    Of the guard with that number alone (p,) and (k, p).
+    """
     weights, offsets = (those(values[number], mode) for values in layout.outside)
-    margin = np.einsum("ip,ip->p", weights, mean) - offsets
-    return margin, np.einsum("ip,ikp->kp", weights, factor)
+    margin = np.einsum("...ip,ip->...p", weights, mean) - offsets
+    return margin, np.einsum("...ip,ikp->...kp", weights, factor)
 
 
 def _sensing_std(layout: Layout, mode: Ints, mean: Floats) -> Floats:

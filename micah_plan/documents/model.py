@@ -35,6 +35,7 @@ from micah_plan.documents.fields import (
     ITEMS,
     CoordinateName,
     Count,
+    Digest,
     Line,
     Listed,
     Matrix,
@@ -225,7 +226,13 @@ class SinceDocument(Document):
 
     time: NonNegative = doc("Since the start of a run [s].")
     run: int | None = doc("Number of the run in which it began; absent: in every run from that time on.", None)
-    digest: Line = doc("SHA-256 of the rows of that run; recordings without them were made later.", "")
+    digest: Digest | None = doc("SHA-256 of the rows of that run; recordings without them were made later.", None)
+
+    def check(self, at: Located) -> None:
+        if (self.run is None) != (self.digest is None):
+            lacking = "run" if self.run is None else "digest"
+            problem = f"expected a run and the digest of its rows, found no {lacking}"
+            raise at.error(problem, "leave both out of an effect that begins anew in every run")
 
 
 class EffectDocument(Document):

@@ -28,7 +28,6 @@ from micah_plan.task.problem import Problem
 from micah_plan.task.start import sample_start
 
 HANDLE = "handle"
-SceneMaker = Callable[[Scene], Plant]
 _SOFTEST, _STIFFEST = 600.0, 2500.0
 _SMALL = 0.00025  # m, way of the handle per step of the physics
 

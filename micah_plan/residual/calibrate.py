@@ -229,7 +229,7 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
         notes=(
             *notes_on(traces),
             *(f"{name}: no effect has that name" for name in examination.beside),
-            *(_told_of_since(found.effect) for found in effects if found.effect.since is not None and found.is_added),
+            *(_told_of_since(item.effect) for item in effects if item.effect.since is not None and item.is_added),
             *(f"{effect.name} of {effect.coordinate} was not added: {reason}" for effect, reason in refusing.items()),
             *([f"predict refuses these runs: {why}"] if (why := refused(improved, recording)) else []),
             *told_of_rows(beyond, measured, examination.late),

@@ -87,9 +87,8 @@ def predict_recording(
     range. Roll-out: from the first measured pose with all actions of the run, never looking at a measurement
     again. Where commands are places (`follow`), each is the measured pose plus the action, wherever the roll-out is.
     A run with gaps in its times is predicted in its consecutive parts, as is one in which an effect began (see
-    `epochs`), and joints go on where the recording goes beyond
-    a range that no mode ends (see `seen`). Over rows that are no measurements the prediction goes on, to the next that
-    is one.
+    `epochs`), and joints go on where the recording goes beyond a range that no mode ends (see `seen`). Over rows that
+    are no measurements the prediction goes on, to the next that is one.
 
     Args:
         automaton: the model.

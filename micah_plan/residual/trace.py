@@ -59,7 +59,6 @@ from micah_plan.residual.verdict import Facts, Outcome, outcome_of
 
 # Candidates as good as the best are tied with it, or within two standard errors up to so much per stretch [nats].
 _ERRORS = 2.0
-_OPEN_ERRORS = 3.0  # of what is looked at again, before it is judged
 _SLACK = 0.5
 # Independent runs, or motions of the only run, from which on evidence of rows is evidence.
 ENOUGH_INDEPENDENT = 5
@@ -536,14 +535,12 @@ _HEARD = 0.25
 
 
 def may_mean_places(search: Search, place: Scored, displaced: Scored) -> bool:
-    """Whether commands may be places once these have a further effect, as the best model of displacements has.
+    """Whether places must be given a further effect before they are judged: the best model of displacements has one.
 
-    Alone they predict not surely worse than it, and earlier ones foretell them better than they do displacements.
+    Only where earlier places foretell the next one better than earlier displacements do.
     """
-    if search.lane.is_outside or not is_worth(place, search.nominal, search.lane):
-        return False
-    gain, error = place.over(displaced)
-    return gain > -_OPEN_ERRORS * error and len(displaced.parts) > len(place.parts) and _regularity(search.lane) > 0.0
+    is_fair = search.lane.is_outside or len(displaced.parts) <= len(place.parts)
+    return not is_fair and is_worth(place, search.nominal, search.lane) and _regularity(search.lane) > 0.0
 
 
 def means_places(search: Search, place: Scored, displaced: Scored, nominal: Scored | None = None) -> bool:

@@ -79,8 +79,8 @@ def _draw_way(scene: Scene, exploration: Exploration, places: Floats, size: floa
     scene.mesh("way/first", beads(places[:1], 0.035 * size), GREEN)
     leads = np.array([moment.lead for moment in exploration.moments])
     scene.lines("pulls/lines", np.stack([places, places + leads], axis=1).reshape(-1, 3), MUTED)
-    told = [number for number, moment in enumerate(exploration.moments) if len(moment.fan)]
-    for number in told[:: max(len(told) // _MOST_FANS, 1)]:
+    unsure = [number for number, moment in enumerate(exploration.moments) if len(moment.fan)]
+    for number in unsure[:: max(len(unsure) // _MOST_FANS, 1)]:
         tips = places[number] + 0.15 * size * exploration.moments[number].fan
         ends = np.stack([np.broadcast_to(places[number], tips.shape), tips], axis=1)
         scene.lines(f"fan/{number}", ends.reshape(-1, 3), VERMILLION)
@@ -94,12 +94,14 @@ def _animate(scene: Scene, exploration: Exploration, places: Floats, size: float
     scene.mesh("hand/force/arrow", arrow(np.zeros(3), np.array([_FORCE_LENGTH * size, 0.0, 0.0]), 0.012 * size), PINK)
     turns = [_turned_to(force) for force in forces]
     scales = np.repeat(np.maximum(lengths / max(float(lengths.max()), 1e-9), 1e-3)[:, None], 3, axis=1)
+    at_places = RigidTransform.from_translation(places)
+    pointed = RigidTransform.from_components(places, Rotation.concatenate(turns))
     if len(times) > 1:
-        scene.animate("hand/place", times, RigidTransform.from_translation(places))
-        pointed = RigidTransform.from_components(places, Rotation.concatenate(turns))
+        scene.animate("hand/place", times, at_places)
         scene.animate("hand/force", times, pointed, scales=scales)
     else:
-        scene.place("hand", RigidTransform.from_translation(places[0]))
+        scene.place("hand/place", at_places[0])
+        scene.place("hand/force", pointed[0])
 
 
 def _turned_to(direction: Floats) -> Rotation:
@@ -139,10 +141,10 @@ def _legend(exploration: Exploration, spacing: float) -> list[LegendEntry]:
         LegendEntry(MUTED, "from each place to where the hand pulled", "pulls", "line"),
         LegendEntry(VERMILLION, "directions in which the handle was believed to go", "fan", "line"),
     ]
-    found = [LegendEntry(INK, "joints that were found", "joints", "line")] if exploration.model is not None else []
+    joints = [LegendEntry(INK, "joints that were found", "joints", "line")] if exploration.model is not None else []
     kinds = [LegendEntry(color, WORDS[name]) for name, color in KINDS.items()]
     grid = LegendEntry(GRID, f"grid of {quantity(spacing, 'm')}, frame of the hand's base", "ground", "line")
-    return [*(entries if exploration.moments else []), *found, *(kinds if exploration.moments else []), grid]
+    return [*(entries if exploration.moments else []), *joints, *(kinds if exploration.moments else []), grid]
 
 
 def _timeline(exploration: Exploration, times: Floats) -> Timeline:

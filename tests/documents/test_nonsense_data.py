@@ -9,7 +9,10 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from nonsense_corpus import CORPUS
+from test_nonsense import EXPLAINED, MODELS, PROBLEMS
 
 from micah_plan import solve
 from micah_plan.checking import FileCheck, check_file
@@ -191,6 +194,9 @@ UNUSUAL_RECORDINGS = {
     "a slow recorder": each("t", lambda t, _: 30 * t),
     "never pushed": each(_A, lambda *_: 0.0),
     "a weak motor": each(_A, lambda a, _: 20 * a),
+    "a hand that gains a hundredfold": each(_A, lambda a, _: 0.01 * a),
+    "a recorder of 50 kHz": each("t", lambda _, i: 2e-5 * i),
+    "a press": each(_F, lambda f, _: 9e3 / 2.0 * np.sign(f)),
 }
 
 
@@ -254,3 +260,12 @@ def test_an_unusual_recording_can_be_used(tmp_path: Path, case: str) -> None:
     found = checked_recording(tmp_path, UNUSUAL_RECORDINGS[case])
     assert not found.faults
     assert not any("units" in line or "read in" in line for line in found.warnings)
+
+
+def test_the_page_on_untrusted_files_counts_the_corpus() -> None:
+    taken = len(EXPLAINED) + len(PLANS_EXPLAINED)
+    edits = sum(map(len, (CORPUS, MODELS, PROBLEMS, PLANS, PLANS_EXPLAINED, RECORDINGS)))
+    unusual = len(UNUSUAL_PLANS) + len(UNUSUAL_RECORDINGS)
+    page = " ".join((ROOT / "docs/reference/untrusted_files.md").read_text().split())
+    assert f"in {edits} ways that make no sense: {edits - taken} are refused or told, {taken} are taken" in page
+    assert f"so are {unusual} unusual plans and recordings" in page

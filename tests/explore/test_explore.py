@@ -96,6 +96,7 @@ def test_the_page_of_hardly_any_steps_stands_still(steps: int) -> None:
     page = exploration_page(replace(found, moments=found.moments[:steps]), "a handle")
     assert data_of(page)["duration"] == 0.0
     assert page.count("<svg") == 3 * steps
+    assert ("hand/force" in data_of(page)["layers"]) == bool(steps)
 
 
 def test_the_same_seed_gives_the_same_model() -> None:

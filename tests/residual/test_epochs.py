@@ -93,3 +93,17 @@ def test_what_changes_the_model_itself_cannot_begin(door) -> None:
     assert with_effect(door, shift).effects == (shift,)
     with pytest.raises(InputError, match="guard_shift changes the model itself, so it cannot begin"):
         with_effect(door, replace(shift, since=Since(1.0)))
+
+
+def test_a_run_and_the_digest_of_its_rows_go_together(found, tmp_path) -> None:
+    text, path = model_text(found.automaton), tmp_path / "new.yaml"
+    run, digest = "      run: 6\n", f"      digest: {found.automaton.effects[0].since.digest}\n"
+    path.write_text(text.replace(run, "").replace(digest, ""))
+    assert load_model(path).effects[0].since == Since(0.0)
+    for line, lacking in ((run, "run"), (digest, "digest")):
+        path.write_text(text.replace(line, ""))
+        with pytest.raises(InputError, match=rf"effects\.0\.since.*found no {lacking}"):
+            load_model(path)
+    path.write_text(text.replace(digest, "      digest: of old\n"))
+    with pytest.raises(InputError, match=r"effects\.0\.since\.digest"):
+        load_model(path)

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
 
 Layer = Literal["frame", "place", "memory", "command", "force", "guard", "sensor", "geometry"]
-LAYERS: tuple[Layer, ...] = ("frame", "place", "memory", "command", "force", "guard", "sensor", "geometry")
 REMEMBERING: tuple[Layer, ...] = ("place", "memory")
 """Layers whose forms have a memory of earlier commands."""
 Value = Any

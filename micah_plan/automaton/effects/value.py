@@ -12,12 +12,12 @@ class Since:
     Attributes:
         time: since the start of a run [s].
         run: number of that run; it acts in all later ones too. None: in every run from that time on.
-        digest: of the rows of that run (`Recording.digest`): recordings without them were made later.
+        digest: of the rows of that run (`Recording.digest`): recordings without them were made later. None without run.
     """
 
     time: float
     run: int | None = None
-    digest: str = ""
+    digest: str | None = None
 
 
 @dataclass(frozen=True)
