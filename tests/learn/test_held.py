@@ -113,6 +113,16 @@ def test_a_part_opened_slowly_and_shut_quickly_has_its_stops(kind: str, cycles: 
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_a_step_in_which_a_part_is_caught_or_let_go_need_not_be_led(kind: str, cycles: ModuleType) -> None:
+    """A few large steps there and many small ones back: each rest begins and ends within one of the large ones."""
+    count = cycles.counted(kind, 3, cycles.VARIANTS["opened 8 times slower"], 50)
+    assert (count.found, count.stops, count.many) == (6, 6, 0), count.answer
+    assert count.modelled
+    unpushed = cycles.counted(kind, 3, cycles.Variant(slow=8, pushed=False), 50)
+    assert (unpushed.many, unpushed.wrong) == (0, False), unpushed.answer
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_a_push_that_is_slower_than_the_motion_tells_a_stop_too(kind: str, cycles: ModuleType) -> None:
     """A hand slows down where it meets an end: how far it asks for counts, not how fast."""
     count = cycles.counted(kind, 1, cycles.VARIANTS["pushed a fifth as fast"], 5)

@@ -22,7 +22,7 @@ from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.kinematics import forward
 from micah_plan.learn.learn import METHODS, Method, learn_graph
 from micah_plan.learn.segmenting.changepoints import LengthPrior, length_priors
-from micah_plan.learn.segmenting.evidence import tabulated
+from micah_plan.learn.segmenting.evidence import EvidenceTable, tabulated
 from micah_plan.learn.segmenting.noise_fit import first_noise
 from micah_plan.learn.segmenting.pool import refitted, window_hypotheses
 from micah_plan.learn.segmenting.posterior import (
@@ -187,9 +187,9 @@ def test_of_what_is_said_of_counts_so_much_is_true(reliability: ModuleType, orie
         assert abs((true - probability)[inside].sum()) < 3 * spread + 0.05 * inside.sum()
 
 
-def enumerated(log_density, cost, apart, prior: LengthPrior, most: int) -> tuple[np.ndarray, np.ndarray]:
+def enumerated(table: EvidenceTable, cost, apart, prior: LengthPrior, most: int) -> tuple[np.ndarray, np.ndarray]:
     """Log weights (c, ...) of all segmentations with up to `most` segments: totals by count, and by count and row."""
-    order, n, h = log_density.shape[0] - 1, *log_density.shape[1:]
+    order, n, h = table.log_density.shape[0] - 1, *table.log_density.shape[1:]
     totals: list[list[float]] = [[] for _ in range(most)]
     starts: dict[tuple[int, int, int], list[float]] = {}
     for m in range(1, most + 1):
@@ -200,7 +200,8 @@ def enumerated(log_density, cost, apart, prior: LengthPrior, most: int) -> tuple
                 for j, (start, stop) in enumerate(itertools.pairwise(edges)):
                     length = stop - start
                     weight += float(prior.log_survival(length - 1) if stop == n else prior.log_probability(length))
-                    weight += sum(log_density[min(t - start, order), t, used[j]] for t in range(start, stop))
+                    weight += sum(table.log_density[min(t - start, order), t, used[j]] for t in range(start, stop))
+                    weight += table.ending[min(length - 1, order), stop - 1, used[j]]
                     weight -= cost[used[j]]
                     weight -= apart[used[j - 1], used[j]] if j else 0.0
                 totals[m - 1].append(weight)
@@ -228,7 +229,7 @@ def test_forward_and_backward_sums_are_the_sum_over_all_segmentations() -> None:
     for changepoints in (0, 1, 2):
         found: ChangepointPosterior = changepoint_posterior(worth, apart, prior, changepoints)
         most = len(found.counts)
-        totals, rows = enumerated(table.log_density, cost, apart, prior, most)
+        totals, rows = enumerated(table, cost, apart, prior, most)
         assert found.log_evidence == pytest.approx(logsumexp(totals))
         np.testing.assert_allclose(found.counts, np.exp(totals - logsumexp(totals)), atol=1e-10)
         expected = np.exp(rows[changepoints, :changepoints] - totals[changepoints])

@@ -5,6 +5,9 @@ noise.py). Rigid is the joint without motion. A row's density given the rows bef
 the segment's start only through how many rows there are to predict from, and beyond noise.MEMORY not at all; so the
 evidence of a segment is a sum of tabled terms. A revolute joint that rests is no likelier than a rigid one.
 
+A step in which a part is caught by a stop, or let go by it, does not do what the action asks of it: its poses are a
+mean of rest and motion. So the step with which a segment begins or ends may be led, or not.
+
 Source: MICAH, ln L ≈ ln p(y | M, θ̂, a) - k/2 ln(t - s).
 """
 
@@ -36,6 +39,7 @@ class EvidenceTable:
         trust: power of the likelihood.
         pool, motion: the h hypotheses and how the part moves along them.
         log_density: (p + 1, n, h): of a row, given 0, 1, ... p rows before it.
+        ending: (p + 1, n, h): by how much more probable it is as the last one of its segment.
         parameters: (h,) numbers that fix a hypothesis.
         occam: (h,) ln of how much narrower than before the parameters are after the rows they were fitted to.
         held: (h,) the same, given that a moving joint of the pool explains other rows.
@@ -46,6 +50,7 @@ class EvidenceTable:
     pool: Pool
     motion: Motion
     log_density: Floats
+    ending: Floats
     parameters: Floats
     occam: Floats
     held: Floats
@@ -57,7 +62,7 @@ class EvidenceTable:
 
         What is said of last rows before the first means nothing.
         """
-        return segment_sums(self.log_density)
+        return segment_sums(self.log_density, self.ending)
 
     def charged(self, index: int) -> Floats:
         """(n, n) the same of one hypothesis, less what a segment pays for a joint of its own."""
@@ -112,14 +117,22 @@ def all_tabulated(
     pool = pool_of(together, track, noise)
     table, scale = _across(pool, noise)
     motion = fit_motion(pool, track.action, rest, scale, trust, begun)
+    unled = table + motion.unled
     # Where on its joint a segment starts is uniform over what the recording reaches.
     table[1:] += motion.log_density
     table[0] -= (np.log(np.maximum(np.ptp(pool.seen.configuration, axis=1), 1e-9)) * pool.moving)[:, None]
+    led_or_not = log_add(table, unled) + np.log(0.5)
     # A tracker may slip: then the row is as unforeseen as the first of a segment.
     slipped = np.log(_SLIP) + table[0]
-    table[1:] = log_add(np.log1p(-_SLIP) + table[1:], slipped)
+    for densities in (table, led_or_not):
+        densities[1:] = log_add(np.log1p(-_SLIP) + densities[1:], slipped)
+    ending = trust * (led_or_not - table)
+    # A first row was paid for as such already, and the last one of all leaves its segment open.
+    ending[0] = ending[..., -1] = 0.0
     # The first row of a segment may go on where the row before was, or not.
-    table[:-1, :, 1:] = log_add(table[:-1, :, 1:], table[1:, :, 1:]) + np.log(0.5)
+    going_on = table[1:, :, 1:].copy()
+    going_on[:1] = led_or_not[1:2, :, 1:]
+    table[:-1, :, 1:] = log_add(table[:-1, :, 1:], going_on) + np.log(0.5)
     table *= trust
     if not begun:
         table[0, ~pool.moving, 0] -= _HELD_FIRST
@@ -132,9 +145,9 @@ def all_tabulated(
     for pool_of_part, noise_of_part, part in zip(pools, noises, map(slice, ends - counts, ends), strict=True):
         pool_of_one = pool.part(part, pool_of_part)
         held = held_costs(cost[part], denied[part], pool_of_one, noise_of_part, trust) + of_motion[part]
-        table_of_one = table[:, part].swapaxes(1, 2)
+        density = table[:, part].swapaxes(1, 2), ending[:, part].swapaxes(1, 2)
         numbers = parameters[part], cost[part] + of_motion[part], held, rows[part]
-        tables.append(EvidenceTable(trust, pool_of_one, motion.part(part), table_of_one, *numbers))
+        tables.append(EvidenceTable(trust, pool_of_one, motion.part(part), *density, *numbers))
     return tables
 
 
@@ -168,10 +181,11 @@ def best_of(layers: Iterable[Floats]) -> Floats:
     return best
 
 
-def segment_sums(log_density: Floats) -> Floats:
+def segment_sums(log_density: Floats, ending: Floats) -> Floats:
     """(h, n, n) evidence of rows s to t (s <= t) under every hypothesis, from densities (p + 1, n, h).
 
-    The first p rows of a segment have their own densities; those after them are differences of one running sum.
+    The first p rows of a segment have their own densities; those after them are differences of one running sum. What a
+    row is more probable by as the last one (p + 1, n, h) is added.
     """
     p, n, h = len(log_density) - 1, log_density.shape[1], log_density.shape[2]
     running = np.zeros((h, n + 1))
@@ -183,8 +197,8 @@ def segment_sums(log_density: Floats) -> Floats:
     begin = np.cumsum(begin, axis=0)
     later = running[:, np.minimum(np.arange(n) + p, n)]
     beginning = begin[-1] - later if p else -later
-    sums = running[:, None, 1:] + beginning[:, :, None]
+    sums = (running[:, 1:] + ending[p].T)[:, None] + beginning[:, :, None]
     of_lengths = sums.reshape(h, -1)
-    for k in range(min(p - 1, n)):
-        of_lengths[:, k :: n + 1][:, : n - k] = begin[k, :, : n - k]
+    for k in range(min(p, n)):
+        of_lengths[:, k :: n + 1][:, : n - k] = begin[k, :, : n - k] + ending[k, k:].T
     return np.asarray(sums)

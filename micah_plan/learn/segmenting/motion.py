@@ -63,17 +63,19 @@ class Motion:
 
     Attributes:
         log_density: (h, n) of the configuration at a row, given those before [1/rad or 1/m]; 0 for rigid.
+        unled: (h, n) the same of a step that the action does not lead, as one within which a part is caught or let go.
         gain: (h, 3) h [rad or m per m of action in the part's frame]; 0 where actions say nothing.
         parameters: (h,) how many numbers were fitted.
     """
 
     log_density: Floats
+    unled: Floats
     gain: Floats
     parameters: Floats
 
     def part(self, part: slice) -> Motion:
         """Of some hypotheses."""
-        return Motion(self.log_density[part], self.gain[part], self.parameters[part])
+        return Motion(self.log_density[part], self.unled[part], self.gain[part], self.parameters[part])
 
 
 def fit_motion(
@@ -89,7 +91,7 @@ def fit_motion(
     """
     count, n = pool.seen.configuration.shape
     members = np.flatnonzero(pool.moving)
-    result = Motion(np.zeros((count, n)), np.zeros((count, 3)), np.zeros(count))
+    result = Motion(np.zeros((count, n)), np.zeros((count, n)), np.zeros((count, 3)), np.zeros(count))
     if not len(members) or n < 2:
         return result
     c = pool.seen.configuration[members]
@@ -124,7 +126,9 @@ def fit_motion(
     score = (density * weight).sum(axis=0) - 0.5 * numbers * np.log(enough)[:, None]
     score = np.where(np.stack([m.allowed for m in models], axis=1), score, -np.inf)
     chosen, every = np.argmax(score, axis=1), np.arange(len(members))
-    result.log_density[members, 1:] = density[:, every, chosen].T
+    steps = density[:, every, chosen]
+    result.log_density[members, 1:] = steps.T
+    result.unled[members, 1:] = np.where(chosen, log_add(models[0].forth, models[0].back) + np.log(0.5), steps).T
     result.gain[members] = np.stack([m.gain for m in models], axis=1)[every, chosen]
     result.parameters[members] = numbers[chosen]
     return result

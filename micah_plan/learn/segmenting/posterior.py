@@ -211,8 +211,7 @@ def kind_probabilities(
     sums = np.zeros(len(names))
     for piece in pieces:
         if piece.hypothesis == hypothesis:
-            rows_before = np.minimum(np.arange(piece.end - piece.start + 1), len(table.log_density) - 1)
-            sums += table.log_density[rows_before, np.arange(piece.start, piece.end + 1)].sum(axis=0)
+            sums += table.sums[:, piece.start, piece.end]
             governed[piece.start : piece.end + 1] = True
     elsewhere = [piece.hypothesis for piece in pieces if piece.hypothesis != hypothesis]
     # A pose costs less if it lies on a joint that moves the part elsewhere, not on the one that it would stand for.
