@@ -183,9 +183,10 @@ class ExplorationResult(Result):
 
     def plot(self) -> Figure:
         """Forces against their limit, and the probabilities of what holds the handle, over the steps."""
-        from micah_plan.view.exploration_page import exploration_figure
+        from micah_plan.view.exploration_page import exploration_charts
+        from micah_plan.view.figures import chart_figure
 
-        return exploration_figure(self.found)
+        return chart_figure(exploration_charts(self.found))
 
     def page(self) -> str:
         """The path of the hand, hypotheses, forces and probabilities."""
@@ -379,9 +380,10 @@ class PredictionResult(Result):
 
     def plot(self) -> Figure:
         """Measured and predicted configurations over time."""
-        from micah_plan.view.prediction_page import prediction_figure
+        from micah_plan.view.figures import chart_figure
+        from micah_plan.view.prediction_page import prediction_charts
 
-        return prediction_figure(self.automaton, self.runs)
+        return chart_figure(prediction_charts(self.automaton, self.runs), across=True)
 
     def page(self) -> str:
         """Measured and predicted objects in 3-D, run by run."""
@@ -437,12 +439,10 @@ class CalibrationResult(Result):
 
     def plot(self) -> Figure:
         """Measured configurations, and those that the model predicts before and after."""
-        from micah_plan.residual.prediction import predict_recording
-        from micah_plan.view.prediction_page import prediction_figure
+        from micah_plan.view.calibration_page import motion_charts
+        from micah_plan.view.figures import chart_figure
 
-        models = {"before": self.before, "calibrated": self.automaton}
-        runs = {name: predict_recording(model, self.recording) for name, model in models.items()}
-        return prediction_figure(self.automaton, runs["before"], runs["calibrated"])
+        return chart_figure(motion_charts(self.found), across=True)
 
     def page(self) -> str:
         """What was compared, what the model lacks, and how sure that is."""

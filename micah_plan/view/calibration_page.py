@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,10 @@ from micah_plan.residual.calibrate import Calibration, FoundEffect, began
 from micah_plan.residual.lane import Lane
 from micah_plan.residual.trace import LaneTrace
 from micah_plan.residual.verdict import SENTENCES, Verdict
+from micah_plan.view.chart import Chart, Curve, Level, Panel, evenly, widened
 from micah_plan.view.learned import capital
 from micah_plan.view.page import Bar, Bars, Status, Table, render
 from micah_plan.view.palette import BLUE, INK, ORANGE
-from micah_plan.view.svg import Panel, Svg, drawing, evenly
 
 _BADGES: dict[Verdict, tuple[str, Status]] = {
     "none": ("nothing is missing", "good"),
@@ -24,8 +25,7 @@ _BADGES: dict[Verdict, tuple[str, Status]] = {
     "unexplained": ("not explained", "bad"),
 }
 _MOST_RUNS, _MOST_BARS, _MOST_DRAWN = 60, 12, 4
-_WIDTH, _HEIGHT = 400.0, 140.0
-_LEFT, _RIGHT, _TOP = 66.0, 10.0, 10.0
+_HEIGHT = 140.0
 _SHARE_SHOWN = 0.995
 _SIGMAS = 1.96
 """From the middle of a 95 % interval to its ends."""
@@ -194,7 +194,13 @@ def _runs(trace: LaneTrace) -> Table:
     return Table(("run", "one step, before", "after", "roll-out, before", "after"), tuple(rows), (1, 2, 3, 4))
 
 
-def _motion(trace: LaneTrace) -> tuple[Svg, ...]:
+def motion_charts(calibration: Calibration) -> list[Chart]:
+    """One chart for each of some runs: coordinates as measured and predicted before and after, and commands."""
+    of_runs = zip(*map(_motion, calibration.traces), strict=True)
+    return [replace(charts[0], panels=tuple(panel for chart in charts for panel in chart.panels)) for charts in of_runs]
+
+
+def _motion(trace: LaneTrace) -> tuple[Chart, ...]:
     """Measured motion of some runs, roll-outs of it before and after, and the commands below."""
     whole = trace.lane.whole or trace.lane
     counted = whole.counted
@@ -204,34 +210,27 @@ def _motion(trace: LaneTrace) -> tuple[Svg, ...]:
     return tuple(_run(whole, s, errors[:, s]) for s in evenly(len(whole.run), _MOST_DRAWN).tolist())
 
 
-def _run(whole: Lane, s: int, errors: Floats) -> Svg:
+def _run(whole: Lane, s: int, errors: Floats) -> Chart:
     rows = np.flatnonzero(whole.counted[s])
     rows = np.array([rows[0] - 1, *rows]) if rows.size else np.arange(2)
     time, z, u = whole.time[s, rows], whole.z[s, rows], whole.u[s, rows]
     before, after = z - errors[0, rows], z - errors[1, rows]
-    low, high = (float(end) for end in (min(map(np.min, (z, before, after))), max(map(np.max, (z, before, after)))))
-    room, largest = 0.05 * (high - low) + 1e-9, 1.1 * float(np.abs(u).max()) + 1e-9
-    ends = float(time[0]), float(time[-1]) + 1e-9
-    panel = Panel(_LEFT, _TOP, _WIDTH - _LEFT - _RIGHT, _HEIGHT, *ends, low - room, high + room)
-    lower_panel = panel.below(12.0, 0.4 * _HEIGHT, -largest, largest)
-    parts = [
-        panel.frame,
-        panel.curve(time, before, "run chosen", ORANGE),
-        panel.curve(time, after, "run chosen", BLUE),
-        panel.curve(time, z, "dots small", INK, dots=True),
-        panel.y_axis(f"{whole.coordinate}\n[{whole.unit}]"),
-        lower_panel.frame,
-        lower_panel.level(0.0, "zero"),
-        lower_panel.curve(time, u, "trend"),
-        lower_panel.y_axis(f"command\n[{whole.unit}]", 2),
-        lower_panel.x_axis(f"time in run {whole.run[s]} [s]", whole=False),
-    ]
-    return drawing(
-        _WIDTH, [panel, lower_panel], parts, f"{whole.coordinate} in run {whole.run[s]}, measured and predicted"
+    motion = (
+        Curve(time, before, "line", ORANGE, "roll-out before"),
+        Curve(time, after, "line", BLUE, "roll-out after"),
+        Curve(time, z, "small", INK, "measured"),
     )
+    largest = 1.1 * float(np.abs(u).max()) + 1e-9
+    command = (Level(0.0, "zero"), Curve(time, u, "trend", INK))
+    panels = (
+        Panel(f"{whole.coordinate}\n[{whole.unit}]", *widened([z, before, after], 0.05), _HEIGHT, motion),
+        Panel(f"command\n[{whole.unit}]", -largest, largest, 0.4 * _HEIGHT, command),
+    )
+    described = f"{whole.coordinate} in run {whole.run[s]}, measured and predicted"
+    return Chart(described, f"time in run {whole.run[s]} [s]", float(time[0]), float(time[-1]) + 1e-9, panels)
 
 
-def _residuals(trace: LaneTrace) -> tuple[tuple[Svg, Svg], ...]:
+def _residuals(trace: LaneTrace) -> tuple[tuple[Chart, Chart], ...]:
     """One-step errors before and after against time, configuration, direction and size of the command."""
     lane = trace.lane
     counted, starts = lane.counted, lane.counted_starts
@@ -253,28 +252,21 @@ def _residuals(trace: LaneTrace) -> tuple[tuple[Svg, Svg], ...]:
     )
 
 
-def _scatter(x: Floats, y: Floats, y_label: str, x_label: str, reach: float, color: str) -> Svg:
+def _scatter(x: Floats, y: Floats, y_label: str, x_label: str, reach: float, color: str) -> Chart:
     is_side = x_label.startswith("direction")
     margin = 0.03 * float(np.ptp(x)) or 1e-3
     ends = (-_SIDE, _SIDE) if is_side else (float(x.min()) - margin, float(x.max()) + margin)
-    panel = Panel(_LEFT, _TOP, _WIDTH - _LEFT - _RIGHT, _HEIGHT, *ends, -reach, reach)
     inside = np.clip(y, -reach, reach)
-    sides = ((-1.0, "backward"), (0.0, "none"), (1.0, "forward"))
-    parts = [
-        panel.frame,
-        panel.level(0.0, "zero"),
-        panel.curve(x, inside, "dots small", color, dots=True),
-        _trend(panel, x, inside),
-        panel.y_axis(y_label),
-        panel.named_x_axis(x_label, sides) if is_side else panel.x_axis(x_label, 5, whole=False),
-    ]
-    return drawing(_WIDTH, [panel], parts, f"{y_label} against {x_label}".replace("\n", " "))
+    places = ((-1.0, "backward"), (0.0, "none"), (1.0, "forward")) if is_side else ()
+    marks = Level(0.0, "zero"), Curve(x, inside, "small", color), _trend(x, inside)
+    panel = Panel(y_label, -reach, reach, _HEIGHT, marks)
+    return Chart(f"{y_label} against {x_label}".replace("\n", " "), x_label, *ends, (panel,), places)
 
 
-def _trend(panel: Panel, x: Floats, y: Floats) -> Svg:
+def _trend(x: Floats, y: Floats) -> Curve:
     """Means over tenths of the rows, in order of x."""
     order = np.argsort(x, kind="stable")
     groups = [group for group in np.array_split(order, min(12, max(len(order) // 8, 1))) if group.size]
     at = np.array([float(np.median(x[group])) for group in groups])
     mean = np.array([float(np.mean(y[group])) for group in groups])
-    return panel.curve(at, mean, "trend")
+    return Curve(at, mean, "trend", INK)

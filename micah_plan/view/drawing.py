@@ -18,7 +18,6 @@ from micah_plan.view.palette import BODY, FRAME_AXES, GRID, INK, MUTED
 from micah_plan.view.placement import CURVE_POINTS, coordinate_range, joint_axis, joint_curve
 from micah_plan.view.scene import Scene, slug
 from micah_plan.view.solids import arrow, merge, perpendicular, tube
-from micah_plan.view.svg import rounded_up
 
 _SMALLEST = 0.02
 
@@ -233,3 +232,9 @@ def _box(
 def _quaternion(rotation: Rotation) -> Quaternion:
     x, y, z, w = rotation.as_quat().tolist()
     return x, y, z, w
+
+
+def rounded_up(length: float) -> float:
+    """The next round number: 1, 2 or 5 times a power of ten."""
+    power = 10.0 ** math.floor(math.log10(length))
+    return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= length * 0.999)

@@ -19,6 +19,7 @@ from micah_plan.quantities import count, quantity
 from micah_plan.recording.value import Recording
 from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem
+from micah_plan.view.chart import evenly
 from micah_plan.view.drawing import draw_shapes, link_shapes, shown_links
 from micah_plan.view.learned import capital
 from micah_plan.view.motion import step_times, times_of_steps
@@ -27,7 +28,6 @@ from micah_plan.view.palette import EXECUTED
 from micah_plan.view.placement import handle_in_part
 from micah_plan.view.scene import Scene, slug
 from micah_plan.view.solids import beads
-from micah_plan.view.svg import evenly
 
 TRUE_COLUMN = "true_{}"
 # A belief that is right holds the state within so many standard deviations but once in 16,000 steps.

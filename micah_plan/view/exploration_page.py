@@ -1,12 +1,8 @@
-"""The page of an exploration: where the hand went and pulled, what it took the handle for, what force it took.
-
-The figure of an exploration: what force it took, and how sure it became, step by step.
-"""
+"""The page of an exploration: where the hand went and pulled, what it took the handle for, what force it took."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -15,18 +11,14 @@ from micah_plan.arrays import Floats
 from micah_plan.explore.run import Exploration
 from micah_plan.quantities import count, percent, quantity
 from micah_plan.view.camera import camera
+from micah_plan.view.chart import Area, Chart, Curve, Level, Mark, Panel, Words
 from micah_plan.view.drawing import JointLook, draw_ground, draw_joint
-from micah_plan.view.page import Band, Chart, LegendEntry, ScenePage, Status, Timeline, render_scene
+from micah_plan.view.page import Band, Block, LegendEntry, ScenePage, Status, Timeline, render_scene
 from micah_plan.view.palette import BLUE, GREEN, GRID, INK, MUTED, ORANGE, PINK, VERMILLION
 from micah_plan.view.placement import coordinate_range
 from micah_plan.view.scene import Scene
 from micah_plan.view.solids import arrow, beads, tube
-from micah_plan.view.svg import Panel, Svg, played, text
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-_Drawn = Callable[[Panel], list[Svg]]
 _BADGES: dict[str, tuple[str, Status]] = {
     "opened": ("opened", "good"),
     "held": ("held", "fair"),
@@ -34,7 +26,7 @@ _BADGES: dict[str, tuple[str, Status]] = {
 }
 KINDS = {"fast": MUTED, "unknown": GREEN, "prismatic": ORANGE, "revolute": BLUE}
 WORDS = {"fast": "nothing moves it", "unknown": "not yet known", "prismatic": "a slide", "revolute": "a hinge"}
-_WIDTH, _LEFT, _RIGHT, _TOP, _HEIGHT = 420.0, 66.0, 8.0, 8.0, 150.0
+_HEIGHT = 150.0
 _STEP_S, _SHORTEST_S, _LONGEST_S = 0.25, 4.0, 20.0
 _MOST_FANS, _SMALLEST = 12, 0.05
 _FORCE_LENGTH = 0.5  # of the size of the scene, of the arrow of the largest force that was measured
@@ -61,7 +53,7 @@ def exploration_page(exploration: Exploration, title: str) -> str:
         details=[("What went wrong on the way", exploration.notes)] if exploration.notes else [],
         legend=_legend(exploration, spacing),
         timeline=_timeline(exploration, times),
-        charts=[_forces(exploration), _kinds(exploration), _fan(exploration)] if len(places) else [],
+        charts=_blocks(exploration) if len(places) else [],
     )
     return render_scene(page, scene)
 
@@ -172,14 +164,32 @@ def _timeline(exploration: Exploration, times: Floats) -> Timeline:
     return Timeline(float(times[-1]), bands, readouts)
 
 
-def _chart(
-    exploration: Exploration, title: str, words: Sequence[str], limits: tuple[float, float], label: str, parts: _Drawn
-) -> Chart:
-    """A chart over the steps, whose line follows the player."""
+def exploration_charts(exploration: Exploration) -> tuple[Chart, ...]:
+    """Measured forces against their limit, the probabilities of what holds the handle, and the fan of hypotheses."""
+    return _forces(exploration), _kinds(exploration), _fan(exploration)
+
+
+def _blocks(exploration: Exploration) -> list[Block]:
+    """The charts with their words; their lines follow the player."""
+    frames = tuple((float(time), float(number)) for number, time in enumerate(_times(exploration), start=1))
+    fan = (
+        "Each dot is one of the 40 most probable hypotheses of a direction in which the handle can go: its angle to "
+        "the direction in which the handle went from there."
+    )
+    kinds = (
+        f"What is believed to hold the handle, over {count(exploration.steps, 'step')}, in the colours of the legend; "
+        "of several joints, of the last."
+    )
+    said = (("Forces", ()), ("What it is", (kinds,)), ("The fan of hypotheses", (fan,)))
+    return [
+        Block(title, words, chart, keyframes=frames)
+        for (title, words), chart in zip(said, exploration_charts(exploration), strict=True)
+    ]
+
+
+def _over_steps(exploration: Exploration, described: str, label: str, high: float, marks: Sequence[Mark]) -> Chart:
     last = max(exploration.steps, 1) + 0.5
-    panel = Panel(_LEFT, _TOP, _WIDTH - _LEFT - _RIGHT, _HEIGHT, 0.0, last, *limits)
-    frames = tuple((float(time), panel.x(number)) for number, time in enumerate(_times(exploration), start=1))
-    return Chart(title, tuple(words), played(_WIDTH, [panel], parts(panel), "step", label), keyframes=frames)
+    return Chart(f"{described} over steps", "step", 0.0, last, (Panel(label, 0.0, high, _HEIGHT, tuple(marks)),))
 
 
 def _fan(exploration: Exploration) -> Chart:
@@ -190,16 +200,8 @@ def _fan(exploration: Exploration) -> Chart:
         if len(moment.fan):
             steps.append(np.full(len(moment.fan), number + 1.0))
             angles.append(np.degrees(np.arccos(np.clip(moment.fan @ _onward(places, number), -1.0, 1.0))))
-
-    def parts(panel: Panel) -> list[Svg]:
-        dots = panel.curve(np.concatenate(steps), np.concatenate(angles), "dots small", VERMILLION, dots=True)
-        return [panel.y_axis("angle [°]"), dots]
-
-    words = (
-        "Each dot is one of the 40 most probable hypotheses of a direction in which the handle can go: its angle to "
-        "the direction in which the handle went from there.",
-    )
-    return _chart(exploration, "The fan of hypotheses", words, (0.0, 180.0), "angles of hypotheses over steps", parts)
+    dots = Curve(np.concatenate(steps), np.concatenate(angles), "small", VERMILLION)
+    return _over_steps(exploration, "angles of hypotheses", "angle [°]", 180.0, [dots])
 
 
 def _onward(places: Floats, number: int) -> Floats:
@@ -218,52 +220,20 @@ def _onward(places: Floats, number: int) -> Floats:
 def _forces(exploration: Exploration) -> Chart:
     forces = np.array([np.linalg.norm(moment.force) for moment in exploration.moments])
     limit, steps = exploration.scene.largest_force, np.arange(1.0, len(forces) + 1)
-
-    def parts(panel: Panel) -> list[Svg]:
-        return [
-            panel.area(steps, np.zeros(len(forces)), forces, "spread", PINK),
-            panel.curve(steps, forces, "line", PINK),
-            panel.level(limit, "guard"),
-            text(panel.right - 4, panel.y(limit) - 5, "limit", "number end"),
-            panel.y_axis("force [N]"),
-        ]
-
     high = 1.25 * max(limit, float(forces.max()))
-    return _chart(exploration, "Forces", (), (0.0, high), "measured force over steps, and its limit", parts)
+    marks: list[Mark] = [
+        Area(steps, np.zeros(len(forces)), forces, color=PINK),
+        Curve(steps, forces, color=PINK),
+        Level(limit),
+        Words("limit", exploration.steps + 0.4, limit + 0.05 * high, side="left", strong=False),
+    ]
+    return _over_steps(exploration, "measured force", "force [N]", high, marks)
 
 
 def _kinds(exploration: Exploration) -> Chart:
-    steps = np.arange(1.0, exploration.steps + 1)
-
-    def parts(panel: Panel) -> list[Svg]:
-        shares, bottom = [panel.y_axis("probability")], np.zeros(exploration.steps)
-        for name, color in KINDS.items():
-            share = np.array([moment.kinds.get(name, 0.0) for moment in exploration.moments])
-            shares.append(panel.area(steps, bottom, bottom + share, "level", color))
-            bottom = bottom + share
-        return shares
-
-    caption = (
-        f"What is believed to hold the handle, over {count(exploration.steps, 'step')}, in the colours of the legend; "
-        "of several joints, of the last."
-    )
-    return _chart(exploration, "What it is", (caption,), (0.0, 1.0), "probabilities of kinds over steps", parts)
-
-
-def exploration_figure(exploration: Exploration) -> Figure:
-    """Measured forces against their limit, and the probabilities of what holds the handle."""
-    from micah_plan.view.figures import empty_figure  # pages need no Matplotlib
-
-    figure = empty_figure((7.0, 4.6), layout="constrained")
-    force, kinds = figure.subplots(2, 1, sharex=True)
-    steps = np.arange(1, exploration.steps + 1)
-    force.fill_between(steps, [np.linalg.norm(moment.force) for moment in exploration.moments], color=PINK, alpha=0.5)
-    force.axhline(exploration.scene.largest_force, color=MUTED, ls="--", lw=1, label="limit")
-    force.set_ylabel("force [N]")
-    shares = [[moment.kinds.get(name, 0.0) for moment in exploration.moments] for name in KINDS]
-    kinds.stackplot(steps, shares, colors=list(KINDS.values()), labels=[WORDS[name] for name in KINDS])
-    kinds.set(ylabel="probability", xlabel="step", ylim=(0.0, 1.0))
-    for axes in (force, kinds):
-        axes.spines[["top", "right"]].set_visible(False)
-    figure.legend(loc="outside upper center", ncols=5, frameon=False, fontsize=9)
-    return figure
+    steps, bottom, shares = np.arange(1.0, exploration.steps + 1), np.zeros(exploration.steps), list[Mark]()
+    for name, color in KINDS.items():
+        share = np.array([moment.kinds.get(name, 0.0) for moment in exploration.moments])
+        shares.append(Area(steps, bottom, bottom + share, "level", color, WORDS[name]))
+        bottom = bottom + share
+    return _over_steps(exploration, "probabilities of kinds", "probability", 1.0, shares)

@@ -1,4 +1,4 @@
-"""The figure of a planned belief against what was executed, over the steps and in the plane; how figures are written.
+"""Charts as Matplotlib figures; the figure of a planned belief, over steps and in the plane; how figures are written.
 
 Figures are made without pyplot, so nothing global is opened or left open.
 """
@@ -16,41 +16,137 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Rectangle
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError
 from micah_plan.files import replace_file
-from micah_plan.quantities import count, percent, plain
 from micah_plan.recording.value import Recording
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import carrying
+from micah_plan.view.chart import Area, Change, Chart, Columns, Curve, Level, Mark, Range, Span, Words, aligned
 from micah_plan.view.executed import configurations
-from micah_plan.view.motion import step_times, stretches
-from micah_plan.view.palette import BELIEF, EXECUTED, GOAL, GUARD, INK, mode_colors
-from micah_plan.view.placement import guards_of, thresholds
-from micah_plan.view.plan_charts import step_label
+from micah_plan.view.palette import BELIEF, EXECUTED, GOAL, GRID, GUARD, INK, MUTED, mode_colors
+from micah_plan.view.placement import thresholds
+from micah_plan.view.plan_charts import belief_chart
 
 _DPI = 150
-_MOST_BARS = 30
 # The view holds every mean and the ellipses that are not larger than this many times the median one. It is not much
 # narrower than high, or the other way round.
 _LARGE = 6.0
 _NARROWEST = 0.8
 _ROOM = 0.1
 _SHADES = 60
+_INCH_OF_PIXEL = 1.6 / 72  # of a page's column, as a figure shows it
+PANEL_INK = "#3E4C59"
+_CURVES: dict[str, dict[str, Any]] = {
+    "line": {"lw": 2.0, "zorder": 4},
+    "other": {"lw": 1.0, "color": MUTED, "zorder": 2},
+    "run": {"lw": 1.1, "alpha": 0.85, "zorder": 3},
+    "trend": {"lw": 1.4, "zorder": 3},
+    "dots": {"ls": "", "marker": "o", "ms": 4.0, "zorder": 3},
+    "small": {"ls": "", "marker": ".", "ms": 3.5, "zorder": 3},
+    "rim": {"ls": "", "marker": "o", "ms": 5.6, "zorder": 3},
+}
+_SPANS: dict[str, dict[str, Any]] = {
+    "shade": {"alpha": 0.15, "zorder": 0},
+    "misfit": {"alpha": 0.35, "hatch": "///", "zorder": 0},
+    "interval": {"alpha": 0.16, "zorder": 1},
+}
+_LEVELS: dict[str, dict[str, Any]] = {
+    "guard": {"color": GUARD, "ls": "--", "lw": 1.1},
+    "zero": {"color": GRID, "lw": 0.8},
+}
+
+
+def draw(chart: Chart, axes: Sequence[Axes]) -> None:
+    """The marks of a chart's panels in as many axes, which share the axis of x.
+
+    Args:
+        chart: as a page shows it.
+        axes: from the top panel down.
+    """
+    for panel, place in zip(chart.panels, axes, strict=True):
+        place.spines[["top", "right"]].set_visible(False)
+        place.spines[["left", "bottom"]].set_color(MUTED)
+        place.tick_params(labelsize=9, color=MUTED, labelcolor=PANEL_INK, labelbottom=place is axes[-1])
+        place.set(xlim=(chart.first, chart.last), ylim=(panel.low, panel.high))
+        place.set_ylabel(panel.label, color=PANEL_INK, fontsize=9)
+        place.yaxis.set_major_locator(MaxNLocator(nbins=4 if panel.height > 80 else 2))
+        for mark in panel.marks:
+            _mark(place, mark)
+    axes[-1].set_xlabel(chart.x_label, color=PANEL_INK)
+    axes[-1].xaxis.set_major_locator(MaxNLocator(nbins=9, steps=[1, 2, 5, 10]))
+
+
+def _mark(axes: Axes, mark: Mark) -> None:
+    """One mark; Matplotlib's own names for what has the same label are those of the legend."""
+    named = getattr(mark, "label", "")
+    label: dict[str, Any] = {"label": named} if named else {}
+    match mark:
+        case Curve():
+            axes.plot(mark.x, mark.y, **({"color": mark.color or INK} | _CURVES[mark.look]), **label)
+        case Area():
+            alpha = {"spread": 0.28, "level": 0.75}[mark.look]
+            axes.fill_between(mark.x, mark.low, mark.high, color=mark.color, alpha=alpha, lw=0, **label)
+        case Span():
+            axes.axvspan(mark.start, mark.end, color=mark.color or INK, lw=0, **_SPANS[mark.look], **label)
+        case Range():
+            axes.axhspan(mark.low, mark.high, color=mark.color, alpha=0.3, lw=0, zorder=1, **label)
+        case Level():
+            axes.axhline(mark.value, zorder=2, **_LEVELS[mark.look], **label)
+        case Change():
+            axes.axvline(mark.at, color=INK, lw=1.0, ls=(0, (4, 2)), zorder=2)
+        case Columns():
+            axes.bar(mark.left, mark.height, width=mark.right - mark.left, align="edge", color=INK, lw=0, zorder=3)
+        case Words():
+            _write(axes, mark)
+
+
+def _write(axes: Axes, words: Words) -> None:
+    shift = {"middle": 0, "left": -4, "right": 4, "edge": 5}[words.side]
+    align = {"middle": "center", "left": "right", "right": "left", "edge": "left"}[words.side]
+    box = {"facecolor": words.color, "edgecolor": "none", "pad": 1.5} if words.color else None
+    look: dict[str, Any] = {"weight": "bold", "color": INK} if words.strong else {"color": PANEL_INK}
+    above, edge = words.y is None, words.side == "edge"
+    place = 1.0 if edge else words.x, 1.0 if words.y is None else words.y
+    coordinates = "axes fraction" if edge else "data", "axes fraction" if above else "data"
+    offset = shift, 5 + 14 * words.line if above else 0
+    axes.annotate(
+        words.text, place, offset, xycoords=coordinates, textcoords="offset points", ha=align,
+        va="baseline" if above else "center", fontsize=9.5 if above else 8.5, bbox=box, annotation_clip=False, **look,
+    )  # fmt: skip
+
+
+def chart_figure(charts: Sequence[Chart], *, across: bool = False) -> Figure:
+    """Charts below each other, or beside each other, with one legend.
+
+    Args:
+        charts: at least one.
+        across: whether they stand beside each other and share their ranges of y; then all have the same panels.
+    """
+    rows = [panel.height for chart in (charts[:1] if across else charts) for panel in chart.panels]
+    size = max(8.0, 3.4 * len(charts)) if across else 8.0, 1.2 + _INCH_OF_PIXEL * sum(rows)
+    figure = empty_figure(size, layout="constrained")
+    grid = figure.subplots(len(rows), len(charts) if across else 1, squeeze=False, height_ratios=rows)
+    first = 0
+    for number, chart in enumerate(aligned(charts) if across else charts):
+        axes = list(grid[:, number] if across else grid[first : first + len(chart.panels), 0])
+        draw(chart, axes)
+        first += len(chart.panels)
+        for place in axes if across and number else ():
+            place.set_ylabel("")
+            place.tick_params(labelleft=False)
+    _legend(figure, list(grid.flat), loc="outside upper center", ncols=4, fontsize=9)
+    return figure
 
 
 def belief_figure(problem: Problem, plan: Plan, runs: Recording | None = None) -> Figure:
-    """The planned belief with error bars against the executed trajectories, one axes per coordinate.
+    """The planned belief against the executed trajectories, one panel per coordinate, as on the page of the plan.
 
-    Of a point in the plane, one more axes shows the plane itself, with the belief's ellipses.
-
-    Error bars are ± k σ with Phi(k) = the problem's confidence: the margin that the plan keeps to guards and goal. The
-    executed trajectories are the columns ``true_<coordinate>`` of `runs` where it has them, else the measured
-    configurations.
+    Of a point in the plane, one more axes shows the plane itself, with the belief's ellipses. The executed trajectories
+    are the columns ``true_<coordinate>`` of `runs` where it has them, else the measured configurations.
 
     Raises:
         InputError: if the plan has no trajectory.
@@ -62,58 +158,24 @@ def belief_figure(problem: Problem, plan: Plan, runs: Recording | None = None) -
         )
     automaton, trajectory = problem.automaton, plan.trajectory.of_first(problem.automaton.n)
     executed = [] if runs is None else configurations(problem, runs)
-    figure, grid = _with_plane(problem, trajectory, executed) if is_plane(automaton) else _stacked(automaton.n)
-    steps, colors, settings = step_times(trajectory), mode_colors(automaton), problem.settings
-    bands = [(trajectory.modes[i], float(steps[i]), float(steps[j])) for i, j in stretches(trajectory.modes)]
-    margin = f"± {plain(settings.sigmas)} σ (confidence {percent(settings.confidence)})"
-    bars = settings.sigmas * np.sqrt((trajectory.factors**2).sum(axis=2))
-    _name_modes(grid[0], bands)
-    for i, (axes, coordinate) in enumerate(zip(grid, automaton.coordinates, strict=True)):
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.margins(x=0.02)
-        for name, left, right in bands:
-            axes.axvspan(left, right, color=colors[name], alpha=0.16, lw=0, zorder=0)
-        _mark_goal_and_guards(axes, problem, i)
-        for x in executed:
-            label = f"executed ({count(len(executed), 'run')})" if len(executed) > 1 else "executed"
-            axes.plot(x[:, i], color=EXECUTED, lw=1.1, alpha=0.85, label=label, zorder=3)
-        _plot_belief(axes, steps, trajectory.means[:, i], bars[:, i], margin)
-        axes.set_ylabel(f"{coordinate.name} [{coordinate.unit}]")
-    grid[-1].set_xlabel(step_label(problem))
-    grid[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
-    _legend(grid[0], grid, bbox_to_anchor=(0.5, 1.05), ncols=4, fontsize=9)
-    return figure
-
-
-def _legend(place: Axes, panels: Sequence[Axes], **look: Any) -> None:
-    """One entry for everything that has the same label in any of the panels."""
-    named = {label: mark for axes in panels for mark, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    place.legend(named.values(), named.keys(), loc="lower center", frameon=False, **look)
-
-
-def _plot_belief(axes: Axes, steps: NDArray[np.int64], mean: Floats, bars: Floats, margin: str) -> None:
-    """Mean (K,) with error bars (K,), or with a band where bars would stand too close."""
-    look: dict[str, Any] = {"color": BELIEF, "lw": 1.8, "label": f"belief, {margin}", "zorder": 4}
-    if int(steps[-1]) > _MOST_BARS:
-        axes.fill_between(steps, mean - bars, mean + bars, color=BELIEF, alpha=0.28, lw=0, zorder=3)
-        axes.plot(steps, mean, **look)
-    else:
-        axes.errorbar(steps, mean, yerr=bars, elinewidth=1.0, capsize=2.5, **look)
-
-
-def _stacked(n: int) -> tuple[Figure, list[Axes]]:
-    """A figure with n axes below each other."""
-    figure = empty_figure((8.0, 1.6 + (2.8 if n < 4 else 1.9) * n), layout="constrained")
-    return figure, list(figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0])
-
-
-def _with_plane(problem: Problem, trajectory: Trajectory, executed: list[Floats]) -> tuple[Figure, list[Axes]]:
-    """A figure with the plane on the left, and two axes below each other for the coordinates."""
+    chart = belief_chart(problem, trajectory, list(enumerate(executed)), spreads=False)
+    if not is_plane(automaton):
+        return chart_figure([chart])
     figure = empty_figure((14.0, 7.2), layout="constrained")
     columns = figure.add_gridspec(2, 2, width_ratios=(6.0, 8.0))
     plot_plane(figure.add_subplot(columns[:, 0]), problem, trajectory, executed)
     upper = figure.add_subplot(columns[0, 1])
-    return figure, [upper, figure.add_subplot(columns[1, 1], sharex=upper)]
+    axes = [upper, figure.add_subplot(columns[1, 1], sharex=upper)]
+    draw(chart, axes)
+    _legend(upper, axes, loc="lower center", bbox_to_anchor=(0.5, 1.05), ncols=4, fontsize=9)
+    return figure
+
+
+def _legend(place: Any, panels: Sequence[Axes], **look: Any) -> None:
+    """One entry for everything that has the same label in any of the panels."""
+    named = {label: mark for axes in panels for mark, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    if named:
+        place.legend(named.values(), named.keys(), frameon=False, **look)
 
 
 def save_figure(figure: Figure, path: str | Path) -> None:
@@ -137,31 +199,6 @@ def empty_figure(size: tuple[float, float], **options: Any) -> Figure:
     figure = Figure(figsize=size, facecolor="white", **options)
     FigureCanvasAgg(figure)
     return figure
-
-
-def _name_modes(axes: Axes, bands: list[tuple[str, float, float]]) -> None:
-    """The names of the modes above their bands; those of narrow bands in a row end together where the last one ends."""
-    narrow = [right - left < 0.15 * bands[-1][2] for _, left, right in bands]
-    waiting: list[str] = []
-    for number, (name, left, right) in enumerate(bands):
-        waiting.append(name)
-        if narrow[number] and any(narrow[number + 1 : number + 2]):
-            continue
-        place, side, shift = (right, "right", -2) if narrow[number] else (left, "left", 2)
-        axes.annotate(
-            ", ".join(waiting), (place, 1.01), (shift, 0), xycoords=("data", "axes fraction"),
-            textcoords="offset points", ha=side, fontsize=9, color=INK,
-        )  # fmt: skip
-        waiting = []
-
-
-def _mark_goal_and_guards(axes: Axes, problem: Problem, coordinate: int) -> None:
-    for index, value, tolerance in problem.goal.target:
-        if index == coordinate:
-            axes.axhspan(value - tolerance, value + tolerance, color=GOAL, alpha=0.3, lw=0, label="goal", zorder=1)
-            axes.axhline(value, color=GOAL, lw=0.8, zorder=1)
-    for value in guards_of(problem.automaton, coordinate):
-        axes.axhline(value, color=GUARD, lw=1.1, ls="--", label="guard", zorder=2)
 
 
 def is_plane(automaton: HybridAutomaton) -> bool:
@@ -192,7 +229,7 @@ def plot_plane(axes: Axes, problem: Problem, trajectory: Trajectory, executed: S
     axes.set_aspect("equal", adjustable="box")
     x_label, y_label = (f"{coordinate.name} [{coordinate.unit}]" for coordinate in automaton.coordinates)
     axes.set(xlabel=x_label, ylabel=y_label)
-    _legend(axes, [axes], bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize=8)
+    _legend(axes, [axes], loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize=8)
 
 
 def _ellipse(mean: Floats, factor: Floats, color: str, label: str) -> Ellipse:

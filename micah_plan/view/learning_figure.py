@@ -21,9 +21,8 @@ from micah_plan.automaton.graph import KinematicGraph
 from micah_plan.quantities import count, percent
 from micah_plan.recording.value import Recording
 from micah_plan.view.camera import viewing_direction
-from micah_plan.view.figures import empty_figure
+from micah_plan.view.figures import PANEL_INK, draw, empty_figure
 from micah_plan.view.learned import (
-    FLOOR,
     NO_BREAK,
     LearnedRun,
     Stretch,
@@ -31,16 +30,14 @@ from micah_plan.view.learned import (
     block_title,
     block_words,
     has_misfit,
-    interval_labels,
     is_misfit,
     kind_probabilities,
     kind_words,
     learned_runs,
-    line_labels,
-    segment_labels,
     shown_counts,
     wrapped,
 )
+from micah_plan.view.learning_charts import learning_chart
 from micah_plan.view.palette import GRID, INK, MISFIT, MUTED
 from micah_plan.view.placement import joint_axis, joint_curve
 
@@ -49,7 +46,7 @@ MOST_BLOCKS = 12
 """Parts and runs drawn; a figure of more is too long to look at, so the rest is only counted."""
 
 _LEFT, _SPLIT, _RIGHT, _NO_NAMES = 0.35, 5.35, 1.35, 0.3
-_HEADER, _GAP, _AXIS = 1.2, 0.2, 0.55
+_HEADER, _GAP, _AXIS = 1.2, 0.22, 0.55
 _CONFIGURATION, _EVIDENCE, _CHANGEPOINT = 2.2, 1.45, 0.8
 _BARS, _LEAST_SPACE = 0.95, 3.3
 _LINE, _CHARACTERS = 0.19, 150
@@ -131,15 +128,9 @@ def _draw_block(figure: Figure, block: _Block, top: float, *, several_runs: bool
     for height in block.panels:
         bottom -= _GAP + height
         axes.append(_panel(figure, _SPLIT, bottom, width, height, sharex=axes[0] if axes else None))
-    plot_configuration(axes[0], learned, width)
-    if len(axes) > 1:
-        plot_evidence(axes[1], learned, block.panels[1])
-        plot_changepoint(axes[2], learned)
+    draw(learning_chart(learned), axes)
     for panel in axes:
-        shade_segments(panel, learned)
-        panel.tick_params(labelbottom=panel is axes[-1])
         panel.yaxis.set_label_coords(-0.62 / width, 0.5)
-    axes[-1].set_xlabel("time [s]", color=PANEL_INK)
     space_bottom = bottom + (_BARS + 0.25 if block.bars else -0.35)
     plot_track(_space(figure, 0.2, space_bottom, _SPLIT - 1.15, top - _HEADER + 0.35 - space_bottom), learned)
     if learned.counts:
@@ -173,13 +164,7 @@ def _space(figure: Figure, left: float, bottom: float, width: float, height: flo
     return axes
 
 
-PANEL_INK = "#3E4C59"
-
-_LETTER = 0.078
-"""Width of a letter at the size of a segment's label [in]."""
-_LINE_HEIGHT = 0.17
 _MOST_KINDS = 5
-_FEW_ROWS = 300
 _ZOOM, _ZOOM_ON_FLAT = 0.86, 0.76
 _FAR = 2.5
 """A centre farther away than this many track sizes is not drawn: it would shrink the track to a dot."""
@@ -263,90 +248,6 @@ def _finish(space: Any, points: Floats, motion: Floats, frame: str) -> None:
         axis.set_major_locator(MaxNLocator(nbins=most, steps=[1, 2, 5, 10], min_n_ticks=1))
         axis.line.set_color(MUTED)
     space.tick_params(labelsize=8, pad=1, colors=INK)
-
-
-def plot_configuration(axes: Axes, learned: LearnedRun, width: float) -> None:
-    """The measured configuration of every row in its segment's colour, and above it the segments' names.
-
-    Args:
-        width: of the panel [in].
-    """
-    size = 4.2 if len(learned.rows) <= _FEW_ROWS else 2.6
-    for stretch in learned.stretches:
-        color, times = stretch.colored.color, learned.when(stretch.rows)
-        edge = INK if is_misfit(stretch.segment) else color
-        axes.plot(times, stretch.measured, "o", ms=size, mew=0.6, color=color, mec=edge, zorder=3)
-        if not stretch.segment.joint.moves and learned.quantity == "configuration" and len(stretch.rows):
-            resting = stretch.segment.configuration_start
-            axes.plot(times[[0, -1]], [resting, resting], color=INK, lw=1.2, zorder=4)
-    axes.set_ylabel(f"{learned.quantity} [{learned.unit}]", color=PANEL_INK)
-    axes.margins(y=0.1)
-    first, last = learned.span
-    axes.set_xlim(first, last)
-    axes.xaxis.set_major_locator(MaxNLocator(nbins=9, steps=[1, 2, 5, 10]))
-    for label in segment_labels(learned, _LETTER * (last - first) / width):
-        box = {"facecolor": MISFIT, "edgecolor": "none", "pad": 1.5} if label.misfit else None
-        axes.annotate(
-            label.text, (label.time, 1.0), xytext=(0, 5 + 14 * label.level), xycoords=("data", "axes fraction"),
-            textcoords="offset points", ha="center", fontsize=9.5, weight="bold", color=INK, bbox=box,
-        )  # fmt: skip
-
-
-def shade_segments(axes: Axes, learned: LearnedRun) -> None:
-    """The segments' colours behind a panel; a line at every changepoint, in the band of its 95 % interval."""
-    for number, stretch in enumerate(learned.stretches):
-        left, right = learned.when([stretch.segment.start - 0.5, stretch.segment.end + 0.5]).tolist()
-        if is_misfit(stretch.segment):
-            axes.axvspan(left, right, facecolor=MISFIT, alpha=0.28, lw=0, zorder=0)
-            axes.axvspan(left, right, facecolor="none", edgecolor=MISFIT, hatch="///", alpha=0.5, lw=0, zorder=0)
-        else:
-            axes.axvspan(left, right, color=stretch.colored.color, alpha=0.15, lw=0, zorder=0)
-        if number and stretch.interval is not None:
-            low, high = learned.when([stretch.interval[0] - 0.5, stretch.interval[1] + 0.5]).tolist()
-            axes.axvspan(low, high, color=INK, alpha=0.14, lw=0, zorder=1, label="95 % interval")
-        if number:
-            axes.axvline(left, color=INK, lw=1.0, ls=(0, (4, 2)), zorder=2)
-
-
-def plot_evidence(axes: Axes, learned: LearnedRun, height: float) -> None:
-    """Cumulated evidence of each model against the best single one: a model takes over where its line rises.
-
-    Args:
-        height: of the panel [in].
-    """
-    times = learned.when(learned.evidence_rows)
-    for line in sorted(learned.evidence, key=lambda line: line.color is not None):
-        color, lw = (MUTED, 1.0) if line.color is None else (line.color, 2.2)
-        if color == MISFIT:
-            axes.plot(times, line.values, color=INK, lw=3.2, zorder=3)
-        axes.plot(times, line.values, color=color, lw=lw, zorder=3 if line.color else 2, label=line.model)
-    low, high = learned.evidence_range
-    axes.set_ylim(low, high)
-    axes.set_ylabel("evidence against\nbest single [nats]", color=PANEL_INK)
-    axes.yaxis.set_major_locator(MaxNLocator(nbins=4))
-    axes.axhline(FLOOR, color=MUTED, lw=0.7, ls=":", zorder=1)
-    for place, name, used in line_labels(learned.evidence, _LINE_HEIGHT / height * (high - low)):
-        look: dict[str, Any] = {"weight": "bold", "color": INK} if used else {"weight": "normal", "color": PANEL_INK}
-        axes.annotate(
-            name, (1.0, place), xytext=(5, 0), xycoords=("axes fraction", "data"), textcoords="offset points",
-            va="center", fontsize=8.5, **look,
-        )  # fmt: skip
-
-
-def plot_changepoint(axes: Axes, learned: LearnedRun) -> None:
-    """The posterior probability of every row to be the first of a segment."""
-    bars = learned.changepoints
-    rows, heights, widths = (np.array([getattr(bar, name) for bar in bars]) for name in ("row", "probability", "width"))
-    left, right = learned.when(rows - 0.5 * widths), learned.when(rows + 0.5 * widths)
-    axes.bar(left, heights, width=right - left, align="edge", color=INK, lw=0, zorder=3)
-    axes.set_ylim(learned.changepoint_range)
-    axes.yaxis.set_major_locator(MaxNLocator(nbins=2))
-    axes.set_ylabel("P(change\nat row)", color=PANEL_INK)
-    for first, name in interval_labels(learned):
-        axes.annotate(
-            name, (float(learned.when(first - 0.5)), 0.97), xytext=(-4, 0), xycoords=("data", "axes fraction"),
-            textcoords="offset points", ha="right", va="top", fontsize=8.5, color=PANEL_INK,
-        )  # fmt: skip
 
 
 def plot_counts(axes: Axes, learned: LearnedRun) -> None:

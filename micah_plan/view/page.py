@@ -1,7 +1,7 @@
 """Pages as values, and the HTML that templates make of them: single files that fetch nothing. The only user of jinja2.
 
-`templates/base.html.j2` is the page that all others extend. Values are escaped in the template, except for `Svg` and
-the assets. The same value gives the same bytes.
+`templates/base.html.j2` is the page that all others extend. Values are escaped in the template, except for the assets.
+The same value gives the same bytes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from micah_plan.errors import InputError
-from micah_plan.view.svg import Svg
+from micah_plan.view.chart import Chart
 
 if TYPE_CHECKING:
     from micah_plan.view.scene import Scene
@@ -95,22 +95,22 @@ class Bars:
 
 
 @dataclass(frozen=True)
-class Chart:
-    """A drawing with its words.
+class Block:
+    """A chart with its words.
 
     Attributes:
         title: above it.
         words: sentences below the title.
-        drawing: the SVG; empty for none.
+        chart: None for none.
         bars: small bar charts below it.
         notes: sentences at the end.
         alarm: whether the title says that something is wrong.
-        keyframes: (time on the player [s], x in the drawing [px]) of the line that follows the player.
+        keyframes: (time on the player [s], x of the chart) of the line that follows the player.
     """
 
     title: str
     words: tuple[str, ...] = ()
-    drawing: Svg = field(default_factory=Svg)
+    chart: Chart | None = None
     bars: tuple[Bars, ...] = ()
     notes: tuple[str, ...] = ()
     alarm: bool = False
@@ -141,7 +141,7 @@ class RunEntry:
         words: sentences about it, shown while it is chosen.
         layer: of the scene with what belongs to it alone; empty: nothing does.
         readouts: as of `Timeline`, shown below these while it is chosen.
-        drawn_as: number by which elements of the charts (``data-run``) belong to it.
+        drawn_as: number by which curves of the charts belong to it.
     """
 
     label: str
@@ -180,7 +180,7 @@ class ScenePage:
     legend: Sequence[LegendEntry] = ()
     timeline: Timeline = field(default_factory=Timeline)
     hidden: Sequence[str] = ()
-    charts: Sequence[Chart] = ()
+    charts: Sequence[Block] = ()
     runs: Sequence[RunEntry] = ()
 
 
@@ -205,7 +205,7 @@ def render_scene(page: ScenePage, scene: Scene) -> str:
             }
             for run in page.runs
         ],
-        "charts": [[[round(time, 4), round(x, 1)] for time, x in chart.keyframes] for chart in page.charts],
+        "charts": [[[round(time, 4), x] for time, x in block.keyframes] for block in page.charts],
     }
     keys = [
         *_PLAYER_KEYS,

@@ -1,8 +1,9 @@
-"""The charts on the page of a plan: belief, its spread and the arm over the steps; a line follows the player."""
+"""The charts of a plan, on its page and in its figure: belief, its spread and the arm over the steps."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,47 +12,36 @@ from micah_plan.execution.mujoco.parameters import parameters_of
 from micah_plan.quantities import count, percent, plain, quantity
 from micah_plan.task.plan import ArmTrajectory, Plan, Trajectory
 from micah_plan.task.problem import Problem
-from micah_plan.view.executed import ExecutedRun
+from micah_plan.view.chart import Area, Chart, Curve, Level, Mark, Panel, Range, Span, Words, widened
 from micah_plan.view.motion import duration, knot_times, step_times, stretches, times_of_steps
-from micah_plan.view.page import Chart
+from micah_plan.view.page import Block
 from micah_plan.view.palette import BELIEF, EXECUTED, GOAL, mode_colors
 from micah_plan.view.placement import guards_of
-from micah_plan.view.svg import Panel, Svg, enlarged, played
 
-Drawn = tuple[list[Panel], list[Svg]]
-
-_WIDTH, _LEFT, _RIGHT = 420.0, 66.0, 8.0
-_TOP, _MEAN, _SPREAD, _GAP = 6.0, 96.0, 44.0, 12.0
+_MEAN, _SPREAD = 96.0, 44.0
 _MOST_COORDINATES = 12
-_MARGIN = 0.08
+_NARROW = 0.15  # of the axis; names of narrower stretches in a row end together where the last one ends
+
+Runs = Sequence[tuple[int, Floats]]
+"""Numbers of executed runs, and their configurations (T, n), true or measured."""
 
 
-def plan_charts(plan: Plan, problem: Problem, runs: Sequence[ExecutedRun] = ()) -> list[Chart]:
+def plan_charts(plan: Plan, problem: Problem, runs: Runs = ()) -> list[Block]:
     """The belief over the steps, with executed runs on top, and the arm's manipulability and clearance where there is
     one; none without plan.
     """
     trajectory = plan.trajectory
     if trajectory is None:
         return []
-    settings, colors = problem.settings, mode_colors(problem.automaton)
-    steps = step_times(trajectory).astype(np.float64)
-    last = max([float(steps[-1]), 1.0, *(len(run.x) - 1.0 for run in runs)])
-    top = Panel(_LEFT, _TOP - _GAP, _WIDTH - _LEFT - _RIGHT, 0.0, 0.0, last, 0.0, 1.0)
+    settings = problem.settings
+    steps, last = step_times(trajectory).astype(np.float64), _last(trajectory, runs)
     times = [
         *knot_times(trajectory),
         float(times_of_steps(trajectory, np.array([last]))[0]),
         duration(trajectory, last),
     ]
-    frames = tuple((float(t), top.x(float(s))) for t, s in zip(times, [*steps, last, last], strict=True))
-    frames = tuple(sorted(dict(frames).items()))
-    bands = [(steps[i], steps[j], colors[trajectory.modes[i]]) for i, j in stretches(trajectory.modes)]
-
-    def chart(title: str, words: tuple[str, ...], drawn: Drawn, label: str) -> Chart:
-        panels, parts = drawn
-        shades = [panel.band(first, end, "shade", color) for panel in panels for first, end, color in bands]
-        drawing = played(_WIDTH, panels, [*shades, *parts], step_label(problem), f"{label} over the steps of the plan")
-        return Chart(title, words, drawing, keyframes=frames)
-
+    frames = {float(time): float(step) for time, step in zip(times, [*steps, last, last], strict=True)}
+    keyframes = tuple(sorted(frames.items()))
     legend = (
         f"Mean ± {plain(settings.sigmas)} σ, the room that a confidence of {percent(settings.confidence)} asks for at "
         "a limit; below it σ alone. Green: goal. Dashed: where the mode changes."
@@ -61,10 +51,10 @@ def plan_charts(plan: Plan, problem: Problem, runs: Sequence[ExecutedRun] = ()) 
     if runs:
         words = (*words, "Orange: executed.")
     title = "Belief and executed runs" if runs else "Belief"
-    charts = [chart(title, words, _belief(problem, trajectory, steps, top, runs), "belief")]
+    blocks = [Block(title, words, belief_chart(problem, trajectory, runs), keyframes=keyframes)]
     if plan.arm is not None:
-        charts.append(chart("Arm", (), _arm(plan.arm, steps, top), "manipulability and clearance of the arm"))
-    return charts
+        blocks.append(Block("Arm", (), _arm_chart(problem, trajectory, plan.arm, last), keyframes=keyframes))
+    return blocks
 
 
 def step_label(problem: Problem) -> str:
@@ -72,47 +62,77 @@ def step_label(problem: Problem) -> str:
     return f"step, of {quantity(parameters_of(problem).control_period, 's')} each"
 
 
-def _panel(above: Panel, height: float, low: float, high: float) -> Panel:
-    """A panel below another, its range widened by a margin."""
-    extra = _MARGIN * (high - low) or 1e-3 * max(abs(high), 1.0)
-    return above.below(_GAP, height, low - extra, high + extra)
+def belief_chart(problem: Problem, trajectory: Trajectory, runs: Runs = (), *, spreads: bool = True) -> Chart:
+    """Mean and margin of every coordinate over the steps, with goal, guards and executed runs.
 
-
-def _belief(
-    problem: Problem, trajectory: Trajectory, steps: Floats, above: Panel, runs: Sequence[ExecutedRun]
-) -> Drawn:
+    Args:
+        problem: with the confidence that the margin stands for: ± k σ with Phi(k) = confidence.
+        trajectory: the belief.
+        runs: that were executed.
+        spreads: whether σ alone stands below each coordinate.
+    """
     panels: list[Panel] = []
-    parts: list[Svg] = []
-    spreads = np.sqrt((trajectory.factors**2).sum(axis=2))
-    larger = enlarged((_MEAN + _SPREAD) * min(problem.automaton.n, _MOST_COORDINATES))
-    for i, coordinate in enumerate(problem.automaton.coordinates[:_MOST_COORDINATES]):
-        mean, std = trajectory.means[:, i], spreads[:, i]
+    shown = problem.automaton.coordinates[:_MOST_COORDINATES]
+    steps, stds = step_times(trajectory).astype(np.float64), np.sqrt((trajectory.factors**2).sum(axis=2))
+    margin = f"± {plain(problem.settings.sigmas)} σ (confidence {percent(problem.settings.confidence)})"
+    executed = f"executed ({count(len(runs), 'run')})" if len(runs) > 1 else "executed"
+    for i, coordinate in enumerate(shown):
+        mean, std = trajectory.means[:, i], stds[:, i]
         lower, upper = mean - problem.settings.sigmas * std, mean + problem.settings.sigmas * std
         goals = [(value - tol, value + tol) for index, value, tol in problem.goal.target if index == i]
-        low = min([float(lower.min()), *(start for start, _ in goals), *(float(run.x[:, i].min()) for run in runs)])
-        high = max([float(upper.max()), *(end for _, end in goals), *(float(run.x[:, i].max()) for run in runs)])
-        panel = _panel(above, larger * _MEAN, low, high)
-        above = _panel(panel, larger * _SPREAD, 0.0, float(std.max()))
-        panels += [panel, above]
-        parts += [panel.level_band(*goal, "level", GOAL) for goal in goals]
-        guards = guards_of(problem.automaton, i)
-        parts += [panel.level(value, "guard") for value in guards if panel.y0 < value < panel.y1]
-        parts += [panel.area(steps, lower, upper, "spread", BELIEF), panel.curve(steps, mean, "line", BELIEF)]
-        for run in runs:
-            parts.append(panel.curve(np.arange(len(run.x)), run.x[:, i], "run", EXECUTED, data_run=str(run.run)))
-        parts += [panel.y_axis(f"{coordinate.name}\n[{coordinate.unit}]")]
-        parts += [above.curve(steps, std, "line", BELIEF), above.y_axis(f"σ\n[{coordinate.unit}]", 2)]
-    return panels, parts
+        low, high = widened([lower, upper, *(end for goal in goals for end in goal), *(x[:, i] for _, x in runs)])
+        marks: list[Mark] = [Range(*goal, GOAL, "goal") for goal in goals]
+        marks += [Level(at, label="guard") for at in guards_of(problem.automaton, i) if low < at < high]
+        marks.append(Area(steps, lower, upper, color=BELIEF, label=f"belief, {margin}"))
+        marks.append(Curve(steps, mean, color=BELIEF))
+        for run, x in runs:
+            marks.append(Curve(np.arange(len(x), dtype=float), x[:, i], "run", EXECUTED, executed, run))
+        panels.append(Panel(f"{coordinate.name}\n[{coordinate.unit}]", low, high, _MEAN, tuple(marks)))
+        if spreads:
+            line = Curve(steps, std, color=BELIEF)
+            panels.append(Panel(f"σ\n[{coordinate.unit}]", *widened([0.0, std]), _SPREAD, (line,)))
+    return _over_steps(problem, trajectory, panels, _last(trajectory, runs), "belief")
 
 
-def _arm(arm: ArmTrajectory, steps: Floats, above: Panel) -> Drawn:
-    panels: list[Panel] = []
-    parts: list[Svg] = []
+def _last(trajectory: Trajectory, runs: Runs) -> float:
+    """The last step of the plan or of a run."""
+    return max([float(step_times(trajectory)[-1]), 1.0, *(len(x) - 1.0 for _, x in runs)])
+
+
+def _over_steps(
+    problem: Problem, trajectory: Trajectory, panels: Sequence[Panel], last: float, described: str
+) -> Chart:
+    """Panels over the steps, shaded and named by mode."""
+    steps, colors = step_times(trajectory).astype(np.float64), mode_colors(problem.automaton)
+    bands = [(trajectory.modes[i], steps[i], steps[j]) for i, j in stretches(trajectory.modes)]
+    shades = [Span(float(start), float(end), color=colors[mode]) for mode, start, end in bands]
+    shaded = [panel.with_marks(*shades) for panel in panels]
+    shaded[0] = replace(shaded[0], marks=(*shaded[0].marks, *_names(bands, last)))
+    label = f"{described} over the steps of the plan"
+    return Chart(label, step_label(problem), 0.0, last, tuple(shaded), lines=1, fills=True)
+
+
+def _names(bands: Sequence[tuple[str, float, float]], last: float) -> list[Words]:
+    """The names of the modes above their bands; those of narrow bands in a row end together where the last one ends."""
+    narrow = [end - start < _NARROW * last for _, start, end in bands]
+    words, waiting = [], list[str]()
+    for number, (name, start, end) in enumerate(bands):
+        waiting.append(name)
+        if narrow[number] and any(narrow[number + 1 : number + 2]):
+            continue
+        place, side = (end, "left") if narrow[number] else (start, "right")
+        words.append(Words(", ".join(waiting), float(place), side="left" if side == "left" else "right"))
+        waiting = []
+    return words
+
+
+def _arm_chart(problem: Problem, trajectory: Trajectory, arm: ArmTrajectory, last: float) -> Chart:
+    """Manipulability and clearance of the arm."""
+    steps, panels = step_times(trajectory).astype(np.float64), []
     clearance = np.array([np.nan if c is None else 1000.0 * c for c in arm.clearance])
     for label, values in (("manipulability", arm.manipulability), ("clearance\n[mm]", clearance)):
         shown = np.isfinite(values)
         if shown.any():
-            above = _panel(above, _MEAN, 0.0, float(values[shown].max()))
-            panels.append(above)
-            parts += [above.curve(steps[shown], values[shown], "line", BELIEF), above.y_axis(label)]
-    return panels, parts
+            line = Curve(steps[shown], values[shown], color=BELIEF)
+            panels.append(Panel(label, *widened([0.0, values[shown]]), _MEAN, (line,)))
+    return _over_steps(problem, trajectory, panels, last, "manipulability and clearance of the arm")

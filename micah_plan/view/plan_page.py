@@ -122,7 +122,7 @@ def plan_page(
         details=[*(runs_details(runs) if runs else []), *_details(plan, problem)],
         timeline=_timeline(plan.trajectory, problem, runs, after) if plan.trajectory else Timeline(),
         hidden=["spread"],
-        charts=plan_charts(plan, carrying(problem), runs),
+        charts=plan_charts(plan, carrying(problem), [(run.run, run.x) for run in runs]),
         runs=listed,
     )
     return render_scene(page, scene)

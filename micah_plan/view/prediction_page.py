@@ -6,7 +6,7 @@ The figure of measured and predicted motion: one axes per coordinate and run, ov
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -18,24 +18,20 @@ from micah_plan.recording.value import Recording
 from micah_plan.residual.judgement import Floor, Judgement
 from micah_plan.residual.prediction import PredictionError, RunPrediction, rmse, rmse_of_coordinates
 from micah_plan.view.camera import camera
+from micah_plan.view.chart import Chart, Curve, Level, Panel, evenly, widened
 from micah_plan.view.drawing import draw_shapes, fixed_shapes, link_shapes, object_size, shape_corners, shown_links
 from micah_plan.view.executed import poses_of_run
 from micah_plan.view.learned import capital
 from micah_plan.view.model_page import draw_ground_and_frame, ground_legend
 from micah_plan.view.motion import Keyframes, poses_over_time
-from micah_plan.view.page import Chart, LegendEntry, RunEntry, ScenePage, Status, Timeline, render_scene
+from micah_plan.view.page import Block, LegendEntry, RunEntry, ScenePage, Status, Timeline, render_scene
 from micah_plan.view.palette import BLUE, INK, ORANGE
 from micah_plan.view.placement import handle_in_part
 from micah_plan.view.scene import Scene, slug
-from micah_plan.view.svg import Panel, Svg, enlarged, evenly, played
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-_MOST_RUNS, _MOST_KEYFRAMES, _MOST_COORDINATES = 20, 200, 12
+_MOST_RUNS, _MOST_DRAWN, _MOST_KEYFRAMES, _MOST_COORDINATES = 20, 6, 200, 12
 _SHORTEST_S, _LONGEST_S, _REST_S = 4.0, 15.0, 0.8
-_WIDTH, _LEFT, _RIGHT, _TOP, _HEIGHT, _GAP = 420.0, 66.0, 8.0, 6.0, 110.0, 14.0
+_HEIGHT = 110.0
 _BADGES: dict[bool | None, tuple[str, Status]] = {
     True: ("errors look like noise", "good"),
     False: ("the model lacks something", "fair"),
@@ -86,7 +82,7 @@ def prediction_page(
             *ground_legend(spacing),
         ],
         timeline=Timeline(longest * scale + _REST_S),
-        charts=_charts(automaton, worst, longest, scale),
+        charts=_blocks(automaton, worst, longest, scale),
         runs=entries,
     )
     return render_scene(page, scene)
@@ -167,90 +163,43 @@ def _changes(judged: Judgement) -> list[str]:
     return lines
 
 
-def _charts(automaton: HybridAutomaton, runs: Sequence[RunPrediction], longest: float, scale: float) -> list[Chart]:
-    """Measured, one step ahead and rolled out, per coordinate; below it the errors of both."""
-    top = Panel(_LEFT, _TOP - _GAP, _WIDTH - _LEFT - _RIGHT, 0.0, 0.0, max(longest, 1e-9), 0.0, 1.0)
+def _blocks(automaton: HybridAutomaton, runs: Sequence[RunPrediction], longest: float, scale: float) -> list[Block]:
+    """The chart of all runs, whose line follows the player."""
     ends = ((0.0, 0.0), (longest * scale, longest), (longest * scale + _REST_S, longest))
-    frames = tuple((shown, top.x(time)) for shown, time in ends)
-    panels: list[Panel] = []
-    parts: list[Svg] = []
-    height = _HEIGHT * enlarged(2 * _HEIGHT * min(automaton.n, _MOST_COORDINATES))
-    for i, coordinate in enumerate(automaton.coordinates[:_MOST_COORDINATES]):
-        errors = [(run.one_step.configuration[:, i], run.rollout.configuration[:, i]) for run in runs]
-        measured = [run.x[:, i] for run in runs]
-        predicted = [
-            (x[1:] + step_error, x[1:] + rolled) for x, (step_error, rolled) in zip(measured, errors, strict=True)
-        ]
-        panel = top.below(_GAP, height, *_ends([*measured, *(rolled for _, rolled in predicted)]))
-        top = panel.below(_GAP, height, *_ends([error for both in errors for error in both]))
-        panels += [panel, top]
-        for run, x in zip(runs, measured, strict=True):
-            parts.append(panel.curve(run.time, x, "run dots small", INK, dots=True, data_run=str(run.run)))
-        parts += [*_curves(panel, runs, predicted), top.level(0.0, "zero"), *_curves(top, runs, errors)]
-        parts += [panel.y_axis(f"{coordinate.name}\n[{coordinate.unit}]"), top.y_axis(f"error\n[{coordinate.unit}]")]
     words = ["Dots: measured. Blue: predicted one step ahead of each measured row. Orange: from the first row alone."]
     left_out = automaton.n - _MOST_COORDINATES
     words += [f"{count(left_out, 'more coordinate')} not shown."] if left_out > 0 else []
-    drawing = played(_WIDTH, panels, parts, "time in the run [s]", "measured and predicted over time")
-    return [Chart("Measured and predicted", tuple(words), drawing, keyframes=frames)]
+    return [Block("Measured and predicted", tuple(words), prediction_chart(automaton, runs), keyframes=ends)]
 
 
-def _curves(panel: Panel, runs: Sequence[RunPrediction], both: Sequence[tuple[Floats, Floats]]) -> list[Svg]:
-    """One step ahead and rolled out, of every run, over the rows after its first."""
-    drawn = []
-    for run, curves in zip(runs, both, strict=True):
-        for values, color in zip(curves, (BLUE, ORANGE), strict=True):
-            drawn.append(panel.curve(run.time[1:], values, "run", color, data_run=str(run.run)))
-    return drawn
+def prediction_charts(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> list[Chart]:
+    """One chart for each of the first runs."""
+    return [
+        replace(prediction_chart(automaton, [run]), x_label=f"time in run {run.run} [s]") for run in runs[:_MOST_DRAWN]
+    ]
 
 
-def _ends(values: Sequence[Floats]) -> tuple[float, float]:
-    low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
-    room = 0.08 * (high - low) or 1e-3
-    return low - room, high + room
+def prediction_chart(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> Chart:
+    """Measured, one step ahead and rolled out, per coordinate; below it the errors of both."""
+    panels: list[Panel] = []
+    shown = automaton.coordinates[:_MOST_COORDINATES]
+    for i, coordinate in enumerate(shown):
+        dots = [Curve(run.time, run.x[:, i], "small", INK, "measured", run.run) for run in runs]
+        errors = [line for run in runs for line in _lines(run, i, 0.0)]
+        predicted = [line for run in runs for line in _lines(run, i, run.x[1:, i])]
+        ends = widened([line.y for line in (*dots, *predicted)])
+        panels.append(Panel(f"{coordinate.name}\n[{coordinate.unit}]", *ends, _HEIGHT, (*dots, *predicted)))
+        ends = widened([line.y for line in errors])
+        panels.append(Panel(f"error\n[{coordinate.unit}]", *ends, _HEIGHT, (Level(0.0, "zero"), *errors)))
+    longest = max(float(run.time[-1]) for run in runs)
+    described = "measured and predicted over time"
+    return Chart(described, "time in the run [s]", 0.0, max(longest, 1e-9), tuple(panels), fills=True)
 
 
-_MOST_RUNS_DRAWN = 6
-
-
-def prediction_figure(
-    automaton: HybridAutomaton, runs: Sequence[RunPrediction], corrected: Sequence[RunPrediction] = ()
-) -> Figure:
-    """Measured configurations, one-step predictions and roll-outs of the first runs.
-
-    Args:
-        automaton: of the predictions.
-        runs: at least one.
-        corrected: the same runs as another model predicts them; then roll-outs alone are drawn, of both.
-    """
-    from micah_plan.view.figures import empty_figure  # pages need no Matplotlib
-
-    shown = list(runs)[:_MOST_RUNS_DRAWN]
-    size = (3.4 * max(len(shown), 2), 0.8 + 2.4 * automaton.n)
-    figure = empty_figure(size, layout="constrained")
-    grid = figure.subplots(automaton.n, len(shown), sharex="col", sharey="row", squeeze=False)
-    for column, run in enumerate(shown):
-        others = (run,) if not corrected else (run, corrected[column])
-        for i in range(automaton.n):
-            _draw(grid[i, column], i, others)
-        grid[0, column].set_title(f"run {run.run}", fontsize=10)
-        grid[-1, column].set_xlabel("time in the run [s]")
-    for i, coordinate in enumerate(automaton.coordinates):
-        grid[i, 0].set_ylabel(f"{coordinate.name} [{coordinate.unit}]")
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False, fontsize=9)
-    return figure
-
-
-def _draw(axes: Axes, i: int, runs: Sequence[RunPrediction]) -> None:
-    """Measured, and what one model predicts in both ways, or two models in one."""
-    first = runs[0]
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.plot(first.time, first.x[:, i], ".", ms=3.5, color=INK, label="measured")
-    if len(runs) == 1:
-        predicted = first.x[1:, i] + first.one_step.configuration[:, i]
-        axes.plot(first.time[1:], predicted, color=BLUE, lw=1.0, alpha=0.8, label="one step ahead")
-    names = ("roll-out",) if len(runs) == 1 else ("roll-out before", "roll-out calibrated")
-    for run, name, color in zip(runs, names, (ORANGE, BLUE), strict=False):
-        rolled = np.concatenate([run.x[:1, i], run.x[1:, i] + run.rollout.configuration[:, i]])
-        axes.plot(run.time, rolled, color=color, lw=1.6, label=name)
+def _lines(run: RunPrediction, i: int, measured: Floats | float) -> list[Curve]:
+    """One step ahead and rolled out over the rows after the first: errors, added to what was measured."""
+    kinds = (run.one_step, BLUE, "one step ahead"), (run.rollout, ORANGE, "roll-out")
+    return [
+        Curve(run.time[1:], measured + error.configuration[:, i], "run", color, label, run.run)
+        for error, color, label in kinds
+    ]

@@ -10,6 +10,7 @@ from micah_plan.automaton.joint import radius
 from micah_plan.quantities import interval, percent, plain, quantity
 from micah_plan.recording.value import Recording
 from micah_plan.view.camera import camera
+from micah_plan.view.chart import evenly
 from micah_plan.view.drawing import JointLook, draw_frame, draw_ground, draw_joint
 from micah_plan.view.learned import (
     NO_FIT,
@@ -26,7 +27,6 @@ from micah_plan.view.page import Band, LegendEntry, ScenePage, Timeline, render_
 from micah_plan.view.palette import FRAME_AXES, GRID, INK, MUTED
 from micah_plan.view.scene import Scene, slug
 from micah_plan.view.solids import beads
-from micah_plan.view.svg import evenly
 
 _MOST_BEADS = 1500
 _MOST_KEYFRAMES = 400

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import re
 import shutil
 from collections.abc import Iterator
@@ -52,9 +53,9 @@ class Shown:
     def __init__(self, page: Page, messages: list[str]) -> None:
         self.page, self.messages = page, messages
 
-    def pixels(self) -> np.ndarray:
-        """The 3-D part as it looks, (h, w, 3) in 0..1."""
-        return np.asarray(imread(io.BytesIO(self.page.locator("#view").screenshot()))[..., :3])
+    def pixels(self, part: str = "#view") -> np.ndarray:
+        """The 3-D part as it looks, or another, (h, w, 3) in 0..1."""
+        return np.asarray(imread(io.BytesIO(self.page.locator(part).first.screenshot()))[..., :3])
 
     def time(self) -> float:
         """Where the slider stands, as a share of the whole."""
@@ -156,14 +157,43 @@ def test_slider_and_charts_follow_each_other(show: Any) -> None:
     places = []
     for share in (0.1, 0.5):
         shown.drag_to(share)
-        places.append(float(shown.page.locator("#charts .cursor").first.get_attribute("x1")))
+        places.append(shown.page.locator("#charts .at").first.bounding_box()["x"])
     assert places[1] - places[0] > 100
-    box = shown.page.locator("#charts svg").first.bounding_box()
-    left, right = (box["x"] + box["width"] * edge / 420 for edge in (66, 412))  # of the panel in its drawing
-    shown.page.mouse.click(left + 0.75 * (right - left), box["y"] + 40)
+    box = shown.page.locator("#charts .u-over").first.bounding_box()
+    shown.page.mouse.click(box["x"] + 0.75 * box["width"], box["y"] + 40)
     assert shown.time() == pytest.approx(0.75 * 10.02 / 10.82, abs=0.01)
-    shown.page.mouse.click(left - 20, box["y"] + 40)
-    assert shown.time() == 0.0
+    shown.page.mouse.click(box["x"] + 1, box["y"] + 40)
+    assert shown.time() < 0.01
+
+
+@pytest.mark.slow
+def test_a_chart_is_zoomed_by_dragging_and_whole_again_by_pressing_twice(show: Any) -> None:
+    shown = show(plan_page(solved(), problem()), "#t=0.1", size={"width": 1400, "height": 850})
+    page = shown.page
+    ends = "() => charts[0].panels.map(({ u }) => [u.scales.x.min, u.scales.x.max])"
+    whole, before = page.evaluate(ends), shown.time()
+    assert whole == [[0, 20], [0, 20]]
+    box = page.locator("#charts .u-over").first.bounding_box()
+    page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 40)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.75 * box["width"], box["y"] + 50, steps=5)
+    page.mouse.up()
+    for low, high in page.evaluate(ends):
+        assert (low, high) == pytest.approx((10.0, 15.0), abs=0.3), "all panels go along"
+    assert shown.time() == before, "the player stays"
+    assert not page.locator("#charts .at").first.is_visible(), "and its line is out of sight"
+    page.locator("#charts .u-over").first.dblclick()
+    assert page.evaluate(ends) == whole
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_marks_are_drawn_in_their_colours_on_light_and_dark_pages(show: Any, scheme: str) -> None:
+    shown = show(plan_page(solved(), problem()), size={"width": 1400, "height": 850}, scheme=scheme)
+    (low, high) = (np.array(color) / 255 for color in ((0, 80, 140), (60, 160, 230)))
+    taken = shown.pixels("#charts canvas")
+    assert (((taken > low) & (taken < high)).all(axis=-1)).sum() > 100, "the mean in blue"
+    assert (taken.mean() > 0.6) == (scheme == "light")
 
 
 @pytest.mark.slow
@@ -214,11 +244,11 @@ def test_runs_are_chosen_one_by_one_or_together(show: Any, repository: Path) -> 
     assert "run 0 after" in page.inner_text("#readout") or "run" in page.inner_text("#readout")
     page.keyboard.press("r")
     assert visible() == [False, True, False]
-    assert page.locator("#charts .run.chosen").count() == 1
-    assert page.locator("#charts .run.faded").count() == 2
+    drawn = [run["drawn"] for run in json.loads(page.inner_text("#page-data"))["runs"]]
+    assert page.evaluate("() => charts.map((chart) => chart.chosen)") == [drawn[1]]
     page.select_option("#run", "all")
     assert visible() == [True, True, True]
-    assert page.locator("#charts .run.faded").count() == 0
+    assert page.evaluate("() => charts.map((chart) => chart.chosen)") == [None]
 
 
 @pytest.mark.slow
@@ -261,7 +291,7 @@ def test_pages_of_an_arm_and_of_a_calibration_open_without_errors(show: Any, rep
     runs = stages.execute(drawer, stages.solve(drawer), trials=4).recording
     shown = show(calibration_page(stages.calibrate(drawer.automaton, runs), "drawer"), "")
     assert shown.page.inner_text("h1") == "drawer: measured motion against the model"
-    assert shown.page.locator("svg").count() > 0
+    assert shown.page.locator(".chart canvas").count() > 10
 
 
 @pytest.mark.slow

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
-from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from scipy.stats import norm
@@ -17,10 +16,11 @@ from view_objects import OPEN_AT, door, measured, problem, solved, trajectory
 from micah_plan.errors import InputError
 from micah_plan.recording.value import Recording
 from micah_plan.task.plan import Plan
+from micah_plan.view.chart import Chart, Curve, Level, Panel, aligned
 from micah_plan.view.executed import configurations
-from micah_plan.view.figures import belief_figure, save_figure
+from micah_plan.view.figures import belief_figure, chart_figure, save_figure
 from micah_plan.view.learning_figure import learning_figure
-from micah_plan.view.palette import EXECUTED
+from micah_plan.view.palette import BELIEF, EXECUTED
 
 
 def executed(runs: int = 3, *, true_column: bool = False) -> Recording:
@@ -31,25 +31,27 @@ def executed(runs: int = 3, *, true_column: bool = False) -> Recording:
     return dataclasses.replace(repeated, run=np.repeat(np.arange(runs), 22), has_run=True, extra=extra)
 
 
-def errorbars(figure: Figure) -> ErrorbarContainer:
-    return next(c for c in figure.axes[0].containers if isinstance(c, ErrorbarContainer))
+def belief_of(figure: Figure) -> tuple[np.ndarray, np.ndarray]:
+    """The points (k, 2) of the mean, and of the corners of the area around it."""
+    (area,) = (one for one in figure.axes[0].collections if str(one.get_label()).startswith("belief"))
+    mean = next(line for line in figure.axes[0].lines if to_hex(line.get_color()) == BELIEF.lower())
+    return np.transpose(mean.get_data()), area.get_paths()[0].vertices
 
 
 @pytest.mark.parametrize("confidence", [0.9, 0.99])
-def test_error_bars_are_k_sigma_of_the_plan(confidence: float) -> None:
-    container = errorbars(belief_figure(problem(confidence=confidence), solved()))
-    line, _, (bars,) = container
+def test_the_area_is_k_sigma_of_the_plan(confidence: float) -> None:
+    mean, corners = belief_of(belief_figure(problem(confidence=confidence), solved()))
     plan = trajectory()
-    np.testing.assert_allclose(line.get_ydata(), plan.means[:, 0])
+    np.testing.assert_allclose(mean[:, 1], plan.means[:, 0])
     half = norm.ppf(confidence) * plan.factors[:, 0, 0]
-    segments = np.array(bars.get_segments())
-    np.testing.assert_allclose(segments[:, 0, 1], plan.means[:, 0] - half)
-    np.testing.assert_allclose(segments[:, 1, 1], plan.means[:, 0] + half)
+    for (step, value), around in zip(mean, half, strict=True):
+        for edge in (value - around, value + around):
+            assert np.abs(corners - (step, edge)).max(axis=1).min() < 1e-9
 
 
 def test_a_transition_takes_no_step() -> None:
-    line = errorbars(belief_figure(problem(), solved()))[0]
-    np.testing.assert_array_equal(line.get_xdata(), [*range(20), 19, 20])
+    mean, _ = belief_of(belief_figure(problem(), solved()))
+    np.testing.assert_array_equal(mean[:, 0], [*range(20), 19, 20])
 
 
 def test_each_run_is_one_line_of_measured_configurations() -> None:
@@ -72,7 +74,7 @@ def test_goal_guard_and_modes_are_marked() -> None:
     assert (box.y0, box.y1) == pytest.approx((OPEN_AT - 0.02, OPEN_AT + 0.02))
     guard = next(line for line in axes.lines if line.get_label() == "guard")
     np.testing.assert_allclose(guard.get_ydata(), OPEN_AT)
-    assert axes.get_ylabel() == "door [rad]"
+    assert axes.get_ylabel() == "door\n[rad]"
 
 
 def test_a_plan_without_trajectory_cannot_be_drawn() -> None:
@@ -90,3 +92,24 @@ def test_files_are_not_blank_and_the_same_every_time(tmp_path: Path) -> None:
     ink = (picture[..., :3] < 0.9).any(axis=-1)
     assert 0.01 < ink.mean() < 0.5
     assert b"tIME" not in (tmp_path / "a.png").read_bytes()
+
+
+def test_charts_beside_each_other_share_their_ranges_and_one_legend() -> None:
+    x = np.arange(5.0)
+    marks = Level(1.0, label="guard"), Curve(x, x, label="way")
+    panels = [Panel("y", low, low + 1, 96.0, marks) for low in (0.0, 3.0)]
+    charts = [Chart("", "time [s]", 0.0, 4.0, (panel,)) for panel in panels]
+    figure = chart_figure(charts, across=True)
+    assert [axes.get_ylim() for axes in figure.axes] == [(0.0, 4.0)] * 2
+    assert [axes.get_ylabel() for axes in figure.axes] == ["y", ""]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["guard", "way"]
+    assert [panel.low for chart in aligned(charts) for panel in chart.panels] == [0.0, 0.0]
+    assert len(chart_figure(charts).axes) == 2, "below each other each keeps its own"
+
+
+def test_a_curve_of_many_points_is_thinned_and_keeps_its_ends() -> None:
+    x = np.linspace(0.0, 7.0, 100_001)
+    curve = Curve(x, np.sin(x))
+    assert len(curve.x) == len(curve.y) == 600
+    assert (curve.x[0], curve.x[-1]) == (0.0, 7.0)
+    np.testing.assert_allclose(curve.y, np.sin(curve.x))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
@@ -28,7 +26,8 @@ from micah_plan.task.plan import Candidate, Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.settings import PlannerSettings
 from micah_plan.task.start import Start
-from micah_plan.view.page import Chart
+from micah_plan.view.chart import Chart, Words
+from micah_plan.view.page import Block
 
 HINGE = Joint("revolute", position=(0.3, 0.0, 0.1), axis=(0.0, 0.0, -1.0), center=(0.0, 0.0, 0.1))
 OPEN_AT = 1.2
@@ -123,10 +122,19 @@ def measured(rows=60, seed=0, noise=0.002) -> tuple[Recording, KinematicGraph]:
     return recording, KinematicGraph((KinematicEdge(BASE, "part", (swing, rest)),))
 
 
-def words_of(chart: Chart) -> str:
-    """All texts of a chart: around its drawing, in it, and beside its bars."""
-    bars = [f"{bars.title} {bar.label} {bar.words}" for bars in chart.bars for bar in bars.rows]
-    return " ".join([chart.title, *chart.words, re.sub(r"<[^>]+>", " ", chart.drawing), *bars, *chart.notes])
+def marks(chart: Chart, kind: type, panel: int | None = None) -> list:
+    """The marks of a kind in a panel of a chart, or in all of them."""
+    panels = chart.panels if panel is None else chart.panels[panel : panel + 1]
+    return [mark for panel in panels for mark in panel.marks if isinstance(mark, kind)]
+
+
+def words_of(block: Block) -> str:
+    """All texts of a block: around its chart, in it, and beside its bars."""
+    bars = [f"{bars.title} {bar.label} {bar.words}" for bars in block.bars for bar in bars.rows]
+    chart = block.chart
+    inside = [] if chart is None else [chart.described, chart.x_label, *(panel.label for panel in chart.panels)]
+    inside += [] if chart is None else [words.text for words in marks(chart, Words)]
+    return " ".join([block.title, *block.words, *inside, *bars, *block.notes])
 
 
 def cabinet() -> HybridAutomaton:

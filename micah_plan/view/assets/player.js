@@ -26,39 +26,34 @@
     });
   }
 
-  // A line in every chart, at the row that is shown.
-  const cursors = [...document.querySelectorAll("#charts .block")].map((block) => block.querySelector(".cursor"));
+  // The charts, by their place among the blocks; a line in each of them at the row that is shown.
+  const blocks = [...document.querySelectorAll("#charts .block")];
+  const charts = blocks.length ? Charts.all() : [];
+  window.charts = charts;
+  const chartOf = (i) => charts.find((chart) => blocks[i].contains(chart.element));
+
+  // The place between two of the frames (from, to), by the first of their numbers or the second.
+  function between(frames, value, from, to) {
+    const next = frames.findIndex((frame) => frame[from] >= value - 1e-6);
+    if (next < 0 || value < frames[0][from] - 1e-6) return null;
+    const [a, b] = [frames[Math.max(next - 1, 0)], frames[next]];
+    return a[to] + (b[from] > a[from] ? (value - a[from]) / (b[from] - a[from]) : 1) * (b[to] - a[to]);
+  }
+
   function moveCursors(time) {
     data.charts.forEach((frames, i) => {
-      if (!cursors[i] || !frames.length) return;
-      const next = frames.findIndex((frame) => frame[0] >= time - 1e-6);
-      const inside = next >= 0 && time >= frames[0][0] - 1e-6;
-      cursors[i].setAttribute("visibility", inside ? "visible" : "hidden");
-      if (!inside) return;
-      const [a, b] = [frames[Math.max(next - 1, 0)], frames[next]];
-      const x = a[1] + (b[0] > a[0] ? (time - a[0]) / (b[0] - a[0]) : 1) * (b[1] - a[1]);
-      cursors[i].setAttribute("x1", x);
-      cursors[i].setAttribute("x2", x);
+      const chart = chartOf(i);
+      if (chart && frames.length) chart.show(between(frames, time, 0, 1));
     });
   }
 
-  // Press or drag in a chart, and the player goes to that place.
+  // Press in a chart, and the player goes to that place.
   function setUpCharts(seek) {
-    cursors.forEach((cursor, i) => {
-      const frames = data.charts[i];
-      if (!cursor || !frames.length) return;
-      const drawing = cursor.ownerSVGElement;
-      const go = (event) => {
-        if (event.buttons !== 1) return;
-        const x = new DOMPoint(event.clientX, event.clientY).matrixTransform(drawing.getScreenCTM().inverse()).x;
-        const next = frames.findIndex((frame) => frame[1] >= x);
-        if (next < 0) return seek(frames[frames.length - 1][0]);
-        const [a, b] = [frames[Math.max(next - 1, 0)], frames[next]];
-        seek(a[0] + (b[1] > a[1] ? (x - a[1]) / (b[1] - a[1]) : 1) * (b[0] - a[0]));
-      };
-      drawing.style.cursor = "col-resize";
-      drawing.style.touchAction = "pan-y";
-      for (const event of ["pointerdown", "pointermove"]) drawing.addEventListener(event, go);
+    data.charts.forEach((frames, i) => {
+      const chart = chartOf(i);
+      if (!chart || !frames.length) return;
+      const last = frames[frames.length - 1];
+      chart.seek = (x) => seek(x >= last[1] ? last[0] : between(frames, Math.max(x, frames[0][1]), 1, 0));
     });
   }
 
@@ -207,12 +202,8 @@
       data.runs.forEach((run, i) => {
         const shown = chosen === null || chosen === i;
         if (run.path.length) viewer.scene_tree.find(run.path).set_property("visible", shown);
-        for (const drawn of document.querySelectorAll(`[data-run="${run.drawn}"]`)) {
-          drawn.classList.toggle("faded", !shown);
-          drawn.classList.toggle("chosen", chosen === i);
-          if (chosen === i) drawn.parentNode.insertBefore(drawn, drawn.parentNode.querySelector(".frame"));
-        }
       });
+      for (const chart of charts) chart.choose(chosen === null ? null : data.runs[chosen].drawn);
       words.replaceChildren(...(chosen === null ? [] : data.runs[chosen].words).map((text) => {
         const line = document.createElement("p");
         line.textContent = text;

@@ -1,0 +1,208 @@
+"""Charts as values: panels below each other over one axis, and marks in them.
+
+A page draws them with uPlot (`assets/charts.js`), a figure with Matplotlib (`figures.draw`); both draw the same marks.
+Numbers are in the units of the axes; heights are pixels of a page's column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.arrays import Floats
+
+_MOST_POINTS = 600
+_DIGITS = 6  # of a number on a page
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A line through points (k,), (k,), or a dot at each.
+
+    Attributes:
+        label: in the legend of a figure.
+        run: of an execution that it belongs to; a page may show that one alone.
+    """
+
+    x: Floats
+    y: Floats
+    look: Literal["line", "other", "run", "trend", "dots", "small", "rim"] = "line"
+    color: str = ""
+    label: str = ""
+    run: int | None = None
+
+    def __post_init__(self) -> None:
+        kept = evenly(len(self.x), _MOST_POINTS)
+        object.__setattr__(self, "x", np.asarray(self.x, dtype=float)[kept])
+        object.__setattr__(self, "y", np.asarray(self.y, dtype=float)[kept])
+
+
+@dataclass(frozen=True, eq=False)
+class Area:
+    """What lies between two curves (k,) over x (k,)."""
+
+    x: Floats
+    low: Floats
+    high: Floats
+    look: Literal["spread", "level"] = "spread"
+    color: str = ""
+    label: str = ""
+
+
+@dataclass(frozen=True)
+class Span:
+    """A stretch of x over the whole height."""
+
+    start: float
+    end: float
+    look: Literal["shade", "misfit", "interval"] = "shade"
+    color: str = ""
+    label: str = ""
+
+
+@dataclass(frozen=True)
+class Range:
+    """A stretch of y over the whole width."""
+
+    low: float
+    high: float
+    color: str
+    label: str = ""
+
+
+@dataclass(frozen=True)
+class Level:
+    """A value of y."""
+
+    value: float
+    look: Literal["guard", "zero"] = "guard"
+    label: str = ""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A place on x at which something changes."""
+
+    at: float
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Bars from 0 up to heights (k,), from left (k,) to right (k,) ends."""
+
+    left: Floats
+    right: Floats
+    height: Floats
+
+
+@dataclass(frozen=True)
+class Words:
+    """A text at a place.
+
+    Attributes:
+        y: None: above the panel, in a line that is counted from 0 upwards.
+        side: of the place on which the text stands; "edge": behind the right edge of the panel.
+        strong: whether it names something, or only explains.
+        color: behind it.
+    """
+
+    text: str
+    x: float
+    y: float | None = None
+    line: int = 0
+    side: Literal["middle", "left", "right", "edge"] = "middle"
+    strong: bool = True
+    color: str = ""
+
+
+Mark = Curve | Area | Span | Range | Level | Change | Columns | Words
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """A rectangle over the chart's x, with y from `low` to `high`; the label's lines are those of its axis."""
+
+    label: str
+    low: float
+    high: float
+    height: float
+    marks: tuple[Mark, ...]
+
+    def with_marks(self, *more: Mark) -> Panel:
+        """The panel with marks behind the others."""
+        return replace(self, marks=(*more, *self.marks))
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """Panels below each other.
+
+    Attributes:
+        described: what it shows, for screen readers.
+        x_label: of the axis below the last panel; it goes from `first` to `last`.
+        places: (place, name) of ticks on that axis; empty: numbers.
+        lines: of words above the first panel.
+        names: whether words stand behind the right edge.
+        fills: whether a page draws it higher where it would leave most of its column empty.
+    """
+
+    described: str
+    x_label: str
+    first: float
+    last: float
+    panels: tuple[Panel, ...]
+    places: tuple[tuple[float, str], ...] = ()
+    lines: int = 0
+    names: bool = False
+    fills: bool = False
+
+    def encoded(self) -> dict[str, Any]:
+        """As JSON for a page: a mark says what it is, numbers are rounded."""
+        told = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "panels"}
+        panels = [
+            {"label": p.label, "low": p.low, "high": p.high, "height": p.height, "marks": [*map(_encoded, p.marks)]}
+            for p in self.panels
+        ]
+        return {**told, "panels": panels}
+
+
+def _encoded(mark: Mark) -> dict[str, Any]:
+    told: dict[str, Any] = {"mark": type(mark).__name__.lower()}
+    for field in fields(mark):
+        value = getattr(mark, field.name)
+        if isinstance(value, np.ndarray):
+            told[field.name] = [float(f"{number:.{_DIGITS}g}") for number in value.tolist()]
+        elif value not in (None, ""):
+            told[field.name] = value
+    return told
+
+
+def aligned(charts: Sequence[Chart]) -> list[Chart]:
+    """Charts of the same panels, those that stand in one row with one range of y."""
+    rows = [
+        (min(panel.low for panel in row), max(panel.high for panel in row))
+        for row in zip(*(chart.panels for chart in charts), strict=True)
+    ]
+    return [
+        replace(
+            chart,
+            panels=tuple(replace(p, low=low, high=high) for p, (low, high) in zip(chart.panels, rows, strict=True)),
+        )
+        for chart in charts
+    ]
+
+
+def widened(values: Sequence[Floats | float], margin: float = 0.08) -> tuple[float, float]:
+    """The ends of a panel that shows all values, with room above and below them."""
+    low, high = min(float(np.min(v)) for v in values), max(float(np.max(v)) for v in values)
+    room = margin * (high - low) or 1e-3 * max(abs(high), 1.0)
+    return low - room, high + room
+
+
+def evenly(count: int, most: int) -> NDArray[np.int64]:
+    """At most `most` of the numbers below `count`, evenly spread, the first and the last among them."""
+    return np.unique(np.linspace(0, max(count - 1, 0), min(count, most)).astype(np.int64))
