@@ -147,7 +147,7 @@ def load_urdf(path: str | Path, packages: Mapping[str, str] | None = None) -> tu
     root = parse_xml(read_xml(path, "URDF"), str(path))
     if root.tag != "robot":
         raise InputError(f"expected <robot> (URDF), found <{root.tag[:40]}>", source=path)
-    checked = check_urdf(root, str(Path(path).parent), packages or {}, needs_meshes=False)
+    checked = check_urdf(root, str(Path(path).parent), packages or {}, is_arm=False)
     with located_in(path):
         return _Tree(checked, str(path), _meshes_of_handles(root, Path(path).parent)).automaton()
 

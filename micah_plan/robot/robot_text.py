@@ -58,7 +58,7 @@ class CheckedRobot:
         text: clean, with absolute mesh paths.
         colors: of the shapes of each link, as ``"#rrggbb"``; the last serves further shapes.
         mimics: joints that follow another one, and how.
-        left_out: meshes that were not found, one line each.
+        left_out: what an object has and its model has not, one line each.
     """
 
     kind: Literal["urdf", "mjcf"]
@@ -76,15 +76,15 @@ class Mimic(NamedTuple):
     offset: float
 
 
-def check_urdf(root: Element, folder: str, packages: Mapping[str, str], *, needs_meshes: bool = True) -> CheckedRobot:
+def check_urdf(root: Element, folder: str, packages: Mapping[str, str], *, is_arm: bool = True) -> CheckedRobot:
     """What a URDF says, fit to be handed to Pinocchio.
 
     Args:
         root: the file's root element; not changed.
         folder: where the file lies.
         packages: folder by package name; others are looked for among the folders above the file.
-        needs_meshes: whether a mesh that is not found is a mistake. An arm without one would meet what it should not;
-            an object is the same without it.
+        is_arm: whether what is not there is a mistake. An arm without a mesh would meet what it should not, and one
+            with a joint that cannot move would not reach; an object is the same, without what is told of.
 
     Raises:
         InputError: for the first mistake.
@@ -98,16 +98,16 @@ def check_urdf(root: Element, folder: str, packages: Mapping[str, str], *, needs
     materials: dict[str, str] = {}
     for material in root.all("material"):
         _remember(material, materials)
-    children = [_joint(joint, links) for joint in joints.values()]
+    left_out: list[str] | None = None if is_arm else []
+    children = [_joint(joint, links, left_out) for joint in joints.values()]
     _check_tree(root, links, joints.values())
-    missing: list[str] | None = None if needs_meshes else []
-    bodies = [_link(link, lambda mesh: _mesh(mesh, folder, packages), missing) for link in links.values()]
+    bodies = [_link(link, lambda mesh: _mesh(mesh, folder, packages), left_out) for link in links.values()]
     colors = {name: _colors(link, materials) for name, link in links.items()}
     clean = Element("robot", {"name": root.attributes.get("name", "robot")}, root.line, [*bodies, *children])
     mimics = {
         name: _mimic(mimic, joints) for name, joint in joints.items() if (mimic := joint.first("mimic")) is not None
     }
-    return CheckedRobot("urdf", write_xml(clean), colors, mimics, tuple(missing or ()))
+    return CheckedRobot("urdf", write_xml(clean), colors, mimics, tuple(left_out or ()))
 
 
 def _check_expanded(root: Element) -> None:
@@ -177,7 +177,8 @@ def _measured(element: Element | None) -> list[Element]:
     return [clean]
 
 
-def _joint(joint: Element, links: Mapping[str, Element]) -> Element:
+def _joint(joint: Element, links: Mapping[str, Element], left_out: list[str] | None) -> Element:
+    """The joint with its ends and limits; `left_out` takes a line where it cannot move (None: that is a mistake)."""
     kind = joint.attributes.get("type", "")
     if kind not in _KINDS:
         raise _error(joint, f"expected a joint of type {', '.join(_KINDS)}, found {shown(kind)}")
@@ -202,6 +203,10 @@ def _joint(joint: Element, links: Mapping[str, Element]) -> Element:
         raise _error(joint, f"missing <limit> of a {kind} joint", "add lower and upper")
     else:
         (lower,), (upper,) = _numbers(limit, "lower", 1, "0"), _numbers(limit, "upper", 1, "0")
+        if lower == upper and left_out is not None:
+            left_out.append(f"joint {joint.attributes['name']} is fixed: {_still(limit, lower)}")
+            clean.attributes["type"] = "fixed"
+            return clean
         if lower >= upper:
             raise _error(limit, f"expected lower < upper, found {lower:g} and {upper:g}")
     effort = 0.0 if limit is None else _numbers(limit, "effort", 1, "0")[0]
@@ -209,6 +214,13 @@ def _joint(joint: Element, links: Mapping[str, Element]) -> Element:
     bounds = {"lower": repr(lower), "upper": repr(upper), "effort": repr(effort), "velocity": "1"}
     clean.children.append(Element("limit", bounds, joint.line))
     return clean
+
+
+def _still(limit: Element, at: float) -> str:
+    """Why a joint cannot move."""
+    if {"lower", "upper"} & limit.attributes.keys():
+        return f"lower and upper are both {at:g}"
+    return "without lower and upper both are 0; give them, or the type continuous"
 
 
 def _check_tree(root: Element, links: Mapping[str, Element], joints: Iterable[Element]) -> None:
@@ -231,11 +243,11 @@ def _check_tree(root: Element, links: Mapping[str, Element], joints: Iterable[El
         raise _error(root, problem + (f"; link {shown(lost)} is not connected to the first" if lost else ""))
 
 
-def _link(link: Element, mesh_path: Callable[[Element], str], missing: list[str] | None) -> Element:
+def _link(link: Element, mesh_path: Callable[[Element], str], left_out: list[str] | None) -> Element:
     """The link with its inertia and its collision shapes, or those to draw if there are none.
 
     Args:
-        missing: takes a line for each mesh that is not found; None: that is a mistake.
+        left_out: takes a line for each shape that is none of ours, and each mesh that is not found; None: a mistake.
     """
     clean, inertial = Element("link", {"name": link.attributes["name"]}, link.line), link.first("inertial")
     if inertial is not None:
@@ -252,7 +264,10 @@ def _link(link: Element, mesh_path: Callable[[Element], str], missing: list[str]
             raise _error(shape, "expected one shape in <geometry>")
         (solid,) = geometry.children
         if solid.tag not in _SOLIDS:
-            raise _error(solid, "expected a box, cylinder, capsule, sphere or mesh")
+            if left_out is None:
+                raise _error(solid, "expected a box, cylinder, capsule, sphere or mesh")
+            left_out.append(f"link {link.attributes['name']}: <{solid.tag[:40]}> is left out, it is no solid")
+            continue
         (measured,) = _measured(solid)
         if solid.tag == "mesh":
             if 0.0 in _numbers(solid, "scale", 3, "1 1 1"):
@@ -260,9 +275,9 @@ def _link(link: Element, mesh_path: Callable[[Element], str], missing: list[str]
             try:
                 measured.attributes["filename"] = mesh_path(solid)
             except InputError as error:
-                if missing is None:
+                if left_out is None:
                     raise
-                missing.append(f"link {link.attributes['name']}: a mesh is left out, {error.problem}")
+                left_out.append(f"link {link.attributes['name']}: a mesh is left out, {error.problem}")
                 continue
         placed = [*_measured(shape.first("origin")), Element("geometry", {}, geometry.line, [measured])]
         clean.children.append(Element("collision", {}, shape.line, placed))

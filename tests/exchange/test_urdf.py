@@ -22,6 +22,8 @@ from micah_plan.documents.model import load_model, model_text
 from micah_plan.errors import InputError
 from micah_plan.exchange.convert import convert
 from micah_plan.exchange.urdf import load_urdf, urdf_text
+from micah_plan.robot.robot_text import check_urdf
+from micah_plan.xml_text import parse_xml
 
 ROOT = Path(__file__).resolve().parents[2]
 MODELS = ["microwave", "drawer", "cabinet", "slot", "light_dark"]
@@ -151,6 +153,34 @@ def test_capsules_become_solids_and_meshes_are_told_of(tmp_path: Path) -> None:
     found, notes = load_urdf(urdf(tmp_path, '<mesh filename="m.stl"/>'))
     assert found.parts[1].shapes == ()
     assert notes == ("link b: a mesh is left out, expected a mesh, found no corners",)
+
+
+@pytest.mark.parametrize(
+    ("limit", "why"),
+    [
+        ('<limit effort="5" velocity="2"/>', "without lower and upper both are 0; give them, or the type continuous"),
+        ('<limit lower="0.3" upper="0.3"/>', "lower and upper are both 0.3"),
+    ],
+)
+def test_a_joint_that_cannot_move_is_fixed_in_an_object_and_told(tmp_path: Path, limit: str, why: str) -> None:
+    stiff = HINGE.replace("continuous", "revolute").format(limit)
+    knob = HINGE.format("").replace('"h"', '"k"').replace('"a"', '"b"').replace('link="b"/><axis', 'link="c"/><axis')
+    path = urdf(tmp_path, joint=stiff.replace("{", "{{"))
+    with pytest.raises(InputError, match="expected a joint that moves, found none"):
+        load_urdf(path)
+    more = path.read_text().replace("</robot>", LINK.format("c", '<sphere radius="1"/>') + knob + "</robot>")
+    path.write_text(more)
+    found, notes = load_urdf(path)
+    assert [c.name for c in found.coordinates] == ["k"]
+    assert f"joint h is fixed: {why}" in notes
+    with pytest.raises(InputError, match="expected lower < upper"):  # an arm would not reach
+        check_urdf(parse_xml(more, str(path)), str(tmp_path), {})
+
+
+def test_a_shape_that_is_no_solid_is_left_out_and_told(tmp_path: Path) -> None:
+    found, notes = load_urdf(urdf(tmp_path, '<plane normal="0 0 1"/>'))
+    assert found.parts[1].shapes == ()
+    assert notes == ("link b: <plane> is left out, it is no solid",)
 
 
 PARTNET = """<robot name="partnet_1">
