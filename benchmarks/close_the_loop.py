@@ -28,6 +28,7 @@ from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.standing import StandingPlant
 from micah_plan.execution.plant import Command, Measurement, Truth
 from micah_plan.recording.value import Recording
+from micah_plan.residual.calibrate import calibrate
 from micah_plan.task.goal import Goal
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
@@ -195,7 +196,7 @@ def main(seeds: int = 20, first: int = 0, *names: str) -> None:
         for seed in range(first, first + seeds):
             plant = Tampered(problem, seed)
             before = executed(problem, nominal, plant, range(100 * seed, 100 * seed + TRIALS))
-            found = stages.calibrate(problem.automaton, before.recording)
+            found = calibrate(problem.automaton, before.recording)
             improved = replace(problem, automaton=found.automaton)
             plan = stages.solve(improved)
             again = range(100 * seed + 50, 100 * seed + 50 + TRIALS)

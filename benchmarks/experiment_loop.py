@@ -21,9 +21,11 @@ from micah_plan.api import stages
 from micah_plan.api.inputs import joined
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.checked_plant import make_plant
+from micah_plan.execution.open_loop import carry_out
 from micah_plan.execution.plant import Command, Measurement, Truth
 from micah_plan.recording.value import Recording
-from micah_plan.residual.calibrate import Calibration
+from micah_plan.residual.calibrate import Calibration, calibrate
+from micah_plan.residual.next_experiment import next_experiment
 from micah_plan.task.problem import Problem
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -137,13 +139,13 @@ def rounds(problem: Problem, plan: object, kind: str, device: str, seed: int) ->
     answers: list[Told] = []
     for number in range(ROUNDS):
         recording = joined(logs)
-        found = stages.calibrate(problem.automaton, recording)
+        found = calibrate(problem.automaton, recording)
         answers.append(told(found, truth))
-        designed = stages.next_experiment(problem.automaton, recording, found)
+        designed = next_experiment(problem.automaton, recording, found)
         if answers[-1].is_settled or designed is None or number == ROUNDS - 1:
             break
         asked = replace(designed.experiment, plant=problem.plant)
-        logs.append(stages.carry_out(asked, plant=plant, seed=1000 * seed + number + 1)[0])
+        logs.append(carry_out(asked, plant=plant, seed=1000 * seed + number + 1)[0])
     return answers
 
 

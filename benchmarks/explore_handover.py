@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from explore_plants import LATCHED, MOVING, HandlePlant, Thing, drawn
 
-from micah_plan.api.stages import calibrate, execute, predict, solve
+from micah_plan.api.stages import execute, solve
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.documents.model import model_text
 from micah_plan.documents.problem import load_problem
@@ -28,6 +28,8 @@ from micah_plan.execution.log import concatenated
 from micah_plan.execution.plant import Measurement
 from micah_plan.explore.run import explore
 from micah_plan.recording.value import Recording
+from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.prediction import predict_recording
 from micah_plan.task.experiment import Scene
 
 _LOW, _HIGH, _TOLERANCE = 0.2, 0.9, 0.06
@@ -115,7 +117,9 @@ class Handover:
 
 def _rolled(model: HybridAutomaton, recording: Recording) -> float:
     """Root mean square of the place of the handle in roll-outs [m]."""
-    return float(np.sqrt(np.mean(np.concatenate([run.rollout.position**2 for run in predict(model, recording)]))))
+    return float(
+        np.sqrt(np.mean(np.concatenate([run.rollout.position**2 for run in predict_recording(model, recording)])))
+    )
 
 
 def closed_and_reopened(thing: Thing, seed: int, folder: Path) -> str:

@@ -16,7 +16,9 @@ from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.recording.read import write_recording
 from micah_plan.recording.value import Recording
+from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.judgement import judge
+from micah_plan.residual.prediction import predict_recording
 from micah_plan.task.problem import Problem
 
 FOLDER = Path(__file__).resolve().parents[1] / "problems"
@@ -38,13 +40,13 @@ def recorded(problem: Problem, file: Path | None, trials: int, seed: int) -> Rec
 def answered(problem: Problem, recording: Recording) -> tuple[str, str]:
     """What `predict` and `calibrate` say."""
     try:
-        runs = stages.predict(problem.automaton, recording)
+        runs = predict_recording(problem.automaton, recording)
     except InputError as refused:
         return f"refused: {refused.problem}", "refused"
     judged = judge(problem.automaton, recording, runs)
     told = {True: "noise", False: judged.sentence, None: "not sure"}[judged.is_noise]
     try:
-        found = stages.calibrate(problem.automaton, recording)
+        found = calibrate(problem.automaton, recording)
     except InputError as refused:
         return told, f"refused: {refused.problem}"
     names = ", ".join(one.effect.name for one in found.effects)

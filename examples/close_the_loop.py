@@ -15,6 +15,7 @@ from micah_plan.api import stages
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.trials import TrialStatistics, run_trials
 from micah_plan.quantities import quantity, with_spread
+from micah_plan.residual.calibrate import calibrate
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
 
@@ -39,7 +40,7 @@ def main(name: str = "drawer_open", trials: int = 8) -> None:
     problem = load_problem(PROBLEMS / f"{name}.yaml")
     first = executed(problem, stages.solve(problem), trials)
     report("nominal model", problem, first)
-    found = stages.calibrate(problem.automaton, first.recording)
+    found = calibrate(problem.automaton, first.recording)
     print(f"calibration: {found.verdict}")
     for effect in found.effects:
         pairs = zip(effect.effect.parameters, effect.units, strict=True)

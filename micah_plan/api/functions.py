@@ -171,10 +171,12 @@ def predict(model: Modelled, recording: Measured, *, actions_as_learned: bool = 
     Raises:
         InputError: if the recording has no actions or other parts than the model.
     """
+    from micah_plan.residual.prediction import predict_recording
+
     automaton, measured = inputs.automaton_of(model), inputs.recording_of(recording, minimum_rows=2)
     if actions_as_learned:
         automaton = stages.for_demonstrations(automaton, measured)
-    return PredictionResult(automaton, measured, stages.predict(automaton, measured))
+    return PredictionResult(automaton, measured, predict_recording(automaton, measured))
 
 
 def calibrate(model: Modelled, recording: Measured, *, progress: Progress | None = None) -> CalibrationResult:
@@ -187,8 +189,10 @@ def calibrate(model: Modelled, recording: Measured, *, progress: Progress | None
     Raises:
         InputError: if the recording has no actions, too few rows or other parts than the model.
     """
+    from micah_plan.residual.calibrate import calibrate as calibrated
+
     automaton, measured = inputs.automaton_of(model), inputs.recording_of(recording, minimum_rows=2)
-    return CalibrationResult(stages.calibrate(automaton, measured, progress=progress), automaton, measured)
+    return CalibrationResult(calibrated(automaton, measured, progress), automaton, measured)
 
 
 def save(value: Any, path: Source) -> None:

@@ -33,10 +33,7 @@ if TYPE_CHECKING:
     from micah_plan.explore.run import Exploration
     from micah_plan.recording.conventions import Conventions
     from micah_plan.recording.value import Recording
-    from micah_plan.residual.calibrate import Calibration
-    from micah_plan.residual.next_experiment import Designed
-    from micah_plan.residual.prediction import RunPrediction
-    from micah_plan.task.experiment import Experiment, Scene
+    from micah_plan.task.experiment import Scene
     from micah_plan.task.problem import Problem
 
 Method = Literal["act-champ", "champ"]
@@ -273,24 +270,6 @@ def execute(
     return run(problem, plan, plant=plant, trials=trials, seed=seed, progress=progress, keep=keep)
 
 
-def carry_out(
-    experiment: Experiment,
-    *,
-    plant: str | PlantMaker = DEFAULT_PLANT,
-    seed: int = 0,
-    progress: Progress | None = None,
-    keep: Keep | None = None,
-) -> tuple[Recording, tuple[tuple[int, str], ...]]:
-    """The log of an experiment, whose commands are given whatever is measured, and the runs that a machine broke off.
-
-    Raises:
-        As `execute`.
-    """
-    from micah_plan.execution.open_loop import carry_out as carried_out
-
-    return carried_out(experiment, plant=plant, seed=seed, progress=progress, keep=keep)
-
-
 def for_demonstrations(automaton: HybridAutomaton, recording: Recording) -> HybridAutomaton:
     """The model for a recording whose actions were given like those of the demonstration that it was learned from.
 
@@ -301,37 +280,6 @@ def for_demonstrations(automaton: HybridAutomaton, recording: Recording) -> Hybr
 
     steps = [np.diff(recording.select(run=run, part=recording.parts[0]).time) for run in recording.runs]
     return with_learned_channel(automaton, float(np.median(np.concatenate(steps))))
-
-
-def predict(
-    automaton: HybridAutomaton, recording: Recording, *, progress: Progress | None = None
-) -> tuple[RunPrediction, ...]:
-    """One-step and roll-out prediction of every run of a recording.
-
-    Raises:
-        InputError: if the recording has no actions or other parts than the model.
-    """
-    from micah_plan.residual.prediction import predict_recording
-
-    return predict_recording(automaton, recording, progress)
-
-
-def calibrate(automaton: HybridAutomaton, recording: Recording, *, progress: Progress | None = None) -> Calibration:
-    """Find what a model lacks in measured motion, and the model with it.
-
-    Raises:
-        InputError: if the recording has no actions, too few rows or other parts than the model.
-    """
-    from micah_plan.residual.calibrate import calibrate as calibrated
-
-    return calibrated(automaton, recording, progress)
-
-
-def next_experiment(automaton: HybridAutomaton, recording: Recording, calibration: Calibration) -> Designed | None:
-    """The experiment that tells apart what a calibration could not; None if motion would not show more."""
-    from micah_plan.residual.next_experiment import next_experiment as designed
-
-    return designed(automaton, recording, calibration)
 
 
 def explore(

@@ -215,15 +215,15 @@ def _refuse(options: Mapping[str, object], experiment: Path) -> None:
 
 def _carry_out(file: Path, output: Path, plant: str, repetitions: int | None, seed: int, as_json: bool) -> None:
     """The runs of an experiment as a recording."""
-    from micah_plan.api import stages
     from micah_plan.documents.experiment import load_experiment
+    from micah_plan.execution.open_loop import carry_out
     from micah_plan.recording.read import write_recording
 
     asked, machine = load_experiment(file), named_plant(plant)
     asked = asked if repetitions is None else replace(asked, repetitions=repetitions)
     begin = time.perf_counter()
     with _kept_logs(output) as logs, progress_bar(as_json) as progress:
-        log, failed = stages.carry_out(asked, plant=machine, seed=seed, progress=progress, keep=logs.append)
+        log, failed = carry_out(asked, plant=machine, seed=seed, progress=progress, keep=logs.append)
     write_recording(log, output)
     summary = {
         "trials": len(log.runs),

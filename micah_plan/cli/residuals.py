@@ -54,6 +54,7 @@ def predict(
     from micah_plan.api.inputs import automaton_of
     from micah_plan.files import replace_file
     from micah_plan.residual.judgement import judge
+    from micah_plan.residual.prediction import predict_recording
 
     check_outputs((model, recording), (Output("--html", html, PAGE),))
     automaton = automaton_of(model)
@@ -61,7 +62,7 @@ def predict(
     with located_in(recording):
         automaton = stages.for_demonstrations(automaton, measured) if as_learned else automaton
         with progress_bar(as_json) as progress:
-            runs = stages.predict(automaton, measured, progress=progress)
+            runs = predict_recording(automaton, measured, progress)
             progress("compare with the noise", 1.0)
             judged = judge(automaton, measured, runs)
     if html is not None:
@@ -218,6 +219,8 @@ def calibrate(
     from micah_plan.documents.model import load_model, model_text
     from micah_plan.documents.model_difference import differences
     from micah_plan.files import replace_files
+    from micah_plan.residual.calibrate import calibrate as find_effects
+    from micah_plan.residual.next_experiment import next_experiment
 
     outputs = Output("-o", output, MODEL), Output("--html", html, PAGE), Output("--experiment", experiment, MODEL)
     check_outputs((*files_named_by(model), *recordings), outputs)
@@ -226,9 +229,9 @@ def calibrate(
     measured = read[0] if len(read) == 1 else joined(read)
     begin = time.perf_counter()
     with progress_bar(as_json) as progress, located_in(recordings[0]):
-        calibration = stages.calibrate(automaton, measured, progress=progress)
+        calibration = find_effects(automaton, measured, progress)
     contents = {output: model_text(calibration.automaton).encode()}
-    designed = None if experiment is None else stages.next_experiment(automaton, measured, calibration)
+    designed = None if experiment is None else next_experiment(automaton, measured, calibration)
     if experiment is not None and designed is not None:
         contents[experiment] = experiment_text(designed.experiment, model, experiment, str(designed)).encode()
     if html is not None:

@@ -14,6 +14,7 @@ from micah_plan.execution.log import concatenated
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.standing import StandingPlant
 from micah_plan.execution.plant import Command
+from micah_plan.residual.calibrate import calibrate
 
 pytest.importorskip("mujoco")
 LATE = 2
@@ -50,7 +51,7 @@ def executed(problem, plan, seeds):
 def test_a_delay_is_found_and_planned_with(repository) -> None:
     problem = load_problem(repository / "problems" / "drawer_open.yaml")
     logs, _, before = executed(problem, stages.solve(problem), range(4))
-    found = stages.calibrate(problem.automaton, logs)
+    found = calibrate(problem.automaton, logs)
     (effect,) = found.automaton.effects
     assert effect.name == "delay"
     assert effect.values[0] == pytest.approx(LATE, abs=0.2)

@@ -20,6 +20,7 @@ from view_objects import OPEN_AT, cabinet, door, measured, problem, solved
 from micah_plan import execute, solve
 from micah_plan.api import stages
 from micah_plan.documents.problem import load_problem
+from micah_plan.residual.calibrate import calibrate
 from micah_plan.task.plan import Plan
 from micah_plan.view.calibration_page import calibration_page
 from micah_plan.view.live import PageServer
@@ -289,7 +290,7 @@ def test_pages_of_an_arm_and_of_a_calibration_open_without_errors(show: Any, rep
     assert 0.01 < share_of_object(show(page, "#t=0.5").pixels()) < 0.6
     drawer = load_problem(repository / "problems" / "drawer_open.yaml")
     runs = stages.execute(drawer, stages.solve(drawer), trials=4).recording
-    shown = show(calibration_page(stages.calibrate(drawer.automaton, runs), "drawer"), "")
+    shown = show(calibration_page(calibrate(drawer.automaton, runs), "drawer"), "")
     assert shown.page.inner_text("h1") == "drawer: measured motion against the model"
     assert shown.page.locator(".chart canvas").count() > 10
 
