@@ -122,30 +122,20 @@ def learn_edge(
         if settings.sweeps is None and is_long(track, inlier):
             learner = OnlineLearner(settings, seed=seed, part=part, run=run)
             learner.take(track)
-            run_segments = list(learner.segments())
-            mover = max((segment for segment in run_segments if segment.joint.moves), key=_rows, default=None)
-            if reference is not None:
-                run_segments = _aligned_segments(run_segments, mover, reference, track, learner.noise)
-            elif mover is not None:
-                reference = mover.joint
-            segments += run_segments
-            edges.append(learner.edge().certainty)
-            continue
-        times = (counted or {}).get((part, run))
-        is_counted = inlier if times is None else inlier & np.isin(track.time, times)
-        enough = is_counted.sum() >= FEWEST_ROWS  # of a pair that is seldom seen together
-        learned, sure_of_edge = _learned(track, settings, rng, inlier, is_counted if enough else inlier)
-        edges.append(sure_of_edge)
-        chain = list(learned.pieces)
-        longest = max((piece for piece in chain if piece.joint.moves), key=_rows, default=None)
+            of_run, sure_of_edge, noise = list(learner.segments()), learner.edge().certainty, learner.noise
+        else:
+            times = (counted or {}).get((part, run))
+            is_counted = inlier if times is None else inlier & np.isin(track.time, times)
+            enough = is_counted.sum() >= FEWEST_ROWS  # of a pair that is seldom seen together
+            learned, sure_of_edge = _learned(track, settings, rng, inlier, is_counted if enough else inlier)
+            of_run, noise = _segments(learned, run), learned.noise
+        mover = max((segment for segment in of_run if segment.joint.moves), key=_rows, default=None)
         if reference is not None:
-            chain = _aligned(chain, longest, reference, learned)
-        elif longest is not None:
-            reference = longest.joint
-        segments += [
-            to_segment(piece, chain, sure, run, learned.track, learned.inlier, learned.noise)
-            for piece, sure in zip(chain, learned.certainties, strict=True)
-        ]
+            of_run = _aligned(of_run, mover, reference, track.take(np.flatnonzero(inlier)), noise)
+        elif mover is not None:
+            reference = mover.joint
+        segments += of_run
+        edges.append(sure_of_edge)
     return KinematicEdge(BASE, part, tuple(segments), _together([edge for edge in edges if edge is not None]))
 
 
@@ -202,22 +192,19 @@ def _together(runs: Sequence[EdgeCertainty]) -> EdgeCertainty:
     )
 
 
+def _segments(learned: LearnedRun, run: int) -> list[Segment]:
+    """The segments of a run."""
+    rows = learned.track, learned.inlier, learned.noise
+    return [
+        to_segment(piece, learned.pieces, sure, run, *rows)
+        for piece, sure in zip(learned.pieces, learned.certainties, strict=True)
+    ]
+
+
 def _aligned(
-    chain: list[FittedPiece], longest: FittedPiece | None, reference: Joint, run: LearnedRun
-) -> list[FittedPiece]:
-    """A later run's pieces, counted along the first run's coordinate: a shift and, if it ran backwards, a sign."""
-    track, noise = run.track, run.noise
-    if longest is None:
-        held = float(np.median(configurations(reference, np.flatnonzero(run.inlier), track, noise)))
-        return [replace(piece, joint=replace(piece.joint, fixed_at=held)) for piece in chain]
-    backwards, offset = _alignment(longest.joint, reference, longest.index(run.inlier), track, noise)
-    return [replace(piece, joint=_counted_along(piece.joint, backwards, offset)) for piece in chain]
-
-
-def _aligned_segments(
     segments: list[Segment], longest: Segment | None, reference: Joint, track: PartTrack, noise: MeasurementNoise
 ) -> list[Segment]:
-    """The same for segments."""
+    """A later run's segments, counted along the first run's coordinate: a shift and, if it ran backwards, a sign."""
     backwards, offset = False, 0.0
     if longest is None:
         held = float(np.median(configurations(reference, np.arange(len(track)), track, noise)))
@@ -254,7 +241,7 @@ def _counted_along(joint: Joint, backwards: bool, offset: float) -> Joint:
     return shifted(reversed_direction(joint) if backwards else joint, -offset)
 
 
-def _rows(segment: FittedPiece | Segment) -> int:
+def _rows(segment: Segment) -> int:
     return segment.end - segment.start
 
 
