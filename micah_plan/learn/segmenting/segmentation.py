@@ -18,10 +18,10 @@ And rests in the end: how many changepoints there may be depends on rests that t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import pairwise, product
+from itertools import pairwise
 from math import log
 
 import numpy as np
@@ -74,27 +74,10 @@ def segment_track(track: PartTrack, settings: LearnSettings, start: Segmented | 
     outcomes = _settled(proposals, settings)
     best = max(outcomes, key=lambda outcome: outcome.log_probability)
     held = with_rests(best, priors, settings)
-    doubted = _settled(_without_a_rest(best), settings)
     outcomes += [] if held is None else _settled([held], settings)
-    outcomes += [outcome for outcome in doubted if len(outcome.segmentation.pieces) < len(best.segmentation.pieces)]
     best = max(outcomes, key=lambda outcome: outcome.log_probability)
     others = tuple(alternative(outcome) for outcome in outcomes if outcome is not best)
     return replace(_beside_rivals(best, settings), others=others)
-
-
-def _without_a_rest(answer: Segmented) -> list[Segmented]:
-    """What is left of an answer if a rest is no rest, for each of the few that the rows tell least surely."""
-    pieces, table = answer.segmentation.pieces, answer.table
-    fewer: list[tuple[float, Segmentation]] = []
-    for i, piece in enumerate(pieces):
-        beside = [pieces[k].hypothesis for k in (i - 1, i + 1) if 0 <= k < len(pieces)]
-        joint = next((hypothesis for hypothesis in beside if table.pool.moving[hypothesis]), None)
-        if joint is not None and not table.pool.moving[piece.hypothesis]:
-            sure = float(np.subtract(*table.sums[[piece.hypothesis, joint], piece.start, piece.end]))
-            pieces_left = merged(tuple(replace(p, hypothesis=joint) if k == i else p for k, p in enumerate(pieces)))
-            fewer.append((sure, Segmentation(pieces_left, -np.inf)))
-    fewer.sort(key=lambda pair: pair[0])
-    return [replace(answer, segmentation=segmentation) for _, segmentation in fewer[:_MOST_PROPOSALS]]
 
 
 def log_probability_at_most(answer: Segmented, settings: LearnSettings) -> float:
@@ -327,25 +310,7 @@ def shared(table: EvidenceTable, members: list[int], prior: LengthPrior, setting
     So is the choice of their kinds: a part that returns to a joint returns to one of those of the answer.
     """
     segmentation = best_segmentation(table, prior, 1, members, members)
-    best = _paid_once(segmentation.pieces, table, prior, settings)
-    while True:
-        fewer = [_paid_once(pieces, table, prior, settings) for pieces in _without_a_jump(best.pieces, table)]
-        better = max(fewer, key=lambda candidate: candidate.log_probability, default=best)
-        if better.log_probability <= best.log_probability:
-            return best
-        best = better
-
-
-def _without_a_jump(pieces: tuple[Piece, ...], table: EvidenceTable) -> Iterator[tuple[Piece, ...]]:
-    """The same, but one of two rests without a motion between them is part of the motion on its other side."""
-    moving = [bool(table.pool.moving[piece.hypothesis]) for piece in pieces]
-    for i, way in product(range(len(pieces)), (-1, 1)):
-        neighbour, beside = i - way, i + way
-        inside = min(neighbour, beside) >= 0 and max(neighbour, beside) < len(pieces)
-        if inside and not moving[i] and not moving[neighbour] and moving[beside]:
-            joint = pieces[beside].hypothesis
-            evidence = float(table.sums[joint, pieces[i].start, pieces[i].end])
-            yield tuple(replace(p, hypothesis=joint, log_evidence=evidence) if p is pieces[i] else p for p in pieces)
+    return _paid_once(segmentation.pieces, table, prior, settings)
 
 
 def _paid_once(
