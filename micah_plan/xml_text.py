@@ -14,6 +14,7 @@ from micah_plan.files import read_bytes
 LARGEST_XML_BYTES = 8 * 1024 * 1024
 MOST_ELEMENTS = 50_000
 DEEPEST = 200
+_MISPLACED = expat.errors.XML_ERROR_MISPLACED_XML_PI
 
 
 @dataclass
@@ -101,7 +102,8 @@ def parse_xml(text: str, source: str) -> Element:
         parser.Parse(data, True)
     except expat.ExpatError as error:
         said, where = expat.ErrorString(error.code), f"line {error.lineno}"
-        raise InputError(f"not valid XML: {said}", source=source, where=where, remedy="correct the syntax") from None
+        remedy = "put <?xml ...?> first, with nothing before it" if said == _MISPLACED else "correct the syntax"
+        raise InputError(f"not valid XML: {said}", source=source, where=where, remedy=remedy) from None
     if not roots:
         raise InputError("not valid XML: it is empty", source=source)
     return roots[0]

@@ -196,8 +196,14 @@ def _runs(trace: LaneTrace) -> Table:
 
 def motion_charts(calibration: Calibration) -> list[Chart]:
     """One chart for each of some runs: coordinates as measured and predicted before and after, and commands."""
-    of_runs = zip(*map(_motion, calibration.traces), strict=True)
-    return [replace(charts[0], panels=tuple(panel for chart in charts for panel in chart.panels)) for charts in of_runs]
+    first, *others = ({chart.x_label: chart for chart in _motion(trace)} for trace in calibration.traces)
+    # Where coordinates were not measured in the same runs, the first one is shown.
+    together = [run for run in first if all(run in other for other in others)]
+    others = others if together else []
+    return [
+        replace(first[run], panels=tuple(panel for of in (first, *others) for panel in of[run].panels))
+        for run in together or first
+    ]
 
 
 def _motion(trace: LaneTrace) -> tuple[Chart, ...]:

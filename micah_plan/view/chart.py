@@ -21,7 +21,7 @@ _DIGITS = 6  # of a number on a page
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A line through points (k,), (k,), or a dot at each.
+    """A line through points (k,), (k,), or a dot at each; what is not finite was not measured and is left out.
 
     Attributes:
         label: in the legend of a figure.
@@ -36,9 +36,11 @@ class Curve:
     run: int | None = None
 
     def __post_init__(self) -> None:
-        kept = evenly(len(self.x), _MOST_POINTS)
-        object.__setattr__(self, "x", np.asarray(self.x, dtype=float)[kept])
-        object.__setattr__(self, "y", np.asarray(self.y, dtype=float)[kept])
+        points = np.stack([self.x, self.y]).astype(float)
+        points = points[:, np.isfinite(points).all(axis=0)]
+        points = points[:, evenly(points.shape[1], _MOST_POINTS)]
+        object.__setattr__(self, "x", points[0])
+        object.__setattr__(self, "y", points[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +200,9 @@ def aligned(charts: Sequence[Chart]) -> list[Chart]:
 
 def widened(values: Sequence[Floats | float], margin: float = 0.08) -> tuple[float, float]:
     """The ends of a panel that shows all values, with room above and below them."""
-    low, high = min(float(np.min(v)) for v in values), max(float(np.max(v)) for v in values)
+    shown = np.concatenate([np.ravel(value) for value in values])
+    shown = shown[np.isfinite(shown)]
+    low, high = (float(shown.min()), float(shown.max())) if shown.size else (0.0, 0.0)
     room = margin * (high - low) or 1e-3 * max(abs(high), 1.0)
     return low - room, high + room
 

@@ -136,6 +136,11 @@ def test_mesh_paths_may_not_leave_their_folder(tmp_path: Path, name: str) -> Non
     ("old", "new", "expected"),
     [
         ("</robot>", "", "not valid XML: no element found"),
+        (
+            '<robot name="slider">',
+            '<!-- by hand -->\n<?xml version="1.0"?><robot name="slider">',
+            "put <?xml ...?> first",
+        ),
         ('<robot name="slider">', '<!DOCTYPE robot [<!ENTITY a "b">]><robot>', "entities are not allowed"),
         ('name="cart"', 'name="rail"', "line 3, <link>: link 'rail' is there already, on line 2"),
         ('child link="wheel"', 'child link="rail"', "one tree of links"),

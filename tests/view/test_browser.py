@@ -192,9 +192,14 @@ def test_a_chart_is_zoomed_by_dragging_and_whole_again_by_pressing_twice(show: A
 def test_marks_are_drawn_in_their_colours_on_light_and_dark_pages(show: Any, scheme: str) -> None:
     shown = show(plan_page(solved(), problem()), size={"width": 1400, "height": 850}, scheme=scheme)
     (low, high) = (np.array(color) / 255 for color in ((0, 80, 140), (60, 160, 230)))
-    taken = shown.pixels("#charts canvas")
-    assert (((taken > low) & (taken < high)).all(axis=-1)).sum() > 100, "the mean in blue"
-    assert (taken.mean() > 0.6) == (scheme == "light")
+    for now in (scheme, "dark" if scheme == "light" else "light"):  # as the page was opened, and changed while it is
+        shown.page.emulate_media(color_scheme=now)
+        shown.page.wait_for_timeout(100)
+        taken = shown.pixels("#charts canvas")
+        assert (((taken > low) & (taken < high)).all(axis=-1)).sum() > 100, "the mean in blue"
+        assert (taken.mean() > 0.6) == (now == "light")
+        ink = (taken.mean(axis=-1) < 0.3) if now == "light" else (taken.mean(axis=-1) > 0.8)
+        assert ink.sum() > 20, "words and guards in ink"
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from view_objects import OPEN_AT, door, measured, problem, solved, trajectory
 from micah_plan.errors import InputError
 from micah_plan.recording.value import Recording
 from micah_plan.task.plan import Plan
-from micah_plan.view.chart import Chart, Curve, Level, Panel, aligned
+from micah_plan.view.chart import Chart, Curve, Level, Panel, aligned, widened
 from micah_plan.view.executed import configurations
 from micah_plan.view.figures import belief_figure, chart_figure, save_figure
 from micah_plan.view.learning_figure import learning_figure
@@ -105,6 +105,14 @@ def test_charts_beside_each_other_share_their_ranges_and_one_legend() -> None:
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["guard", "way"]
     assert [panel.low for chart in aligned(charts) for panel in chart.panels] == [0.0, 0.0]
     assert len(chart_figure(charts).axes) == 2, "below each other each keeps its own"
+
+
+def test_what_was_not_measured_is_left_out() -> None:
+    curve = Curve(np.arange(4.0), np.array([0.0, np.nan, 2.0, np.inf]))
+    assert (curve.x.tolist(), curve.y.tolist()) == ([0.0, 2.0], [0.0, 2.0])
+    assert widened([np.array([np.nan, 1.0]), 3.0], 0.5) == (0.0, 4.0)
+    low, high = widened([np.array([np.nan])])
+    assert low < 0.0 < high
 
 
 def test_a_curve_of_many_points_is_thinned_and_keeps_its_ends() -> None:

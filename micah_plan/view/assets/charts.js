@@ -175,5 +175,12 @@ const Charts = (function () {
     new ResizeObserver(() => { for (const { u, height } of chart.panels) if (u.width !== width()) u.setSize({ width: width(), height }); }).observe(element);
     return chart;
   }
-  return { all: () => [...document.querySelectorAll(".chart")].map(chartOf) };
+  function all() {
+    const charts = [...document.querySelectorAll(".chart")].map(chartOf);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+      for (const chart of charts) chart.choose(chart.chosen);
+    });
+    return charts;
+  }
+  return { all };
 })();
