@@ -23,6 +23,7 @@ _MOST_NUMBERS = 4
 _MOST_SOLVED = 8
 # A tolerance that does not suffice is widened by at least this factor; a confidence lowered by at least this much.
 _WIDER = 1.1
+_TWICE = 2.0  # times as far a root is moved the next time
 _LOWER = 0.02
 
 
@@ -57,6 +58,8 @@ def changed(problem: Problem, offer: Offer) -> Problem:
     values = dict(offer.values)
     if offer.kind == "confidence":
         return replace(problem, settings=replace(problem.settings, confidence=values[0]))
+    if offer.kind == "root" and problem.robot is not None:
+        return replace(problem, robot=replace(problem.robot, position=(values[0], values[1], values[2])))
     if offer.kind == "start":
         mean = tuple(values.get(i, mean) for i, mean in enumerate(problem.start.mean))
         return replace(problem, start=replace(problem.start, mean=mean))
@@ -85,12 +88,15 @@ def _that_helps(problem: Problem, offer: Offer, solver: Solver, seed: int, budge
             return offer
         if offer.kind in ("start", "target"):  # there is only one nearest
             return None
-        offer = _further(offer, [o for finding in answers[-1].findings for o in finding.offers], answers[-1])
+        offer = _further(problem, offer, [o for finding in answers[-1].findings for o in finding.offers], answers[-1])
     return None
 
 
-def _further(offer: Offer, next_offers: Sequence[Offer], answer: Plan) -> Offer:
+def _further(problem: Problem, offer: Offer, next_offers: Sequence[Offer], answer: Plan) -> Offer:
     """A larger change of the same kind than one that did not suffice, as its failure proposes."""
+    if offer.kind == "root" and problem.robot is not None:
+        stands = problem.robot.position
+        return replace(offer, values=tuple((i, stands[i] + _TWICE * (value - stands[i])) for i, value in offer.values))
     proposed = dict(next((next_offer.values for next_offer in next_offers if next_offer.kind == offer.kind), ()))
     if offer.kind == "confidence":
         share = answer.success_probability
@@ -104,6 +110,8 @@ def _written(offer: Offer) -> Offer:
     """The offer with numbers as they are printed: tolerances up, confidences down."""
     if offer.kind == "confidence":
         return replace(offer, values=((0, math.floor(100.0 * offer.values[0][1] + 1e-9) / 100.0),))
+    if offer.kind == "root":
+        return replace(offer, values=tuple((i, round(value, 2)) for i, value in offer.values))
     if offer.kind != "tolerance":
         return replace(offer, values=tuple((i, float(f"{value:.4g}")) for i, value in offer.values))
     return replace(offer, values=tuple((i, _rounded_up(value)) for i, value in offer.values))
@@ -119,6 +127,8 @@ def _number(problem: Problem, offer: Offer) -> str:
     """The numbers as they are to be written into the file."""
     if offer.kind == "confidence":
         return f"{offer.values[0][1]:.2f}"
+    if offer.kind == "root":
+        return f"[{', '.join(_text(value) for _, value in offer.values)}] m"
     coordinates = problem.automaton.coordinates
     first, *others = [(coordinates[i], value) for i, value in offer.values]
     texts = [f"{_text(first[1])} {first[0].unit}"]

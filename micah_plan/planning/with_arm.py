@@ -25,7 +25,7 @@ from micah_plan.planning.cuts import half_space, without
 from micah_plan.planning.release import with_release
 from micah_plan.planning.scene_cuts import slides_of
 from micah_plan.task.deadline import Deadline, TimeLimitError
-from micah_plan.task.plan import ArmTrajectory, Finding, Plan, Trajectory
+from micah_plan.task.plan import ArmTrajectory, Finding, Offer, Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import carrying
 
@@ -40,6 +40,8 @@ _GROWTH = 1.5
 _MOST_PLANS = 5
 # What is kept beyond the distance that an arm keeps anyway [m].
 _FURTHER = 0.002
+# Times what a tool is short of its place, by which the root is moved nearer at first, and at least so far [m].
+_NEARER, _LEAST = 1.2, 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,14 +124,20 @@ def _followed(
     if isinstance(arm, ArmTrajectory):
         return replace(plan, arm=arm), None
     if arm is not None:
-        finding = _finding(plan, arm, trajectory.modes[arm.knot])
+        finding = _finding(problem, plan, arm, trajectory.modes[arm.knot])
     reason = f"{says}{finding.sentence}; {finding.remedy}"
     return replace(plan, outcome="not_verified", reason=reason, findings=(finding, *plan.findings)), arm
 
 
-def _finding(plan: Plan, arm: ArmFailure, mode: str) -> Finding:
+def _finding(problem: Problem, plan: Plan, arm: ArmFailure, mode: str) -> Finding:
     constraint = f"{arm.kind}: {', '.join(arm.names)}" if arm.names else arm.kind
-    return Finding("arm", arm.sentence, arm.remedy, plan.mode_sequence, mode, arm.knot, constraint, amount=arm.amount)
+    offers: tuple[Offer, ...] = ()
+    if arm.short is not None and problem.robot is not None:
+        nearer = max(_NEARER, _LEAST / max(float(np.linalg.norm(arm.short)), 1e-9)) * arm.short
+        place = np.array(problem.robot.position) + nearer
+        offers = (Offer("the robot's root", "the robot's root to", "root", tuple(enumerate(place.tolist()))),)
+    where = plan.mode_sequence, mode, arm.knot, constraint
+    return Finding("arm", arm.sentence, arm.remedy, *where, amount=arm.amount, offers=offers)
 
 
 def _impossible(plan: Plan, stop: _Stop) -> Plan:

@@ -143,6 +143,7 @@ class ArmFailure:
         sentence, remedy: the same in words.
         overlaps: of a collision that no posture changes, where the tool is while it lasts (`ClearanceModel.overlap`),
             and while others that move with the tool meet the same.
+        short: of a place that is not reached, by how much the tool stays behind (base frame) [m]; else None.
     """
 
     knot: int
@@ -152,6 +153,7 @@ class ArmFailure:
     sentence: str
     remedy: str
     overlaps: tuple[tuple[tuple[Floats, float], ...], ...] = ()
+    short: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -399,10 +401,10 @@ class _Follower:
             lower = reached.q[stopped] - self._limits[0][stopped] < self._limits[1][stopped] - reached.q[stopped]
             names = tuple(self.arm.joints[i] for i in stopped)
             ends = [f"'{name}' ({'lower' if low else 'upper'})" for name, low in zip(names, lower, strict=True)]
-            sentence, remedy = f"{misses}: joint limit of {', '.join(ends)}", "move the robot's root or the grasp"
-            return ArmFailure(knot, "joint limit", names, max(away, turned), sentence, remedy)
-        sentence = f"{misses}: it is out of reach"
-        return ArmFailure(knot, "unreachable", (), max(away, turned), sentence, "move the robot's root nearer")
+            sentence, remedy = f"{misses}: joint limit of {', '.join(ends)}", "move the grasp, or the robot's root"
+            return ArmFailure(knot, "joint limit", names, max(away, turned), sentence, remedy, short=reached.error[3:])
+        sentence, remedy = f"{misses}: it is out of reach", "move the robot's root"
+        return ArmFailure(knot, "unreachable", (), max(away, turned), sentence, remedy, short=reached.error[3:])
 
 
 def _deviation(arm: Arm, rows: Floats) -> float:

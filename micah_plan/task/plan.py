@@ -33,12 +33,13 @@ class Offer:
         words: of the remedy, which name the change without the number.
         named: what takes their place, with the number behind.
         kind: what it changes.
-        values: (coordinate, value [its unit]) of tolerances, targets and starts; (0, confidence).
+        values: (coordinate, value [its unit]) of tolerances, targets and starts; (0, confidence); (axis, place [m]) of
+            the robot's root.
     """
 
     words: str
     named: str
-    kind: Literal["tolerance", "target", "start", "confidence"]
+    kind: Literal["tolerance", "target", "start", "confidence", "root"]
     values: tuple[tuple[int, float], ...]
 
 
