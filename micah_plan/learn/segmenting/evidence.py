@@ -97,7 +97,7 @@ def tabulated(
 
     Args:
         rest: prior probability that a part on a moving joint rests in a step, where actions do not tell.
-        trust: power of the likelihood (see coarsening.py).
+        trust: power of the likelihood (`noise.trust_in`).
         begun: whether the part has moved before the first row.
     """
     return all_tabulated([hypotheses], track, [noise], rest, trust, begun)[0]
@@ -127,7 +127,7 @@ def all_tabulated(
     for densities in (table, led_or_not):
         densities[1:] = log_add(np.log1p(-_SLIP) + densities[1:], slipped)
     ending = trust * (led_or_not - table)
-    # A first row was paid for as such already, and the last one of all leaves its segment open.
+    # A segment of one row begins and ends within it, which is asked once; the last row of all leaves its segment open.
     ending[0] = ending[..., -1] = 0.0
     # The first row of a segment may go on where the row before was, or not.
     going_on = table[1:, :, 1:].copy()
