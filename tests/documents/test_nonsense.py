@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from attempts import told
-from nonsense_corpus import CORPUS
+from nonsense_corpus import CORPUS, replaced
 from ruamel.yaml import YAML
 
 from micah_plan.checking import check_file
@@ -25,16 +25,16 @@ MODELS = {
     "solid of rounding": ("size: [0.008, 0.2]", "size: [1.0e-300, 0.2]", "expected a number >= 1e-12"),
     "joint out of this world": ("position: [0.06975", "position: [1.06e306", "modes.rigid.joints.door.position.0"),
     "pin out of this world": ("value: 1.206", "value: -1.2e206 #", "expected a number >= -1e+06, found -1.2"),
-    "vague pin": ("std: 0.005", "std: 1.0e6 #", "modes.rigid.pins.door.std': expected a number <= 1000"),
-    "vague threshold": ("threshold_std: 0.005", "threshold_std: 1.0e6 #", "transitions.0.threshold_std"),
+    "vague pin": ("        std: *", "        std: 1.0e6", "modes.rigid.pins.door.std': expected a number <= 1000"),
+    "vague threshold": ("threshold_std: *", "threshold_std: 1.0e6", "transitions.0.threshold_std"),
     "vague measurement": (
         "    door: 0.00449",
         "    door: 1.0e6 #",
         "noise.observation_std.door': expected a number <=",
     ),
     "vague motion": ("    door: 0.00044", "    door: 1.0e6 #", "noise.process_std.door': expected a number <= 1000"),
-    "share of 7": ("explained: 0.95", "explained: 7 #", "actions.explained': expected a number <= 1, found 7"),
-    "indefinite channel": ("[0.15135689", "[-0.0000015", "actions.covariance': expected a symmetric"),
+    "share of 7": ("explained: *", "explained: 7", "actions.explained': expected a number <= 1, found 7"),
+    "indefinite channel": (" s\n        - [*", " s\n        - [-0.15", "actions.covariance': expected a symmetric"),
     "indefinite joint": (
         "- [3.0876053",
         "- [-3.0876053",
@@ -84,9 +84,8 @@ PROBLEMS = {
 def edited(folder: Path, name: str, before: str, after: str) -> Path:
     """A copy of a shipped file with the first of a text replaced; it can be used without that."""
     text = (ROOT / name).read_text().replace("../models", str(ROOT / "models"))
-    assert before in text
     path = folder / Path(name).name
-    path.write_text(text.replace(before, after, 1))
+    path.write_text(replaced(text, before, after))
     return path
 
 
@@ -121,9 +120,8 @@ QUICK = [pytest.param(case, marks=pytest.mark.slow if case in SLOW else ()) for 
 def test_check_refuses_nonsense_or_warns_with_the_place(tmp_path: Path, case: str) -> None:
     name, before, after = CORPUS[case]
     text = (ROOT / name).read_text()
-    assert before in text
     folder = (ROOT / name).parent
-    text = text.replace(before, after, 1)
+    text = replaced(text, before, after)
     for beside in ("../../models", "../models", "../drawer_open"):
         text = text.replace(beside, str((folder / beside).resolve()))
     path = tmp_path / Path(name).name
