@@ -56,7 +56,7 @@ CORPUS = {
     "part 2 m apart": (_M, "position: [0.0697588, 0.01", "position: [2.0697, 0.01"),
     "rows from the end": (_M, "rows: [0, 82]", "rows: [82, 0]"),
     "shares beyond one": (_M, "revolute: *", "revolute: 9.5"),
-    "shares that do not add up": (_M, "- [0.0, *, *, *, *]", "- [0.0, 0.9, 0.9, 0.9, 0.0]"),
+    "shares that do not add up": (_M, "- [*, *, *, *, *]", "- [0.0, 0.9, 0.9, 0.9, 0.0]"),
     "another format": (_M, "micah-plan/model/1", "micah-plan/model/9"),
     "effect of nobody": (_M, "learned:\n", "effects:\n  - {name: magic, coordinate: door, parameters: {}}\nlearned:\n"),
     "negative gain": (_M, "learned:\n",
