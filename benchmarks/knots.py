@@ -24,7 +24,7 @@ FACTORS = (0.6, 0.8, 1.0, 1.25, 1.6)
 
 def costs(path: Path) -> list[tuple[float, int, float]] | None:
     """Cost, steps and predicted success of the plan by each factor; None: no problem, or no plan at all."""
-    found = []
+    plans = []
     for factor in FACTORS:
         with patch.object(pomdp_hd, "_STRETCHES", (factor, 2 * factor, 4 * factor)):
             try:
@@ -32,26 +32,26 @@ def costs(path: Path) -> list[tuple[float, int, float]] | None:
             except InputError:
                 return None
         steps = 0 if plan.trajectory is None else len(plan.trajectory.inputs)
-        found.append((plan.cost or float("inf"), steps, plan.success_probability or 0.0))
-    return found if found[FACTORS.index(1.0)][1] else None
+        plans.append((plan.cost or float("inf"), steps, plan.success_probability or 0.0))
+    return plans if plans[FACTORS.index(1.0)][1] else None
 
 
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("problems", type=Path, nargs="*")
-    given = parser.parse_args()
+    options = parser.parse_args()
     print(f"{'problem':<24}" + "".join(f"{factor:>18g}" for factor in FACTORS))
     cheapest = count = 0
-    for path in given.problems or sorted(PROBLEMS.glob("*.yaml")):
-        found = costs(path)
-        if found is None:
+    for path in options.problems or sorted(PROBLEMS.glob("*.yaml")):
+        plans = costs(path)
+        if plans is None:
             continue
-        usual = found[FACTORS.index(1.0)][0]
-        row = "".join(f"{f'{cost / usual:.2f} ({steps}) {share:.3f}':>18}" for cost, steps, share in found)
+        usual = plans[FACTORS.index(1.0)][0]
+        row = "".join(f"{f'{cost / usual:.2f} ({steps}) {share:.3f}':>18}" for cost, steps, share in plans)
         print(f"{path.stem:<24}{row}", flush=True)
         count += 1
-        cheapest += usual <= 1.02 * min(cost for cost, *_ in found)
+        cheapest += usual <= 1.02 * min(cost for cost, *_ in plans)
     print(f"{cheapest} of {count} plans are the cheapest, or cost at most 2 % more")
 
 

@@ -224,9 +224,11 @@ def main() -> None:
         script = script_succeeds(problem, inputs, 1000, 0)
         count = f"{len(solved)} of {len(plans)}"
         begin = process_time()
-        told = by_hand(problem, TOLD[name])
+        programmed = by_hand(problem, TOLD[name])
         took = process_time() - begin
-        share, length = (0.0, 0) if told is None else (script_succeeds(problem, told, 1000, 0), len(told))
+        share, length = 0.0, 0
+        if programmed is not None:
+            share, length = script_succeeds(problem, programmed, 1000, 0), len(programmed)
         print(
             f"{name:<24}{count:>8}{predicted:>18}{executed:>14}{seconds:>9.2f}{steps:>7}{script:>9.3f}{len(inputs):>7}"
             f"{share:>9.3f}{length:>7}{took:>9.2f}",

@@ -20,6 +20,7 @@ from micah_plan.files import contained
 from micah_plan.xml_text import Element, write_xml
 
 NO_LIMIT = 1e9
+_ENDS = ("lower", "upper")
 """Limit of joints without limits [rad or m], in files whose parsers know no infinity."""
 # Pinocchio descends from link to link by recursion: a chain of thousands ends in a crash.
 MOST_LINKS = 1000
@@ -104,9 +105,8 @@ def check_urdf(root: Element, folder: str, packages: Mapping[str, str], *, is_ar
     bodies = [_link(link, lambda mesh: _mesh(mesh, folder, packages), left_out) for link in links.values()]
     colors = {name: _colors(link, materials) for name, link in links.items()}
     clean = Element("robot", {"name": root.attributes.get("name", "robot")}, root.line, [*bodies, *children])
-    mimics = {
-        name: _mimic(mimic, joints) for name, joint in joints.items() if (mimic := joint.first("mimic")) is not None
-    }
+    moving = [child.attributes["name"] for child in children if child.attributes["type"] != "fixed"]
+    mimics = {name: _mimic(mimic, joints) for name in moving if (mimic := joints[name].first("mimic")) is not None}
     return CheckedRobot("urdf", write_xml(clean), colors, mimics, tuple(left_out or ()))
 
 
@@ -196,9 +196,12 @@ def _joint(joint: Element, links: Mapping[str, Element], left_out: list[str] | N
     clean.children += _measured(axis)
     if axis is not None and not any(_numbers(axis, "xyz", 3)):
         raise _error(axis, "expected an axis that is not zero")
+    lower, upper = -NO_LIMIT, NO_LIMIT
+    follows = left_out is not None and joint.first("mimic") is not None
     if kind == "continuous":
         clean.attributes["type"] = "revolute"
-        lower, upper = -NO_LIMIT, NO_LIMIT
+    elif follows and (limit is None or not limit.attributes.keys() & set(_ENDS)):
+        pass  # it goes where its leader does
     elif limit is None:
         raise _error(joint, f"missing <limit> of a {kind} joint", "add lower and upper")
     else:
@@ -218,7 +221,7 @@ def _joint(joint: Element, links: Mapping[str, Element], left_out: list[str] | N
 
 def _still(limit: Element, at: float) -> str:
     """Why a joint cannot move."""
-    if {"lower", "upper"} & limit.attributes.keys():
+    if limit.attributes.keys() & set(_ENDS):
         return f"lower and upper are both {at:g}"
     return "without lower and upper both are 0; give them, or the type continuous"
 

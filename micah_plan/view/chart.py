@@ -147,6 +147,7 @@ class Chart:
         described: what it shows, for screen readers.
         x_label: of the axis below the last panel; it goes from `first` to `last`.
         places: (place, name) of ticks on that axis; empty: numbers.
+        whole: whether these are whole, as of steps.
         lines: of words above the first panel.
         names: whether words stand behind the right edge.
         fills: whether a page draws it higher where it would leave most of its column empty.
@@ -158,29 +159,30 @@ class Chart:
     last: float
     panels: tuple[Panel, ...]
     places: tuple[tuple[float, str], ...] = ()
+    whole: bool = False
     lines: int = 0
     names: bool = False
     fills: bool = False
 
     def encoded(self) -> dict[str, Any]:
         """As JSON for a page: a mark says what it is, numbers are rounded."""
-        told = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "panels"}
+        frame = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "panels"}
         panels = [
             {"label": p.label, "low": p.low, "high": p.high, "height": p.height, "marks": [*map(_encoded, p.marks)]}
             for p in self.panels
         ]
-        return {**told, "panels": panels}
+        return {**frame, "panels": panels}
 
 
 def _encoded(mark: Mark) -> dict[str, Any]:
-    told: dict[str, Any] = {"mark": type(mark).__name__.lower()}
+    entries: dict[str, Any] = {"mark": type(mark).__name__.lower()}
     for field in fields(mark):
         value = getattr(mark, field.name)
         if isinstance(value, np.ndarray):
-            told[field.name] = [float(f"{number:.{_DIGITS}g}") for number in value.tolist()]
+            entries[field.name] = [float(f"{number:.{_DIGITS}g}") for number in value.tolist()]
         elif value not in (None, ""):
-            told[field.name] = value
-    return told
+            entries[field.name] = value
+    return entries
 
 
 def aligned(charts: Sequence[Chart]) -> list[Chart]:

@@ -189,7 +189,8 @@ def _blocks(exploration: Exploration) -> list[Block]:
 
 def _over_steps(exploration: Exploration, described: str, label: str, high: float, marks: Sequence[Mark]) -> Chart:
     last = max(exploration.steps, 1) + 0.5
-    return Chart(f"{described} over steps", "step", 0.0, last, (Panel(label, 0.0, high, _HEIGHT, tuple(marks)),))
+    panel = Panel(label, 0.0, high, _HEIGHT, tuple(marks))
+    return Chart(f"{described} over steps", "step", 0.0, last, (panel,), whole=True)
 
 
 def _fan(exploration: Exploration) -> Chart:

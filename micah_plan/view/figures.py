@@ -77,7 +77,7 @@ def draw(chart: Chart, axes: Sequence[Axes]) -> None:
         for mark in panel.marks:
             _mark(place, mark)
     axes[-1].set_xlabel(chart.x_label, color=PANEL_INK)
-    axes[-1].xaxis.set_major_locator(MaxNLocator(nbins=9, steps=[1, 2, 5, 10]))
+    axes[-1].xaxis.set_major_locator(MaxNLocator(nbins=9, steps=[1, 2, 5, 10], integer=chart.whole))
 
 
 def _mark(axes: Axes, mark: Mark) -> None:

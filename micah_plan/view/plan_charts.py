@@ -109,7 +109,7 @@ def _over_steps(
     shaded = [panel.with_marks(*shades) for panel in panels]
     shaded[0] = replace(shaded[0], marks=(*shaded[0].marks, *_names(bands, last)))
     label = f"{described} over the steps of the plan"
-    return Chart(label, step_label(problem), 0.0, last, tuple(shaded), lines=1, fills=True)
+    return Chart(label, step_label(problem), 0.0, last, tuple(shaded), whole=True, lines=1, fills=True)
 
 
 def _names(bands: Sequence[tuple[str, float, float]], last: float) -> list[Words]:
@@ -120,8 +120,9 @@ def _names(bands: Sequence[tuple[str, float, float]], last: float) -> list[Words
         waiting.append(name)
         if narrow[number] and any(narrow[number + 1 : number + 2]):
             continue
-        place, side = (end, "left") if narrow[number] else (start, "right")
-        words.append(Words(", ".join(waiting), float(place), side="left" if side == "left" else "right"))
+        names = ", ".join(waiting)
+        beside = Words(names, float(end), side="left") if narrow[number] else Words(names, float(start), side="right")
+        words.append(beside)
         waiting = []
     return words
 

@@ -280,6 +280,28 @@ def test_joints_that_follow_another_one_are_tied_to_it(tmp_path: Path) -> None:
     assert again.input_names == found.input_names
 
 
+@pytest.mark.parametrize("limit", ["", '<limit effort="5" velocity="2"/>', '<limit lower="-1" upper="1"/>'])
+def test_a_follower_goes_where_its_leader_does_without_limits_too(tmp_path: Path, limit: str) -> None:
+    path = tmp_path / "wings.urdf"
+    path.write_text(WINGS.replace('<limit lower="-1" upper="1"/>', limit))
+    found, notes = load_urdf(path)
+    assert not notes
+    end = step(found, "moves", [0.3, -0.05, -0.01], [0.4]).x
+    robot = pin.buildModelFromXML(WINGS.replace("<limit ", '<limit effort="1" velocity="1" '))
+    data, q = robot.createData(), np.zeros(robot.nq)
+    for name, value in (("hinge", 0.7), ("other", 0.1 - 0.35), ("last", 0.2 * (0.1 - 0.35))):
+        q[robot.joints[robot.getJointId(name)].idx_q] = value
+    pin.framesForwardKinematics(robot, data, q)
+    expected = data.oMf[robot.getFrameId("tip")].homogeneous
+    np.testing.assert_allclose(part_poses(found, end)["tip"].as_matrix(), expected, atol=1e-9)
+    path.write_text(WINGS.replace('<limit lower="0" upper="1.5"/>', '<limit effort="5" velocity="2"/>'))
+    with pytest.raises(InputError, match="joint 'other' follows 'hinge', which does not move"):
+        load_urdf(path)
+    path.write_text(WINGS.replace('<limit lower="-1" upper="1"/>', '<limit lower="0.1" upper="0.1"/>'))
+    with pytest.raises(InputError, match="joint 'last' follows 'other', which does not move"):
+        load_urdf(path)
+
+
 def test_meshes_that_are_not_there_are_left_out_and_told(tmp_path: Path) -> None:
     names = ("package://nowhere/m.stl", "missing.stl", "file:///somewhere/else/m.stl", "../../etc/passwd")
     for name in names:

@@ -107,6 +107,16 @@ def test_charts_beside_each_other_share_their_ranges_and_one_legend() -> None:
     assert len(chart_figure(charts).axes) == 2, "below each other each keeps its own"
 
 
+@pytest.mark.parametrize("last", [1.0, 2.5, 7.5, 14.0, 250.0])
+def test_an_axis_of_steps_has_no_half_ones(last: float) -> None:
+    panel = Panel("y", 0.0, 1.0, 80.0, (Curve(np.array([0.0, last]), np.array([0.0, 1.0])),))
+    figures = [chart_figure([Chart("", "x", 0.0, last, (panel,), whole=whole)]) for whole in (True, False)]
+    whole, any_number = ([t for t in f.axes[0].get_xticks() if t <= last] for f in figures)
+    assert len(whole) >= 2
+    assert np.array_equal(whole, np.round(whole))
+    assert last > 5 or not np.array_equal(any_number, np.round(any_number)), "else there would be nothing to see to"
+
+
 def test_what_was_not_measured_is_left_out() -> None:
     curve = Curve(np.arange(4.0), np.array([0.0, np.nan, 2.0, np.inf]))
     assert (curve.x.tolist(), curve.y.tolist()) == ([0.0, 2.0], [0.0, 2.0])

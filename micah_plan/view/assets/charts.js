@@ -5,6 +5,7 @@ const Charts = (function () {
   const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
   const ADAPTED = { "#1F2933": "ink", "#52606D": "muted", "#7B8794": "muted", "#C3CCD5": "line" };
   const LETTER = 12.5, LEFT = 88, RIGHT = 8, NAMES = 106, LINE = 15;
+  const WHOLE = [1, 2, 5].flatMap((k) => [k, 10 * k, 100 * k, 1000 * k, 10000 * k]).sort((a, b) => a - b);
   const COLUMN = 560, MOST_ENLARGED = 2.2;  // pixels that fill the column beside a scene of 900 pixels
 
   // Colours of ink follow the page, light or dark; all others stay.
@@ -127,6 +128,7 @@ const Charts = (function () {
       };
       const axis = { values: numbers, stroke: () => style("muted"), font: `${LETTER}px system-ui, sans-serif`, ticks: { show: false }, grid: { show: false } };
       const below = { ...axis, size: isLast ? 22 : 0, show: isLast, label: value.x_label, labelSize: 18, labelFont: axis.font, labelGap: 0, gap: 4, space: 56 };
+      if (value.whole) below.incrs = WHOLE;
       if (value.places.length) { below.splits = () => value.places.map((p) => p[0]); below.values = () => value.places.map((p) => p[1]); }
       const u = new uPlot({
         width: width(), height, padding: [above, value.names ? NAMES : RIGHT, 6, 0], legend: { show: false },
