@@ -44,7 +44,7 @@ from micah_plan.automaton.tracks import tracks
 from micah_plan.recording.read import read_recording
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
-from micah_plan.residual.lane import lanes
+from micah_plan.residual.coordinate_data import coordinate_data_of
 from micah_plan.residual.prediction import predict_recording
 
 REAL = ("joint_1", "joint_4", "ikea_cabinet", "lab_cabinet")
@@ -70,8 +70,8 @@ class Run:
 
 
 def runs_of(automaton: HybridAutomaton, recording: Recording) -> list[Run]:
-    (lane,) = lanes(automaton, tracks(automaton, recording))
-    whole = lane.whole or lane
+    (data,) = coordinate_data_of(automaton, tracks(automaton, recording))
+    whole = data.whole or data
     found = []
     for k in range(len(whole.z)):
         rows = int(np.flatnonzero(whole.counted[k]).max()) + 1

@@ -125,8 +125,8 @@ def segments_of(recording: Recording, method: Method = "act-champ") -> tuple[Seg
     return learn_graph(recording, method=method).edges[0].segments
 
 
-def misfits(segments: tuple[Segment, ...]) -> bool:
-    return any(s.certainty is not None and s.certainty.misfit is not None for s in segments)
+def fit_no_joint(segments: tuple[Segment, ...]) -> bool:
+    return any(s.certainty is not None and s.certainty.no_single_joint is not None for s in segments)
 
 
 def raised(posterior: RowPosterior, power: float) -> RowPosterior:
@@ -138,7 +138,7 @@ def print_free(trials: int) -> None:
     print(f"{'motion':26} {'poses':>9} {'positions':>10}   said: no single joint fits")
     for motion in FREE:
         found = [
-            sum(misfits(segments_of(free_recording(motion, seed, orientation))) for seed in range(trials))
+            sum(fit_no_joint(segments_of(free_recording(motion, seed, orientation))) for seed in range(trials))
             for orientation in (True, False)
         ]
         print(f"{motion:26} {found[0]:4} / {trials} {found[1]:5} / {trials}", flush=True)
@@ -162,7 +162,7 @@ def print_case(
     hits: list[list[tuple[bool, int]]] = []
     for trial in range(seed * 100_000, seed * 100_000 + trials):
         segments = segments_of(joint_recording(kind, trial, wander, memory, stop, held, noise=noise))
-        alarms += misfits(segments)
+        alarms += fit_no_joint(segments)
         right += [s.joint.kind for s in segments] == [kind, "rigid"]
         certainty = segments[1].certainty if len(segments) == 2 else None
         if certainty is not None and certainty.start is not None:

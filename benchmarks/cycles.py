@@ -19,7 +19,7 @@ from kinds_plant import RATE, Floats, random_joint, tracker_noise, written_actio
 from kinds_scoring import SURE, kinds_of, probability
 from scipy.spatial.transform import Rotation
 
-from micah_plan.automaton.build import build_automaton, misfit_error
+from micah_plan.automaton.build import build_automaton, no_single_joint_error
 from micah_plan.learn.learn import learn_graph
 from micah_plan.recording.value import Recording
 
@@ -119,7 +119,7 @@ def counted(kind: str, cycles: int, variant: Variant, seed: int) -> Count:
     right = kinds == ((kind, "rigid") * (2 * cycles) if variant.pushed else (kind,))
     sure = min(probability(one) for one in edge.segments)
     answer = " ".join(f"{one.joint.kind[:4]}{one.start}" for one in edge.segments)
-    modes = [] if misfit_error(graph) else [mode.name for mode in build_automaton(graph).modes]
+    modes = [] if no_single_joint_error(graph) else [mode.name for mode in build_automaton(graph).modes]
     modelled = modes == (["rigid_1", kind, "rigid_2"] if variant.pushed else [kind])
     many = max(len(rests) - len(stops), 0)
     return Count(hits, len(stops), many, sure >= SURE and not right, modelled, took, answer)

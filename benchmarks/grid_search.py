@@ -18,7 +18,7 @@ import numpy as np
 from user_code import SPARE_STEPS, Reader, begun
 
 from micah_plan.arrays import Floats, Ints
-from micah_plan.automaton.lifted import drawn_shifts
+from micah_plan.automaton.augmented import drawn_shifts
 from micah_plan.automaton.transition import TransitionBatch
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.roll_outs import Chances, measurement_std

@@ -20,7 +20,7 @@ from micah_plan.automaton.hybrid import Edge, Mode
 from micah_plan.planning.limits import limits_of
 from micah_plan.task.body import corners as body_corners
 from micah_plan.task.problem import Problem
-from micah_plan.task.release import carrying
+from micah_plan.task.release import pre_release_problem
 
 # Places of the object, and of them those at which the arm is asked.
 _PLACES, _ASKED = 4000, 60
@@ -32,7 +32,7 @@ _TRIES = 20
 
 def free_places(problem: Problem, seed: int) -> Floats:
     """(k, n) states of the goal, in a mode that counts, in which neither the object nor the hand meets a body."""
-    carried, rng, found = carrying(problem), np.random.default_rng(seed), list[Floats]()
+    carried, rng, found = pre_release_problem(problem), np.random.default_rng(seed), list[Floats]()
     automaton, low, high = carried.automaton, *np.array([(-0.3, 1.0)] * 4).T
     for index, value, tolerance in carried.goal.target:
         low[index], high[index] = value - tolerance, value + tolerance
@@ -79,7 +79,7 @@ def least_std(problem: Problem, coordinate: int, steps: int = 0) -> float:
     automaton = problem.automaton
     q, r = automaton.noise.process_std[coordinate] ** 2, automaton.noise.observation_std[coordinate] ** 2
     variances = [0.5 * (q + np.sqrt(q * q + 4.0 * q * r)), _later(problem.start.std[coordinate] ** 2, steps, q, r) + q]
-    target = {index: (value, tolerance) for index, value, tolerance in carrying(problem).goal.target}
+    target = {index: (value, tolerance) for index, value, tolerance in pre_release_problem(problem).goal.target}
     for name, axis, sign in problem.hold.contacts if problem.hold is not None else ():
         if axis != coordinate:
             continue
@@ -170,7 +170,7 @@ def highest_share(problem: Problem, places: Floats) -> float:
     share = 1.0
     if len(places) < 2:
         return 0.0
-    for index in (i for i, _, _ in carrying(problem).goal.target if i < 3):
+    for index in (i for i, _, _ in pre_release_problem(problem).goal.target if i < 3):
         width = float(np.ptp(places[:, index])) * (1.0 + 4.0 / len(places))
         std = least_std(problem, index)
         share *= 1.0 if std == 0.0 else float(2.0 * norm.cdf(0.5 * width / std) - 1.0)

@@ -79,7 +79,7 @@ def judged(graph: KinematicGraph, truth: Simulated) -> Judged:
 
 def kind_of(segment: Segment) -> str:
     """As `learn` prints it."""
-    return "none" if segment.misfit is not None else segment.joint.kind
+    return "none" if segment.no_single_joint is not None else segment.joint.kind
 
 
 def kinds_of(segments: Sequence[Segment], rests: bool) -> tuple[str, ...]:
@@ -94,7 +94,7 @@ def probability(segment: Segment) -> float:
     if segment.certainty is None:
         return segment.probability
     kinds = dict(segment.certainty.kinds)
-    return 1.0 - sum(kinds.values()) if segment.misfit is not None else kinds.get(segment.joint.kind, 0.0)
+    return 1.0 - sum(kinds.values()) if segment.no_single_joint is not None else kinds.get(segment.joint.kind, 0.0)
 
 
 def described(edge: KinematicEdge, with_names: bool) -> str:
@@ -137,7 +137,7 @@ def _parameters(edge: KinematicEdge, truth: EdgeTruth) -> Iterator[tuple[str, bo
 
 def _count(edge: KinematicEdge) -> float | None:
     """Probability stated for the number of changepoints that the answer has; None where it says that no joint fits."""
-    if edge.certainty is None or not edge.certainty.changepoint_counts or edge.segments[0].misfit is not None:
+    if edge.certainty is None or not edge.certainty.changepoint_counts or edge.segments[0].no_single_joint is not None:
         return None
     counts = edge.certainty.changepoint_counts[0]
     return counts[len(edge.segments) - 1] if len(edge.segments) <= len(counts) else 0.0

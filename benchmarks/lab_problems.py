@@ -29,7 +29,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[1] / "tests" / "planning")]
 import test_between_knots as lab  # noqa: E402
 
 from micah_plan.api.stages import execute, solve  # noqa: E402
-from micah_plan.automaton.lifted import threshold_stds  # noqa: E402
+from micah_plan.automaton.augmented import threshold_stds  # noqa: E402
 from micah_plan.automaton.transition import TransitionBatch  # noqa: E402
 from micah_plan.task.problem import Problem  # noqa: E402
 

@@ -69,7 +69,7 @@ def final_error(found: Calibration, *, is_after: bool) -> float:
     ends = []
     for one in found.traces:
         errors = one.search.errors(one.final if is_after else one.nominal, "rollout")
-        last = one.lane.counted.shape[1] - 1 - np.argmax(one.lane.counted[:, ::-1], axis=1)
+        last = one.data.counted.shape[1] - 1 - np.argmax(one.data.counted[:, ::-1], axis=1)
         ends.append(np.abs(errors[np.arange(len(last)), last]))
     return float(np.mean(np.concatenate(ends)))
 

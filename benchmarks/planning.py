@@ -50,7 +50,7 @@ from micah_plan.planning.path_constraints import cost_of
 from micah_plan.planning.roll_outs import RollOuts, are_in_goal, draw_chances, roll_out
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
-from micah_plan.task.release import carrying
+from micah_plan.task.release import pre_release_problem
 
 ROOT = Path(__file__).resolve().parent.parent
 PLANNERS = {"pomdp-hd": None, "direct": baseline_direct.plan, "rrt": baseline_rrt.plan}
@@ -118,16 +118,16 @@ def measure(path: Path, planner: str, trials: int, executions: int, seed: int) -
     begin = process_time()
     ends = roll_out(problem, plan.trajectory, draw_chances(problem, plan.trajectory, trials, FRESH + seed))
     spent = process_time() - begin
-    error, std = goal_statistics(carrying(problem), ends)
+    error, std = goal_statistics(pre_release_problem(problem), ends)
     executed, at_stop = executed_success(problem, plan, executions, FRESH + seed)
     return replace(
         basis,
-        cost=cost_of(carrying(problem), limits_of(problem), plan.trajectory),
+        cost=cost_of(pre_release_problem(problem), limits_of(problem), plan.trajectory),
         goal_error=error,
         goal_std=std,
         predicted=plan.success_probability,
         observed=float(are_in_goal(problem, ends).mean()),
-        believed=believed_success(carrying(problem), ends),
+        believed=believed_success(pre_release_problem(problem), ends),
         executed=executed,
         at_stop=at_stop,
         roll_out_seconds=spent,

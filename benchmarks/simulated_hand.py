@@ -92,7 +92,7 @@ def grasping(
     typical = travel / moving
     phases = [_idle(np.linspace(0.0, typical, lead))]
     for i, speed in enumerate(speeds):
-        phases.append(_led(speed * unit, lever, habits, rng))
+        phases.append(_action_driven_model(speed * unit, lever, habits, rng))
         if i < pauses:
             phases.append(_idle(np.zeros(rest[i])))
     phases.append(_idle(_press(last, typical, habits, rng) if stops else np.zeros(last)))
@@ -149,7 +149,7 @@ def _stick_slip(rows: int, rng: np.random.Generator) -> Floats:
     return np.asarray(factor)
 
 
-def _led(steps: Floats, lever: float, habits: Habits, rng: np.random.Generator) -> Phase:
+def _action_driven_model(steps: Floats, lever: float, habits: Habits, rng: np.random.Generator) -> Phase:
     asked = steps * np.exp(habits.grip * slow(rng, len(steps), 20))
     pull = habits.across * np.stack([slow(rng, len(steps), 15), slow(rng, len(steps), 15)], axis=1)
     return steps, asked, asked[:, None] * lever * pull

@@ -43,8 +43,8 @@ def _segment(segment: Segment) -> str:
     from micah_plan.automaton.joint import radius
 
     rows = f"rows {segment.start}-{segment.end}"
-    if segment.misfit is not None:
-        return f"no single joint   {rows}, the best misses by {quantity(segment.misfit.position, 'm')}"
+    if segment.no_single_joint is not None:
+        return f"no single joint   {rows}, the best misses by {quantity(segment.no_single_joint.position, 'm')}"
     kind, low, high = segment.joint.kind, *segment.configuration_range
     way = "" if kind == "rigid" else f", over {quantity(high - low, 'm' if kind == 'prismatic' else 'rad')}"
     arm = f", radius {quantity(radius(segment.joint), 'm')}" if kind in ("revolute", "screw") else ""

@@ -146,7 +146,7 @@ def learn(
     Raises:
         InputError: if the recording cannot be learned from.
     """
-    from micah_plan.automaton.build import build_automaton, misfit_error
+    from micah_plan.automaton.build import build_automaton, no_single_joint_error
     from micah_plan.learn.learn import learn_graph
     from micah_plan.learn.parts.relative import relative_to
     from micah_plan.learn.small_motion import small_motions
@@ -161,7 +161,7 @@ def learn(
         provenance["frame"] = f"part {base}"
     if recording.conventions:
         provenance["conventions"] = "; ".join(f"{name} {text}" for name, text in recording.conventions.items())
-    bodies, refusal = _matched_parts(graph, parts), misfit_error(graph)
+    bodies, refusal = _matched_parts(graph, parts), no_single_joint_error(graph)
     warnings = recording.notes + suspicions(recording) + small_motions(recording, settings or LearnSettings())
     automaton = None if refusal is not None else build_automaton(graph, parts=bodies, provenance=provenance)
     reason = "" if refusal is None else str(refusal)
@@ -200,7 +200,7 @@ def solve(
     Returns:
         A plan whose outcome says whether it solves the problem; it is never silently worse than it claims.
     """
-    from micah_plan.automaton.certainty import doubts
+    from micah_plan.automaton.certainty import low_probability_warnings
     from micah_plan.automaton.input_memory import left_out
     from micah_plan.automaton.plausible import never_taken
     from micah_plan.planning.scene_cuts import unchecked
@@ -221,7 +221,7 @@ def solve(
         return verified_plan(asked, planned_by, seed, rounds, deadline)
 
     with_arm = planned_with_arm(problem, planned, seed, deadline)
-    warnings = (*doubts(problem.automaton.learned), *left_out(problem.automaton, planner is not None))
+    warnings = (*low_probability_warnings(problem.automaton.learned), *left_out(problem.automaton, planner is not None))
     warnings += (*never_taken(problem.automaton), *unchecked(problem))
     answer = replace(with_arm, warnings=warnings)
     if not advise or answer.outcome == "solved":

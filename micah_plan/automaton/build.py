@@ -59,7 +59,7 @@ from typing import Any
 
 import numpy as np
 
-from micah_plan.automaton.certainty import LearnedEdge, LearnedSegment, Misfit, RowPosterior, SegmentCertainty
+from micah_plan.automaton.certainty import LearnedEdge, LearnedSegment, NoSingleJoint, RowPosterior, SegmentCertainty
 from micah_plan.automaton.check import check_automaton
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Pin, Reset
@@ -105,7 +105,7 @@ def build_automaton(
     """
     if not graph.edges:
         raise InputError("kinematic graph must have at least one edge. Got none")
-    refusal = misfit_error(graph)
+    refusal = no_single_joint_error(graph)
     if refusal is not None:
         raise refusal
     if not release >= 0:
@@ -254,31 +254,35 @@ def _parts(graph: KinematicGraph, listed: Sequence[Part]) -> tuple[Part, ...]:
     return parts + tuple(part for part in listed if part.name not in names)
 
 
-def misfit_error(graph: KinematicGraph) -> InputError | None:
+def no_single_joint_error(graph: KinematicGraph) -> InputError | None:
     """The refusal for the first rows that no single joint explains, to be raised; None if there are none.
 
     Such rows are not skipped: the joints before and after them share one coordinate only through them, and a part that
     moves off its joint once can do so again, in every mode of the automaton.
     """
-    misfits = [
-        (segment, misfit, edge.child)
+    no_single_joints = [
+        (segment, no_single_joint, edge.child)
         for edge in graph.edges
         for segment in edge.segments
-        if (misfit := segment.misfit) is not None
+        if (no_single_joint := segment.no_single_joint) is not None
     ]
-    if not misfits:
+    if not no_single_joints:
         return None
-    more = f" (and {len(misfits) - 1} more such stretch{'es' if len(misfits) > 2 else ''})" if len(misfits) > 1 else ""
-    part = misfits[0][2]
-    carried = part in {edge.parent for edge in graph.edges} and {child for *_, child in misfits} == {part}
+    more = (
+        f" (and {len(no_single_joints) - 1} more such stretch{'es' if len(no_single_joints) > 2 else ''})"
+        if len(no_single_joints) > 1
+        else ""
+    )
+    part = no_single_joints[0][2]
+    carried = part in {edge.parent for edge in graph.edges} and {child for *_, child in no_single_joints} == {part}
     remedy = f"learn what stands on it relative to it, as `--base {part}` does" if carried else _MISFIT_REMEDY
-    return InputError(_misfit_sentence(*misfits[0]) + more, remedy=remedy)
+    return InputError(_no_single_joint_sentence(*no_single_joints[0]) + more, remedy=remedy)
 
 
-def _misfit_sentence(segment: Segment, misfit: Misfit, part: str) -> str:
-    distances = [(misfit.position, misfit.position_noise, "m")]
-    if misfit.rotation is not None and misfit.rotation_noise is not None:
-        distances.append((misfit.rotation, misfit.rotation_noise, "rad"))
+def _no_single_joint_sentence(segment: Segment, no_single_joint: NoSingleJoint, part: str) -> str:
+    distances = [(no_single_joint.position, no_single_joint.position_noise, "m")]
+    if no_single_joint.rotation is not None and no_single_joint.rotation_noise is not None:
+        distances.append((no_single_joint.rotation, no_single_joint.rotation_noise, "rad"))
     missed = " and ".join(quantity(miss, unit, degrees=False) for miss, _, unit in distances)
     best = (
         f"no single-joint model fits rows {segment.start} to {segment.end} of part '{part}' (run {segment.run}): the "

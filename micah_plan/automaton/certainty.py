@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from micah_plan.automaton.joint import JointKind, Vector3
 from micah_plan.quantities import count, percent
 
-DOUBTFUL = 0.6  # less sure answers are worth a warning where they are used
+LOW_PROBABILITY = 0.6  # less sure answers are worth a warning where they are used
 CHANNEL_NAMES = ("frame_rotation_1", "frame_rotation_2", "frame_rotation_3", "gain", "delay")
 
 
@@ -44,7 +44,7 @@ class RowPosterior:
 
 
 @dataclass(frozen=True)
-class Misfit:
+class NoSingleJoint:
     """How far the best single joint misses rows that no single joint explains.
 
     Attributes:
@@ -137,13 +137,13 @@ class SegmentCertainty:
         start: where it starts; None for the first of a run.
         kinds: probability of every kind of joint for the segment's rows; they sum to 1 minus that of no single joint:
             free motion, or a mechanism of more than one axis.
-        misfit: why no single joint explains the rows; None if the segment's joint does.
+        no_single_joint: why no single joint explains the rows; None if the segment's joint does.
         deviation: of the segment's joint; None where it does not move, or the rows are too few. Not saved with a model.
     """
 
     start: RowPosterior | None
     kinds: tuple[tuple[JointKind, float], ...]
-    misfit: Misfit | None = None
+    no_single_joint: NoSingleJoint | None = None
     deviation: Deviation | None = None
 
 
@@ -180,17 +180,17 @@ class LearnedEdge:
     certainty: EdgeCertainty | None = None
 
 
-def doubts(learned: Iterable[LearnedEdge]) -> tuple[str, ...]:
-    """One line for each answer of learning that a model rests on although it is less than `DOUBTFUL` sure."""
-    return tuple(line for edge in learned for line in (*_doubtful_kinds(edge), *_doubtful_counts(edge)))
+def low_probability_warnings(learned: Iterable[LearnedEdge]) -> tuple[str, ...]:
+    """One line for each answer of learning that a model rests on although it is less than `LOW_PROBABILITY` sure."""
+    return tuple(line for edge in learned for line in (*_improbable_kinds(edge), *_improbable_counts(edge)))
 
 
-def _doubtful_kinds(edge: LearnedEdge) -> list[str]:
+def _improbable_kinds(edge: LearnedEdge) -> list[str]:
     lines = []
     for segment in edge.segments:
         kinds = {} if segment.certainty is None else dict(segment.certainty.kinds)
         sure = kinds.pop(segment.kind, 1.0)
-        if sure < DOUBTFUL and kinds:
+        if sure < LOW_PROBABILITY and kinds:
             likeliest = max(kinds, key=lambda kind: kinds[kind])
             lines.append(
                 f"learning was only {percent(sure, 0)} sure that {edge.child} is {segment.kind} relative to "
@@ -201,14 +201,14 @@ def _doubtful_kinds(edge: LearnedEdge) -> list[str]:
     return lines
 
 
-def _doubtful_counts(edge: LearnedEdge) -> list[str]:
+def _improbable_counts(edge: LearnedEdge) -> list[str]:
     lines = []
     counted = () if edge.certainty is None else edge.certainty.changepoint_counts
     runs = dict.fromkeys(segment.run for segment in edge.segments)
     for run, counts in zip(runs, counted, strict=False):
         changes = sum(segment.run == run for segment in edge.segments) - 1
         sure = counts[changes] if changes < len(counts) else 0.0
-        if sure < DOUBTFUL:
+        if sure < LOW_PROBABILITY:
             likely, chance = max(enumerate(counts), key=lambda pair: pair[1])
             lines.append(
                 f"learning was only {percent(sure, 0)} sure that the joint of {edge.child} relative to {edge.parent} "

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from micah_plan.automaton.certainty import EdgeCertainty, Misfit, SegmentCertainty
+from micah_plan.automaton.certainty import EdgeCertainty, NoSingleJoint, SegmentCertainty
 from micah_plan.automaton.joint import Joint
 
 BASE = "base"
@@ -46,9 +46,9 @@ class Segment:
     certainty: SegmentCertainty | None = None
 
     @property
-    def misfit(self) -> Misfit | None:
+    def no_single_joint(self) -> NoSingleJoint | None:
         """Why no single joint explains its rows; None if its joint does."""
-        return None if self.certainty is None else self.certainty.misfit
+        return None if self.certainty is None else self.certainty.no_single_joint
 
 
 @dataclass(frozen=True)

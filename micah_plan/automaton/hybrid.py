@@ -42,7 +42,7 @@ class Coordinate:
     Attributes:
         name: e.g. the name of the part that it moves.
         unit: ``"rad"`` or ``"m"``; ``""`` for the place of an uncertain boundary, which nothing moves
-            (`lifted.with_boundary_states`).
+            (`augmented.with_boundary_states`).
     """
 
     name: str
@@ -102,7 +102,7 @@ class Pin:
 
     Attributes:
         follows: another coordinate, never pinned, that adds to `value`: the place of an uncertain boundary
-            (`lifted.with_boundary_states`). None: none.
+            (`augmented.with_boundary_states`). None: none.
     """
 
     coordinate: int

@@ -23,12 +23,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from micah_plan.arrays import Floats, Ints
+from micah_plan.automaton.augmented import augment_state, fix_augmented_state
 from micah_plan.automaton.effects.form import REMEMBERING, Operations, Value
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect, InputMemory
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Coordinate, HybridAutomaton
-from micah_plan.automaton.lifted import lifted, restricted
 from micah_plan.automaton.memo import memoised
 
 
@@ -45,14 +45,14 @@ def with_memory_states(automaton: HybridAutomaton) -> HybridAutomaton:
         for memory in memories
         for k in range(memory.size)
     ]
-    return replace(lifted(automaton, added), input_memories=memories)
+    return replace(augment_state(automaton, added), input_memories=memories)
 
 
 def without_memory_states(automaton: HybridAutomaton) -> HybridAutomaton:
     """The automaton over x, whose steps then leave out the effects that remember."""
     if not automaton.input_memories:
         return automaton
-    return replace(restricted(automaton, own_size(automaton)), input_memories=())
+    return replace(fix_augmented_state(automaton, own_size(automaton)), input_memories=())
 
 
 def own_size(automaton: HybridAutomaton) -> int:

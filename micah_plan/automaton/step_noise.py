@@ -17,9 +17,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Booleans, Floats
+from micah_plan.automaton.augmented import mapped
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint, Vector3, axis_basis
-from micah_plan.automaton.lifted import mapped
 from micah_plan.automaton.memo import memoised
 
 # A handle nearer to its axis than this [m] has no lever.

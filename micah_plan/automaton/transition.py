@@ -41,7 +41,7 @@ else they change the sequence of inputs before it gets here (`input_memory.Input
 
 **Arrays.** A step is one of many objects at once, each with its own thresholds and gains: the arrays go from event to
 event, all objects of a mode together, and in most steps no guard fires and a step is one addition. A single step is a
-batch of one. Objects differ in the places of their boundaries, which are a part of the state here as in `lifted`.
+batch of one. Objects differ in the places of their boundaries, which are a part of the state here as in `augmented`.
 """
 
 from __future__ import annotations
@@ -56,10 +56,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from micah_plan.arrays import Booleans, Floats, Ints, alike
+from micah_plan.automaton.augmented import threshold_stds, with_boundary_states
 from micah_plan.automaton.effects.motion import motions
 from micah_plan.automaton.hybrid import HybridAutomaton, vector
 from micah_plan.automaton.input_memory import passed_on
-from micah_plan.automaton.lifted import threshold_stds, with_boundary_states
 from micah_plan.automaton.memo import memoised
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.automaton.step_noise import gain_factors, uncertain_gains
@@ -209,7 +209,7 @@ class TransitionBatch:
         """
         Args:
             automaton: the model.
-            shifts: (t, b) by how much each object's boundaries are moved (`lifted.threshold_stds`).
+            shifts: (t, b) by how much each object's boundaries are moved (`augmented.threshold_stds`).
             gains: (t, g) relative errors of its gains (`step_noise.drawn_gains`); None: they are the model's.
         """
         self._automaton = with_boundary_states(automaton)

@@ -20,7 +20,7 @@ from micah_plan.automaton.effects.motion import displaced
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.step_noise import step_noise_std
 from micah_plan.belief.gaussian import SMALLEST_STD, condition_on_pins, lower_factors, put_at_pins, those, weighted
-from micah_plan.belief.layout import Doors, Exit, Layout, ModeLayout
+from micah_plan.belief.layout import Exit, ExitBounds, Layout, ModeLayout
 from micah_plan.belief.pieces import Binding, Ends, Pieces
 from micah_plan.belief.truncation import NEGLIGIBLE, REACH, Shares, split, truncated
 
@@ -58,9 +58,9 @@ def whole_step(
 
 
 def through_guards(
-    layout: Layout, mode: ModeLayout, pieces: Pieces, events: int, onward: dict[int, list[Pieces]]
+    layout: Layout, mode: ModeLayout, pieces: Pieces, events: int, pending: dict[int, list[Pieces]]
 ) -> list[Ends]:
-    """The shares that stay in their mode to the end of the step; what crosses is put on `onward`, by its new mode.
+    """The shares that stay in their mode to the end of the step; what crosses is put on `pending`, by its new mode.
 
     Args:
         events: transitions that the pieces have taken in this step.
@@ -72,13 +72,13 @@ def through_guards(
     sure = _sure_exits(mode, free)
     leaving = (sure < len(mode.exits)).nonzero()[0]
     if leaving.size:
-        _leave_at_once(layout, mode, pieces.where(leaving), those(free, leaving), sure[leaving], onward)
+        _leave_at_once(layout, mode, pieces.where(leaving), those(free, leaving), sure[leaving], pending)
         staying = (sure == len(mode.exits)).nonzero()[0]
         if not staying.size:
             return ended
         pieces, free = pieces.where(staying), those(free, staying)
     while first < len(mode.exits) and pieces.owner.size:
-        may = free[first:] & _reached(mode.doors[first], pieces, events)
+        may = free[first:] & _reached(mode.exit_bounds[first], pieces, events)
         meets = np.asarray(may.any(axis=0))
         busy = meets.nonzero()[0]
         if busy.size < meets.size:
@@ -87,10 +87,10 @@ def through_guards(
                 return ended
             pieces, free, may = pieces.where(busy), those(free, busy), those(may, busy)
         ahead = int(may.any(axis=1).argmax())
-        way = mode.exits[first + ahead]
-        taken, pieces = _cross(layout, mode, pieces, may[ahead].nonzero()[0], way)
+        exit_taken = mode.exits[first + ahead]
+        taken, pieces = _cross(layout, mode, pieces, may[ahead].nonzero()[0], exit_taken)
         if taken is not None:
-            onward.setdefault(way.target, []).append(taken)
+            pending.setdefault(exit_taken.target, []).append(taken)
         alive = (pieces.probability >= NEGLIGIBLE).nonzero()[0]
         pieces, free, first = pieces.where(alive), those(free, alive), first + ahead + 1
     return [*ended, pieces.ends()] if pieces.owner.size else ended
@@ -99,11 +99,11 @@ def through_guards(
 def _free(mode: ModeLayout, pieces: Pieces, events: int) -> Booleans:
     """(e, p) whether the input allows each exit, and it is not blocked at this instant."""
     free = np.ones((len(mode.exits), pieces.owner.size), dtype=bool)
-    for number, way in enumerate(mode.exits):
+    for number, exit_taken in enumerate(mode.exits):
         if events:
-            free[number] = ~_blocked(pieces, number, way)
-        if len(way.on_input):
-            free[number] &= way.allowed(pieces.u)
+            free[number] = ~_blocked(pieces, number, exit_taken)
+        if len(exit_taken.on_input):
+            free[number] &= exit_taken.allowed(pieces.u)
     return free
 
 
@@ -117,7 +117,7 @@ def _sure_exits(mode: ModeLayout, free: Booleans) -> Ints:
 
 
 def _leave_at_once(
-    layout: Layout, mode: ModeLayout, pieces: Pieces, free: Booleans, sure: Ints, onward: dict[int, list[Pieces]]
+    layout: Layout, mode: ModeLayout, pieces: Pieces, free: Booleans, sure: Ints, pending: dict[int, list[Pieces]]
 ) -> None:
     """What an input moves out of its mode before it moves the state: all of it, by the first exit that holds there.
 
@@ -125,13 +125,13 @@ def _leave_at_once(
         sure: (p,) the exit that the input alone opens; those before it take what lies inside of them at that instant.
     """
     parts = [(pieces, free, sure)]
-    for number, way in enumerate(mode.exits):
+    for number, exit_taken in enumerate(mode.exits):
         after: list[tuple[Pieces, Booleans, Ints]] = []
         for part, opened, until in parts:
             may = opened[number] & (number <= until) & (part.probability >= NEGLIGIBLE)
-            if len(way.on_state) and not len(way.on_input):
+            if len(exit_taken.on_state) and not len(exit_taken.on_input):
                 # What lies behind the boundary of a mode is the tail of a fit, unless the mean itself does.
-                inside = way.on_state.a @ part.mean[0] - way.on_state.offsets(part.u) > SMALLEST_STD
+                inside = exit_taken.on_state.a @ part.mean[0] - exit_taken.on_state.offsets(part.u) > SMALLEST_STD
                 may &= inside.all(axis=0)
             chosen, others = may.nonzero()[0], (~may).nonzero()[0]
             if others.size:
@@ -139,23 +139,25 @@ def _leave_at_once(
             if not chosen.size:
                 continue
             here = part.where(chosen)
-            gone, remaining = (here, []) if not len(way.on_state) else _divided_at_start(here, way)
+            gone, remaining = (here, []) if not len(exit_taken.on_state) else _divided_at_start(here, exit_taken)
             crosses = (gone.probability >= NEGLIGIBLE).nonzero()[0]
             if crosses.size:
                 taken = gone.where(crosses)
-                binding = _binding(taken.mean[0], taken.factor[0], taken.u, way) if len(way.on_state) else None
-                onward.setdefault(way.target, []).append(transition(layout, mode, taken, way, binding))
+                binding = (
+                    _binding(taken.mean[0], taken.factor[0], taken.u, exit_taken) if len(exit_taken.on_state) else None
+                )
+                pending.setdefault(exit_taken.target, []).append(transition(layout, mode, taken, exit_taken, binding))
             after += [(piece, those(opened, chosen), until[chosen]) for piece in remaining]
         parts = after
 
 
-def _divided_at_start(pieces: Pieces, way: Exit) -> tuple[Pieces, list[Pieces]]:
+def _divided_at_start(pieces: Pieces, exit_taken: Exit) -> tuple[Pieces, list[Pieces]]:
     """The shares of pieces that are inside of a guard where the step begins, and those outside of a half-space of it.
 
     Of several half-spaces each gives those that are inside of the ones before it and outside of it.
     """
     inside, outside = pieces, list[Pieces]()
-    for a, offset in zip(way.on_state.a, way.on_state.offsets(pieces.u), strict=True):
+    for a, offset in zip(exit_taken.on_state.a, exit_taken.on_state.offsets(pieces.u), strict=True):
         margin, row = a @ inside.mean[0] - offset, weighted(a, inside.factor[0])
         chance = ndtr(margin / (np.sqrt(np.einsum("kp,kp->p", row, row)) + SMALLEST_STD))
         outside.append(_given(inside, -margin, -row, 1.0 - chance))
@@ -174,7 +176,7 @@ def _given(pieces: Pieces, margin: Floats, row: Floats, chance: Floats) -> Piece
     return replace(pieces, probability=pieces.probability * chance, mean=mean, factor=factor)
 
 
-def _reached(doors: Doors, pieces: Pieces, events: int) -> Booleans:
+def _reached(exit_bounds: ExitBounds, pieces: Pieces, events: int) -> Booleans:
     """(e, p) whether a piece may be inside all half-spaces of each exit with more than a share of 1e-15.
 
     The std of a margin is bounded by those of the coordinates; what turns out to be far nevertheless stays whole.
@@ -183,30 +185,34 @@ def _reached(doors: Doors, pieces: Pieces, events: int) -> Booleans:
     the mean must be inside the guard or move towards it. And a coordinate that was just pinned lies at its pin: the
     pin's std does not put it behind a guard that begins there.
     """
-    offset = doors.rows.offsets(pieces.u)
-    margin = doors.rows.a @ pieces.mean - offset
+    offset = exit_bounds.rows.offsets(pieces.u)
+    margin = exit_bounds.rows.a @ pieces.mean - offset
     std = np.sqrt(np.einsum("eikp,eikp->eip", pieces.factor, pieces.factor)) + SMALLEST_STD
-    start, end = margin + doors.far @ std >= 0.0
-    reached = doors.all_hold(start | end)
+    start, end = margin + exit_bounds.far @ std >= 0.0
+    reached = exit_bounds.all_hold(start | end)
     if events and np.count_nonzero(reached):
         is_free = ~np.isnan(pieces.pinned_at)
         start_margin = margin[0]
         if np.count_nonzero(is_free):
-            start_margin = doors.rows.a @ np.where(is_free, pieces.pinned_at, pieces.mean[0]) - offset
-        reached &= doors.any_holds(margin[1] - margin[0] > SMALLEST_STD) | doors.all_hold(start_margin > SMALLEST_STD)
+            start_margin = exit_bounds.rows.a @ np.where(is_free, pieces.pinned_at, pieces.mean[0]) - offset
+        reached &= exit_bounds.any_holds(margin[1] - margin[0] > SMALLEST_STD) | exit_bounds.all_hold(
+            start_margin > SMALLEST_STD
+        )
     return reached
 
 
-def _cross(layout: Layout, mode: ModeLayout, pieces: Pieces, chosen: Ints, way: Exit) -> tuple[Pieces | None, Pieces]:
+def _cross(
+    layout: Layout, mode: ModeLayout, pieces: Pieces, chosen: Ints, exit_taken: Exit
+) -> tuple[Pieces | None, Pieces]:
     """The shares of the chosen pieces that take an exit, in its target with the rest of the step to go; the others."""
-    if not len(way.on_state):
+    if not len(exit_taken.on_state):
         remaining = pieces.probability.copy()
         remaining[chosen] = 0.0
-        return transition(layout, mode, pieces.where(chosen), way, None), replace(pieces, probability=remaining)
+        return transition(layout, mode, pieces.where(chosen), exit_taken, None), replace(pieces, probability=remaining)
     probability, mean, factor, u = pieces.probability, pieces.mean, pieces.factor, pieces.u
     if chosen.size < probability.size:
         probability, mean, factor, u = (those(values, chosen) for values in (probability, mean, factor, u))
-    binding = _binding(mean[0], factor[0], u, way)
+    binding = _binding(mean[0], factor[0], u, exit_taken)
     margins = binding.margins(mean, factor)
     reach = margins.can_cross(probability).nonzero()[0]
     if not reach.size:
@@ -217,8 +223,8 @@ def _cross(layout: Layout, mode: ModeLayout, pieces: Pieces, chosen: Ints, way: 
     shares = split(mean, factor, margins)
     taken, remaining = probability * shares.probability
     rest = shares.mean[1], shares.factor[1]
-    if len(way.on_state) > 1:
-        taken = taken * _within_others(shares, way, binding, u)
+    if len(exit_taken.on_state) > 1:
+        taken = taken * _within_others(shares, exit_taken, binding, u)
         # The complement of a corner is no half-space: what stays keeps the moments of the whole.
         rest, remaining = (mean, factor), probability - taken
     staying = pieces.replaced(chosen, remaining, *rest)
@@ -229,12 +235,12 @@ def _cross(layout: Layout, mode: ModeLayout, pieces: Pieces, chosen: Ints, way: 
     if crosses.size < chosen.size:
         chosen, binding, taken = chosen[crosses], binding.where(crosses), taken[crosses]
         mean, factor = those(mean, crosses), those(factor, crosses)
-    return transition(layout, mode, pieces.subset(chosen, taken, mean, factor), way, binding), staying
+    return transition(layout, mode, pieces.subset(chosen, taken, mean, factor), exit_taken, binding), staying
 
 
-def _binding(mean: Floats, factor: Floats, u: Floats, way: Exit) -> Binding:
+def _binding(mean: Floats, factor: Floats, u: Floats, exit_taken: Exit) -> Binding:
     """The half-space that holds last: the one whose margin at the start (n, p), (n, k, p) is worst."""
-    rows = way.on_state
+    rows = exit_taken.on_state
     offsets = rows.offsets(u)
     if len(rows) == 1:
         return Binding(rows.terms, offsets[0])
@@ -249,7 +255,7 @@ def _stds(weights: Floats, factor: Floats) -> Floats:
     return np.asarray(np.sqrt(np.einsum("rkp,rkp->rp", rows, rows)))
 
 
-def _within_others(shares: Shares, way: Exit, binding: Binding, u: Floats) -> Floats:
+def _within_others(shares: Shares, exit_taken: Exit, binding: Binding, u: Floats) -> Floats:
     """(p,) probability of being within all half-spaces but the binding one, of what crosses; cut there, in place.
 
     A half-space that the path leads out of must hold where it crosses the binding one, any other at the end: a hand
@@ -260,8 +266,8 @@ def _within_others(shares: Shares, way: Exit, binding: Binding, u: Floats) -> Fl
     within = np.ones(mean.shape[-1])
     before, after = binding.along(mean.swapaxes(0, 1)) - binding.offset
     way_there = np.where(before < 0.0, np.clip(before / np.minimum(before - after, -_NOTHING), 0.0, 1.0), 0.0)
-    for number, offset in enumerate(way.on_state.offsets(u) + SMALLEST_STD):
-        weights = way.on_state.a[number]
+    for number, offset in enumerate(exit_taken.on_state.offsets(u) + SMALLEST_STD):
+        weights = exit_taken.on_state.a[number]
         start, end = (weights @ place - offset for place in mean)
         at = np.where(end < start, way_there, 1.0)
         ahead = start + at * (end - start)
@@ -278,9 +284,9 @@ def _within_others(shares: Shares, way: Exit, binding: Binding, u: Floats) -> Fl
     return within
 
 
-def _blocked(pieces: Pieces, number: int, way: Exit) -> Booleans:
+def _blocked(pieces: Pieces, number: int, exit_taken: Exit) -> Booleans:
     """(p,) whether an exit leads to a mode entered at this instant, or back to its own and was taken at it."""
-    return np.asarray(pieces.taken[number] if way.is_self else pieces.entered[way.target])
+    return np.asarray(pieces.taken[number] if exit_taken.is_self else pieces.entered[exit_taken.target])
 
 
 def _slid(mode: ModeLayout, pieces: Pieces) -> Pieces:
@@ -291,19 +297,19 @@ def _slid(mode: ModeLayout, pieces: Pieces) -> Pieces:
     on into its guard. Nothing happens twice at one instant (`automaton.transition`), so the boundary is a wall: the
     end of the step is put on it, and nothing is left of the spread across.
     """
-    for number, way in enumerate(mode.exits):
-        if len(way.on_state):
-            chosen = _blocked(pieces, number, way).nonzero()[0]
+    for number, exit_taken in enumerate(mode.exits):
+        if len(exit_taken.on_state):
+            chosen = _blocked(pieces, number, exit_taken).nonzero()[0]
             if chosen.size:
-                pieces = _slid_along(mode, pieces, way, chosen)
+                pieces = _slid_along(mode, pieces, exit_taken, chosen)
     return pieces
 
 
-def _slid_along(mode: ModeLayout, pieces: Pieces, way: Exit, chosen: Ints) -> Pieces:
-    rows, u = way.on_state, those(pieces.u, chosen)
+def _slid_along(mode: ModeLayout, pieces: Pieces, exit_taken: Exit, chosen: Ints) -> Pieces:
+    rows, u = exit_taken.on_state, those(pieces.u, chosen)
     starts, ends = rows.a @ those(pieces.mean, chosen) - rows.offsets(u)
     pressed = np.argmin(starts, axis=0)
-    at_it = (np.abs(starts.min(axis=0)) <= SMALLEST_STD) & (ends.min(axis=0) >= 0.0) & way.allowed(u)
+    at_it = (np.abs(starts.min(axis=0)) <= SMALLEST_STD) & (ends.min(axis=0) >= 0.0) & exit_taken.allowed(u)
     for number, a in enumerate(rows.a):
         # The part of the boundary's normal along which the mode can give way.
         normal = a.copy()
@@ -324,7 +330,7 @@ def _slid_along(mode: ModeLayout, pieces: Pieces, way: Exit, chosen: Ints) -> Pi
 _WIDEST = 3
 
 
-def transition(layout: Layout, mode: ModeLayout, pieces: Pieces, way: Exit, binding: Binding | None) -> Pieces:
+def transition(layout: Layout, mode: ModeLayout, pieces: Pieces, exit_taken: Exit, binding: Binding | None) -> Pieces:
     """The pieces after the transition: reset where the path meets the guard, then the new mode's motion.
 
     With r the share of the path behind the guard, r = m1 / (m1 - m0) is linearised about the means, as are its products
@@ -332,8 +338,8 @@ def transition(layout: Layout, mode: ModeLayout, pieces: Pieces, way: Exit, bind
     """
     (start, end), (before, after) = pieces.mean, pieces.factor
     n, width, count = before.shape
-    noise = None if way.is_self else _freed(layout, mode, pieces, way)
-    room = 0 if noise is None else len(way.located) + len(noise[0])
+    noise = None if exit_taken.is_self else _freed(layout, mode, pieces, exit_taken)
+    room = 0 if noise is None else len(exit_taken.located) + len(noise[0])
     mean, factor = np.empty((2, n, count)), np.zeros((2, n, width + room, count))
     met, ahead = factor[:, :, :width]
     share, per_way = _share_behind(pieces, binding)
@@ -347,26 +353,28 @@ def transition(layout: Layout, mode: ModeLayout, pieces: Pieces, way: Exit, bind
     if binding is not None:
         share_factor = binding.along(met) * per_way  # the uncertainty of the share itself, by the factors' columns
         met -= motion[:, None] * share_factor
-    if way.reset is not None:
+    if exit_taken.reset is not None:
         behind = after - met
-        a, b, c = way.reset
+        a, b, c = exit_taken.reset
         mean[0] = a @ mean[0] + b @ pieces.u + c[:, None]
         met[:] = weighted(a, met)
-        if way.is_self:
+        if exit_taken.is_self:
             behind_mean, behind = a @ behind_mean, weighted(a, behind)
         np.add(met, behind, out=ahead)
     np.add(mean[0], behind_mean, out=mean[1])
-    if way.is_self:
-        displacement = share * (pieces.displacement if way.reset is None else way.reset[0] @ pieces.displacement)
+    if exit_taken.is_self:
+        displacement = share * (
+            pieces.displacement if exit_taken.reset is None else exit_taken.reset[0] @ pieces.displacement
+        )
     else:
-        nominal = pieces.fraction * _motion(layout.automaton, layout.modes[way.target], mean[0], pieces.u)
+        nominal = pieces.fraction * _motion(layout.automaton, layout.modes[exit_taken.target], mean[0], pieces.u)
         change, displacement = nominal - pieces.displacement, share * nominal
         mean[1] += share * change
         if binding is not None:
             ahead += change[:, None] * share_factor
     at_once = share > 1.0 - 1e-9
     entered = pieces.entered & at_once
-    entered[mode.index] = entered[way.target] = True
+    entered[mode.index] = entered[exit_taken.target] = True
     arrived = Pieces(
         owner=pieces.owner,
         probability=pieces.probability,
@@ -375,11 +383,11 @@ def transition(layout: Layout, mode: ModeLayout, pieces: Pieces, way: Exit, bind
         u=pieces.u,
         fraction=share * pieces.fraction,
         displacement=displacement,
-        pinned_at=_pinned_at(mode, pieces, way, at_once),
+        pinned_at=_pinned_at(mode, pieces, exit_taken, at_once),
         entered=entered,
-        taken=_taken(layout, mode, pieces, way, at_once),
+        taken=_taken(layout, mode, pieces, exit_taken, at_once),
     )
-    return arrived if noise is None else _settled(layout, arrived, way, width, noise)
+    return arrived if noise is None else _settled(layout, arrived, exit_taken, width, noise)
 
 
 def _share_behind(pieces: Pieces, binding: Binding | None) -> tuple[Floats, Floats]:
@@ -387,9 +395,9 @@ def _share_behind(pieces: Pieces, binding: Binding | None) -> tuple[Floats, Floa
     if binding is None:
         return np.ones(pieces.owner.size), np.zeros(pieces.owner.size)
     before, after = binding.along(pieces.mean.swapaxes(0, 1)) - binding.offset
-    way = after - before
-    within = (before < 0) & (way > SMALLEST_STD)
-    per_way = within / np.where(within, way, 1.0)
+    path = after - before
+    within = (before < 0) & (path > SMALLEST_STD)
+    per_way = within / np.where(within, path, 1.0)
     return np.where(within, after * per_way, 1.0), per_way
 
 
@@ -400,9 +408,9 @@ def _motion(automaton: HybridAutomaton, mode: ModeLayout, mean: Floats, u: Float
     return np.asarray(displaced(automaton, mode.mode, mean.T, u.T)[0].T)
 
 
-def _pinned_at(mode: ModeLayout, pieces: Pieces, way: Exit, at_once: Booleans) -> Floats:
+def _pinned_at(mode: ModeLayout, pieces: Pieces, exit_taken: Exit, at_once: Booleans) -> Floats:
     """(n, p) where pieces that take an exit of a mode at once were pinned before; a reset moves them elsewhere."""
-    if way.reset is not None or not np.count_nonzero(at_once):
+    if exit_taken.reset is not None or not np.count_nonzero(at_once):
         return np.full(pieces.pinned_at.shape, np.nan)
     pinned_at = np.where(at_once, pieces.pinned_at, np.nan)
     for pin in mode.mode.pins:
@@ -411,27 +419,27 @@ def _pinned_at(mode: ModeLayout, pieces: Pieces, way: Exit, at_once: Booleans) -
     return pinned_at
 
 
-def _taken(layout: Layout, mode: ModeLayout, pieces: Pieces, way: Exit, at_once: Booleans) -> Booleans:
+def _taken(layout: Layout, mode: ModeLayout, pieces: Pieces, exit_taken: Exit, at_once: Booleans) -> Booleans:
     """`Pieces.taken` after an exit; none of a mode that was just entered."""
-    if not way.is_self:
-        return np.zeros((len(layout.modes[way.target].exits), pieces.owner.size), dtype=bool)
+    if not exit_taken.is_self:
+        return np.zeros((len(layout.modes[exit_taken.target].exits), pieces.owner.size), dtype=bool)
     taken = pieces.taken & at_once
-    taken[mode.exits.index(way)] = True
+    taken[mode.exits.index(exit_taken)] = True
     return np.asarray(taken)
 
 
-def _freed(layout: Layout, source: ModeLayout, pieces: Pieces, way: Exit) -> tuple[Ints, Floats]:
+def _freed(layout: Layout, source: ModeLayout, pieces: Pieces, exit_taken: Exit) -> tuple[Ints, Floats]:
     """Coordinates (c,) that had no noise in the mode before, and its std (c, p) or (c, 1) in a whole step."""
-    if way.freed is not None:
-        return way.freed
-    modes = source.mode, layout.modes[way.target].mode
+    if exit_taken.freed is not None:
+        return exit_taken.freed
+    modes = source.mode, layout.modes[exit_taken.target].mode
     old, new = (step_noise_std(layout.automaton, mode, pieces.u.T).T for mode in modes)
     fresh = np.where(old == 0.0, new, 0.0)
     coordinates = np.flatnonzero(fresh.any(axis=1))
     return coordinates, np.asarray(fresh[coordinates])
 
 
-def _settled(layout: Layout, pieces: Pieces, way: Exit, column: int, noise: tuple[Ints, Floats]) -> Pieces:
+def _settled(layout: Layout, pieces: Pieces, exit_taken: Exit, column: int, noise: tuple[Ints, Floats]) -> Pieces:
     """The pieces in their new mode: pinned coordinates stand still and are known, freed ones get their process noise.
 
     A pin that the guard locates replaces what was known of its coordinate, any other pin adds to it.
@@ -440,8 +448,13 @@ def _settled(layout: Layout, pieces: Pieces, way: Exit, column: int, noise: tupl
         pieces: with arrays of their own, which are written to; their factors have columns to fill from that number on.
         noise: of the freed coordinates.
     """
-    target, mean, factor, displacement = layout.modes[way.target], pieces.mean, pieces.factor, pieces.displacement
-    put_at_pins(mean[0], factor[0], way.located, column)
+    target, mean, factor, displacement = (
+        layout.modes[exit_taken.target],
+        pieces.mean,
+        pieces.factor,
+        pieces.displacement,
+    )
+    put_at_pins(mean[0], factor[0], exit_taken.located, column)
     for i in target.pinned:
         mean[1, i], factor[1, i], displacement[i] = mean[0, i], factor[0, i], 0.0
     for tie in target.mode.ties:
@@ -450,11 +463,13 @@ def _settled(layout: Layout, pieces: Pieces, way: Exit, column: int, noise: tupl
         displacement[i] = weights @ displacement
     coordinates, std = noise
     for number, i in enumerate(coordinates):
-        factor[1, i, column + len(way.located) + number] += std[number] * pieces.fraction
+        factor[1, i, column + len(exit_taken.located) + number] += std[number] * pieces.fraction
     joint = 2 * len(displacement)
     if factor.shape[2] > _WIDEST * joint:
         factor = lower_factors(factor.reshape(joint, *factor.shape[2:])).reshape(*factor.shape[:2], joint, -1)
-    if not way.met:
+    if not exit_taken.met:
         return replace(pieces, factor=factor)
-    means, factors = condition_on_pins(mean.reshape(joint, -1), factor.reshape(joint, *factor.shape[2:]), way.met)
+    means, factors = condition_on_pins(
+        mean.reshape(joint, -1), factor.reshape(joint, *factor.shape[2:]), exit_taken.met
+    )
     return replace(pieces, mean=means.reshape(mean.shape), factor=factors.reshape(factor.shape))

@@ -132,7 +132,7 @@ def update(automaton: HybridAutomaton, belief: Belief, z: ArrayLike) -> Belief:
     Each mode measures as `HybridAutomaton.sensing` says, where its mean is. Mode weights move by the likelihood. A
     mode's state lies outside the guards that leave it, else it would have left: what is measured is a Gaussian that is
     cut there, see `truncation`. A belief whose every mode excludes what is measured is lost, and begins anew from it,
-    see `found_again`.
+    see `reinitialise`.
 
     Args:
         z: (n,) [rad or m]; of many beliefs (t, n).
@@ -167,7 +167,7 @@ def update_each(automaton: HybridAutomaton, beliefs: Sequence[HybridBelief], z: 
         every = np.ones((len(layout.modes), seeing.size), dtype=bool)
         batch, anew = _updated(layout, batch_of([beliefs[int(i)] for i in seeing], layout.stds), z[seeing].T, every)
         for number, i in enumerate(seeing):
-            after[i] = replace(batch.alone(number), is_anew=bool(anew[number]))
+            after[i] = replace(batch.alone(number), was_reinitialised=bool(anew[number]))
     return after
 
 
@@ -220,13 +220,17 @@ def _predicted(layout: Layout, beliefs: BeliefBatch, u: Floats) -> BeliefBatch:
             travelling[index] = [step]
     events = 0
     while travelling:
-        onward: dict[int, list[Pieces]] = {}
+        pending: dict[int, list[Pieces]] = {}
         for index, groups in travelling.items():
             pieces = joined(groups)
-            tired = events >= MOST_EVENTS
-            ends = [pieces.ends()] if tired else through_guards(layout, layout.modes[index], pieces, events, onward)
+            event_limit_reached = events >= MOST_EVENTS
+            ends = (
+                [pieces.ends()]
+                if event_limit_reached
+                else through_guards(layout, layout.modes[index], pieces, events, pending)
+            )
             arrived += [(index, end) for end in ends]
-        travelling, events = onward, events + 1
+        travelling, events = pending, events + 1
     return assembled(layout, arrived, count, remembered)
 
 
@@ -305,7 +309,7 @@ def _found_again(
     anew = np.zeros(evidence.size, dtype=bool)
     weights, means, factors = after.side_by_side()
     for owner in map(int, (evidence < most_evidence(layout, z)).nonzero()[0]):
-        recovered, chance = found_again(layout, before.where([owner]), z[:, owner])
+        recovered, chance = reinitialise(layout, before.where([owner]), z[:, owner])
         if chance > evidence[owner]:
             if not anew.any():
                 weights, means, factors = weights.copy(), means.copy(), factors.copy()
@@ -452,7 +456,7 @@ def most_evidence(layout: Layout, z: Floats) -> Floats:
     return np.asarray(np.where(np.isfinite(z), densest[:, None], 0.0).sum(axis=0) + np.log(NEGLIGIBLE))
 
 
-def found_again(layout: Layout, belief: BeliefBatch, z: Floats) -> tuple[BeliefBatch, float]:
+def reinitialise(layout: Layout, belief: BeliefBatch, z: Floats) -> tuple[BeliefBatch, float]:
     """A single belief if nothing of it were true but what z (own,) does not measure, and the log evidence of that.
 
     In every mode that allows it the state is where it is measured, and at the mode's pins and ties. Where it would have

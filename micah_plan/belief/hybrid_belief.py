@@ -84,7 +84,7 @@ class HybridBelief:
         shifts: (q, b) by how much the uncertain boundaries are believed to lie elsewhere, in the order of
             `thresholds.threshold_stds`; None: nothing has been learned of them.
         shift_rows: (q, b, n + b) their rows of the joint lower Cholesky factors.
-        is_anew: whether it was lost and began anew from the last measurement, see `filter`.
+        was_reinitialised: whether it was lost and began anew from the last measurement, see `filter`.
     """
 
     weights: Floats
@@ -92,7 +92,7 @@ class HybridBelief:
     factors: Floats
     shifts: Floats | None = None
     shift_rows: Floats | None = None
-    is_anew: bool = False
+    was_reinitialised: bool = False
 
     @property
     def mean(self) -> Floats:

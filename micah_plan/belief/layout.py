@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.automaton.augmented import threshold_stds, with_boundary_states
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin, Sensing
-from micah_plan.automaton.lifted import threshold_stds, with_boundary_states
 from micah_plan.automaton.memo import memoised
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.automaton.step_noise import free_gain_std, free_process_std
@@ -82,7 +82,7 @@ class Exit:
 
 
 @dataclass(frozen=True, eq=False)
-class Doors:
+class ExitBounds:
     """The guards of several exits, as far as they are on the state.
 
     Attributes:
@@ -114,7 +114,7 @@ class ModeLayout:
         process: (n, 1) std of the process noise; gain: whether an uncertain gain adds to it.
         noisy: coordinates that noise moves.
         exits: in the order in which they are tried, self transitions last.
-        doors: the guards of the exits from the first, from the second ... on.
+        exit_bounds: the guards of the exits from the first, from the second ... on.
     """
 
     mode: Mode
@@ -125,7 +125,7 @@ class ModeLayout:
     gain: bool
     noisy: tuple[int, ...]
     exits: tuple[Exit, ...]
-    doors: tuple[Doors, ...]
+    exit_bounds: tuple[ExitBounds, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,16 +204,16 @@ def _mode(whole: HybridAutomaton, index: int) -> ModeLayout:
         gain=bool(gain.any()),
         noisy=tuple(int(i) for i in np.flatnonzero((process > 0) | (gain > 0))),
         exits=tuple(_exit(whole, edge) for edge in edges),
-        doors=tuple(_doors(whole, edges[first:]) for first in range(len(edges))),
+        exit_bounds=tuple(_exit_bounds(whole, edges[first:]) for first in range(len(edges))),
     )
 
 
-def _doors(whole: HybridAutomaton, edges: Sequence[Edge]) -> Doors:
+def _exit_bounds(whole: HybridAutomaton, edges: Sequence[Edge]) -> ExitBounds:
     on_state = [_on_state(edge) for edge in edges]
     rows = Rows.of([h for exit_rows in on_state for h in exit_rows], whole.n, whole.m)
     count = np.array([len(exit_rows) for exit_rows in on_state])
     of_exit = np.repeat(np.eye(len(edges)), count, axis=1)
-    return Doors(rows, FAR_STDS * np.abs(rows.a), of_exit, count[:, None].astype(float))
+    return ExitBounds(rows, FAR_STDS * np.abs(rows.a), of_exit, count[:, None].astype(float))
 
 
 def _exit(whole: HybridAutomaton, edge: Edge) -> Exit:

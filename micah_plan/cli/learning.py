@@ -43,9 +43,9 @@ if TYPE_CHECKING:
     from micah_plan.learn.settings import LearnSettings
 
 
-_COLUMNS = ("joint", "rows", "configuration", "axis", "radius", "sure", "first row\n(95 %)")
+_COLUMNS = ("joint", "rows", "configuration", "axis", "radius", "P(kind)", "start row\n(95 %)")
 _WIDE = 108  # columns, with which a row of the table fits on one line
-_NARROW = ("joint", "rows", "sure")
+_NARROW = ("joint", "rows", "P(kind)")
 
 
 def learn(
@@ -229,7 +229,7 @@ def _edge(edge: KinematicEdge) -> dict[str, Any]:
 
 
 def _segment(segment: Segment) -> dict[str, Any]:
-    sure, misfit = segment.certainty, segment.misfit
+    sure, no_single_joint = segment.certainty, segment.no_single_joint
     start = None if sure is None else sure.start
     data: dict[str, Any] = {
         "model": segment.joint.kind,
@@ -246,14 +246,14 @@ def _segment(segment: Segment) -> dict[str, Any]:
         "probabilities": None if sure is None else dict(sure.kinds),
         "deviation": None if sure is None or sure.deviation is None else _deviation(sure.deviation),
     }
-    if misfit is None:
+    if no_single_joint is None:
         return data | fitted
     misses = {
-        "position_m": misfit.position,
-        "rotation_rad": misfit.rotation,
-        "position_noise_m": misfit.position_noise,
-        "rotation_noise_rad": misfit.rotation_noise,
-        "log_odds": misfit.log_odds,
+        "position_m": no_single_joint.position,
+        "rotation_rad": no_single_joint.rotation,
+        "position_noise_m": no_single_joint.position_noise,
+        "rotation_noise_rad": no_single_joint.rotation_noise,
+        "log_odds": no_single_joint.log_odds,
     }
     best = {"model": segment.joint.kind, **fitted}
     return data | {"model": "none", "parameters": {}, "best": best, "misfit": misses}
@@ -319,7 +319,7 @@ def _print_learned(learned: Learned, files: tuple[Path | None, ...]) -> None:
         if edge.certainty is not None and edge.certainty.channel is not None:
             print_lines((f"actions: {action_words(edge.certainty.channel)}",))
     if learned.graph.probability is not None:
-        out.print(f"this tree of parts: {percent(min(learned.graph.probability, SUREST), 0)} sure")
+        out.print(f"probability of this tree of parts: {percent(min(learned.graph.probability, SUREST), 0)}")
     if learned.automaton is None:
         out.print(f"no model: {learned.reason}", style="yellow")
     else:
@@ -332,13 +332,18 @@ def segment_row(segment: Segment) -> tuple[str, ...]:
     """One line of the table, short enough for 80 columns: kind of joint, rows, way, axis, radius, how sure, start."""
     from micah_plan.automaton.joint import axis_std, radius, radius_std
 
-    joint, rows, misfit, sure = segment.joint, f"{segment.start}-{segment.end}", segment.misfit, segment.certainty
+    joint, rows, no_single_joint, sure = (
+        segment.joint,
+        f"{segment.start}-{segment.end}",
+        segment.no_single_joint,
+        segment.certainty,
+    )
     start = ""
     if sure is not None and sure.start is not None:
         first, last = sure.start.interval()
         start = f"{first}" if first == last else f"{first}-{last}"
-    if misfit is not None:
-        return ("none", rows, f"misses by {quantity(misfit.position, 'm')}", "", "", "", start)
+    if no_single_joint is not None:
+        return ("none", rows, f"misses by {quantity(no_single_joint.position, 'm')}", "", "", "", start)
     axis = "" if joint.kind in ("rigid", "path") else " ".join(f"{round(value, 2) + 0.0:.2f}" for value in joint.axis)
     arm = quantity(radius(joint), "m") if joint.turns else ""
     if joint.covariance is not None:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from micah_plan.residual.missing_mode import MissingMode
     from micah_plan.residual.next_experiment import Designed
     from micah_plan.residual.prediction import PredictionError, RunPrediction
-    from micah_plan.residual.trace import LaneTrace
+    from micah_plan.residual.trace import CoordinateTrace
 
 
 def predict(
@@ -76,7 +76,7 @@ def predict(
 def _predicted(automaton: HybridAutomaton, runs: Sequence[RunPrediction], judged: Judgement) -> dict[str, Any]:
     """Keys of `predict`: root mean squares over all runs against what noise alone would leave, and per run."""
     from micah_plan.residual.prediction import estimate_errors
-    from micah_plan.residual.seen import beyond_range
+    from micah_plan.residual.range_exceeded import ranges_exceeded
 
     return {
         "configuration_unit": common_unit(coordinate.unit for coordinate in automaton.coordinates),
@@ -99,9 +99,9 @@ def _predicted(automaton: HybridAutomaton, runs: Sequence[RunPrediction], judged
         "per_run": [_of_run(number, runs) for number in dict.fromkeys(run.run for run in runs)],
         "per_mode": _per_mode(runs),
         "per_coordinate": _per_coordinate(automaton, runs, judged),
-        "beyond_range": [
+        "ranges_exceeded": [
             {"coordinate": excess.name, "end": excess.end, "measured": excess.reached, "sentence": str(excess)}
-            for excess in beyond_range(automaton, [run.x for run in runs])
+            for excess in ranges_exceeded(automaton, [run.x for run in runs])
         ],
     }
 
@@ -174,7 +174,7 @@ def _print_predicted(summary: dict[str, Any], html: Path | None) -> None:
             quantity(summary["estimate"][key], summary["configuration_unit"]) for key in ("rmse", "final_error")
         )
         out.print(f"what the controller believed was {size} beside what was measured, at the end {last}")
-    print_lines(tuple(excess["sentence"] for excess in summary["beyond_range"]))
+    print_lines(tuple(excess["sentence"] for excess in summary["ranges_exceeded"]))
     gaps = sum(run["gaps"] for run in summary["per_run"])
     if gaps:
         out.print(f"{count(gaps, 'gap')} in t: rows are missing, so roll-outs begin anew after each")
@@ -313,15 +313,15 @@ def _missing_mode(mode: MissingMode) -> dict[str, Any]:
     }
 
 
-def _correlation(trace: LaneTrace) -> dict[str, Any] | None:
+def _correlation(trace: CoordinateTrace) -> dict[str, Any] | None:
     names, matrix = trace.search.correlations_of(trace.chosen)
     return {"parameters": list(names), "matrix": matrix.tolist()} if len(names) > 1 else None
 
 
-def _coordinate(trace: LaneTrace) -> dict[str, Any]:
+def _coordinate(trace: CoordinateTrace) -> dict[str, Any]:
     return {
-        "name": trace.lane.coordinate,
-        "unit": trace.lane.unit,
+        "name": trace.data.coordinate,
+        "unit": trace.data.unit,
         "verdict": trace.outcome.verdict,
         "outcome": trace.outcome.name,
         "sentence": trace.outcome.sentence,

@@ -212,10 +212,10 @@ class ProblemReader:
         problem, located = self._described(overrides or {})
         _check_possible(problem, located)
         if problem.release is not None:  # the goal speaks of the object at rest, not of the hand
-            from micah_plan.task.release import carrying  # SciPy is loaded only where it is needed
+            from micah_plan.task.release import pre_release_problem  # SciPy is loaded only where it is needed
 
             with located.at("release").locating_errors():
-                carrying(problem)
+                pre_release_problem(problem)
         return problem
 
     def describe(self, overrides: Mapping[str, Any] | None = None) -> Problem:

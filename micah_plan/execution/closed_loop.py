@@ -22,7 +22,7 @@ from micah_plan.execution.log import RunLog
 from micah_plan.execution.pilot import MOST_REPLANS, Pilot, Replanning
 from micah_plan.execution.plant import Command, Measurement, Plant, PlantError, Truth
 from micah_plan.execution.pose import chain, command, configuration, moving_joints, reading
-from micah_plan.execution.release import LettingGo
+from micah_plan.execution.release import ReleaseController
 from micah_plan.execution.watch import Watch
 from micah_plan.planning.limits import coasted, with_input_memory
 from micah_plan.planning.path_constraints import PathRecord
@@ -31,7 +31,7 @@ from micah_plan.recording.value import Recording
 from micah_plan.task.goal import Goal
 from micah_plan.task.plan import ArmTrajectory, ReleasePlan, Trajectory
 from micah_plan.task.problem import Problem
-from micah_plan.task.release import carrying
+from micah_plan.task.release import pre_release_problem
 
 _SPARE_STEPS = 20
 _BEHIND = "; its steps were not as the model has them: calibrate the model with this run"
@@ -91,7 +91,7 @@ class Episode:
     Every step the updated belief is looked at. The execution stops when the plan is done and the belief is in the goal
     set with the problem's confidence: stopping earlier ends at its edge. A new plan is asked for where a belief leaves
     it, misses a transition or ends short of the goal; where none leads on, it stops. Where the problem lets go of the
-    object, the hand then puts it down and withdraws, see `letting_go`.
+    object, the hand then puts it down and withdraws, see `release`.
     """
 
     def __init__(
@@ -119,8 +119,10 @@ class Episode:
         """
         self._rest_goal, self._putting_down = problem.goal, False
         asked = problem.release
-        self._letting = None if asked is None or release is None else LettingGo(problem, asked, release)
-        problem = carrying(problem)
+        self._release_controller = (
+            None if asked is None or release is None else ReleaseController(problem, asked, release)
+        )
+        problem = pre_release_problem(problem)
         augmented = with_input_memory(problem)
         self.automaton: HybridAutomaton = augmented.automaton
         """Over whose states, memories of inputs among them, the belief is."""
@@ -178,8 +180,8 @@ class Episode:
             truth: only for the log and the score; None in every step if it is unknown.
         """
         self._truth = truth
-        if self._letting is not None and self._putting_down:
-            return self._letting.command(belief, measurement)
+        if self._release_controller is not None and self._putting_down:
+            return self._release_controller.command(belief, measurement)
         self._beliefs.append(belief)
         self._is_lost = not explains(self.automaton, belief, self.reading(belief, measurement))
         self._confidence = 0.0 if self._is_lost else lasting_probability(self.automaton, self._problem.goal, belief)
@@ -193,8 +195,12 @@ class Episode:
         holds = self._watch.looks_again(belief, is_lost=self._is_lost, unseen=unseen, ends=ends)
         if self._is_over or (ends and not holds):
             self._log.add(measurement, belief, true_x, None)
-            self._putting_down = self._letting is not None and self._is_confident
-            return self._letting.command(belief, measurement) if self._letting and self._putting_down else None
+            self._putting_down = self._release_controller is not None and self._is_confident
+            return (
+                self._release_controller.command(belief, measurement)
+                if self._release_controller and self._putting_down
+                else None
+            )
         u = np.zeros(plain.m) if holds else self._pilot.input(belief, measurement.joints)
         self._commanded = u
         order = command(plain, plain.modes[likely].name, belief.means[likely, : plain.n], u)
@@ -246,19 +252,19 @@ class Episode:
     @property
     def _is_away(self) -> bool:
         """Whether the hand has left the object, and the parts are no longer where it is."""
-        return self._letting is not None and self._letting.phase == "withdrawing"
+        return self._release_controller is not None and self._release_controller.phase == "withdrawing"
 
     @property
     def _is_open(self) -> bool:
         """Whether the gripper was opened."""
-        return self._letting is not None and self._letting.felt
+        return self._release_controller is not None and self._release_controller.felt
 
     def _is_released(self) -> bool | None:
         """Whether the object stands in the goal on its own, as far as is known; None if it is not let go."""
-        if self._letting is None:
+        if self._release_controller is None:
             return None
         if self._truth is None:  # it is put down from where it comes to rest in the goal
-            return self._letting.felt and self._is_confident
+            return self._release_controller.felt and self._is_confident
         mode, x = self._state(self._beliefs[-1])
         return self._is_open and self._truth.stands and not self._truth.incident and self._rest_goal.contains(mode, x)
 
@@ -285,7 +291,7 @@ class Episode:
     def _ending(self) -> str:
         """Why the execution ended."""
         pilot, steps = self._pilot, len(self._beliefs) - 1
-        lost = self._is_lost or any(belief.is_anew for belief in self._beliefs)
+        lost = self._is_lost or any(belief.was_reinitialised for belief in self._beliefs)
         refused = _LOST if lost else _BEHIND if self._watch.is_biased else ""
         if self._watch.failure:
             return f"stopped after {steps} steps: {self._watch.failure}{refused}"
@@ -327,10 +333,10 @@ def execute(episode: Episode, plant: Plant | CheckedPlant, rng: np.random.Genera
         InputError: if the plant's code raised something else, or what it answered is no usable measurement. What was
             logged until then is `episode.recording`.
     """
-    return execute_abreast([episode], [plant], [rng])[0]
+    return execute_batch([episode], [plant], [rng])[0]
 
 
-def execute_abreast(
+def execute_batch(
     episodes: Sequence[Episode],
     plants: Sequence[Plant | CheckedPlant],
     rngs: Sequence[np.random.Generator],

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from micah_plan.arrays import Floats
+from micah_plan.automaton.augmented import drawn_shifts, with_boundaries
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import InputChannel
 from micah_plan.automaton.kinematics import ROTATION_LENGTH, jacobian, placements
-from micah_plan.automaton.lifted import drawn_shifts, with_boundaries
 from micah_plan.automaton.memo import memoised
 from micah_plan.automaton.step_noise import drawn_gains, with_gains
 from micah_plan.automaton.tracks import measuring_links

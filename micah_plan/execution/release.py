@@ -27,7 +27,7 @@ _SURELY = 1.5
 Phase = Literal["lowering", "opening", "withdrawing", "done"]
 
 
-class LettingGo:
+class ReleaseController:
     """The commands after the last knot of a plan that lets go.
 
     Attributes:

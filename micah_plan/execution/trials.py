@@ -12,7 +12,7 @@ import numpy as np
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError
 from micah_plan.execution.checked_plant import CheckedPlant, make_plant
-from micah_plan.execution.closed_loop import Episode, TrialResult, execute_abreast
+from micah_plan.execution.closed_loop import Episode, TrialResult, execute_batch
 from micah_plan.execution.log import concatenated
 from micah_plan.execution.pilot import ContinuePlan, Replanning
 from micah_plan.execution.plant import Plant, PlantMaker
@@ -21,7 +21,7 @@ from micah_plan.recording.value import Recording
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.plants import BUILT_IN, DEFAULT_PLANT
 from micah_plan.task.problem import Problem
-from micah_plan.task.release import carrying
+from micah_plan.task.release import pre_release_problem
 
 ProblemReplan = Callable[[Problem, HybridBelief, tuple[Trajectory, int]], Trajectory | None]
 Continuation = Callable[[Problem, Trajectory], ContinuePlan]
@@ -100,7 +100,7 @@ def run_trials(
         raise InputError(f"only a solved plan can be executed, this one is '{plan.outcome}': {plan.reason}")
     if trials < 1:
         raise InputError(f"trials must be at least 1. Got {trials}")
-    carried = carrying(problem)
+    carried = pre_release_problem(problem)
     replanning = _replanning(carried, plan, replan, None if continuation is None else continuation(carried, trajectory))
     posture = None if plan.arm is None else tuple(plan.arm.positions[0].tolist())
     problem = replace(problem, start=replace(problem.start, mode=trajectory.modes[0], posture=posture))
@@ -117,7 +117,7 @@ def run_trials(
             episodes = [make(run=trial) for trial in turn]
             rngs = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(trial,))) for trial in turn]
             try:
-                results += execute_abreast(episodes, machines[: len(turn)], rngs, report)
+                results += execute_batch(episodes, machines[: len(turn)], rngs, report)
             finally:
                 for log in (episode.recording for episode in episodes):
                     if keep is not None and log is not None:

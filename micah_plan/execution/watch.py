@@ -86,7 +86,7 @@ class Watch:
             unseen: (l,) parts that were not measured; None: all were.
             ends: whether the goal would be believed now.
         """
-        is_excluded = self._is_uniform(belief) and (is_lost or belief.is_anew or self._is_off)
+        is_excluded = self._is_uniform(belief) and (is_lost or belief.was_reinitialised or self._is_off)
         self._excluded = self._excluded + 1 if is_excluded else 0
         self._excluded_in_all += is_excluded
         self._unseen = self._unseen + 1 if unseen is not None and unseen.all() else 0

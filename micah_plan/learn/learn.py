@@ -26,8 +26,8 @@ from micah_plan.errors import InputError, shown
 from micah_plan.learn.online import METHODS, Method, OnlineLearner
 from micah_plan.learn.parts.tree import learn_tree
 from micah_plan.learn.run import LearnedRun, learn_acted_run
-from micah_plan.learn.segmenting.noise import MeasurementNoise, trust_in
-from micah_plan.learn.segmenting.noise_fit import first_noise
+from micah_plan.learn.segmenting.noise import MeasurementNoise, likelihood_power_of
+from micah_plan.learn.segmenting.noise_fit import initial_noise
 from micah_plan.learn.segmenting.steps import MOST_SWEEPS, activity_of, is_long, steps_of
 from micah_plan.learn.segments import FittedPiece, configurations, to_segment
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
@@ -95,8 +95,8 @@ def _in_common(recording: Recording, settings: LearnSettings) -> tuple[LearnSett
     settings = replace(settings, sweeps=settings.sweeps or max(motions))
     for track, rows in tracks.values():
         step = steps_of(track, np.isin(np.arange(len(track)), rows), settings)
-        trusts.append(trust_in(first_noise(step.track, settings.of_steps(step.size)), settings))
-    return replace(settings, trust=float(np.mean(trusts))), counted
+        trusts.append(likelihood_power_of(initial_noise(step.track, settings.of_steps(step.size)), settings))
+    return replace(settings, likelihood_power=float(np.mean(trusts))), counted
 
 
 def learn_edge(

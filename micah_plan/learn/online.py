@@ -290,7 +290,7 @@ class Entry:
         new = [
             piece.joint
             for piece, certainty in zip(window.pieces, window.run.certainties, strict=True)
-            if certainty.misfit is None and piece.start <= cut
+            if certainty.no_single_joint is None and piece.start <= cut
         ]
         latest = list(dict.fromkeys([*new[::-1], *joints[::-1]]))[:_MOST_KNOWN][::-1]
         return cls(tuple(latest), tuple(replace(piece, settled=True) for piece in before), within, reached, start)
@@ -321,7 +321,7 @@ class Entry:
 
         least = missed(joint)
         # Where the part moves freely its joint says nothing.
-        able = () if run.certainties[0].misfit else self.known
+        able = () if run.certainties[0].no_single_joint else self.known
         candidates = [candidate for candidate in able if candidate.kind == joint.kind]
         excess = [float(((missed(candidate) - least) / deviation**2).max()) for candidate in candidates]
         return candidates[int(np.argmin(excess))] if min(excess, default=np.inf) <= 1.0 else None
@@ -346,7 +346,7 @@ class LearnedWindow:
     def is_new(self, index: int) -> bool:
         """Whether a piece is on a moving joint that was not known."""
         piece = self.pieces[index]
-        return piece.joint.moves and not piece.settled and self.run.certainties[index].misfit is None
+        return piece.joint.moves and not piece.settled and self.run.certainties[index].no_single_joint is None
 
     def cut(self) -> tuple[int, int]:
         """The piece with which the next window begins, and the first row of that.

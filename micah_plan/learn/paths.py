@@ -77,14 +77,14 @@ def principal_path(track: PartTrack, std: float, near: Joint | None = None) -> J
     return _smooth(c, points, std)
 
 
-def likeliest_path(track: PartTrack, noise: NoiseModel, trust: float) -> FoundPath | None:
+def likeliest_path(track: PartTrack, noise: NoiseModel, likelihood_power: float) -> FoundPath | None:
     """The path that explains a track best; None if none does that was passed again.
 
     Args:
-        noise, trust: as for free motion.
+        noise, likelihood_power: as for free motion.
     """
     curves = [principal_path(track, std) for std in length_std(noise) * _SCATTER]
-    candidates = [told_along(curve, track, noise, trust) for curve in curves if curve is not None]
+    candidates = [told_along(curve, track, noise, likelihood_power) for curve in curves if curve is not None]
     return max(
         (candidate for candidate in candidates if candidate is not None),
         key=lambda candidate: candidate.log_probability,
@@ -97,13 +97,13 @@ def length_std(noise: NoiseModel) -> float:
     return _length(rough(noise))
 
 
-def told_along(curve: Joint, track: PartTrack, noise: NoiseModel, trust: float) -> FoundPath | None:
+def told_along(curve: Joint, track: PartTrack, noise: NoiseModel, likelihood_power: float) -> FoundPath | None:
     """How a path explains a track, to compare with free motion; None where it was passed only once.
 
     Whatever moves follows some curve once. That it agrees with itself is seen where it was passed again.
 
     Args:
-        noise, trust: as for free motion.
+        noise, likelihood_power: as for free motion.
     """
     c = _closest(curve, track)
     if _passes(c) <= 1:
@@ -123,7 +123,7 @@ def told_along(curve: Joint, track: PartTrack, noise: NoiseModel, trust: float) 
         density(squares, sizes, 3 * len(stds) - 1).sum() + density(along.squares, along.sizes - np.log(std), 1).sum()
     )
     priced = (2 * len(across) + 1) * price(len(c)) + np.log(len(_SCATTER))
-    return FoundPath(curve, _length([std for _, std in across]), float(trust * log_probability - priced))
+    return FoundPath(curve, _length([std for _, std in across]), float(likelihood_power * log_probability - priced))
 
 
 def _beside(vector: Floats, std: float, c: Floats, row: Ints) -> tuple[Trend, float]:

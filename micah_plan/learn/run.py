@@ -19,8 +19,8 @@ from micah_plan.arrays import Booleans
 from micah_plan.automaton.certainty import CHANNEL_NAMES, ActionChannel, EvidenceTrace, RowPosterior, SegmentCertainty
 from micah_plan.automaton.joint import Joint, JointKind
 from micah_plan.learn.actions.channel import estimate_channel, with_delayed_actions
-from micah_plan.learn.doubt import doubt_of, misfit_of
-from micah_plan.learn.joints.final_fit import JointDoubts, fit_joint
+from micah_plan.learn.goodness_of_fit import assess_joints, no_single_joint_of
+from micah_plan.learn.joints.final_fit import LackOfFit, fit_joint
 from micah_plan.learn.joints.joint_arrays import compare_all
 from micah_plan.learn.segmenting.changepoints import Piece
 from micah_plan.learn.segmenting.noise import MeasurementNoise
@@ -30,9 +30,9 @@ from micah_plan.learn.segmenting.posterior import (
     posterior_of,
     without_changepoints,
 )
+from micah_plan.learn.segmenting.refined_changepoint import RefinedChangepoint, refine_changepoint
 from micah_plan.learn.segmenting.segmentation import Segmented, segment_track
 from micah_plan.learn.segmenting.steps import Steps, steps_of
-from micah_plan.learn.segmenting.zoom import Located, locate
 from micah_plan.learn.segments import FittedPiece, chained
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack, find_inliers
@@ -125,39 +125,39 @@ def with_joints(segmented_run: SegmentedRun, settings: LearnSettings, rng: np.ra
     """The run with joints fitted to all rows of its segments, and how sure they are."""
     track, inlier, posterior = segmented_run.track, segmented_run.inlier, segmented_run.posterior
     noise = segmented_run.segmented.noise.of_rows(segmented_run.steps.size)
-    segmented, misfit = segmented_run.segmented, None
+    segmented, no_single_joint = segmented_run.segmented, None
 
     def fitted_to(answer: Segmented) -> tuple[list[FittedPiece], list[RowPosterior | None]]:
         pieces = answer.segmentation.pieces
         return fitted_pieces(pieces, answer, segmented_run.steps, track, inlier, settings, rng)
 
     fitted, places = fitted_to(segmented)
-    doubt = doubt_of(segmented, fitted, track, inlier, noise, settings)
-    if doubt is not None and doubt.single is not None:
-        segmented = doubt.single
+    fit = assess_joints(segmented, fitted, track, inlier, noise, settings)
+    if fit is not None and fit.single is not None:
+        segmented = fit.single
         fitted, places = fitted_to(segmented)
-        if doubt.log_odds <= 0:
+        if fit.log_odds <= 0:
             # Trees compare evidence between parents, so it stays that of one procedure, the first search. Noise fitted
             # anew to the one joint takes what that misses for a tracker's wander, which explains any curve.
             log_evidence = segmented_run.posterior.log_evidence
             posterior = replace(posterior_of(segmented, settings), log_evidence=log_evidence)
-        if doubt.moves_freely:
-            misfit = misfit_of(fitted, track, inlier, noise, settings, doubt.log_odds)
+        if fit.moves_freely:
+            no_single_joint = no_single_joint_of(fitted, track, inlier, noise, settings, fit.log_odds)
     pieces = segmented.segmentation.pieces
-    against = -np.inf if doubt is None else doubt.log_odds
+    against = -np.inf if fit is None else fit.log_odds
     kinds = [
-        kind_probabilities(segmented, p.hypothesis, settings.kinds, against, piece.doubts)
+        kind_probabilities(segmented, p.hypothesis, settings.kinds, against, piece.lack_of_fit)
         for p, piece in zip(pieces, fitted, strict=True)
     ]
-    if doubt is not None and doubt.path is not None:
-        fitted = [FittedPiece(0, len(track) - 1, doubt.path, np.zeros(3), None, doubt.log_evidence)]
+    if fit is not None and fit.path is not None:
+        fitted = [FittedPiece(0, len(track) - 1, fit.path, np.zeros(3), None, fit.log_evidence)]
         (shares,) = kinds
         rest = 1 - sum(share for _, share in shares)
         kinds = [(*shares, ("path", rest))]
         posterior = without_changepoints(posterior, rest)
     chain = chained(fitted, track, inlier, noise)
     certainties = tuple(
-        SegmentCertainty(place, kind, misfit, piece.doubts.deviation)
+        SegmentCertainty(place, kind, no_single_joint, piece.lack_of_fit.deviation)
         for place, kind, piece in zip(places, kinds, fitted, strict=True)
     )
     trace = _trace(segmented, posterior, settings)
@@ -175,11 +175,11 @@ def fitted_pieces(
     rng: np.random.Generator,
 ) -> tuple[list[FittedPiece], list[RowPosterior | None]]:
     """Pieces of steps as pieces of rows, with joints fitted to them, and where each may start."""
-    located: list[Located] = []
+    refined: list[RefinedChangepoint] = []
     for a, b in pairwise(pieces):
-        since = located[-1].row if located else 0
-        located.append(_located(a, b, since, segmented, steps, track, inlier, settings))
-    starts = [0, *(located_row.row for located_row in located)]
+        since = refined[-1].row if refined else 0
+        refined.append(_refined(a, b, since, segmented, steps, track, inlier, settings))
+    starts = [0, *(refined.row for refined in refined)]
     ends = [*(start - 1 for start in starts[1:]), len(track) - 1]
     spans = list(zip(starts, ends, strict=True))
     joints = _joints(pieces, spans, segmented, track, inlier, settings, rng)
@@ -192,11 +192,11 @@ def fitted_pieces(
             gain=gain[p.hypothesis],
             leader=_leader(p, segmented),
             log_evidence=p.log_evidence,
-            doubts=joints[p.hypothesis][1],
+            lack_of_fit=joints[p.hypothesis][1],
         )
         for p, (a, b) in zip(pieces, spans, strict=True)
     ]
-    return fitted, [None, *(_row_posterior(located_row, track) for located_row in located)]
+    return fitted, [None, *(_row_posterior(refined, track) for refined in refined)]
 
 
 def _leader(piece: Piece, segmented: Segmented) -> Joint | None:
@@ -204,7 +204,7 @@ def _leader(piece: Piece, segmented: Segmented) -> Joint | None:
     return joint if joint.moves else None
 
 
-def _located(
+def _refined(
     before: Piece,
     after: Piece,
     since: int,
@@ -213,13 +213,13 @@ def _located(
     track: PartTrack,
     inlier: Booleans,
     settings: LearnSettings,
-) -> Located:
+) -> RefinedChangepoint:
     """The row at which one piece, which begins at the row `since`, goes over into the next."""
     joints = segmented.table.pool.hypotheses.joints.take([before.hypothesis, after.hypothesis])
     limits = since, int(steps.first[after.end + 1])
     row = max(int(steps.first[after.start]), since + 1)
     widest = float(np.diff(steps.first[after.start - 1 : after.start + 2]).max())
-    return locate(joints, row, widest, limits, track, inlier, settings.of_steps(steps.size))
+    return refine_changepoint(joints, row, widest, limits, track, inlier, settings.of_steps(steps.size))
 
 
 def _joints(
@@ -230,12 +230,12 @@ def _joints(
     inlier: Booleans,
     settings: LearnSettings,
     rng: np.random.Generator,
-) -> dict[int, tuple[Joint, JointDoubts]]:
+) -> dict[int, tuple[Joint, LackOfFit]]:
     """Joints by hypothesis, each fitted to all rows of all pieces that share it: MLESAC from the one that won.
 
     Beside them what the rows say against them.
     """
-    fits: dict[int, tuple[Joint, JointDoubts]] = {}
+    fits: dict[int, tuple[Joint, LackOfFit]] = {}
     for hypothesis in dict.fromkeys(piece.hypothesis for piece in pieces):
         rows = np.concatenate(
             [np.arange(a, b + 1) for p, (a, b) in zip(pieces, spans, strict=True) if p.hypothesis == hypothesis]
@@ -249,17 +249,17 @@ def _joints(
             rng,
             settings,
         )
-        fits[hypothesis] = fitted.joint, fitted.doubts
+        fits[hypothesis] = fitted.joint, fitted.lack_of_fit
     return fits
 
 
-def _row_posterior(located: Located, track: PartTrack) -> RowPosterior:
-    weights = np.exp(located.log_probability - located.log_probability.max())
+def _row_posterior(refined: RefinedChangepoint, track: PartTrack) -> RowPosterior:
+    weights = np.exp(refined.log_probability - refined.log_probability.max())
     weights = weights / weights.sum()
     kept = weights > _NEGLIGIBLE
     share = weights[kept] / weights[kept].sum()
     return RowPosterior(
-        tuple(int(row) for row in track.rows[located.rows[kept]]), tuple(float(value) for value in share)
+        tuple(int(row) for row in track.rows[refined.rows[kept]]), tuple(float(value) for value in share)
     )
 
 
@@ -338,7 +338,7 @@ def learn_acted_run(
 def _channel(learned: LearnedRun, track: PartTrack) -> ActionChannel | None:
     """The channel of the joint that governs the most rows."""
     moving = [piece for piece in learned.pieces if piece.leader is not None]
-    if not moving or track.action is None or any(sure.misfit for sure in learned.certainties):
+    if not moving or track.action is None or any(sure.no_single_joint for sure in learned.certainties):
         return None
     longest = max(moving, key=lambda piece: piece.end - piece.start)
     # The step into a neighbour is not the joint's alone: a stop cuts it short.

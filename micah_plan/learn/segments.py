@@ -12,7 +12,7 @@ from micah_plan.automaton.certainty import SegmentCertainty
 from micah_plan.automaton.graph import Segment
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward, inverse, jacobian, reversed_direction, shifted
-from micah_plan.learn.joints.final_fit import NO_DOUBTS, JointDoubts
+from micah_plan.learn.joints.final_fit import NO_LACK_OF_FIT, LackOfFit
 from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.track import PartTrack
 
@@ -35,7 +35,7 @@ class FittedPiece:
         leader: the joint that won the evidence; None for rigid.
         log_evidence: of the model for these rows.
         settled: whether the joint is on its coordinate already and stays as it is.
-        doubts: what the rows say against the joint.
+        lack_of_fit: what the rows say against the joint.
     """
 
     start: int
@@ -45,7 +45,7 @@ class FittedPiece:
     leader: Joint | None
     log_evidence: float
     settled: bool = False
-    doubts: JointDoubts = NO_DOUBTS
+    lack_of_fit: LackOfFit = NO_LACK_OF_FIT
 
     def index(self, inlier: Booleans) -> Ints:
         """Its rows that count, or all of them where none does."""

@@ -25,7 +25,7 @@ class LearnSettings:
         position_misfit, rotation_misfit: how far real joints and trackers deviate from what models say
             [m, rad]; the smaller the noise is against this, the less a row counts, and the covariance of joints
             expects deviations of about that size.
-        trust: power of the likelihood; None: from the noise and these deviations, one power for all parts.
+        likelihood_power: power of the likelihood; None: from the noise and these deviations, one power for all parts.
         mean_length: expected duration of a segment [s]; None: half the run.
         length_shape: shape of the length prior (a gamma distribution); 1 is memoryless, more makes short segments
             rarer.
@@ -48,7 +48,7 @@ class LearnSettings:
     wander_durations: float = 1.5
     position_misfit: float = 0.002
     rotation_misfit: float = 0.02
-    trust: float | None = None
+    likelihood_power: float | None = None
     mean_length: float | None = None
     length_shape: float = 2.0
     rest: float = 0.2

@@ -14,7 +14,7 @@ from micah_plan.task.deadline import Clock, Deadline, TimeLimitError
 from micah_plan.task.path import check_constraint
 from micah_plan.task.plan import Candidate, Finding, Level, Outcome, Plan, Trajectory
 from micah_plan.task.problem import Problem
-from micah_plan.task.release import carrying
+from micah_plan.task.release import pre_release_problem
 from micah_plan.task.start import start_mode
 
 
@@ -102,7 +102,7 @@ def attempted(
     """
     for constraint in problem.constraints:
         check_constraint(constraint, problem.automaton)
-    problem = with_scene(carrying(problem))
+    problem = with_scene(pre_release_problem(problem))
     attempt = Attempt(problem, seed, deadline or Deadline(problem.settings.solve_time_limit_s))
     mode, reason = start_mode(problem.automaton, problem.start)
     if mode is None:

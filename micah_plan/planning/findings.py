@@ -14,7 +14,7 @@ from scipy.special import ndtr
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
-from micah_plan.automaton.turning import turn_of
+from micah_plan.automaton.input_reversal import input_reversal_of
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.search.leaves import leaves_of
 from micah_plan.planning.search.passages import passage_exists
@@ -378,7 +378,7 @@ def _remedy(problem: Problem, row: Row, room: float, need: float, is_enough: boo
 def _turned_by(problem: Problem, row: Row) -> str | None:
     """The mode behind a boundary that one step is to cross, because that mode moves the other way; None elsewhere."""
     for edge in problem.automaton.edges_from(row.mode) if row.kind == "boundary" and row.sign < 0 else ():
-        turn = turn_of(problem.automaton, edge)
+        turn = input_reversal_of(problem.automaton, edge)
         if turn is not None and turn.half_space == row.half_space:
             return edge.target
     return None

@@ -25,7 +25,7 @@ from micah_plan.automaton.input_memory import (
     with_memory_states,
     without_memory_states,
 )
-from micah_plan.planning.chains import ChainEdge
+from micah_plan.planning.zero_time_transitions import ZeroTimeEdge
 from micah_plan.task.problem import Problem
 
 # Steps that cross a coordinate's whole range when neither the settings nor the automaton limit the input.
@@ -130,7 +130,7 @@ def named_values(problem: Problem) -> list[list[float]]:
     for pin in (pin for mode in automaton.modes for pin in mode.pins):
         values[pin.coordinate].append(pin.value)
     regions = [mode.invariant for mode in automaton.modes]
-    regions += [edge.guard for edge in automaton.edges if not isinstance(edge, ChainEdge)]
+    regions += [edge.guard for edge in automaton.edges if not isinstance(edge, ZeroTimeEdge)]
     for bound in (half_space.bound for region in regions for half_space in region.half_spaces):
         if bound is not None:
             values[bound.coordinate].append(bound.value)

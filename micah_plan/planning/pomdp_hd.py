@@ -20,7 +20,6 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.automaton.input_memory import own_size
 from micah_plan.planning.attempt import Attempt, attempted
-from micah_plan.planning.chains import with_chains
 from micah_plan.planning.cuts import Cut, tight_places, without
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.findings import finding_of_reason, finding_of_status, findings_of, sentence_of
@@ -31,6 +30,7 @@ from micah_plan.planning.search.mode_search import ModeSequence, SearchResult, s
 from micah_plan.planning.transcription.guess import guess
 from micah_plan.planning.transcription.programme import transcribe
 from micah_plan.planning.transcription.solve import BeliefPath, solve, unmet
+from micah_plan.planning.zero_time_transitions import with_zero_time_transitions
 from micah_plan.quantities import Progress
 from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.plan import Candidate, Finding, Plan, Trajectory
@@ -70,17 +70,17 @@ def planned(attempt: Attempt, search_result: SearchResult | None = None) -> Plan
     """The algorithm; `search_result`: mode sequences to optimise over x, None: those that a search finds.
 
     A memory of inputs does not change which mode sequences there are. Where the mean of no plan follows its own modes
-    other transitions come first, and search and optimisation are told which (`chains`).
+    other transitions come first, and search and optimisation are told which (`zero_time_transitions`).
     """
     asked = attempt.problem
     whole = with_input_memory(asked)
-    attempt = replace(attempt, problem=with_chains(whole))
+    attempt = replace(attempt, problem=with_zero_time_transitions(whole))
     if search_result is not None:
         return _chosen(attempt, asked, _optimised_each(attempt, search_result.sequences, search_result.reason))
     plan = _chosen(attempt, asked, _with_detours(attempt))
     if plan.trajectory is None or departure(asked, plan.trajectory) is None:
         return plan
-    divided = with_chains(whole, in_parts=True)
+    divided = with_zero_time_transitions(whole, in_parts=True)
     with suppress(NoWayError, TimeLimitError):
         again = replace(attempt, problem=divided)
         better = _chosen(again, asked, _with_detours(again))

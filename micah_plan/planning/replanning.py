@@ -14,13 +14,12 @@ from functools import cached_property, partial
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.automaton.augmented import boundaries_of_pins, boundary_of, boundary_stds, with_boundaries
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import own_size
-from micah_plan.automaton.lifted import boundaries_of_pins, boundary_of, boundary_stds, with_boundaries
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.attempt import Attempt
-from micah_plan.planning.chains import with_chains
 from micah_plan.planning.limits import Limits, limits_of, motion_per_input, with_input_memory
 from micah_plan.planning.nlp import Solution, Solver
 from micah_plan.planning.pomdp_hd import planned, trajectory_of
@@ -32,10 +31,11 @@ from micah_plan.planning.transcription.guess import guess_again
 from micah_plan.planning.transcription.programme import Transcription, transcribe
 from micah_plan.planning.transcription.solve import BeliefPath, blocks_of, path_of, solve
 from micah_plan.planning.verification import verify
+from micah_plan.planning.zero_time_transitions import with_zero_time_transitions
 from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
-from micah_plan.task.release import carrying
+from micah_plan.task.release import pre_release_problem
 from micah_plan.task.start import Start
 
 
@@ -56,7 +56,7 @@ def replan(
     Returns:
         None if there is no trajectory, or none that roll-outs confirm.
     """
-    here = with_scene(believed_problem(with_input_memory(carrying(problem)), belief))
+    here = with_scene(believed_problem(with_input_memory(pre_release_problem(problem)), belief))
     # Both attempts share one time limit: the execution waits for them.
     deadline, confirm = Deadline(here.settings.solve_time_limit_s), partial(verify, sequential=True)
     confirmed = partial(verified_plan, here, seed=seed, deadline=deadline, verifier=confirm)
@@ -100,7 +100,7 @@ def rest_through(here: Problem, trajectory: Trajectory, knot: int) -> ModeSequen
     Returns:
         None where the trajectory does not lead through the mode of the start, or leaves a memory of inputs out.
     """
-    here = with_chains(here)
+    here = with_zero_time_transitions(here)
     mode, limits = here.start.mode, limits_of(here)
     at = [k for k, mode_here in enumerate(trajectory.modes) if mode_here == mode]
     if mode is None or not at or trajectory.means.shape[1] != here.automaton.n:
@@ -156,12 +156,12 @@ class RecedingHorizon:
 
     def __init__(self, problem: Problem, trajectory: Trajectory) -> None:
         """Args: the problem, and the plan's trajectory."""
-        problem = carrying(problem)
+        problem = pre_release_problem(problem)
         settings = problem.settings
         settings = replace(settings, time_limit_s=min(settings.time_limit_s, settings.solve_time_limit_s))
         self._problem, self._plan = with_input_memory(replace(problem, settings=settings)), trajectory
         self._limits = limits_of(self._problem)
-        self._whole = rest_of(with_chains(self._problem).automaton, trajectory, 0)
+        self._whole = rest_of(with_zero_time_transitions(self._problem).automaton, trajectory, 0)
         self.reused = self.built = 0
 
     def __call__(self, belief: HybridBelief, trajectory: Trajectory, knot: int) -> Trajectory | None:
@@ -170,7 +170,7 @@ class RecedingHorizon:
         None where the steps left do not suffice, the belief is in another mode, or the trajectory is of a planner that
         leaves a memory of inputs out.
         """
-        here = with_chains(believed_problem(self._problem, belief))
+        here = with_zero_time_transitions(believed_problem(self._problem, belief))
         if here.start.mode != trajectory.modes[knot] or trajectory.means.shape[1] != here.automaton.n:
             return None
         if self._is_rest(trajectory, knot) and not self._has_learned(belief, trajectory, knot):
@@ -196,7 +196,10 @@ class RecedingHorizon:
 
     def _is_rest(self, trajectory: Trajectory, knot: int) -> bool:
         """Whether a trajectory from a knot on goes the way that the plan does at its end, in as many steps."""
-        (plan, steps), (rest, remaining) = self._whole, rest_of(with_chains(self._problem).automaton, trajectory, knot)
+        (plan, steps), (rest, remaining) = (
+            self._whole,
+            rest_of(with_zero_time_transitions(self._problem).automaton, trajectory, knot),
+        )
         first = len(steps) - len(remaining)
         same = first >= 0 and (plan.modes[first:], plan.edges[first:]) == (rest.modes, rest.edges)
         return same and steps[first + 1 :] == remaining[1:] and steps[first] >= remaining[0]
@@ -227,7 +230,7 @@ def from_new(here: Problem, trajectory: Trajectory, knot: int) -> BeliefPath:
 
 def _programme(problem: Problem, limits: Limits, trajectory: Trajectory, knot: int) -> Transcription:
     """The programme of what is left of a trajectory from a knot on, from the problem's start."""
-    problem = with_chains(problem)
+    problem = with_zero_time_transitions(problem)
     sequence, steps = rest_of(problem.automaton, trajectory, knot)
     return transcribe(problem, limits, guess_again(problem, limits, sequence, steps))
 

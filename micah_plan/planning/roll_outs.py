@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints, alike
+from micah_plan.automaton.augmented import drawn_shifts, threshold_stds
 from micah_plan.automaton.input_memory import InputChannel, towards
-from micah_plan.automaton.lifted import drawn_shifts, threshold_stds
 from micah_plan.automaton.memo import sharing_motion
 from micah_plan.automaton.step_noise import drawn_gains
 from micah_plan.automaton.transition import TransitionBatch
@@ -31,7 +31,7 @@ from micah_plan.planning.path_constraints import PathRecord
 from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem
-from micah_plan.task.release import carrying
+from micah_plan.task.release import pre_release_problem
 from micah_plan.task.start import draw_states
 
 # With more modes than this only those near a plan are rolled out, so many transitions away.
@@ -209,6 +209,6 @@ def are_in_goal(problem: Problem, ends: RollOuts) -> Booleans:
 
     Of a problem that lets go, ends of the plan are those of the hand: whether it is where it is to let go.
     """
-    goal = carrying(problem).goal
+    goal = pre_release_problem(problem).goal
     admitted = goal.admitted(problem.automaton.mode_names)
     return np.asarray(admitted[ends.modes] & goal.holds(ends.states) & ~ends.path.is_broken)

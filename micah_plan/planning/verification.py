@@ -24,7 +24,7 @@ from micah_plan.quantities import percent, quantity
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.plan import Finding, Offer, Plan, Trajectory, least_share, least_trials
 from micah_plan.task.problem import Problem
-from micah_plan.task.release import carrying
+from micah_plan.task.release import pre_release_problem
 
 # Coverage of the interval of the success probability.
 INTERVAL = 0.95
@@ -60,7 +60,7 @@ def verify(
     count = problem.settings.verification_trials if trials is None else trials
     if plan.trajectory is None or count <= 0:
         return plan
-    problem, confidence = with_scene(carrying(problem)), problem.settings.confidence
+    problem, confidence = with_scene(pre_release_problem(problem)), problem.settings.confidence
     if (needed := least_trials(confidence)) > _MOST_TRIALS:
         sentence = (
             f"it takes {needed:,} roll-outs to show the confidence {percent(confidence)}, more than {_MOST_TRIALS:,}"

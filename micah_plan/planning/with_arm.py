@@ -27,7 +27,7 @@ from micah_plan.planning.scene_cuts import slides_of
 from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.plan import ArmTrajectory, Finding, Offer, Plan, Trajectory
 from micah_plan.task.problem import Problem
-from micah_plan.task.release import carrying
+from micah_plan.task.release import pre_release_problem
 
 if TYPE_CHECKING:
     from micah_plan.robot.tool_path import ArmFailure
@@ -164,7 +164,7 @@ def _in_all_of_the_goal(problem: Problem, stop: _Stop) -> bool:
 
     if problem.hold is None:
         return False
-    target = {index: (value, tolerance) for index, value, tolerance in carrying(problem).goal.target}
+    target = {index: (value, tolerance) for index, value, tolerance in pre_release_problem(problem).goal.target}
     ends = [(problem.hold.lower[i], problem.hold.upper[i]) for i in range(3)]
     ends = [(t[0] - t[1], t[0] + t[1]) if (t := target.get(i)) else ends[i] for i in range(3)]
     if stop.lowest is not None:  # it is put down where its support is
@@ -239,6 +239,8 @@ def _overlapping(
         elif least > 0.0:
             return None
     if lowest is not None:  # above where the hand cannot go down, well beyond the height at which it ends
-        highest = max(value + tolerance for index, value, tolerance in carrying(problem).goal.target if index == 2)
+        highest = max(
+            value + tolerance for index, value, tolerance in pre_release_problem(problem).goal.target if index == 2
+        )
         rows.append(half_space((n, m), np.array([0.0, 0.0, -1.0]), -highest - _AROUND, name))
     return Region(tuple(rows))

@@ -27,18 +27,18 @@ from micah_plan.automaton.tracks import Track
 from micah_plan.errors import InputError
 from micah_plan.quantities import Progress, count, interval, percent, plain, quantity
 from micah_plan.recording.value import Recording
+from micah_plan.residual.coordinate_data import MOST_ROWS, CoordinateData, coordinate_data_of
 from micah_plan.residual.epochs import dated
 from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.faulty_runs import faulty_runs
 from micah_plan.residual.fit import CONFIDENCE
-from micah_plan.residual.geometry import DirectFinding, lasting_across, scatter_across
-from micah_plan.residual.lane import MOST_ROWS, Lane, lanes
+from micah_plan.residual.geometry import DirectFinding, systematic_transverse_error, transverse_rms
 from micah_plan.residual.missing_mode import MissingMode
 from micah_plan.residual.prediction import predict_recording, refused, rmse, rmse_of_coordinates
+from micah_plan.residual.range_exceeded import RangeExceeded, sections, with_range_ends, with_shifts, without_old_ends
 from micah_plan.residual.search import Candidate, Search
-from micah_plan.residual.seen import Beyond, closed, sections, with_shifts, without_old_ends
 from micah_plan.residual.simulation import GATES
-from micah_plan.residual.trace import LEAST_EVIDENCE, Finding, LaneTrace, may_remember, trace
+from micah_plan.residual.trace import LEAST_EVIDENCE, CoordinateTrace, Finding, may_remember, trace
 from micah_plan.residual.verdict import Verdict, overall
 
 FEWEST_ROWS = 8
@@ -106,7 +106,7 @@ class Calibration:
     Attributes:
         automaton: the new one; the old one if nothing was found.
         effects: strongest first.
-        before, after: errors on runs or stretches that the parameters were not fitted to.
+        before, after: errors on runs or segments that the parameters were not fitted to.
         noise_floor, rollout_floor: errors of one step and of roll-outs that noise alone would leave [rad or m].
         unexplained_fraction: share of the explainable error that named effects leave, 0 to 1.
         traces: per coordinate.
@@ -123,7 +123,7 @@ class Calibration:
     noise_floor: float
     rollout_floor: float
     unexplained_fraction: float
-    traces: tuple[LaneTrace, ...]
+    traces: tuple[CoordinateTrace, ...]
     notes: tuple[str, ...]
     experiment: str
     told: HybridAutomaton
@@ -132,14 +132,14 @@ class Calibration:
     @property
     def errors(self) -> tuple[Errors, ...]:
         """Of positions where a joint was changed, of all coordinates if they have one unit, else of each."""
-        units = {trace.lane.unit for trace in self.traces}
+        units = {trace.data.unit for trace in self.traces}
         if any(form(effect.effect.name).layer == "geometry" for effect in self.effects):
             return (Errors("positions", "m", self.before, self.after, self.noise_floor, self.rollout_floor),)
         if len(units) == 1:
             return (Errors("", units.pop(), self.before, self.after, self.noise_floor, self.rollout_floor),)
         sizes = [(_size([trace], is_final=False), _size([trace], is_final=True)) for trace in self.traces]
         return tuple(
-            Errors(trace.lane.coordinate, trace.lane.unit, before, after, trace.floor, trace.rollout_floor)
+            Errors(trace.data.coordinate, trace.data.unit, before, after, trace.floor, trace.rollout_floor)
             for trace, (before, after) in zip(self.traces, sizes, strict=True)
         )
 
@@ -187,16 +187,16 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
     examination = examined(automaton, recording)
     _check_usable(automaton, examination)
     corrected, able = examination.automaton, examination.searches
-    measured, beyond = examination.measured, examination.beyond
+    measured, exceeded = examination.measured, examination.exceeded
     traces = tuple(
         trace(search, _shared(progress, number, len(able)) if progress else None) for number, search in enumerate(able)
     )
     corrected, traces = with_missing_modes(corrected, traces, measured)
     effects = [_direct_effect(direct) for direct in examination.direct]
-    effects += [effect for trace in traces for effect in _all_found(trace, beyond)]
+    effects += [effect for trace in traces for effect in _all_found(trace, exceeded)]
     effects.sort(key=lambda effect: -effect.evidence)
-    to_add = [dated(effect, recording) for effect in with_shifts(_to_add(traces), beyond)]
-    improved, refusing = _written(corrected, beyond, to_add, recording)
+    to_add = [dated(effect, recording) for effect in with_shifts(_to_add(traces), exceeded)]
+    improved, refusing = _written(corrected, exceeded, to_add, recording)
     kept_out = {(effect.name, effect.coordinate, effect.modes) for effect in refusing}
     effects = [
         replace(effect, is_added=False)
@@ -211,11 +211,11 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
     ]
     if examination.geometry:
         before, after = (_pose_sizes(model, recording, MOST_ROWS)[0] for model in (automaton, improved))
-        across, arm = scatter_across(corrected, measured)
+        across, arm = transverse_rms(corrected, measured)
         floors = [float(np.hypot(across, arm * floor)) for floor in floors]
     verdicts: list[Verdict] = [trace.outcome.verdict for trace in traces]
     verdicts += ["explained"] if examination.direct else []
-    verdicts += ["unexplained"] if examination.beside else []
+    verdicts += ["unexplained"] if examination.off_joint_error else []
     return Calibration(
         automaton=improved,
         verdict=overall(verdicts),
@@ -224,16 +224,16 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
         after=after,
         noise_floor=floors[0],
         rollout_floor=floors[1],
-        unexplained_fraction=max(_left_beside(examination), *(trace.unexplained_fraction for trace in traces)),
+        unexplained_fraction=max(_off_joint_rms(examination), *(trace.unexplained_fraction for trace in traces)),
         traces=traces,
         notes=(
             *notes_on(traces),
-            *(f"{name}: no effect has that name" for name in examination.beside),
+            *(f"{name}: no effect has that name" for name in examination.off_joint_error),
             *(_told_of_since(item.effect) for item in effects if item.effect.since is not None and item.is_added),
             *(f"{effect.name} of {effect.coordinate} was not added: {reason}" for effect, reason in refusing.items()),
             *([f"predict refuses these runs: {why}"] if (why := refused(improved, recording)) else []),
-            *told_of_rows(beyond, measured, examination.late),
-            *told_of_beliefs(corrected, examination.seen, measured),
+            *told_of_rows(exceeded, measured, examination.late),
+            *told_of_beliefs(corrected, examination.as_read, measured),
         ),
         experiment=_next_experiment(effects, traces),
         told=automaton,
@@ -242,13 +242,13 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
 
 
 def _written(
-    corrected: HybridAutomaton, beyond: Sequence[Beyond], added: Sequence[Effect], recording: Recording
+    corrected: HybridAutomaton, exceeded: Sequence[RangeExceeded], added: Sequence[Effect], recording: Recording
 ) -> tuple[HybridAutomaton, dict[Effect, str]]:
     """The new automaton, and the effects that it cannot have, since they make it refuse what it was calibrated on."""
     kept, refusing = list(added), dict[Effect, str]()
 
     def made(effects: Sequence[Effect]) -> HybridAutomaton:
-        return with_effect(closed(corrected, beyond, effects), *without_old_ends(effects, beyond))
+        return with_effect(with_range_ends(corrected, exceeded, effects), *without_old_ends(effects, exceeded))
 
     if refused(made(()), recording):
         return made(kept), refusing  # whatever is added
@@ -283,7 +283,10 @@ def _check_usable(automaton: HybridAutomaton, examination: Examined) -> None:
             raise InputError("in no recorded row does the model's sensor see anything", remedy="check its noise")
         remedy = "take a model with a joint that moves; runs of what a hand holds are for predict"
         raise InputError("the model has no coordinates that move by inputs of their own", remedy=remedy)
-    across, arm = lasting_across(automaton, examination.seen), scatter_across(automaton, examination.seen)[1]
+    across, arm = (
+        systematic_transverse_error(automaton, examination.as_read),
+        transverse_rms(automaton, examination.as_read)[1],
+    )
     if across > max(_FAR, _FAR_SHARE * arm):
         raise InputError(
             f"the measured poses do not fit the model: they lie {quantity(across, 'm', digits=2)} beside its joints",
@@ -291,10 +294,11 @@ def _check_usable(automaton: HybridAutomaton, examination: Examined) -> None:
         )
 
 
-def _left_beside(examination: Examined) -> float:
+def _off_joint_rms(examination: Examined) -> float:
     """Share of the evidence that poses lie beside the joints which what was found of them leaves, 0 to 1."""
     named, unnamed = (
-        sum(finding.evidence for finding in findings) for findings in (examination.geometry, examination.beside)
+        sum(finding.evidence for finding in findings)
+        for findings in (examination.geometry, examination.off_joint_error)
     )
     return unnamed / (named + unnamed) if unnamed else 0.0
 
@@ -303,38 +307,38 @@ def _shared(progress: Progress, number: int, count: int) -> Progress:
     return lambda message, fraction: progress(message, (number + fraction) / count)
 
 
-def _all_found(trace: LaneTrace, beyond: Sequence[Beyond]) -> list[FoundEffect]:
-    effects = [_found(trace.lane, finding, beyond) for finding in trace.findings]
-    return [effect_found for effect_found in effects if without_old_ends([effect_found.effect], beyond)]
+def _all_found(trace: CoordinateTrace, exceeded: Sequence[RangeExceeded]) -> list[FoundEffect]:
+    effects = [_found(trace.data, finding, exceeded) for finding in trace.findings]
+    return [effect_found for effect_found in effects if without_old_ends([effect_found.effect], exceeded)]
 
 
-def _found(lane: Lane, finding: Finding, beyond: Sequence[Beyond]) -> FoundEffect:
-    (effect,) = with_shifts([effect_of(lane, finding.part, finding.interval)], beyond)
+def _found(data: CoordinateData, finding: Finding, exceeded: Sequence[RangeExceeded]) -> FoundEffect:
+    (effect,) = with_shifts([effect_of(data, finding.part, finding.interval)], exceeded)
     effect_form, ends = form(effect.name), finding.interval[: len(effect.values)].copy()
     ends[0] += 0.0 if effect.name == finding.part.name else effect.values[0] - finding.part.starts[0, 0]
     return FoundEffect(
         effect=effect,
-        units=tuple(parameter.unit_for(lane.unit) for parameter in effect_form.parameters),
+        units=tuple(parameter.unit_for(data.unit) for parameter in effect_form.parameters),
         interval=tuple((float(low), float(high)) for low, high in ends),
         evidence=finding.evidence,
         tied=finding.tied,
         derived=tuple(
-            ("seconds", value * lane.period)
+            ("seconds", value * data.period)
             for value, parameter in zip(effect.values, effect_form.parameters, strict=True)
             if parameter.unit == "step"
         ),
         sentence=effect_form.sentence,
         source=effect_form.source,
-        experiment=_experiment(lane, finding),
+        experiment=_experiment(data, finding),
         is_added=finding.is_added,
     )
 
 
-def _experiment(lane: Lane, finding: Finding) -> str:
+def _experiment(data: CoordinateData, finding: Finding) -> str:
     """What would tell an effect from those it may be taken for; empty if there are none."""
     if finding.tied:
         return experiment_that_separates(finding.part.name, finding.tied[0])
-    return experiment_for_alike_runs(finding.part.name) if may_remember(lane, finding) else ""
+    return experiment_for_alike_runs(finding.part.name) if may_remember(data, finding) else ""
 
 
 def _direct_effect(direct: DirectFinding) -> FoundEffect:
@@ -346,7 +350,7 @@ def _direct_effect(direct: DirectFinding) -> FoundEffect:
     return FoundEffect(effect, units, interval, evidence, (), (), effect_form.sentence, effect_form.source, "")
 
 
-def effect_of(lane: Lane, part: Candidate, interval: Floats | None = None) -> Effect:
+def effect_of(data: CoordinateData, part: Candidate, interval: Floats | None = None) -> Effect:
     """The value that an automaton takes in of a fitted candidate."""
     effect_form = part.term.form
     count = len(effect_form.parameters)
@@ -355,37 +359,37 @@ def effect_of(lane: Lane, part: Candidate, interval: Floats | None = None) -> Ef
         for value, parameter in zip(part.starts[0, :count], effect_form.parameters, strict=True)
     ]
     pairs = tuple(zip([parameter.name for parameter in effect_form.parameters], values, strict=True))
-    since = _since(lane, part.starts[0])
+    since = _since(data, part.starts[0])
     spread = () if interval is None else tuple(float(high - low) / _STDS_WIDE for low, high in interval[:count])
-    return Effect(effect_form.name, lane.coordinate, pairs, spread, part.term.modes, since=since)
+    return Effect(effect_form.name, data.coordinate, pairs, spread, part.term.modes, since=since)
 
 
-def _since(lane: Lane, values: Floats) -> Since | None:
+def _since(data: CoordinateData, values: Floats) -> Since | None:
     order, time = values[-GATES:]
     if np.isfinite(time):
         return Since(float(time))
     if not np.isfinite(order):
         return None
-    later = np.argwhere(lane.counted_starts & (lane.order >= order))
-    s, t = later[np.argmin(lane.order[later[:, 0], later[:, 1]])]
-    return Since(float(lane.time[s, t]), int(lane.run[s]))
+    later = np.argwhere(data.counted_starts & (data.order >= order))
+    s, t = later[np.argmin(data.order[later[:, 0], later[:, 1]])]
+    return Since(float(data.time[s, t]), int(data.run[s]))
 
 
-def _to_add(traces: Sequence[LaneTrace]) -> list[Effect]:
+def _to_add(traces: Sequence[CoordinateTrace]) -> list[Effect]:
     effects = []
-    for lane_trace in traces:
-        by_name = {finding.part.name: finding for finding in lane_trace.findings}
-        for part in lane_trace.final.parts:
+    for traced in traces:
+        by_name = {finding.part.name: finding for finding in traced.findings}
+        for part in traced.final.parts:
             finding = by_name.get(part.name)
             # With a correction on top the parameters are those that were fitted together with it.
-            part_kept = finding.part if finding is not None and lane_trace.final is lane_trace.chosen else part
-            effects.append(effect_of(lane_trace.lane, part_kept, None if finding is None else finding.interval))
+            part_kept = finding.part if finding is not None and traced.final is traced.chosen else part
+            effects.append(effect_of(traced.data, part_kept, None if finding is None else finding.interval))
     return effects
 
 
-def _size(traces: Sequence[LaneTrace], *, is_final: bool) -> ResidualSize:
+def _size(traces: Sequence[CoordinateTrace], *, is_final: bool) -> ResidualSize:
     models = [(trace, trace.final if is_final else trace.nominal) for trace in traces]
-    steps = [trace.search.errors(model, "one_step")[trace.lane.counted] for trace, model in models]
+    steps = [trace.search.errors(model, "one_step")[trace.data.counted] for trace, model in models]
     rolls = [trace.search.rollout_errors(model) for trace, model in models]
     one_step, rollout = (float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) for errors in (steps, rolls))
     return ResidualSize(one_step, rollout)
@@ -405,28 +409,28 @@ def _pose_sizes(automaton: HybridAutomaton, recording: Recording, most: int) -> 
     return [*sizes, ResidualSize(*map(rmse, turns))] if all(turns) else sizes
 
 
-def _together(sizes: Sequence[float], traces: Sequence[LaneTrace]) -> float:
-    rows = [int(trace.lane.counted.sum()) for trace in traces]
+def _together(sizes: Sequence[float], traces: Sequence[CoordinateTrace]) -> float:
+    rows = [int(trace.data.counted.sum()) for trace in traces]
     return float(np.sqrt(np.average(np.square(sizes), weights=rows)))
 
 
-def _next_experiment(effects: Sequence[FoundEffect], traces: Sequence[LaneTrace]) -> str:
+def _next_experiment(effects: Sequence[FoundEffect], traces: Sequence[CoordinateTrace]) -> str:
     for effect in effects:
         if effect.experiment:
             return effect.experiment
-    for lane_trace in traces:
-        for mode in lane_trace.missing_modes:
+    for traced in traces:
+        for mode in traced.missing_modes:
             if mode.modes:
                 continue
             return experiment_for_missing_mode(mode.low if np.isfinite(mode.low) else mode.high, mode.unit)
-        if lane_trace.outcome.verdict in ("partly", "unexplained"):
-            low, high = lane_trace.lane.visited
-            return experiment_for_unexplained(f"over {interval(low, high, lane_trace.lane.unit)}")
+        if traced.outcome.verdict in ("partly", "unexplained"):
+            low, high = traced.data.visited
+            return experiment_for_unexplained(f"over {interval(low, high, traced.data.unit)}")
     if effects:
         return "repeat with commands of other sizes and directions, to see whether the effects found hold there too"
-    lane = traces[0].lane
-    low, high = lane.visited
-    return experiment_for_nothing(lane.rows, high - low, lane.unit)
+    data = traces[0].data
+    low, high = data.visited
+    return experiment_for_nothing(data.rows, high - low, data.unit)
 
 
 # A piece between changepoints is a line in the command.
@@ -434,8 +438,8 @@ _AS_FOUND = ("gain", "bias")
 
 
 def with_missing_modes(
-    automaton: HybridAutomaton, traces: tuple[LaneTrace, ...], measured: Sequence[Track]
-) -> tuple[HybridAutomaton, tuple[LaneTrace, ...]]:
+    automaton: HybridAutomaton, traces: tuple[CoordinateTrace, ...], measured: Sequence[Track]
+) -> tuple[HybridAutomaton, tuple[CoordinateTrace, ...]]:
     """The automaton with the modes that traces miss, and the traces on it, if that is clear.
 
     It is if a gain or a bias in the new modes alone, which is how they were found, predicts held-out rows no worse than
@@ -443,19 +447,19 @@ def with_missing_modes(
     """
     split = automaton
     for one in traces:
-        low, high = range_of(automaton, one.lane.index)
+        low, high = range_of(automaton, one.data.index)
         ends = {end for mode in one.missing_modes for end in (mode.low, mode.high)}
         for place in sorted(end for end in ends if low < end < high):
-            split = with_split(split, one.lane.index, place)
+            split = with_split(split, one.data.index, place)
     if split is automaton:
         return automaton, traces
-    again = tuple(trace(Search(lane)) for lane in lanes(split, tuple(measured)))
+    again = tuple(trace(Search(data)) for data in coordinate_data_of(split, tuple(measured)))
     if not all(_is_clear(old, new) for old, new in zip(traces, again, strict=True)):
         return automaton, traces
     return split, tuple(_told(split, old, new) for old, new in zip(traces, again, strict=True))
 
 
-def _is_clear(old: LaneTrace, new: LaneTrace) -> bool:
+def _is_clear(old: CoordinateTrace, new: CoordinateTrace) -> bool:
     if not old.missing_modes:
         return True
     parts = new.chosen.parts
@@ -463,9 +467,9 @@ def _is_clear(old: LaneTrace, new: LaneTrace) -> bool:
     return is_inside and not new.missing_modes and new.final.density.sum() > old.final.density.sum() - LEAST_EVIDENCE
 
 
-def _told(split: HybridAutomaton, old: LaneTrace, new: LaneTrace) -> LaneTrace:
+def _told(split: HybridAutomaton, old: CoordinateTrace, new: CoordinateTrace) -> CoordinateTrace:
     modes = tuple(
-        replace(missing_mode, modes=_inside(split, old.lane.index, missing_mode)) for missing_mode in old.missing_modes
+        replace(missing_mode, modes=_inside(split, old.data.index, missing_mode)) for missing_mode in old.missing_modes
     )
     return replace(new, missing_modes=modes)
 
@@ -552,25 +556,25 @@ def told_of_late(late: int) -> str:
     )
 
 
-def told_of_rows(beyond: Sequence[Beyond], measured: Sequence[Track], late: int) -> list[str]:
+def told_of_rows(exceeded: Sequence[RangeExceeded], measured: Sequence[Track], late: int) -> list[str]:
     """What rows lie beyond the range, that others are missing or no measurements, and where actions were stored."""
     missing = sum(len(sections(track.time)) - 1 for track in measured)
     gaps = f"{count(missing, 'gap')} in t: what was commanded there is missing, so no step over them counts"
     unseen = sum(int((~track.is_measured).sum()) for track in measured)
     repeated = f"{count(unseen, 'row')} repeat a pose or lie where the part cannot get: they are no measurements"
-    notes = [*([told_of_late(late)] if late else []), *map(str, beyond)]
+    notes = [*([told_of_late(late)] if late else []), *map(str, exceeded)]
     return [*notes, *([gaps] if missing else []), *([repeated] if unseen else [])]
 
 
-def _units(trace: LaneTrace) -> list[str]:
+def _units(trace: CoordinateTrace) -> list[str]:
     """Gains that are no property of an object, but of the units that commands were written in."""
-    names = {name: size for name, (size, unit) in _UNITS.items() if unit in ("", trace.lane.unit)}
+    names = {name: size for name, (size, unit) in _UNITS.items() if unit in ("", trace.data.unit)}
     notes = []
     for finding in trace.findings:
         gain = _gain_of(finding)
         for name, size in names.items():
             if abs(gain / size - 1.0) < _SAME_UNIT:
-                sentence = f"{trace.lane.coordinate}: a gain of {plain(gain)} is that of commands in {name}"
+                sentence = f"{trace.data.coordinate}: a gain of {plain(gain)} is that of commands in {name}"
                 notes.append(f"{sentence}: actions are in m; convert the columns ax, ay, az")
     return notes
 
@@ -581,7 +585,7 @@ def _gain_of(finding: Finding) -> float:
     return float(finding.part.starts[0, names.index("gain")]) if "gain" in names else 1.0
 
 
-def _at_bounds(trace: LaneTrace) -> list[str]:
+def _at_bounds(trace: CoordinateTrace) -> list[str]:
     """Fitted parameters that ended at a bound of what is sensible: something else may be behind the effect."""
     notes = []
     for finding in trace.findings:
@@ -591,46 +595,46 @@ def _at_bounds(trace: LaneTrace) -> list[str]:
             value, parameter = float(finding.part.starts[0, k]), parameters[k]
             ends = max(parameter.lower, low), min(parameter.upper, high)
             if min(abs(value - end) for end in ends) < _AT_BOUND * large and value != parameter.neutral:
-                sentence = f"{trace.lane.coordinate}: {parameter.name} of {finding.part.name} ended at its bound"
+                sentence = f"{trace.data.coordinate}: {parameter.name} of {finding.part.name} ended at its bound"
                 notes.append(f"{sentence}, so something else may be behind it")
     return notes
 
 
-def notes_on(traces: Sequence[LaneTrace]) -> tuple[str, ...]:
+def notes_on(traces: Sequence[CoordinateTrace]) -> tuple[str, ...]:
     """What was seen too little of, what was left out and why, and what remains."""
     notes = []
-    for lane_trace in traces:
-        notes += [*_units(lane_trace), *_at_bounds(lane_trace)]
-        lane, name = lane_trace.lane, lane_trace.lane.coordinate
-        runs = len(np.unique(lane.run))
+    for traced in traces:
+        notes += [*_units(traced), *_at_bounds(traced)]
+        data, name = traced.data, traced.data.coordinate
+        runs = len(np.unique(data.run))
         if runs == 1:
-            notes.append(f"{name}: one run only; stretches were held out, so what differs from run to run is unknown")
-        u = lane.u[lane.counted_starts]
-        moving = u[np.abs(u) > 0.05 * lane.command_size]
+            notes.append(f"{name}: one run only; segments were held out, so what differs from run to run is unknown")
+        u = data.u[data.counted_starts]
+        moving = u[np.abs(u) > 0.05 * data.command_size]
         if moving.size and (np.mean(moving > 0) < 0.05 or np.mean(moving > 0) > 0.95):
             notes.append(f"{name}: nearly all commands go one way; what depends on the direction cannot be seen")
-        if lane_trace.outcome.verdict == "none":
-            least = float(np.sqrt(2.0 * LEAST_EVIDENCE * lane_trace.nominal.squared)) / int(lane.counted.sum())
-            step, share = quantity(least, lane.unit, digits=2), percent(least / lane.command_size)
+        if traced.outcome.verdict == "none":
+            least = float(np.sqrt(2.0 * LEAST_EVIDENCE * traced.nominal.squared)) / int(data.counted.sum())
+            step, share = quantity(least, data.unit, digits=2), percent(least / data.command_size)
             notes.append(
                 f"{name}: {step} more per step, or {share} more of each command would have been seen; smaller effects "
                 "are not excluded"
             )
-        low, high = lane.visited
-        if low > lane.upper or high < lane.lower:
+        low, high = data.visited
+        if low > data.upper or high < data.lower:
             notes.append(f"{name}: all rows lie outside of the model's range: this may be another object")
-        notes += [f"{mode} ({plain(mode.evidence)} nats over any gradual change)" for mode in lane_trace.missing_modes]
-        left_out = " and ".join(finding.part.name for finding in lane_trace.findings if not finding.is_added)
+        notes += [f"{mode} ({plain(mode.evidence)} nats over any gradual change)" for mode in traced.missing_modes]
+        left_out = " and ".join(finding.part.name for finding in traced.findings if not finding.is_added)
         if left_out:
-            notes.append(f"{name}: {left_out} was not added: {lane_trace.outcome.sentence}")
-        if lane_trace.closest:
+            notes.append(f"{name}: {left_out} was not added: {traced.outcome.sentence}")
+        if traced.closest:
             notes.append(
-                f"{name}: {' and '.join(lane_trace.closest)} came closest, but a smooth correction without a name does "
+                f"{name}: {' and '.join(traced.closest)} came closest, but a smooth correction without a name does "
                 "as well"
             )
-        if lane_trace.facts.is_corrected:
+        if traced.facts.is_corrected:
             notes.append(f"{name}: the model has a correction without a name already, which no effect has replaced")
-        if lane_trace.left is not None and lane_trace.left.is_more and not lane_trace.facts.smooth:
-            share = percent(lane_trace.left.share, 0)
-            notes.append(f"{name}: what remains is no noise: {share} of it follows {lane_trace.left}")
+        if traced.left is not None and traced.left.is_more and not traced.facts.smooth:
+            share = percent(traced.left.share, 0)
+            notes.append(f"{name}: the residuals are not white: {share} of their variance follows {traced.left}")
     return tuple(notes)

@@ -18,7 +18,7 @@ from micah_plan.automaton.effects.value import Effect, Since
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import Track
 from micah_plan.recording.value import Recording
-from micah_plan.residual.seen import read_tracks, rows_of, without_gaps
+from micah_plan.residual.range_exceeded import read_tracks, rows_of, without_gaps
 
 Place = tuple[int, float]
 """Of a part in its recording: number of its run's place, and its first time in that run [s]."""

@@ -9,7 +9,7 @@ What the controller read against what was measured: effects of its sensor, from 
 
 While the part moves a belief may run ahead of the part or behind it. Where both rest it shows what the sensor makes of
 the configuration, if something else measured the part: its readings x and beliefs e then differ by x = k e + o + r t.
-Each run (or stretch of few long ones) is one observation, since what is wrong at rest stays wrong while it rests.
+Each run (or segment of few long ones) is one observation, since what is wrong at rest stays wrong while it rests.
 
 Source: Geisser, The predictive sample reuse method, JASA 1975 (each observation predicted from the others).
 """
@@ -28,13 +28,19 @@ from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import Track
 from micah_plan.recording.value import Recording
+from micah_plan.residual.coordinate_data import ENOUGH_RUNS, CoordinateData, coordinate_data_of
 from micah_plan.residual.epochs import beginning
-from micah_plan.residual.geometry import Beside, DirectFinding, geometry_findings, lying_beside
-from micah_plan.residual.lane import ENOUGH_RUNS, Lane, lanes
-from micah_plan.residual.leftover import Leftover
+from micah_plan.residual.geometry import DirectFinding, OffJointError, geometry_findings, off_joint_errors
 from micah_plan.residual.likelihood import student_t_log_density
+from micah_plan.residual.range_exceeded import (
+    RangeExceeded,
+    at_measurements,
+    ranges_exceeded,
+    read_tracks,
+    with_extended_range,
+)
+from micah_plan.residual.residual_test import ResidualTest
 from micah_plan.residual.search import Search
-from micah_plan.residual.seen import Beyond, at_measurements, beyond_range, opened, read_tracks
 from micah_plan.residual.trace import LEAST_EVIDENCE, TIE
 
 
@@ -44,39 +50,39 @@ class Examined:
 
     Attributes:
         automaton: with what poses and beliefs ask for by themselves, and joints that go on where the recording does.
-        geometry, reading: those effects.
-        seen, measured: tracks without and with them, of all runs and of those with two rows or more.
+        geometry, estimator_bias: those effects.
+        as_read, measured: tracks without and with them, of all runs and of those with two rows or more.
         searches: of every coordinate that moves; none for a model that is not one input per coordinate.
-        beside: how poses lie beside the joints, whatever joints have been changed.
+        off_joint_error: how poses lie beside the joints, whatever joints have been changed.
         is_readable: whether each coordinate has an input of its own, and some move.
         late: by how many rows actions were stored after those that they moved; they were taken back.
     """
 
     automaton: HybridAutomaton
     geometry: tuple[DirectFinding, ...]
-    reading: tuple[DirectFinding, ...]
-    seen: tuple[Track, ...]
+    estimator_bias: tuple[DirectFinding, ...]
+    as_read: tuple[Track, ...]
     measured: tuple[Track, ...]
-    beyond: tuple[Beyond, ...]
+    exceeded: tuple[RangeExceeded, ...]
     searches: tuple[Search, ...]
-    beside: tuple[Beside, ...]
+    off_joint_error: tuple[OffJointError, ...]
     is_readable: bool
     late: int
 
     @property
     def direct(self) -> tuple[DirectFinding, ...]:
         """Effects that are told without any motion model."""
-        return (*self.geometry, *self.reading)
+        return (*self.geometry, *self.estimator_bias)
 
     @cached_property
-    def left(self) -> tuple[tuple[Search, Leftover | None], ...]:
+    def left(self) -> tuple[tuple[Search, ResidualTest | None], ...]:
         """What the innovations of each coordinate follow; None where rows are too few."""
         return tuple((search, search.left_by(search.nominal)) for search in self.searches)
 
     @property
     def is_noise(self) -> bool | None:
         """Whether the model leaves noise alone; None where that cannot be told without looking for effects."""
-        if self.direct or self.beside:
+        if self.direct or self.off_joint_error:
             return False
         tests = [test for _, test in self.left]
         if any(test is not None and test.is_more for test in tests):
@@ -92,29 +98,29 @@ def examined(automaton: HybridAutomaton, recording: Recording) -> Examined:
     """
     gates, (every, late) = beginning(automaton, recording), read_tracks(automaton, recording)
     is_at = tuple(map(at_measurements, every))
-    geometry, read = geometry_findings(automaton, is_at), reading_findings(automaton, is_at)
+    geometry, read = geometry_findings(automaton, is_at), estimator_bias_findings(automaton, is_at)
     corrected = with_effect(automaton, *(finding.effect for finding in (*geometry, *read)))
     measured = tuple(track for track in read_tracks(corrected, recording)[0] if len(track.time) > 1)
-    beyond = beyond_range(corrected, [at_measurements(track).x for track in measured]) if measured else ()
-    uncorrected, corrected = corrected, opened(corrected, beyond)
-    able = lanes(corrected, measured, uncorrected) if measured and _has_own_inputs(corrected) else ()
+    exceeded = ranges_exceeded(corrected, [at_measurements(track).x for track in measured]) if measured else ()
+    uncorrected, corrected = corrected, with_extended_range(corrected, exceeded)
+    able = coordinate_data_of(corrected, measured, uncorrected) if measured and _has_own_inputs(corrected) else ()
     return Examined(
         automaton=corrected,
         geometry=geometry,
-        reading=read,
-        seen=is_at,
+        estimator_bias=read,
+        as_read=is_at,
         measured=measured,
-        beyond=beyond,
-        searches=tuple(Search(as_begun(lane, gates)) for lane in able if lane.counted.any()),
-        beside=lying_beside(corrected, tuple(map(at_measurements, measured))) if measured else (),
+        exceeded=exceeded,
+        searches=tuple(Search(as_begun(data, gates)) for data in able if data.counted.any()),
+        off_joint_error=off_joint_errors(corrected, tuple(map(at_measurements, measured))) if measured else (),
         is_readable=bool(able),
         late=late,
     )
 
 
-def as_begun(lane: Lane, gates: Collection[Effect]) -> Lane:
-    """The lane whose effects have acted from the start, but for those that began in this recording."""
-    return replace(lane, effects=tuple(e if e in gates else replace(e, since=None) for e in lane.effects))
+def as_begun(data: CoordinateData, gates: Collection[Effect]) -> CoordinateData:
+    """The data whose effects have acted from the start, but for those that began in this recording."""
+    return replace(data, effects=tuple(e if e in gates else replace(e, since=None) for e in data.effects))
 
 
 def _has_own_inputs(automaton: HybridAutomaton) -> bool:
@@ -141,7 +147,7 @@ _MODELS: tuple[tuple[str, ...], ...] = (
 _COLUMN = {"sensor_scale": 0, "sensor_offset": 1, "drift": 2}
 
 
-def reading_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[DirectFinding, ...]:
+def estimator_bias_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[DirectFinding, ...]:
     """Effects of sensors that predict held-out rests clearly better; in the order in which they are taken out."""
     findings: list[DirectFinding] = []
     for i, coordinate in enumerate(automaton.coordinates):
@@ -159,7 +165,7 @@ def reading_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tup
 
 
 def _rests(track: Track, i: int, runs: int) -> list[tuple[float, float, float, float]]:
-    """(measured, believed, time, variance of the first two's difference) at the rests of a run, one of each stretch."""
+    """(measured, believed, time, variance of the first two's difference) at the rests of a run, one of each segment."""
     if track.believed is None:
         return []
     x, e, time = track.x[:, i], track.believed[:, i], track.time - track.time[0]

@@ -16,7 +16,7 @@ from scipy.special import fdtrc
 
 from micah_plan.arrays import Floats
 from micah_plan.quantities import quantity
-from micah_plan.residual.trace import ENOUGH_INDEPENDENT, LaneTrace
+from micah_plan.residual.trace import ENOUGH_INDEPENDENT, CoordinateTrace
 
 _MOST_SHARE = 0.25  # of the runs: more of them are no exception
 _LEAST_RATIO = 3.0  # of the errors: what every effect looks like in the run that shows it most
@@ -50,16 +50,16 @@ class FaultyRun:
         return f"{self}; it was left out: was something in the way, or the tracker lost?"
 
 
-def faulty_runs(traces: Sequence[LaneTrace]) -> tuple[FaultyRun, ...]:
+def faulty_runs(traces: Sequence[CoordinateTrace]) -> tuple[FaultyRun, ...]:
     """The runs that no effect explains and that are few, each for the coordinate where it is worst."""
     worst: dict[int, FaultyRun] = {}
     for trace in traces:
         if trace.outcome.verdict in ("none", "explained"):
             continue
-        lane, runs = trace.lane, np.unique(trace.lane.run)
+        data, runs = trace.data, np.unique(trace.data.run)
         errors = trace.search.errors(trace.chosen, "one_step")
-        by_run = [errors[lane.run == run][lane.counted[lane.run == run]] for run in runs]
-        for faulty in unlike_others(runs.tolist(), by_run, lane.coordinate, lane.unit):
+        by_run = [errors[data.run == run][data.counted[data.run == run]] for run in runs]
+        for faulty in unlike_others(runs.tolist(), by_run, data.coordinate, data.unit):
             before = worst.get(faulty.run)
             if before is None or faulty.error / faulty.usual > before.error / before.usual:
                 worst[faulty.run] = faulty

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
-from micah_plan.residual.lane import Lane
+from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.likelihood import SMALLEST_SCALE, Fitness, fitness, log_density
 from micah_plan.residual.simulation import Kind, Model, columns, simulate
 
@@ -42,7 +42,7 @@ _ANYWHERE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A model to be fitted to a lane.
+    """A model to be fitted to a coordinate's data.
 
     Attributes:
         free: columns of the parameters that are fitted.
@@ -52,7 +52,7 @@ class Problem:
         looseness: of the prior; infinite for none.
     """
 
-    lane: Lane
+    data: CoordinateData
     model: Model
     free: Ints
     scale: Floats
@@ -89,7 +89,7 @@ def optimise(
     """Improve M starts, each on its own training rows.
 
     Args:
-        start: (M, columns); share: (M,) logistic share of process noise; trained: (M, S) stretches to fit.
+        start: (M, columns); share: (M,) logistic share of process noise; trained: (M, S) segments to fit.
         step: of the compass search at first, in units of what is large for a parameter.
     """
     state = _State(problem, start.copy(), share.copy(), trained, step)
@@ -100,16 +100,16 @@ def optimise(
 
 
 def held_out(problem: Problem, fit: Fit, kind: Kind = "filter") -> tuple[Floats, Floats]:
-    """(M, S) log predictive density per stretch under each fit, and (M, S, T) errors [nats, rad or m].
+    """(M, S) log predictive density per segment under each fit, and (M, S, T) errors [nats, rad or m].
 
     A row may lie anywhere in the range now and then: where a threshold is known but for a hair, a row on its other side
     must not count as hundreds of standard deviations (contaminated normal, Box and Tiao, Biometrika 1968).
     """
-    prediction = simulate(problem.lane, problem.model, fit.parameters, process_share(fit.share), kind)
+    prediction = simulate(problem.data, problem.model, fit.parameters, process_share(fit.share), kind)
     density = log_density(prediction, fit.scale, problem.freedom)
-    low, high = problem.lane.visited
+    low, high = problem.data.visited
     anywhere = np.log(_ANYWHERE / max(high - low, SMALLEST_SCALE))
-    density = np.logaddexp(density + np.log1p(-_ANYWHERE), anywhere) * problem.lane.counted
+    density = np.logaddexp(density + np.log1p(-_ANYWHERE), anywhere) * problem.data.counted
     return np.asarray(density.sum(axis=2)), prediction.error
 
 
@@ -179,9 +179,9 @@ class _State:
         return trial.reshape(self.count * per, self.x.shape[1]), shares.ravel(), owner
 
     def _evaluate(self, trial: Floats, shares: Floats, owner: Ints) -> tuple[Floats, Fitness]:
-        lane = self.problem.lane
-        prediction = simulate(lane, self.problem.model, trial, process_share(shares))
-        rows = self.trained[owner][:, :, None] & lane.counted[None]
+        data = self.problem.data
+        prediction = simulate(data, self.problem.model, trial, process_share(shares))
+        rows = self.trained[owner][:, :, None] & data.counted[None]
         return prediction.error, fitness(prediction, rows, self.problem.freedom)
 
     def _losses(self, trial: Floats, shares: Floats, fitness: Fitness) -> Floats:
@@ -294,5 +294,5 @@ def _profile(problem: Problem, fit: Fit, j: int, values: Floats) -> Floats:
         lower=np.delete(problem.lower, j),
         upper=np.delete(problem.upper, j),
     )
-    trained = np.ones((len(values), len(problem.lane.run)), dtype=bool)
+    trained = np.ones((len(values), len(problem.data.run)), dtype=bool)
     return optimise(others, start, np.repeat(fit.share, len(values)), trained, _PROFILE_ROUNDS, _STEP).loss

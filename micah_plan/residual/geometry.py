@@ -89,31 +89,31 @@ def geometry_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tu
     return tuple(findings)
 
 
-def scatter_across(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[float, float]:
+def transverse_rms(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[float, float]:
     """Root mean square distance of measured origins from their joints, and length of the lever arm or 1 [m, m/rad]."""
     squared, arms = 0.0, []
     for number, link in measuring_links(automaton):
         path, c = link_motions(automaton)[number], np.concatenate([track.x[:, link.coordinate] for track in tracks])
         length2 = (path.tangents(c)[:, 3:] ** 2).sum(axis=1)
         squared += float(
-            np.mean(np.concatenate([(beside(automaton, t, number)[:, :3] ** 2).sum(axis=1) for t in tracks]))
+            np.mean(np.concatenate([(off_joint_error(automaton, t, number)[:, :3] ** 2).sum(axis=1) for t in tracks]))
         )
         arms.append(float(np.mean(np.sqrt(np.maximum(length2, 1e-12)))))
     return float(np.sqrt(squared / len(arms))), float(np.mean(arms))
 
 
-def lasting_across(automaton: HybridAutomaton, tracks: Sequence[Track]) -> float:
+def systematic_transverse_error(automaton: HybridAutomaton, tracks: Sequence[Track]) -> float:
     """How far measured origins surely lie beside their joints from row to row [m]: what white noise does not do."""
     lasting2: list[float] = []
     for number, _ in measuring_links(automaton):
-        away = [beside(automaton, track, number)[:, :3] for track in tracks]
+        away = [off_joint_error(automaton, track, number)[:, :3] for track in tracks]
         products = np.concatenate([(series[1:] * series[:-1]).sum(axis=1) for series in away])
         if len(products) > 1:
             lasting2.append(float(products.mean() - _SURELY * products.std() / np.sqrt(len(products))))
     return float(np.sqrt(max(float(np.mean(lasting2)), 0.0))) if lasting2 else 0.0
 
 
-def beside(automaton: HybridAutomaton, track: Track, link: int) -> Floats:
+def off_joint_error(automaton: HybridAutomaton, track: Track, link: int) -> Floats:
     """(T, 6) by how much measured poses lie beside a link's path: offset and turn [m, rad], in the part's frame.
 
     What is along the motion is no part of it: that is in the configuration. The turn is 0 where orientation was not
@@ -134,7 +134,7 @@ def beside(automaton: HybridAutomaton, track: Track, link: int) -> Floats:
 
 
 @dataclass(frozen=True)
-class Beside:
+class OffJointError:
     """That poses lie beside their joint by what depends on where the part is: root mean squares of that [m, rad]."""
 
     coordinate: str
@@ -148,24 +148,24 @@ class Beside:
         return f"poses lie {said} beside the joint of {self.coordinate}, by what depends on where it is"
 
 
-def lying_beside(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[Beside, ...]:
-    """`lies_beside` of every coordinate that is measured."""
+def off_joint_errors(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[OffJointError, ...]:
+    """`off_joint_error_of` of every coordinate that is measured."""
     findings = [
-        lies_beside(
+        off_joint_error_of(
             automaton.coordinates[link.coordinate].name,
             [track.x[:, link.coordinate] for track in tracks],
-            [beside(automaton, track, number) for track in tracks],
+            [off_joint_error(automaton, track, number) for track in tracks],
         )
         for number, link in measuring_links(automaton)
     ]
     return tuple(finding for finding in findings if finding is not None)
 
 
-def lies_beside(coordinate: str, places: Sequence[Floats], away: Sequence[Floats]) -> Beside | None:
+def off_joint_error_of(coordinate: str, places: Sequence[Floats], away: Sequence[Floats]) -> OffJointError | None:
     """Whether poses lie beside a joint as a smooth function of the configuration; None if they do not.
 
     Args:
-        places: configurations (T,) of each run, away: (T, 6) as `beside` gives it.
+        places: configurations (T,) of each run, away: (T, 6) as `off_joint_error` gives it.
     """
     c, every = np.concatenate(list(places)), np.concatenate(list(away))
     if len(c) < _FEWEST_ROWS or np.ptp(c) < 1e-9:
@@ -188,7 +188,7 @@ def lies_beside(coordinate: str, places: Sequence[Floats], away: Sequence[Floats
     if not total:
         return None
     sizes = np.sqrt((fitted**2).reshape(-1, 2, 3).sum(axis=2).mean(axis=0))
-    return Beside(coordinate, float(sizes[0]), float(sizes[1]), total)
+    return OffJointError(coordinate, float(sizes[0]), float(sizes[1]), total)
 
 
 def _across(joint: Joint, tracks: Sequence[Track], link: int, coordinate: int) -> tuple[_Rows, _Rows]:

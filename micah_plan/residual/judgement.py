@@ -14,8 +14,8 @@ from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import told_of_late
 from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.faulty_runs import FaultyRun, unlike_others
-from micah_plan.residual.leftover import Circumstances, Leftover, lagged, leftover
 from micah_plan.residual.prediction import RunPrediction
+from micah_plan.residual.residual_test import Circumstances, ResidualTest, lagged, whiteness_test
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def judge(automaton: HybridAutomaton, recording: Recording, runs: Sequence[RunPr
     errors = [[run.one_step.configuration[:, i] for run in runs] for i in range(automaton.n)]
     correlation = max(map(_correlation, errors), key=abs)
     tests = [
-        leftover(np.concatenate(errors_of_run)[:, None], _circumstances(runs, i))
+        whiteness_test(np.concatenate(errors_of_run)[:, None], _circumstances(runs, i))
         for i, errors_of_run in enumerate(errors)
     ]
     tests_done = [test for test in tests if test is not None]
@@ -83,7 +83,7 @@ def judge(automaton: HybridAutomaton, recording: Recording, runs: Sequence[RunPr
     sentence = _sentence(examination, () if examination.is_noise else _faulty(automaton, runs))
     sentence = f"{told_of_late(examination.late)}. {sentence}" if examination.late else sentence
     follows = tuple(
-        (search.lane.coordinate, *follow) for search, test in examination.left if test for follow in test.follows
+        (search.data.coordinate, *follow) for search, test in examination.left if test for follow in test.follows
     )
     return Judgement(one_step, rollout, examination.is_noise, sentence, follows, correlation, changes)
 
@@ -102,16 +102,16 @@ def _sentence(examination: Examined, faulty: Sequence[FaultyRun]) -> str:
     if examination.is_noise:
         return "errors look like noise: this recording shows nothing that the model lacks"
     sentences = [
-        f"those of {search.lane.coordinate} follow {test}" for search, test in examination.left if test and test.is_more
+        f"those of {search.data.coordinate} follow {test}" for search, test in examination.left if test and test.is_more
     ]
     said = [f"errors are not noise: {'; '.join(sentences)}"] if sentences else []
-    said += map(str, (*examination.beside, *faulty))
+    said += map(str, (*examination.off_joint_error, *faulty))
     named = [f"{finding.effect.name} of {finding.effect.coordinate}" for finding in examination.direct]
     said += [f"poses and readings ask for {', '.join(named)}"] if named else []
     if not said and not examination.searches:
         return "whether errors are noise is told only where each coordinate has an input of its own"
     if not said:
-        return "errors may be more than noise, but not surely: calibrate looks closer"
+        return "the whiteness test is inconclusive: run calibrate"
     return f"{'; '.join(said)}. calibrate names what is missing"
 
 
@@ -137,7 +137,7 @@ def _correlation(errors: Sequence[Floats]) -> float:
 
 
 def _floors(
-    automaton: HybridAutomaton, runs: Sequence[RunPrediction], tests_done: Sequence[Leftover]
+    automaton: HybridAutomaton, runs: Sequence[RunPrediction], tests_done: Sequence[ResidualTest]
 ) -> tuple[Floor | None, Floor | None]:
     """Floors of one step and of the roll-out.
 
@@ -159,7 +159,7 @@ def _floors(
     return floors[0], floors[1]
 
 
-def _shares(test: Leftover, runs: Sequence[RunPrediction]) -> tuple[float, float]:
+def _shares(test: ResidualTest, runs: Sequence[RunPrediction]) -> tuple[float, float]:
     """(r, q) of what a regression leaves: two errors in a row share one measurement, with opposite signs."""
     ends = np.cumsum([len(run.v) for run in runs])[:-1]
     correlation = _correlation(np.split(test.left[:, 0], ends))
@@ -181,7 +181,7 @@ def _across(
     every = np.concatenate(list(errors))
     for number, link in enumerate(automaton.links):
         i = link.coordinate
-        test_of_run = leftover(every[:, number], _circumstances(runs, i))
+        test_of_run = whiteness_test(every[:, number], _circumstances(runs, i))
         if test_of_run is None:
             return None
         x = np.concatenate([run.x[1:, i] for run in runs])

@@ -23,7 +23,7 @@ SMALLEST_SCALE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Fitness:
-    """How well B predictions fit the rows of their training stretches.
+    """How well B predictions fit the rows of their training segments.
 
     Attributes:
         loss: (B,) negative log likelihood [nats].

@@ -19,8 +19,8 @@ import numpy as np
 from micah_plan.arrays import Floats, Ints, robust_std
 from micah_plan.learn.segmenting.changepoints import LengthPrior, length_terms, most_probable_spans
 from micah_plan.quantities import percent, quantity
+from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.fit import independent_share
-from micah_plan.residual.lane import Lane
 from micah_plan.residual.likelihood import SMALLEST_SCALE, robust_log_density
 
 # Rows that the recursion reads, evenly over the configuration.
@@ -71,20 +71,20 @@ class MissingMode:
 
 
 def missing_modes(
-    lane: Lane, innovations: Floats, fold: Ints, rivals: Sequence[Floats] = (), spread: Floats | None = None
+    data: CoordinateData, innovations: Floats, fold: Ints, rivals: Sequence[Floats] = (), spread: Floats | None = None
 ) -> tuple[MissingMode, ...]:
-    """Ranges in which a lane moves otherwise, where changepoints say more than anything gradual.
+    """Ranges in which a coordinate moves otherwise, where changepoints say more than anything gradual.
 
     Args:
-        innovations: (S, T) of the model as it is; fold: (S,) that each stretch is held out with.
+        innovations: (S, T) of the model as it is; fold: (S,) that each segment is held out with.
         rivals: (S, T) held-out innovations of other explanations.
         spread: (S, T) relative std of each innovation; None: they are equally precise.
     """
-    starts = lane.counted_starts
+    starts = data.counted_starts
     per = np.ones(int(starts.sum())) if spread is None else np.roll(spread, -1, axis=1)[starts]
-    place = np.concatenate([lane.z[:, :1], (lane.z + lane.u)[:, :-1]], axis=1)[starts]
-    v, e = lane.u[starts], np.roll(innovations, -1, axis=1)[starts] / per
-    held = np.repeat(fold[:, None], lane.z.shape[1], axis=1)[starts]
+    place = np.concatenate([data.z[:, :1], (data.z + data.u)[:, :-1]], axis=1)[starts]
+    v, e = data.u[starts], np.roll(innovations, -1, axis=1)[starts] / per
+    held = np.repeat(fold[:, None], data.z.shape[1], axis=1)[starts]
     low, high = float(place.min()), float(place.max())
     if len(e) < _FEWEST_ROWS or high - low < 1e-9:
         return ()
@@ -93,7 +93,7 @@ def missing_modes(
     noise = max(float(robust_std(e - gradual)), SMALLEST_SCALE)
     # Bad rows are those far from what changes gradually, not those that the model as it is misses by much.
     e = gradual / noise + np.clip((e - gradual) / noise, -_OUTLIER, _OUTLIER)
-    line = np.stack([1.0 / per, v / lane.command_size / per], axis=1)
+    line = np.stack([1.0 / per, v / data.command_size / per], axis=1)
     cuts, otherwise = _pieces(place, line, e, low, high)
     if not 0 < cuts.size <= _MOST_CUTS or not any(otherwise):
         return ()
@@ -110,10 +110,10 @@ def missing_modes(
     for k, differs in enumerate(otherwise):
         if differs:
             bias, slope = (float(value) for value in solution[at : at + 2])
-            gain = 1.0 + slope / lane.command_size
+            gain = 1.0 + slope / data.command_size
             at += 2
             ends = float(edges[k]), float(edges[k + 1])
-            modes.append(MissingMode(lane.coordinate, lane.unit, *ends, gain, bias, evidence))
+            modes.append(MissingMode(data.coordinate, data.unit, *ends, gain, bias, evidence))
     return tuple(modes)
 
 

@@ -20,11 +20,11 @@ from micah_plan.automaton.tracks import tracks
 from micah_plan.quantities import plain
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import Calibration
+from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.fit import Problem, process_share
-from micah_plan.residual.lane import Lane
 from micah_plan.residual.search import FOLDS, Scored, Search, candidates, untried
 from micah_plan.residual.simulation import generated, simulate
-from micah_plan.residual.trace import LEAST_EVIDENCE, LaneTrace, ranked
+from micah_plan.residual.trace import LEAST_EVIDENCE, CoordinateTrace, ranked
 from micah_plan.task.experiment import Experiment, Motion
 from micah_plan.task.start import Start, start_mode
 
@@ -72,19 +72,19 @@ def next_experiment(automaton: HybridAutomaton, recording: Recording, calibratio
     configurations = [track.x for track in tracks(automaton, recording)]
     for trace in calibration.traces:
         rivals = [_Rival.of(trace.search, scored) for scored in _rivals(trace)]
-        designed = _designed(automaton, trace.lane, rivals, np.concatenate(configurations)) if len(rivals) > 1 else None
+        designed = _designed(automaton, trace.data, rivals, np.concatenate(configurations)) if len(rivals) > 1 else None
         if designed is not None:
             return designed
     return None
 
 
-def _rivals(trace: LaneTrace) -> list[Scored]:
+def _rivals(trace: CoordinateTrace) -> list[Scored]:
     """What is left to choose among: what is tied with the effects found or, if something remains, the next best.
 
     Where nothing was found: the model as it is, and what was nearest to being found.
     """
     search = trace.search
-    tried = trace.alternatives or tuple(search.score((*trace.nominal.parts, part)) for part in candidates(trace.lane))
+    tried = trace.alternatives or tuple(search.score((*trace.nominal.parts, part)) for part in candidates(trace.data))
     options = [scored for scored in ranked(tried) if scored.names != trace.nominal.names]
     if not options:
         return []
@@ -95,7 +95,7 @@ def _rivals(trace: LaneTrace) -> list[Scored]:
     tied = {name for finding in trace.findings for name in finding.tied}
     if tied:
         chosen = [named[name] for name in tied if name in named]
-        unseen = [untried(name, trace.lane) for name in sorted(tied - set(named))]
+        unseen = [untried(name, trace.data) for name in sorted(tied - set(named))]
         chosen += [search.score((*trace.nominal.parts, part)) for part in unseen if part.term.form.layer != "frame"]
         return [best, *ranked(chosen)][:_MOST_RIVALS]
     if trace.outcome.verdict == "explained":
@@ -131,26 +131,26 @@ class _Rival:
             scale=float(fit.scale[0]),
             information=np.diag(1.0 / (problem.scale * problem.looseness) ** 2),
         )
-        slopes = design.errors(search.lane)[1].reshape(len(problem.free), search.lane.z.size)
+        slopes = design.errors(search.data)[1].reshape(len(problem.free), search.data.z.size)
         return replace(design, information=design.information + slopes @ slopes.T)
 
-    def errors(self, lane: Lane) -> tuple[Floats, Floats]:
+    def errors(self, data: CoordinateData) -> tuple[Floats, Floats]:
         """(S, T) innovations over their std, and (k, S, T) how they change with the free parameters."""
         problem, steps = self.problem, _DIFFERENCE * self.problem.scale
         rows = np.repeat(self.parameters, 1 + len(problem.free), axis=0)
         for j, column in enumerate(problem.free):
             steps[j] *= 1.0 if rows[0, column] + steps[j] <= problem.upper[j] else -1.0
             rows[1 + j, column] += steps[j]
-        simulation = simulate(lane, problem.model, rows, np.repeat(self.share, len(rows)))
+        simulation = simulate(data, problem.model, rows, np.repeat(self.share, len(rows)))
         errors = simulation.error / (self.scale * np.sqrt(simulation.variance[0]))
         return errors[0], np.asarray((errors[1:] - errors[0]) / steps[:, None, None])
 
-    def moved(self, lane: Lane, mode_at: _ModeAt) -> Lane:
-        """The lane as this model moves."""
-        return generated(lane, self.problem.model, self.parameters, mode_at)
+    def moved(self, data: CoordinateData, mode_at: _ModeAt) -> CoordinateData:
+        """The data as this model moves."""
+        return generated(data, self.problem.model, self.parameters, mode_at)
 
-    def outdone(self, moved: Lane) -> Floats:
-        """(S,) evidence against this model if the part moves as the lane says, its parameters fitted again [nats]."""
+    def outdone(self, moved: CoordinateData) -> Floats:
+        """(S,) evidence against this model if the part moves as the data say, its parameters fitted again [nats]."""
         error, slopes = self.errors(moved)
         against = np.einsum("kst,st->sk", slopes, error)
         information = self.information + np.einsum("kst,lst->skl", slopes, slopes)
@@ -161,22 +161,24 @@ class _Rival:
 class _ModeAt:
     """The mode that a recording has at a configuration: that of the nearest row."""
 
-    def __init__(self, lane: Lane) -> None:
-        order = np.argsort(lane.z[lane.counted], kind="stable")
-        self._z, self._mode = lane.z[lane.counted][order], lane.mode[lane.counted][order]
+    def __init__(self, data: CoordinateData) -> None:
+        order = np.argsort(data.z[data.counted], kind="stable")
+        self._z, self._mode = data.z[data.counted][order], data.mode[data.counted][order]
 
     def __call__(self, z: Floats) -> Ints:
         between = np.searchsorted(0.5 * (self._z[1:] + self._z[:-1]), z)
         return np.asarray(self._mode[between])
 
 
-def _designed(automaton: HybridAutomaton, lane: Lane, rivals: Sequence[_Rival], measured: Floats) -> Designed | None:
+def _designed(
+    automaton: HybridAutomaton, data: CoordinateData, rivals: Sequence[_Rival], measured: Floats
+) -> Designed | None:
     """The best motion from each of some places, if they tell any two rivals apart."""
-    able = _starts(automaton, lane, measured)
+    able = _starts(automaton, data, measured)
     motions, evidence = [], []
     for start in able:
-        commands, gained = _best_commands(lane, rivals, start.mean[lane.index])
-        motions.append(Motion(start, _inputs(automaton, lane, start, commands)))
+        commands, gained = _best_commands(data, rivals, start.mean[data.index])
+        motions.append(Motion(start, _inputs(automaton, data, start, commands)))
         evidence.append(gained)
     if not motions:
         return None
@@ -189,35 +191,35 @@ def _designed(automaton: HybridAutomaton, lane: Lane, rivals: Sequence[_Rival], 
     repetitions = int(np.clip(needed, np.ceil(FOLDS / len(motions)), _MOST_REPETITIONS))
     names = list(combinations([rival.name for rival in rivals], 2))
     expected = tuple((*names[k], float(repetitions * total[k])) for k in np.flatnonzero(is_hopeless))
-    return Designed(Experiment(automaton, tuple(motions), repetitions), lane.coordinate, expected)
+    return Designed(Experiment(automaton, tuple(motions), repetitions), data.coordinate, expected)
 
 
-def _starts(automaton: HybridAutomaton, lane: Lane, measured: Floats) -> list[Start]:
+def _starts(automaton: HybridAutomaton, data: CoordinateData, measured: Floats) -> list[Start]:
     """Measured states over what was visited, in modes that move the coordinate; rounded, for files."""
     std = tuple(max(std_of_coordinate, _SMALLEST_STD) for std_of_coordinate in automaton.noise.observation_std)
-    low, high = lane.visited
+    low, high = data.visited
     starts = []
     for share in _PLACES:
-        nearest = np.argsort(np.abs(measured[:, lane.index] - (low + share * (high - low))), kind="stable")
+        nearest = np.argsort(np.abs(measured[:, data.index] - (low + share * (high - low))), kind="stable")
         for row in nearest[: len(measured) // 3 + 1]:
             start = Start(tuple(float(value) for value in np.round(measured[row], 4)), std)
             mode, _ = start_mode(automaton, start)
-            if mode is not None and automaton.mode(mode).B[lane.index].any():
+            if mode is not None and automaton.mode(mode).B[data.index].any():
                 starts.append(replace(start, mode=mode))
                 break
     return starts
 
 
-def _best_commands(lane: Lane, rivals: Sequence[_Rival], start: float) -> tuple[Floats, Floats]:
+def _best_commands(data: CoordinateData, rivals: Sequence[_Rival], start: float) -> tuple[Floats, Floats]:
     """(T,) commands of the coordinate [rad or m], and (pairs,) evidence to expect of one run of them [nats]."""
-    menu = _menu(lane)
+    menu = _menu(data)
     kept = np.zeros((1, 0))
     for number in range(_PIECES):
         # Sizes that never repeat say more of what else might be: a fixed sequence that fills the interval evenly.
         sizes = _LEAST_SIZE + (1.0 - _LEAST_SIZE) * (((number * _STEPS + np.arange(_STEPS)) * _GOLDEN) % 1.0)
         pieces = [[float(f"{value:.3g}") for value in row] for row in menu * sizes + 0.0]
         tried = np.array([[*before, *piece] for before in kept for piece in pieces])
-        evidence, is_inside = _told_apart(lane, rivals, start, tried)
+        evidence, is_inside = _told_apart(data, rivals, start, tried)
         # A pair that is told apart already is worth little more: what counts is that all pairs are.
         worth = np.log1p(evidence / LEAST_EVIDENCE).sum(axis=0) - np.where(is_inside, 0.0, np.inf)
         order = np.argsort(-worth, kind="stable")[:_KEPT]
@@ -225,9 +227,9 @@ def _best_commands(lane: Lane, rivals: Sequence[_Rival], start: float) -> tuple[
     return kept[0], evidence[:, order[0]]
 
 
-def _menu(lane: Lane) -> Floats:
+def _menu(data: CoordinateData) -> Floats:
     """(P, _STEPS) pieces: on and back, small and large, alternately, once and then none, growing, at rest."""
-    sizes = np.abs(lane.u[lane.counted_starts])
+    sizes = np.abs(data.u[data.counted_starts])
     largest = float(sizes.max())
     k, ones = np.arange(_STEPS), np.ones(_STEPS)
     once, turns, grows = (k == 0) * 1.0, (-1.0) ** k, (k + 1.0) / _STEPS
@@ -237,14 +239,16 @@ def _menu(lane: Lane) -> Floats:
     return largest * np.array(shapes)
 
 
-def _told_apart(lane: Lane, rivals: Sequence[_Rival], start: float, commands: Floats) -> tuple[Floats, Booleans]:
+def _told_apart(
+    data: CoordinateData, rivals: Sequence[_Rival], start: float, commands: Floats
+) -> tuple[Floats, Booleans]:
     """(pairs, S) evidence to expect [nats], the mean of either of two being true, and (S,) whether motions stay in."""
-    imagined, mode_at = _imagined(lane, start, commands), _ModeAt(lane)
+    imagined, mode_at = _imagined(data, start, commands), _ModeAt(data)
     moved = [rival.moved(imagined, mode_at) for rival in rivals]
-    low, high = lane.visited
+    low, high = data.visited
     room = _BEYOND * (high - low)
-    lowest = min(low - room, lane.lower if np.isfinite(lane.lower) else np.inf)
-    highest = max(high + room, lane.upper if np.isfinite(lane.upper) else -np.inf)
+    lowest = min(low - room, data.lower if np.isfinite(data.lower) else np.inf)
+    highest = max(high + room, data.upper if np.isfinite(data.upper) else -np.inf)
     z = np.stack([motion.z for motion in moved])
     is_inside = ((z > lowest - room) & (z < highest + room)).all(axis=(0, 2))
     pairs = combinations(range(len(rivals)), 2)
@@ -252,20 +256,20 @@ def _told_apart(lane: Lane, rivals: Sequence[_Rival], start: float, commands: Fl
     return np.array(evidence), np.asarray(is_inside)
 
 
-def _imagined(lane: Lane, start: float, commands: Floats) -> Lane:
-    """A lane of S runs with commands (S, T), started at one place after all that was recorded."""
+def _imagined(data: CoordinateData, start: float, commands: Floats) -> CoordinateData:
+    """Data of S runs with commands (S, T), started at one place after all that was recorded."""
     count, steps = commands.shape
     shape = (count, steps + 1)
     u = np.hstack([commands, np.zeros((count, 1))])
     counted = np.ones(shape, dtype=bool)
     counted[:, 0] = False
     made = replace(
-        lane,
+        data,
         z=np.full(shape, start),
         u=u,
         place=start + u,
         counted=counted,
-        time=np.tile(lane.period * np.arange(steps + 1), (count, 1)),
+        time=np.tile(data.period * np.arange(steps + 1), (count, 1)),
         order=np.ones(shape),
         mode=np.zeros(shape, dtype=np.int64),
         run=np.arange(count),
@@ -274,13 +278,15 @@ def _imagined(lane: Lane, start: float, commands: Floats) -> Lane:
         noise=np.ones(shape),
         whole=None,
     )
-    vars(made)["blur"] = lane.blur  # that of the recording: what is imagined has no noise
+    vars(made)["blur"] = data.blur  # that of the recording: what is imagined has no noise
     return made
 
 
-def _inputs(automaton: HybridAutomaton, lane: Lane, start: Start, commands: Floats) -> tuple[tuple[float, ...], ...]:
+def _inputs(
+    automaton: HybridAutomaton, data: CoordinateData, start: Start, commands: Floats
+) -> tuple[tuple[float, ...], ...]:
     """(T, m) inputs that move the coordinate so."""
-    per_input = np.asarray(automaton.mode(start.mode or automaton.modes[0].name).B)[lane.index]
+    per_input = np.asarray(automaton.mode(start.mode or automaton.modes[0].name).B)[data.index]
     number = int(np.argmax(np.abs(per_input)))
     rows = np.zeros((len(commands), automaton.m))
     rows[:, number] = commands / per_input[number]

@@ -9,11 +9,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats, Ints
+from micah_plan.automaton.augmented import threshold_stds
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import InputChannel, towards
 from micah_plan.automaton.kinematics import forward
-from micah_plan.automaton.lifted import threshold_stds
 from micah_plan.automaton.link_motion import link_motions
 from micah_plan.automaton.tracks import Track, configurations
 from micah_plan.automaton.transition import TransitionBatch
@@ -23,8 +23,8 @@ from micah_plan.errors import InputError
 from micah_plan.quantities import Progress, interval, quantity
 from micah_plan.recording.value import Recording
 from micah_plan.residual.epochs import Place, versions
-from micah_plan.residual.geometry import beside
-from micah_plan.residual.seen import at_measurements, beyond_range, noise_of, opened
+from micah_plan.residual.geometry import off_joint_error
+from micah_plan.residual.range_exceeded import at_measurements, noise_of, ranges_exceeded, with_extended_range
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class RunPrediction:
         v: (K, n) commanded displacement of each coordinate from each row to the next, in the modes that move it.
         believed: (K + 1, n) what the controller believed minus what was measured, NaN where it is not told; None if it
             never is. Effects of sensors are taken out, see `tracks`.
-        beside: (K + 1, l, 6) by how much measured poses lie beside the model's joints, see `geometry.beside`.
+        off_joint_error: (K + 1, l, 6) by how much measured poses lie beside the model's joints, see `geometry`.
     """
 
     run: int
@@ -72,7 +72,7 @@ class RunPrediction:
     x: Floats
     v: Floats
     believed: Floats | None
-    beside: Floats
+    off_joint_error: Floats
     one_step: PredictionError
     rollout: PredictionError
 
@@ -87,7 +87,8 @@ def predict_recording(
     range. Roll-out: from the first measured pose with all actions of the run, never looking at a measurement
     again. Where commands are places (`follow`), each is the measured pose plus the action, wherever the roll-out is.
     A run with gaps in its times is predicted in its consecutive parts, as is one in which an effect began (see
-    `epochs`), and joints go on where the recording goes beyond a range that no mode ends (see `seen`). Over rows that
+    `epochs`), and joints go on where the recording goes beyond a range that no mode ends
+    (`range_exceeded`). Over rows that
     are no measurements the prediction goes on, to the next that is one.
 
     Args:
@@ -129,7 +130,7 @@ def _usable(
 ) -> list[tuple[HybridAutomaton, list[tuple[Place, Track]]]]:
     """The model as it was in each part of a recording, its joints going on as far as that, and these parts."""
     return [
-        (opened(model, beyond_range(model, [at_measurements(track).x for _, track in parts])), parts)
+        (with_extended_range(model, ranges_exceeded(model, [at_measurements(track).x for _, track in parts])), parts)
         for model, parts in versions(automaton, recording)
     ]
 
@@ -174,7 +175,9 @@ def _predicted(automaton: HybridAutomaton, tracks: Sequence[Track], progress: Pr
                 x=measured.x,
                 v=inputs_of(measured) @ np.stack(rows, axis=1),
                 believed=None if measured.believed is None else measured.believed - measured.x,
-                beside=np.stack([beside(automaton, measured, k) for k in range(len(automaton.links))], axis=1),
+                off_joint_error=np.stack(
+                    [off_joint_error(automaton, measured, k) for k in range(len(automaton.links))], axis=1
+                ),
                 one_step=_error(automaton, measured, *one_step),
                 rollout=_error(automaton, measured, *rollout),
             )

@@ -1,6 +1,6 @@
-"""Models of one lane compared by what they predict of rows that they were not fitted to.
+"""Models of one coordinate compared by what they predict of rows that they were not fitted to.
 
-The forms of effects as candidates on a lane, where each form says that its search begins.
+The forms of effects as candidates in a coordinate's data, where each form says that its search begins.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from micah_plan.automaton.effects.forces import SMOOTH_BUMPS
 from micah_plan.automaton.effects.form import EffectForm, Start
 from micah_plan.automaton.effects.registry import form, forms
 from micah_plan.automaton.effects.value import Effect
+from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.epochs import acts
 from micah_plan.residual.fit import (
     Fit,
@@ -29,11 +30,10 @@ from micah_plan.residual.fit import (
     optimise,
     process_share,
 )
-from micah_plan.residual.lane import Lane
-from micah_plan.residual.leftover import LAGS, Circumstances, Leftover, lagged, leftover
+from micah_plan.residual.residual_test import LAGS, Circumstances, ResidualTest, lagged, whiteness_test
 from micah_plan.residual.simulation import GATES, Kind, Model, Term, columns, simulate
 
-Errors = Kind | Literal["whole"]  # of steps, of roll-outs of stretches, and of whole runs
+Errors = Kind | Literal["whole"]  # of steps, of roll-outs of segments, and of whole runs
 
 FOLDS = 5
 _ROUNDS = 12
@@ -57,12 +57,12 @@ _LOOSE = 20.0
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """A model, fitted to everything and, for its score, to each fold's other stretches.
+    """A model, fitted to everything and, for its score, to each fold's other segments.
 
     Attributes:
-        parts: its candidates; the starts of each are what was fitted to all stretches, (1, size).
-        fit: to all stretches; folds: (K fits) to all but one fold's.
-        density: (S,) log predictive density of each stretch, held out [nats].
+        parts: its candidates; the starts of each are what was fitted to all segments, (1, size).
+        fit: to all segments; folds: (K fits) to all but one fold's.
+        density: (S,) log predictive density of each segment, held out [nats].
         squared: sum of squared innovations, held out, each by its precision under the model as it is.
         is_idle: whether it fits hardly better than a simpler model; folds and density are then that one's.
     """
@@ -79,14 +79,14 @@ class Scored:
         return tuple(part.name for part in self.parts)
 
     def over(self, rival: Scored) -> tuple[float, float]:
-        """By how much it predicts better than another, and the standard error of that over stretches [nats]."""
+        """By how much it predicts better than another, and the standard error of that over segments [nats]."""
         gain = self.density - rival.density
         error = float(np.std(gain, ddof=1) * np.sqrt(len(gain))) if len(gain) > 1 else 0.0
         return float(gain.sum()), error
 
 
 class Search:
-    """Fits models to a lane, each once.
+    """Fits models to a coordinate's data, each once.
 
     Attributes:
         nominal: the model that effects are added to: as it is, or with commands that are places (see `trace`).
@@ -94,21 +94,21 @@ class Search:
         smoothed: models with the smooth correction, by those without: each is fitted once.
     """
 
-    def __init__(self, lane: Lane) -> None:
-        self.lane = lane
-        self.given: Model = tuple(Term(form(effect.name), effect.modes) for effect in lane.effects)
-        self._given = np.array([v for effect in lane.effects for v in (*effect.values, *gates_of(effect, lane))])[None]
+    def __init__(self, data: CoordinateData) -> None:
+        self.data = data
+        self.given: Model = tuple(Term(form(effect.name), effect.modes) for effect in data.effects)
+        self._given = np.array([v for effect in data.effects for v in (*effect.values, *gates_of(effect, data))])[None]
         self.freedom = _FREEDOMS[0]
         self._rolled: dict[Scored, Floats] = {}
         self.smoothed: dict[Scored, Scored] = {}
-        self._left: dict[Scored, Leftover | None] = {}
-        runs = {run: number for number, run in enumerate(np.unique(lane.run).tolist())}
-        count = len(lane.run)
+        self._left: dict[Scored, ResidualTest | None] = {}
+        runs = {run: number for number, run in enumerate(np.unique(data.run).tolist())}
+        count = len(data.run)
         self.folds = min(FOLDS, count)
         by_run = len(runs) >= FOLDS
-        number = np.array([runs[run] for run in lane.run.tolist()]) if by_run else np.arange(count)
+        number = np.array([runs[run] for run in data.run.tolist()]) if by_run else np.arange(count)
         self.fold: Ints = number % self.folds
-        self.lane, self.freedom = self._suited_noise()
+        self.data, self.freedom = self._suited_noise()
         self._spread = self._precision()
         self.nominal = self.score(())
 
@@ -144,23 +144,23 @@ class Search:
         return self._cross_validated(problem, parts, fit)
 
     def _all(self, count: int) -> Booleans:
-        return np.ones((count, len(self.lane.run)), dtype=bool)
+        return np.ones((count, len(self.data.run)), dtype=bool)
 
     def errors(self, scored: Scored, kind: Kind) -> Floats:
-        """(S, T) measured minus predicted, each stretch with the parameters fitted without its fold."""
+        """(S, T) measured minus predicted, each segment with the parameters fitted without its fold."""
         _, errors = held_out(self.problem(scored.parts), scored.folds, kind)
         return np.asarray(errors[self.fold, np.arange(len(self.fold))])
 
     def rollout_errors(self, scored: Scored) -> Floats:
         """(N,) measured minus predicted from each run's first row on, by parameters fitted without a row's fold."""
-        whole = self.lane.whole
-        if whole is None or whole.stretch is None:
-            return self.errors(scored, "rollout")[self.lane.counted]
+        whole = self.data.whole
+        if whole is None or whole.segment is None:
+            return self.errors(scored, "rollout")[self.data.counted]
         if scored not in self._rolled:
-            problem = replace(self.problem(scored.parts), lane=whole)
+            problem = replace(self.problem(scored.parts), data=whole)
             _, errors = held_out(problem, scored.folds, "rollout")
             runs, rows = np.nonzero(whole.counted)
-            self._rolled[scored] = np.asarray(errors[self.fold[whole.stretch[runs, rows]], runs, rows])
+            self._rolled[scored] = np.asarray(errors[self.fold[whole.segment[runs, rows]], runs, rows])
         return self._rolled[scored]
 
     def innovations(self, scored: Scored) -> Floats:
@@ -186,11 +186,11 @@ class Search:
         The noise is what no regression takes out of the model's innovations; an error from one measured row to the next
         contains the measurement noise twice, the innovation of a filter less than that.
         """
-        innovations = self.innovations(scored)[self.lane.counted]
+        innovations = self.innovations(scored)[self.data.counted]
         residual = self.left_by(scored)
         innovation = float(np.mean(innovations**2)) * (1.0 - (residual.share if residual is not None else 0.0))
         r = float(measurement_share(scored.fit.share)[0])
-        q = (1.0 - r) * float(np.mean(self.lane.process_profile[self.lane.counted_starts]))
+        q = (1.0 - r) * float(np.mean(self.data.process_profile[self.data.counted_starts]))
         p = steady_variance(q, r)
         return float(np.sqrt(innovation * (q + 2.0 * r) / (p + r)))
 
@@ -199,11 +199,11 @@ class Search:
 
         What moves the part adds up from the first row on, as far as the model lets it: ends and places bring it back.
         """
-        problem, lane = self.problem(scored.parts), self.lane.whole or self.lane
-        simulation = simulate(lane, problem.model, scored.fit.parameters, process_share(scored.fit.share), "rollout")
+        problem, data = self.problem(scored.parts), self.data.whole or self.data
+        simulation = simulate(data, problem.model, scored.fit.parameters, process_share(scored.fit.share), "rollout")
         share = process_share(scored.fit.share)[0]
-        step = 2.0 * (1.0 - share) + share * float(np.mean(self.lane.process_profile[self.lane.counted_starts]))
-        return one_step * float(np.sqrt(np.mean(simulation.variance[0][lane.counted]) / step))
+        step = 2.0 * (1.0 - share) + share * float(np.mean(self.data.process_profile[self.data.counted_starts]))
+        return one_step * float(np.sqrt(np.mean(simulation.variance[0][data.counted]) / step))
 
     def correlations_of(self, scored: Scored) -> tuple[tuple[str, ...], Floats]:
         """Names of the fitted parameters (k) of a model, and the correlation (k, k) of their errors.
@@ -217,9 +217,9 @@ class Search:
         rows = np.repeat(scored.fit.parameters, 2 * k, axis=0)
         for j, column in enumerate(problem.free):
             rows[2 * j : 2 * j + 2, column] += _SLOPE_STEP * problem.scale[j] * np.array([1.0, -1.0])
-        simulation = simulate(self.lane, problem.model, rows, np.repeat(process_share(scored.fit.share), 2 * k))
+        simulation = simulate(self.data, problem.model, rows, np.repeat(process_share(scored.fit.share), 2 * k))
         errors = (simulation.error / np.sqrt(simulation.variance) / float(scored.fit.scale[0])).reshape(
-            k, 2, self.lane.z.size
+            k, 2, self.data.z.size
         )
         slopes = (errors[:, 0] - errors[:, 1]) / (2.0 * _SLOPE_STEP)
         covariance = np.linalg.inv(slopes @ slopes.T + np.eye(k) / problem.looseness**2)
@@ -247,7 +247,7 @@ class Search:
             at += part.term.size
         tight = any(part.name == UNNAMED for part in parts)
         return Problem(
-            lane=self.lane,
+            data=self.data,
             model=(*self.given, *(part.term for part in parts)),
             free=np.array(free, dtype=np.int64),
             scale=np.array(scale),
@@ -276,7 +276,7 @@ class Search:
 
     def _correlations(self, scored: Scored) -> list[tuple[float, int]]:
         """Autocorrelation of the innovations and number of pairs at each of the lags 1 to 4."""
-        counted = self.lane.counted
+        counted = self.data.counted
         error = self.innovations(scored) / self.spread(scored) * counted
         mean_square = float((error**2).sum()) / counted.sum()
         findings = []
@@ -287,33 +287,33 @@ class Search:
             findings.append((product / count / mean_square if count and mean_square > 0 else 0.0, count))
         return findings
 
-    def left_by(self, scored: Scored) -> Leftover | None:
+    def left_by(self, scored: Scored) -> ResidualTest | None:
         """What the innovations follow: commands, places, time, and innovations before them."""
         if scored not in self._left:
             self._left[scored] = self._left_by(scored)
         return self._left[scored]
 
-    def _left_by(self, scored: Scored) -> Leftover | None:
-        lane = self.lane
+    def _left_by(self, scored: Scored) -> ResidualTest | None:
+        data = self.data
         # A place that the innovation's own measurements have no part in: from the row before.
-        before = np.concatenate([lane.z[:, :1], (lane.z + lane.u)[:, :-1]], axis=1)
-        starts = lane.counted_starts
+        before = np.concatenate([data.z[:, :1], (data.z + data.u)[:, :-1]], axis=1)
+        starts = data.counted_starts
         spread = self.spread(scored)
         innovations = self.innovations(scored) / spread
         past = np.stack([np.roll(innovations, k, axis=1) for k in range(LAGS)], axis=-1)
         past[:, :LAGS] = 0.0
         under = Circumstances(
             place=before[starts],
-            command=lagged(lane.u)[starts],
-            time=lane.time[starts],
-            order=lane.order[starts],
+            command=lagged(data.u)[starts],
+            time=data.time[starts],
+            order=data.order[starts],
             errors=past[starts],
-            away=_away(lane, before)[starts],
+            away=_away(data, before)[starts],
             spread=np.roll(spread, -1, axis=1)[starts],
         )
-        return leftover(np.roll(innovations, -1, axis=1)[starts][:, None], under)
+        return whiteness_test(np.roll(innovations, -1, axis=1)[starts][:, None], under)
 
-    def leaves_nothing(self, scored: Scored) -> bool:
+    def residual_is_white(self, scored: Scored) -> bool:
         """Whether the innovations neither follow anything nor are correlated: then nothing can be added."""
         residual = self.left_by(scored)
         return residual is not None and residual.is_noise
@@ -331,8 +331,8 @@ class Search:
 
     def density_by_run(self, scored: Scored) -> Floats:
         """(R,) log predictive density of each run, by parameters fitted to the other runs alone [nats]."""
-        runs = np.unique(self.lane.run)
-        of_run = self.lane.run[None, :] == runs[:, None]
+        runs = np.unique(self.data.run)
+        of_run = self.data.run[None, :] == runs[:, None]
         start = np.repeat(scored.fit.parameters, len(runs), axis=0)
         fits = optimise(
             self.problem(scored.parts), start, np.repeat(scored.fit.share, len(runs)), ~of_run, _FOLD_ROUNDS
@@ -346,22 +346,22 @@ class Search:
             at += part.term.size
         return tuple(fitted)
 
-    def _suited_noise(self) -> tuple[Lane, float]:
-        """The lane with the kind of noise, and the degrees of freedom, that suit what a smooth correction leaves."""
-        best: tuple[float, Lane, float] | None = None
-        part = smooth(self.lane)
+    def _suited_noise(self) -> tuple[CoordinateData, float]:
+        """The data with the kind of noise, and the degrees of freedom, that suit what a smooth correction leaves."""
+        best: tuple[float, CoordinateData, float] | None = None
+        part = smooth(self.data)
         problem = self.problem((part,))
         share, start, rounds = np.zeros(1), self._starts((part,)), 4
-        lanes = [self.lane.with_noise(motion) for motion in _MOTION_NOISES]
-        if np.ptp(self.lane.noise):  # something else than the model's sensor may have measured
-            lanes.append(self.lane.with_noise(0.0, is_alike=True))
-        for lane, freedom in product(lanes, _FREEDOMS):
-            suited = replace(problem, lane=lane, freedom=freedom)
+        noisy = [self.data.with_noise(motion) for motion in _MOTION_NOISES]
+        if np.ptp(self.data.noise):  # something else than the model's sensor may have measured
+            noisy.append(self.data.with_noise(0.0, is_alike=True))
+        for data, freedom in product(noisy, _FREEDOMS):
+            suited = replace(problem, data=data, freedom=freedom)
             fit = optimise(suited, start, share, self._all(1), rounds)
             share, start, rounds = fit.share, fit.parameters, 2  # the next kind of noise changes little
             if best is None or fit.loss[0] < best[0] - _CLEARLY:
-                best = float(fit.loss[0]), lane, freedom
-        return (self.lane, self.freedom) if best is None else best[1:]
+                best = float(fit.loss[0]), data, freedom
+        return (self.data, self.freedom) if best is None else best[1:]
 
 
 def steady_variance(q: float, r: float) -> float:
@@ -373,15 +373,15 @@ def steady_variance(q: float, r: float) -> float:
 
 
 def _spread(problem: Problem, fit: Fit) -> Floats:
-    variance = simulate(problem.lane, problem.model, fit.parameters, process_share(fit.share)).variance[0]
-    return np.asarray(np.sqrt(variance / np.mean(variance[problem.lane.counted])))
+    variance = simulate(problem.data, problem.model, fit.parameters, process_share(fit.share)).variance[0]
+    return np.asarray(np.sqrt(variance / np.mean(variance[problem.data.counted])))
 
 
-def _away(lane: Lane, place: Floats) -> Floats:
+def _away(data: CoordinateData, place: Floats) -> Floats:
     """(S, T, 2) commands that lead away from the lower and the upper end, where a part is within the blur of it."""
-    reach = _NEAR * lane.blur * np.sqrt(lane.noise)
-    at_low, at_high = place < lane.lower + reach, place > lane.upper - reach
-    return np.stack([at_low * np.maximum(lane.u, 0.0), at_high * np.minimum(lane.u, 0.0)], axis=-1)
+    reach = _NEAR * data.blur * np.sqrt(data.noise)
+    at_low, at_high = place < data.lower + reach, place > data.upper - reach
+    return np.stack([at_low * np.maximum(data.u, 0.0), at_high * np.minimum(data.u, 0.0)], axis=-1)
 
 
 def gated(part: Candidate, since_order: Sequence[float], since_time: Sequence[float]) -> Candidate:
@@ -395,15 +395,15 @@ def gated(part: Candidate, since_order: Sequence[float], since_time: Sequence[fl
 NEVER_GATED = (-np.inf, -np.inf)
 
 
-def gates_of(effect: Effect, lane: Lane) -> tuple[float, float]:
+def gates_of(effect: Effect, data: CoordinateData) -> tuple[float, float]:
     """From which place in a recording and which time in a run an effect of the model acts."""
     since = effect.since
     if since is None:
         return NEVER_GATED
     if since.run is None:
         return -np.inf, since.time
-    acting = np.stack([acts(since, run, time) for run, time in zip(lane.run.tolist(), lane.time, strict=True)])
-    return float(lane.order[acting & lane.counted_starts].min(initial=np.inf)), -np.inf
+    acting = np.stack([acts(since, run, time) for run, time in zip(data.run.tolist(), data.time, strict=True)])
+    return float(data.order[acting & data.counted_starts].min(initial=np.inf)), -np.inf
 
 
 # The form of a correction without a name.
@@ -418,7 +418,7 @@ class Candidate:
         starts: (M, size) parameters with gates; those that are not free differ between starts only.
         free: columns within the term that are fitted.
         scale: (k,) what a large value of each of those is.
-        bounds: (lower, upper) of columns that the lane bounds more than the form does: beyond them it would be another
+        bounds: (lower, upper) of columns that the data bound more than the form does: beyond them it would be another
             effect (a spring whose rest position is far away is a bias).
     """
 
@@ -433,19 +433,19 @@ class Candidate:
         return self.term.form.name
 
 
-def candidates(lane: Lane) -> tuple[Candidate, ...]:
-    """All forms that the lane can show, each acting always and everywhere."""
+def candidates(data: CoordinateData) -> tuple[Candidate, ...]:
+    """All forms that the data can show, each acting always and everywhere."""
     possible = []
     for effect_form in forms():
-        made = effect_form.begun(lane) if effect_form.is_sought and effect_form.same_as(lane) is None else None
+        made = effect_form.begun(data) if effect_form.is_sought and effect_form.same_as(data) is None else None
         if made is not None:
             possible.append(_candidate(effect_form, made))
     return tuple(possible)
 
 
-def untried(name: str, lane: Lane) -> Candidate:
+def untried(name: str, data: CoordinateData) -> Candidate:
     """A form that was not tried since it would do the same as another (`indistinguishable`)."""
-    return _candidate(form(name), form(name).from_neutral(lane))
+    return _candidate(form(name), form(name).from_neutral(data))
 
 
 def _candidate(effect_form: EffectForm, made: Start) -> Candidate:
@@ -454,25 +454,25 @@ def _candidate(effect_form: EffectForm, made: Start) -> Candidate:
     return Candidate(Term(effect_form), full, made.free, np.asarray(made.scale, dtype=float), made.bounds)
 
 
-def indistinguishable(part: Candidate, lane: Lane) -> tuple[str, ...]:
-    """Forms that were not tried because on this lane they would do exactly the same as another; plainest first."""
+def indistinguishable(part: Candidate, data: CoordinateData) -> tuple[str, ...]:
+    """Forms that were not tried because in these data they would do exactly the same as another; plainest first."""
     same = []
-    for effect_form in sorted(forms(), key=lambda effect_form: effect_form.plainness):
-        equivalent = effect_form.same_as(lane) if effect_form.is_sought else None
+    for effect_form in sorted(forms(), key=lambda effect_form: effect_form.complexity_rank):
+        equivalent = effect_form.same_as(data) if effect_form.is_sought else None
         if equivalent is not None and equivalent.name == part.name and abs(part.starts[0, 0]) < equivalent.below:
             same.append(effect_form.name)
     return tuple(same)
 
 
-def smooth(lane: Lane, *, is_lean: bool = False) -> Candidate:
+def smooth(data: CoordinateData, *, is_lean: bool = False) -> Candidate:
     """The correction without a name: a smooth function of configuration, direction and speed of the command.
 
     Args:
         is_lean: fit only what depends on the command alone.
     """
-    low, high = lane.visited
+    low, high = data.visited
     margin = 0.02 * (high - low) + 1e-6
-    size = lane.command_size
+    size = data.command_size
     start = [low - margin, high - low + 2 * margin, size, *(0.0,) * (3 + 2 * SMOOTH_BUMPS), *NEVER_GATED]
     free = tuple(range(3, 6 if is_lean else 6 + 2 * SMOOTH_BUMPS))
     scale = [0.3, 0.5, 0.5 * size, *(0.5 * size,) * SMOOTH_BUMPS, *(0.5,) * SMOOTH_BUMPS]

@@ -1,4 +1,4 @@
-"""Many models of one coordinate run along all stretches at once: predictions, innovations and their variances.
+"""Many models of one coordinate run along all segments at once: predictions, innovations and their variances.
 
 A model is a row of parameters. The configuration is a latent state, c⁺ = F(c, v, memory) + w, seen as h(c) + v; each
 step is a Kalman prediction and update, so every residual is an innovation, white if the model is right (Kailath, Sayed
@@ -16,7 +16,7 @@ import numpy as np
 
 from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.effects.form import EffectForm
-from micah_plan.residual.lane import Lane
+from micah_plan.residual.coordinate_data import CoordinateData
 
 Kind = Literal["filter", "one_step", "rollout"]
 
@@ -65,34 +65,38 @@ def columns(model: Model) -> int:
     return sum(term.size for term in model)
 
 
-def simulate(lane: Lane, model: Model, parameters: Floats, process_share: Floats, kind: Kind = "filter") -> Prediction:
-    """Run B models along a lane.
+def simulate(
+    data: CoordinateData, model: Model, parameters: Floats, process_share: Floats, kind: Kind = "filter"
+) -> Prediction:
+    """Run B models along a coordinate's data.
 
     Args:
         parameters: (B, columns(model)).
         process_share: (B,) share of the noise variance that moves the part rather than blurs the measurement, 0 to 1.
         kind: predictions from the filtered state, from the measured one, or from the first row only.
     """
-    run = _Run(lane, model, parameters, process_share)
-    count, rows = lane.z.shape
+    run = _Run(data, model, parameters, process_share)
+    count, rows = data.z.shape
     error = np.zeros((len(parameters), count, rows))
     variance = np.ones_like(error)
     for t in range(rows - 1):
         run.step(t)
         error[:, :, t + 1], variance[:, :, t + 1] = run.measure(t + 1, kind)
-    return Prediction(error * lane.counted, variance)
+    return Prediction(error * data.counted, variance)
 
 
-def generated(lane: Lane, model: Model, parameters: Floats, mode_at: Callable[[Floats], Ints]) -> Lane:
-    """A lane whose measurements are what a model makes of its starts and commands, without noise.
+def generated(
+    data: CoordinateData, model: Model, parameters: Floats, mode_at: Callable[[Floats], Ints]
+) -> CoordinateData:
+    """Data whose measurements are what a model makes of its starts and commands, without noise.
 
     Args:
         parameters: (1, columns(model)).
         mode_at: index of the mode at configurations.
     """
-    made = replace(lane, z=lane.z.copy(), place=lane.place.copy(), mode=lane.mode.copy())
+    made = replace(data, z=data.z.copy(), place=data.place.copy(), mode=data.mode.copy())
     run = _Run(made, model, parameters, np.zeros(1))
-    for t in range(lane.z.shape[1] - 1):
+    for t in range(data.z.shape[1] - 1):
         made.place[:, t] = made.z[:, t] + made.u[:, t]
         made.mode[:, t] = mode_at(made.z[:, t])
         run.step(t)
@@ -104,32 +108,32 @@ def generated(lane: Lane, model: Model, parameters: Floats, mode_at: Callable[[F
 class _Run:
     """The state of the loop: c and its variance (B, S), and the memories of the terms."""
 
-    def __init__(self, lane: Lane, model: Model, parameters: Floats, process_share: Floats) -> None:
-        self.lane, self.model = lane, model
+    def __init__(self, data: CoordinateData, model: Model, parameters: Floats, process_share: Floats) -> None:
+        self.data, self.model = data, model
         self.p = _split(model, parameters)
         self.q = process_share[:, None]
-        self.process = np.moveaxis(self.q[:, :, None] * lane.process_profile, 2, 0)
-        self.blurred = np.moveaxis((1.0 - self.q[:, :, None]) * lane.noise, 2, 0)
+        self.process = np.moveaxis(self.q[:, :, None] * data.process_profile, 2, 0)
+        self.blurred = np.moveaxis((1.0 - self.q[:, :, None]) * data.noise, 2, 0)
         self.layers: dict[str, list[int]] = {}
         for number, term in enumerate(model):
             self.layers.setdefault(term.form.layer, []).append(number)
         self.low, self.high, self.release = self._ends(parameters)
         self.commands = self._commands()
         self.always = [self._is_ungated(number) for number in range(len(model))]
-        self.is_bounded = bool(np.isfinite([lane.lower, lane.upper]).any()) or "guard" in self.layers
+        self.is_bounded = bool(np.isfinite([data.lower, data.upper]).any()) or "guard" in self.layers
         # A command of no size leaves every end, so nothing sticks there.
         self.is_held = any(bool(np.any(release > 0)) for release in self.release)
-        ones = np.ones((len(parameters), lane.z.shape[0]))
+        ones = np.ones((len(parameters), data.z.shape[0]))
         offset, slope = self._sensor(0, ones)
         low, high = self._ends_at(0)
-        self.c = np.minimum(np.maximum((lane.z[:, 0] - offset) / slope, low), high) * ones
+        self.c = np.minimum(np.maximum((data.z[:, 0] - offset) / slope, low), high) * ones
         self.variance = self.blurred[0] / slope**2 * ones
         self.memory = [term.form.at_rest_in(self.c, p) for term, p in zip(model, self.p, strict=True)]
         self.at_ends, self.ends_before = (self.c <= low, self.c >= high), (low, high)
 
     def step(self, t: int) -> None:
         """Predict the state of row t + 1."""
-        v: Any = self.lane.u[:, t] if self.commands is None else self.commands[:, :, t]
+        v: Any = self.data.u[:, t] if self.commands is None else self.commands[:, :, t]
         for n in self.layers.get("place", ()):
             v = self._responded(n, t)
         for n in self.layers.get("memory", ()):
@@ -157,7 +161,7 @@ class _Run:
 
     def _responded(self, n: int, t: int) -> Any:
         """The command that comes out of a place; what is uncertain of the configuration shrinks on the way there."""
-        form_of_term, p, place, kept = self.model[n].form, self.p[n], self.lane.place[:, t], self.memory[n]
+        form_of_term, p, place, kept = self.model[n].form, self.p[n], self.data.place[:, t], self.memory[n]
         v, self.memory[n] = form_of_term.respond(np, self.c, place - self.c, kept, p)
         ahead, _ = form_of_term.respond(np, self.c + _SMALL, place - self.c - _SMALL, kept, p)
         self.variance = self.variance * np.minimum((1.0 + (ahead - v) / _SMALL) ** 2, 1.0)
@@ -175,13 +179,13 @@ class _Run:
     def measure(self, t: int, kind: Kind) -> tuple[Floats, Floats]:
         """Compare with row t and take the measurement in."""
         offset, slope = self._sensor(t, self.c) if "sensor" in self.layers else (0.0, 1.0)
-        error = self.lane.z[:, t] - (offset + slope * self.c)
+        error = self.data.z[:, t] - (offset + slope * self.c)
         spread = slope**2 * self.variance + self.blurred[t]
         if kind == "rollout":
             return error, spread
         gone = self._let_go(t, error, slope) if self.is_held else None
         if kind == "one_step":
-            self.c = np.where(self.lane.is_measured[:, t], self.c + error / slope, self.c)
+            self.c = np.where(self.data.is_measured[:, t], self.c + error / slope, self.c)
             return error, spread
         gain = self.variance * slope / spread
         if gone is not None:
@@ -200,7 +204,7 @@ class _Run:
         Whether a part arrived at an end, and whether a command was just enough to leave it, noise decides. What is
         measured afterwards tells, as soon as it is no noise; else one wrong guess would last for many rows.
         """
-        noise = _CLEARLY_AWAY * self.lane.blur * np.sqrt(self.lane.noise[:, t])
+        noise = _CLEARLY_AWAY * self.data.blur * np.sqrt(self.data.noise[:, t])
         changed = np.zeros_like(error, dtype=bool)
         low, high = self._ends_at(t - 1)
         ends = []
@@ -223,7 +227,7 @@ class _Run:
         slope: Any = 1.0 + 0.0 * like
         for n, term in enumerate(self.model):
             if term.form.layer == "sensor":
-                time = self.lane.time[:, t]
+                time = self.data.time[:, t]
                 zero = term.form.measured(np, offset, time, self.p[n])
                 measured = term.form.measured(np, offset + slope, time, self.p[n])
                 offset, slope = self._gated(n, t, zero, offset), self._gated(n, t, measured - zero, slope)
@@ -233,24 +237,24 @@ class _Run:
         """Ends over all terms (used where no end is gated), and the commands that leave them."""
         column = np.zeros((len(parameters), 1))
         low, high = (end + column for end in self._given_ends())
-        release: list[Any] = [self.lane.release[0] + column, self.lane.release[1] + column]
+        release: list[Any] = [self.data.release[0] + column, self.data.release[1] + column]
         for term, p in zip(self.model, self.p, strict=True):
             if term.form.layer == "guard":
                 low, high = term.form.stops(np, low, high, p)
                 for side in (0, 1):
-                    if self.lane.clings[side]:
+                    if self.data.clings[side]:
                         release[side] = np.maximum(release[side], term.form.release(p))
         return low, np.maximum(high, low), (release[0], release[1])
 
     def _given_ends(self) -> tuple[float, float]:
         """The ends without effects. What a sensor reads beyond the model's range need not lie there."""
-        return self.lane.told if "sensor" in self.layers else (self.lane.lower, self.lane.upper)
+        return self.data.told if "sensor" in self.layers else (self.data.lower, self.data.upper)
 
     def _ends_at(self, t: int) -> tuple[Any, Any]:
-        guards, row_ends = self.layers.get("guard", ()), self.lane.row_ends
+        guards, row_ends = self.layers.get("guard", ()), self.data.row_ends
         if row_ends is None and all(self.always[n] for n in guards):
             return self.low, self.high
-        none = np.zeros((len(self.q), len(self.lane.z)))
+        none = np.zeros((len(self.q), len(self.data.z)))
         low, high = self._given_ends() if row_ends is None else (row_ends[0, :, t], row_ends[1, :, t])
         low, high = low + none, high + none
         for n in guards:
@@ -260,15 +264,15 @@ class _Run:
 
     def _commands(self) -> Floats | None:
         """(B, S, T) commands read from the actions in another frame; None if no term asks for that."""
-        lane = self.lane
-        if lane.action is None:
+        data = self.data
+        if data.action is None:
             return None
         for term, p in zip(self.model, self.p, strict=True):
             if term.form.layer == "frame":
-                a, wide = list(np.moveaxis(lane.action, -1, 0)), [value[:, :, None] for value in p]
+                a, wide = list(np.moveaxis(data.action, -1, 0)), [value[:, :, None] for value in p]
                 meant = np.stack([term.form.frame_command(np, a, list(unit), wide) for unit in np.eye(3)], axis=-1)
-                places = np.broadcast_to(lane.z, meant.shape[:-1])
-                u = lane.path.commanded(places.ravel(), meant.reshape(-1, 3))
+                places = np.broadcast_to(data.z, meant.shape[:-1])
+                u = data.path.commanded(places.ravel(), meant.reshape(-1, 3))
                 return np.asarray(np.nan_to_num(u).reshape(meant.shape[:-1]))
         return None
 
@@ -280,10 +284,10 @@ class _Run:
         if self.always[n]:
             return changed
         since_order, since_time = self._gates[n]
-        acts = (self.lane.order[:, t] >= since_order) & (self.lane.time[:, t] >= since_time)
+        acts = (self.data.order[:, t] >= since_order) & (self.data.time[:, t] >= since_time)
         modes = self.model[n].modes
         if modes:
-            acts &= np.isin(self.lane.mode[:, t], [self.lane.modes.index(name) for name in modes])
+            acts &= np.isin(self.data.mode[:, t], [self.data.modes.index(name) for name in modes])
         return np.where(acts, changed, plain)
 
     @property

@@ -1,13 +1,13 @@
 """Which effect is missing: forward selection over the library by held-out likelihood, and a verdict.
 
 A model may add effects one by one. Each must predict held-out rows better by more than `LEAST_EVIDENCE` nats, by more
-than chance over stretches allows, and by enough per row to matter. What a smooth correction still gains on top says how
+than chance over segments allows, and by enough per row to matter. What a smooth correction still gains on top says how
 much is left that no effect of the library explains (Akaike's predictive argument, by cross-validation: Stone, JRSS B
 1974).
 
 Forward selection of effects: the best one, one that acts in places or since some time only, or two together.
 
-A model may take in an effect if it predicts held-out rows better by more than chance, and not in a single stretch
+A model may take in an effect if it predicts held-out rows better by more than chance, and not in a single segment
 alone; if plain one-step errors get smaller too; and if the roll-out does not get worse: what helps each single step but
 adds up to a larger error hides that something else is missing as well.
 
@@ -39,10 +39,10 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.registry import form
 from micah_plan.quantities import Progress
-from micah_plan.residual.lane import Lane
-from micah_plan.residual.leftover import Leftover
+from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.likelihood import SMALLEST_SCALE, robust_log_density
 from micah_plan.residual.missing_mode import MissingMode, missing_modes
+from micah_plan.residual.residual_test import ResidualTest
 from micah_plan.residual.search import (
     UNNAMED,
     Candidate,
@@ -57,7 +57,7 @@ from micah_plan.residual.search import (
 from micah_plan.residual.simulation import GATES, Term
 from micah_plan.residual.verdict import Facts, Outcome, outcome_of
 
-# Candidates as good as the best are tied with it, or within two standard errors up to so much per stretch [nats].
+# Candidates as good as the best are tied with it, or within two standard errors up to so much per segment [nats].
 _ERRORS = 2.0
 _SLACK = 0.5
 # Independent runs, or motions of the only run, from which on evidence of rows is evidence.
@@ -70,7 +70,7 @@ _ROWS_FOR_SMOOTH = 60
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """An effect that was found on a lane.
+    """An effect that was found in a coordinate's data.
 
     Attributes:
         part: its term and parameters, gates included; a median where one was fitted, the best fit of several.
@@ -89,8 +89,8 @@ class Finding:
 
 
 @dataclass(frozen=True, eq=False)
-class LaneTrace:
-    """What was found on one lane.
+class CoordinateTrace:
+    """What was found on one coordinate.
 
     Attributes:
         nominal, chosen: the model as it is, and with the effects.
@@ -106,7 +106,7 @@ class LaneTrace:
         alternatives: the models of one effect that were considered.
     """
 
-    lane: Lane
+    data: CoordinateData
     search: Search
     nominal: Scored
     chosen: Scored
@@ -116,7 +116,7 @@ class LaneTrace:
     facts: Facts
     outcome: Outcome
     whiteness: tuple[float, float]
-    left: Leftover | None
+    left: ResidualTest | None
     floor: float
     rollout_floor: float
     missing_modes: tuple[MissingMode, ...] = ()
@@ -131,42 +131,42 @@ class LaneTrace:
         return float((self.facts.is_left or self.facts.is_corrected) and not self.missing_modes)
 
 
-def trace(search: Search, progress: Progress | None = None) -> LaneTrace:
-    """Find what a lane's model lacks; where it leaves noise alone, nothing is sought."""
-    progress_told, lane, nominal = progress or _silent, search.lane, search.nominal
-    is_quiet = search.leaves_nothing(nominal)
+def trace(search: Search, progress: Progress | None = None) -> CoordinateTrace:
+    """Find what a coordinate's model lacks; where it leaves noise alone, nothing is sought."""
+    progress_told, data, nominal = progress or _silent, search.data, search.nominal
+    is_quiet = search.residual_is_white(nominal)
     singles, growth = ((), Growth(nominal, ())) if is_quiet else _explored(search, progress_told)
     loose = nominal if is_quiet else _smoothed(search, search.nominal)
-    modes = () if search.leaves_nothing(growth.chosen) else _modes(search, growth.chosen, loose)
+    modes = () if search.residual_is_white(growth.chosen) else _modes(search, growth.chosen, loose)
     closest = () if modes else _imitated(search, growth.chosen, loose)
     if modes or closest:
         # Effects that act everywhere only imitate what a mode of its own, or something without a name, does.
         growth = Growth(search.nominal, growth.alternatives)
     chosen = growth.chosen
-    progress_told(f"{lane.coordinate}: what remains", 0.9)
-    is_enough = not modes and not closest and search.leaves_nothing(chosen)
+    progress_told(f"{data.coordinate}: what remains", 0.9)
+    is_enough = not modes and not closest and search.residual_is_white(chosen)
     remaining = chosen if is_enough else loose if chosen is search.nominal else _smoothed(search, chosen)
     named = chosen if chosen.parts or growth.blocked is None else growth.blocked
     findings = _findings(search, nominal, named, growth.alternatives)
     # Commands that are places make a model of their own, which runs bear out or not as they do effects on top of it.
     base = nominal if named is search.nominal else search.nominal
-    remaining_tests, is_worth_it = search.left_by(chosen), is_worth(remaining, chosen, lane)
+    remaining_tests, is_worth_it = search.left_by(chosen), is_worth(remaining, chosen, data)
     facts = Facts(
         effects=len(named.parts),
         modes=len(modes),
-        is_open=any(may_remember(lane, finding) for finding in findings),
+        is_open=any(may_remember(data, finding) for finding in findings),
         is_blocked=named is not chosen,
         is_contradicted=_is_contradicted(search, named, base),
-        is_single=_is_single(lane),
+        is_single=_is_single(data),
         smooth=_fraction_left(nominal, named, [loose, remaining]) if is_worth_it and not modes else 0.0,
         is_left=remaining_tests is not None and remaining_tests.is_more,
-        is_corrected=any(effect.name == UNNAMED for effect in lane.effects),
+        is_corrected=any(effect.name == UNNAMED for effect in data.effects),
     )
     final = remaining if is_worth_it and shortens(search, remaining, chosen) else chosen
     models = list({id(model): model for model in (final, chosen, named)}.values())
     floor, number = min((search.noise_floor(model), number) for number, model in enumerate(models))
-    return LaneTrace(
-        lane=lane,
+    return CoordinateTrace(
+        data=data,
         search=search,
         nominal=nominal,
         chosen=chosen,
@@ -190,17 +190,17 @@ def _is_contradicted(search: Search, named: Scored, base: Scored) -> bool:
 
     Rows of one run share what is particular to it, so few runs show what many rows of them do not.
     """
-    runs = len(np.unique(search.lane.run))
+    runs = len(np.unique(search.data.run))
     if named is base or not 1 < runs < ENOUGH_INDEPENDENT:
         return False
     return bool(np.any(search.density_by_run(named) <= search.density_by_run(base)))
 
 
-def _is_single(lane: Lane) -> bool:
+def _is_single(data: CoordinateData) -> bool:
     """Whether there is one run alone, with few motions: then nothing is left to test an effect with."""
-    if len(np.unique(lane.run)) > 1:
+    if len(np.unique(data.run)) > 1:
         return False
-    places = lane.z[lane.counted]
+    places = data.z[data.counted]
     least, turn, direction, motions = _A_MOTION * float(np.ptp(places)), float(places[0]), 0.0, 0
     for place in places.tolist():
         way = place - turn
@@ -219,7 +219,7 @@ def _modes(search: Search, chosen: Scored, loose: Scored) -> tuple[MissingMode, 
     """Modes that the automaton lacks. An idle correction predicts as the model without it, which is a rival anyway."""
     rivals = [search.innovations(model) for model in (chosen, loose) if not model.is_idle]
     nominal = search.nominal
-    return missing_modes(search.lane, search.innovations(nominal), search.fold, rivals, search.spread(nominal))
+    return missing_modes(search.data, search.innovations(nominal), search.fold, rivals, search.spread(nominal))
 
 
 def _imitated(search: Search, chosen: Scored, loose: Scored) -> tuple[str, ...]:
@@ -237,15 +237,15 @@ def _imitated(search: Search, chosen: Scored, loose: Scored) -> tuple[str, ...]:
 
 def _explored(search: Search, progress: Progress) -> tuple[tuple[Scored, ...], Growth]:
     """All single effects, and what was chosen; first of all whether commands are places, which is then nominal."""
-    library = candidates(search.lane)
+    library = candidates(search.data)
     for_places = [candidate for candidate in library if candidate.name not in CONTAINED]
     if search.leads_to_places(search.nominal):
         return _grown(search, for_places, progress)
     singles, growth = _grown(search, library, progress)
-    progress(f"{search.lane.coordinate}: {FOLLOW}", 0.5)
+    progress(f"{search.data.coordinate}: {FOLLOW}", 0.5)
     # Where displacements leave noise alone, places can only be tied with them, and then the plainest forms are.
-    is_done = search.leaves_nothing(growth.chosen) and _regularity(search.lane) <= LEAST_EVIDENCE
-    place = followed(search, 1 if is_done and not search.lane.is_outside else len(_STARTS))
+    is_done = search.residual_is_white(growth.chosen) and _regularity(search.data) <= LEAST_EVIDENCE
+    place = followed(search, 1 if is_done and not search.data.is_outside else len(_STARTS))
     # Displacements that the part carries out in any way that is smooth: few one-way runs look as if they were places.
     loose = _smoothed(search, search.nominal)
     rivals = [growth.chosen, loose, *((growth.blocked,) if growth.blocked is not None else ())]
@@ -267,14 +267,14 @@ def _grown(search: Search, library: Sequence[Candidate], progress: Progress) -> 
     return tuple(singles), grow(search, library, [single for single in singles if not single.is_idle], progress)
 
 
-def may_remember(lane: Lane, finding: Finding) -> bool:
+def may_remember(data: CoordinateData, finding: Finding) -> bool:
     """Whether it is open if an effect comes from this command or from earlier ones.
 
     It is tied with one of the other sort; or it depends on the place, and the runs are so alike that what depends on
     earlier commands looks the same. What a wrong guess does to a plan is worse than doing nothing.
     """
     layer = finding.part.term.form.layer
-    if layer == "force" and lane.repeats_one_motion:
+    if layer == "force" and data.repeats_one_motion:
         return True
     return any((form(name).layer == "memory") != (layer == "memory") for name in finding.tied)
 
@@ -287,11 +287,11 @@ def _silent(message: str, fraction: float) -> None:
 def _smoothed(search: Search, base: Scored) -> Scored:
     """A model with the smooth correction on top: all of it, or only what depends on the command if that is better."""
     if base not in search.smoothed:
-        lane = search.lane
+        data = search.data
         # Where all runs are alike a function of the place could be one of time.
-        is_enough = lane.counted.sum() >= _ROWS_FOR_SMOOTH and not lane.repeats_one_motion
+        is_enough = data.counted.sum() >= _ROWS_FOR_SMOOTH and not data.repeats_one_motion
         kinds = (True, False) if is_enough else (True,)
-        smoothed = [search.score((*base.parts, smooth(lane, is_lean=is_lean)), base) for is_lean in kinds]
+        smoothed = [search.score((*base.parts, smooth(data, is_lean=is_lean)), base) for is_lean in kinds]
         search.smoothed[base] = ranked(smoothed)[0]
     return search.smoothed[base]
 
@@ -323,10 +323,10 @@ def _findings(search: Search, nominal: Scored, chosen: Scored, alternatives: Seq
             }
             able = [(name, alternative) for name, alternative in rivals.items() if _is_tied(chosen, alternative)]
             # What would do the same as a tied one was not tried, but is tied as well.
-            alike = [name for _, alternative in able for name in indistinguishable(alternative.parts[-1], search.lane)]
+            alike = [name for _, alternative in able for name in indistinguishable(alternative.parts[-1], search.data)]
             tied = tuple(name for name in (*(name for name, _ in able), *alike) if name != part.name)
         is_always = not part.term.modes and not np.isfinite(part.starts[0, -GATES:]).any()
-        same = indistinguishable(part, search.lane) if is_always else ()
+        same = indistinguishable(part, search.data) if is_always else ()
         tied = tuple(dict.fromkeys((*tied, *same)))
         findings.append(Finding(replace(part, starts=values), interval, evidence, tied))
     return tuple(sorted(findings, key=lambda finding: -finding.evidence))
@@ -345,7 +345,7 @@ def _is_tied(best: Scored, rival: Scored) -> bool:
 
 # Evidence [nats] that an effect must have: odds of 3000 to 1, more than what two dozen candidates take to be safe.
 LEAST_EVIDENCE = 8.0
-# ... of which so much outside of the stretch that gains most, by so many times what other stretches lose (as a root of
+# ... of which so much outside of the segment that gains most, by so many times what other segments lose (as a root of
 # squares), and so much per row (1 % of the innovations' std).
 _ELSEWHERE = 4.0
 
@@ -380,21 +380,21 @@ class Growth:
 def grow(search: Search, library: Sequence[Candidate], singles: Sequence[Scored], progress: Progress) -> Growth:
     """Choose among models of one and two effects, and variants of the best."""
     nominal = search.nominal
-    plain = _plainest(singles, nominal)
-    if plain is not None and improves(search, plain, nominal) and search.leaves_nothing(plain):
+    plain = _simplest(singles, nominal)
+    if plain is not None and improves(search, plain, nominal) and search.residual_is_white(plain):
         # Then neither a second effect nor one that acts only in places or since some time can gain anything.
         return Growth(plain, tuple(singles))
     promising = [single for single in ranked(singles)[:_WIDE] if single.over(nominal)[0] > LEAST_EVIDENCE]
     options = [*singles, *(variant for single in promising for variant in _variants(search, single, nominal))]
     first, blocked = _first(search, options)
-    if first is not None and search.leaves_nothing(first):
+    if first is not None and search.residual_is_white(first):
         return Growth(first, tuple(options))
     if first is None and blocked is None:
         return Growth(nominal, tuple(options))
     heads = [*promising, *(model for model in (first, blocked) if model is not None)]
     base = first or nominal
     for pair in _pairs(search, library, heads, base, progress):
-        if is_worth(pair, base, search.lane) and improves(search, pair, nominal):
+        if is_worth(pair, base, search.data) and improves(search, pair, nominal):
             return Growth(_without_idle(search, pair, base), tuple(options), blocked)
     return Growth(base, tuple(options), blocked)
 
@@ -402,7 +402,7 @@ def grow(search: Search, library: Sequence[Candidate], singles: Sequence[Scored]
 def _first(search: Search, options: Sequence[Scored]) -> tuple[Scored | None, Scored | None]:
     """The plainest of the best single effects that may be taken in, and the best that only helps single steps."""
     blocked, remaining = None, list(options)
-    while (first := _plainest(remaining, search.nominal)) is not None and is_worth(first, search.nominal, search.lane):
+    while (first := _simplest(remaining, search.nominal)) is not None and is_worth(first, search.nominal, search.data):
         if improves(search, first, search.nominal):
             return first, blocked
         steps, before = (search.squares(model, "one_step") for model in (first, search.nominal))
@@ -424,14 +424,14 @@ def _pairs(
         grown += scored_all(search, head, rest, progress, share, share + 0.4 / len(kept))
     grown = [model for model in grown if not model.is_idle]
     grown += [variant for model in ranked(grown)[:2] for variant in _variants(search, model, base)]
-    return _plainest_first(grown)[:_TRIED]
+    return _simplest_first(grown)[:_TRIED]
 
 
-def _plainest_first(options: Sequence[Scored]) -> list[Scored]:
+def _simplest_first(options: Sequence[Scored]) -> list[Scored]:
     """Best first, but of those that are as good as the best the plainest effects first."""
     order = ranked(options)
     close = [model for model in order if order[0].over(model)[0] <= TIE]
-    plainest = sorted(close, key=lambda model: sum(part.term.form.plainness for part in model.parts))
+    plainest = sorted(close, key=lambda model: sum(part.term.form.complexity_rank for part in model.parts))
     return [*plainest, *order[len(close) :]]
 
 
@@ -446,7 +446,7 @@ def scored_all(
     """Each of the library on top of a model."""
     scored = []
     for number, candidate in enumerate(library):
-        progress(f"{search.lane.coordinate}: {candidate.name}", begin + (end - begin) * number / len(library))
+        progress(f"{search.data.coordinate}: {candidate.name}", begin + (end - begin) * number / len(library))
         scored.append(search.score((*base.parts, candidate), base))
     return scored
 
@@ -455,23 +455,23 @@ def _without_idle(search: Search, pair: Scored, base: Scored) -> Scored:
     """A model of two effects, or of one of them fitted again if the other does not pay."""
     alone = [search.score((*pair.parts[:-2], part)) for part in pair.parts[-2:]]
     best = ranked([*alone, *((base,) if base.names else ())])[0]
-    return pair if is_worth(pair, best, search.lane) else best
+    return pair if is_worth(pair, best, search.data) else best
 
 
 def _variants(search: Search, model: Scored, base: Scored) -> list[Scored]:
     """The last effect of a model only in one mode, or only since some time, where that predicts clearly better."""
     if model.over(base)[0] < LEAST_EVIDENCE:
         return []
-    lane, last, before = search.lane, model.parts[-1], model.parts[:-1]
+    data, last, before = search.data, model.parts[-1], model.parts[:-1]
     variants = []
-    rows = lane.mode[lane.counted]
-    present = [k for k in range(len(lane.modes)) if np.mean(rows == k) > 0.05]
+    rows = data.mode[data.counted]
+    present = [k for k in range(len(data.modes)) if np.mean(rows == k) > 0.05]
     if len(present) > 1:
         for k in present:
-            term = Term(last.term.form, (lane.modes[k],))
+            term = Term(last.term.form, (data.modes[k],))
             variants.append(search.score((*before, replace(last, term=term))))
     if last.term.form.layer != "guard":
-        duration = float(lane.time[lane.counted].max())
+        duration = float(data.time[data.counted].max())
         places = [float(q) for q in np.linspace(0.1, 0.9, 9)]
         times = [share * duration for share in (0.2, 0.35, 0.5, 0.65, 0.8)]
         variants.append(search.score((*before, gated(last, places, times))))
@@ -483,20 +483,20 @@ def ranked(scored: Sequence[Scored]) -> list[Scored]:
     return sorted(scored, key=lambda model: -float(model.density.sum()))
 
 
-def _plainest(options: Sequence[Scored], base: Scored) -> Scored | None:
+def _simplest(options: Sequence[Scored], base: Scored) -> Scored | None:
     """The best; of those that are as good, the one with the plainest last effect."""
     # Likelihood alone could be bought by calling a few rows noise.
     options = [option for option in options if option.squared < base.squared]
     if not options:
         return None
-    return _plainest_first(options)[0]
+    return _simplest_first(options)[0]
 
 
-def is_worth(better: Scored, base: Scored, lane: Lane) -> bool:
-    """Whether held-out rows are predicted so much better that it is no chance, and not in a single stretch alone."""
+def is_worth(better: Scored, base: Scored, data: CoordinateData) -> bool:
+    """Whether held-out rows are predicted so much better that it is no chance, and not in a single segment alone."""
     gains = better.density - base.density
     gain = float(gains.sum())
-    if better.squared >= base.squared or gain <= max(LEAST_EVIDENCE, _PER_ROW * int(lane.counted.sum())):
+    if better.squared >= base.squared or gain <= max(LEAST_EVIDENCE, _PER_ROW * int(data.counted.sum())):
         return False
     losses = float(np.sqrt((np.minimum(gains, 0.0) ** 2).sum()))
     return gain > _ERRORS * losses and gain - float(gains.max()) > _ELSEWHERE
@@ -504,13 +504,13 @@ def is_worth(better: Scored, base: Scored, lane: Lane) -> bool:
 
 def improves(search: Search, better: Scored, base: Scored) -> bool:
     """Whether a model is worth it and one-step errors get smaller too, without making the roll-out longer."""
-    if better is base or not is_worth(better, base, search.lane):
+    if better is base or not is_worth(better, base, search.data):
         return False
     return shortens(search, better, base)
 
 
 def shortens(search: Search, better: Scored, base: Scored) -> bool:
-    """Whether held-out one-step errors get smaller and roll-out errors, of stretches and of whole runs, no larger."""
+    """Whether held-out one-step errors get smaller and roll-out errors, of segments and of whole runs, no larger."""
     kinds: tuple[Errors, ...] = ("one_step", "rollout", "whole")
     steps, *rolls = ([search.squares(model, kind) for model in (better, base)] for kind in kinds)
     return steps[0] < _SHORTER * steps[1] and all(roll[0] <= _NOT_LONGER**2 * roll[1] for roll in rolls)
@@ -539,8 +539,8 @@ def may_mean_places(search: Search, place: Scored, displaced: Scored) -> bool:
 
     Only where earlier places foretell the next one better than earlier displacements do.
     """
-    is_fair = search.lane.is_outside or len(displaced.parts) <= len(place.parts)
-    return not is_fair and is_worth(place, search.nominal, search.lane) and _regularity(search.lane) > 0.0
+    is_fair = search.data.is_outside or len(displaced.parts) <= len(place.parts)
+    return not is_fair and is_worth(place, search.nominal, search.data) and _regularity(search.data) > 0.0
 
 
 def means_places(search: Search, place: Scored, displaced: Scored, nominal: Scored | None = None) -> bool:
@@ -549,23 +549,23 @@ def means_places(search: Search, place: Scored, displaced: Scored, nominal: Scor
     Args:
         nominal: the model without either; None: that of the search.
     """
-    if search.lane.is_outside:
+    if search.data.is_outside:
         rolled, displaced_squares = (search.squares(model, "whole") for model in (place, displaced))
         return rolled < displaced_squares
-    if not is_worth(place, nominal or search.nominal, search.lane):
+    if not is_worth(place, nominal or search.nominal, search.data):
         return False
-    gain, regular = place.over(displaced)[0], _regularity(search.lane)
+    gain, regular = place.over(displaced)[0], _regularity(search.data)
     if gain + _HEARD * min(regular, 0.0) > LEAST_EVIDENCE:
         return True
     return gain > -LEAST_EVIDENCE and regular > LEAST_EVIDENCE
 
 
-def _regularity(lane: Lane) -> float:
+def _regularity(data: CoordinateData) -> float:
     """By how much places are more predictable from those before than displacements from those before [nats].
 
     What blurs a measurement is in a displacement that leads to a place, and in the place that a displacement leads to.
     """
-    whole = lane.whole or lane
+    whole = data.whole or data
     starts = whole.counted_starts
     starts[:, :_MEMORY] = False
     forms = []
@@ -585,32 +585,32 @@ def followed(search: Search, most: int) -> Scored:
     Args:
         most: parameters beyond the share and the offset.
     """
-    lane, term = search.lane, Term(form(FOLLOW))
+    data, term = search.data, Term(form(FOLLOW))
     starts = np.array([[share, *_AT_REST[1:], *(-np.inf,) * GATES] for share in _SHARES])
     plain = (_SHARE, _OFFSET)
-    forms = {frozenset[int](): search.score((Candidate(term, starts, plain, _scale(lane, plain)),))}
+    forms = {frozenset[int](): search.score((Candidate(term, starts, plain, _scale(data, plain)),))}
     best = forms[frozenset()]
     for size in range(1, most + 1):
         for columns in map(frozenset, combinations(_STARTS, size)):
             column = max(columns, key=lambda column_left: float(forms[columns - {column_left}].density.sum()))
-            forms[columns] = search.score((_freed(forms[columns - {column}].parts[0], column, lane),))
+            forms[columns] = search.score((_freed(forms[columns - {column}].parts[0], column, data),))
         best_form = ranked([model for columns, model in forms.items() if len(columns) == size])[0]
-        if is_worth(best_form, best, lane):
+        if is_worth(best_form, best, data):
             best = best_form
     return best
 
 
-def _freed(part: Candidate, column: int, lane: Lane) -> Candidate:
+def _freed(part: Candidate, column: int, data: CoordinateData) -> Candidate:
     """The candidate with one more parameter to fit, from where it was fitted."""
     tried = _STARTS[column]
     starts = np.repeat(part.starts[:1], len(tried), axis=0)
-    low, high = lane.visited
+    low, high = data.visited
     starts[:, column] = np.array(tried) * (high - low if column == _WIDTH else 1.0)
     free = tuple(sorted((*part.free, column)))
-    return replace(part, starts=starts, free=free, scale=_scale(lane, free))
+    return replace(part, starts=starts, free=free, scale=_scale(data, free))
 
 
-def _scale(lane: Lane, free: tuple[int, ...]) -> Floats:
-    low, high = lane.visited
+def _scale(data: CoordinateData, free: tuple[int, ...]) -> Floats:
+    low, high = data.visited
     large = 0.1 * (high - low) + 1e-9
     return np.array([{_OFFSET: large, _WIDTH: large, _DELAY: 1.0}.get(column, 0.3) for column in free])

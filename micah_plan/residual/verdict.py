@@ -89,7 +89,7 @@ OUTCOMES: tuple[Outcome, ...] = (
     Outcome(
         "more",
         "partly",
-        "the effects leave something that is no noise",
+        "residuals after the added effects are not white",
         lambda f: f.smooth > _EXPLAINED or f.is_left or f.is_corrected,
     ),
     Outcome(

@@ -29,10 +29,10 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.motion import motions
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin, Sensing, Tie
 from micah_plan.automaton.input_memory import passed_on
+from micah_plan.automaton.input_reversal import InputReversal, input_reversal_of
 from micah_plan.automaton.memo import memoised, memoised_of_motion
 from micah_plan.automaton.region import Region
 from micah_plan.automaton.step_noise import free_gain_std, free_process_std
-from micah_plan.automaton.turning import Turn, turn_of
 from micah_plan.symbolic.square_root import SMALLEST_STD, add_noise, lower_factor, norm, observe, put_at
 
 
@@ -86,7 +86,7 @@ class CompiledEdge:
         guard: (x, u) -> margins (k, 1) of its half-spaces in their order, positive where the transition is taken.
         guard_belief: (mean, factor, u) -> (margin, std), each (k, 1): std is that of the margin, ||L'a||.
         belief_reset: (mean, factor, u) -> (mean_next, factor_next): of a mean that a whole step led behind the guard,
-            what the target mode turns back within that step (`automaton.turning`); the affine reset through the
+            what the target mode turns back within that step (`automaton.input_reversal`); the affine reset through the
             covariance; then the pins of the target mode (a contact is information): put there if the guard locates
             them, else conditioned on.
     """
@@ -156,8 +156,8 @@ def compiled_edge(automaton: HybridAutomaton, number: int) -> CompiledEdge:
     a, b, c = edge.reset.matrices(automaton.n, automaton.m)
     passed = _passed_on(automaton, edge.source, s)[0]
     mean, factor = ca.mtimes(ca.DM(a), s.x) + ca.mtimes(ca.DM(b), passed) + ca.DM(c), s.factor
-    if turn := turn_of(automaton, edge):
-        mean, factor = _turned(turn, s)
+    if reversal := input_reversal_of(automaton, edge):
+        mean, factor = _reversed(reversal, s)
     # DM(a) keeps explicit zeros; without them a reset that drops a coordinate stays sparse.
     factor = factor if edge.reset.A is None else lower_factor(ca.mtimes(ca.sparsify(ca.DM(a)), factor))
     mean, factor = put_at(mean, factor, automaton.pins_located_by(edge))
@@ -223,11 +223,11 @@ def _carried(flowed: ca.SX, s: _Symbols) -> ca.SX:
     return ca.tril(ca.mtimes(ca.diag(slope), s.factor))
 
 
-def _turned(turn: Turn, s: _Symbols) -> tuple[ca.SX, ca.SX]:
-    """Mean and factor after a turn, whose edge has an identity reset."""
-    A, spread = ca.sparsify(ca.DM(turn.A)), ca.sparsify(ca.DM(turn.spread))
+def _reversed(reversal: InputReversal, s: _Symbols) -> tuple[ca.SX, ca.SX]:
+    """Mean and factor after a reversal of the input, whose edge has an identity reset."""
+    A, spread = ca.sparsify(ca.DM(reversal.A)), ca.sparsify(ca.DM(reversal.spread))
     factor = lower_factor(ca.sparsify(ca.horzcat(ca.mtimes(A, s.factor), spread)))
-    return ca.mtimes(A, s.x) + ca.DM(turn.c), factor
+    return ca.mtimes(A, s.x) + ca.DM(reversal.c), factor
 
 
 def _margins(region: Region, x: ca.SX, u: ca.SX) -> ca.SX:

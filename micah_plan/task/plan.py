@@ -320,8 +320,8 @@ def _step_amiss(trajectory: Trajectory, problem: Problem) -> tuple[str, str] | N
 def _reached_in_one_instant(automaton: HybridAutomaton, source: str) -> set[str]:
     """The modes behind a transition from `source`, and behind those that can follow it at the same instant.
 
-    A plan has one transition between two knots, also where the model takes several (planning/chains.py): the input
-    fires the first of them, the state that each leads to fires the next.
+    A plan has one transition between two knots, also where the model takes several
+    (`planning.zero_time_transitions`): the input fires the first of them, the state that each leads to fires the next.
     """
     reached = {edge.target for edge in automaton.edges_from(source)}
     new = set(reached)

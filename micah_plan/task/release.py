@@ -117,7 +117,7 @@ def support_height(problem: Problem) -> float:
     return float(max(body.pose.apply(body_corners(shape))[:, 2].max() for shape in body.shapes))
 
 
-def carrying(problem: Problem) -> Problem:
+def pre_release_problem(problem: Problem) -> Problem:
     """What the hand does before it lets go: the same problem with a goal above the support; others as they are.
 
     The place is that from which the object comes to rest at the target. The room for the shift as the gripper opens is

@@ -10,8 +10,8 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.quantities import count, interval, listed, percent, plain, quantity, with_spread
 from micah_plan.residual.calibrate import Calibration, FoundEffect, began
-from micah_plan.residual.lane import Lane
-from micah_plan.residual.trace import LaneTrace
+from micah_plan.residual.coordinate_data import CoordinateData
+from micah_plan.residual.trace import CoordinateTrace
 from micah_plan.residual.verdict import SENTENCES, Verdict
 from micah_plan.view.chart import Chart, Curve, Level, Panel, evenly, widened
 from micah_plan.view.learned import capital
@@ -38,7 +38,7 @@ def calibration_page(calibration: Calibration, title: str) -> str:
     modes = [mode for trace in calibration.traces for mode in trace.missing_modes]
     gain = "It predicts {} nats better than any gradual change."
     coordinates = [_coordinate(trace) for trace in calibration.traces]
-    names = listed([trace.lane.coordinate for trace in calibration.traces])
+    names = listed([trace.data.coordinate for trace in calibration.traces])
     page = {
         "title": f"{names}: measured motion against the model",
         "kind": f"calibration with {title}",
@@ -86,7 +86,7 @@ def _values(effect: FoundEffect) -> str:
     return ", ".join(texts)
 
 
-def _worth(trace: LaneTrace) -> float:
+def _worth(trace: CoordinateTrace) -> float:
     """How much better the model became for a coordinate [nats]."""
     return trace.final.over(trace.nominal)[0]
 
@@ -149,7 +149,7 @@ def _poses(calibration: Calibration) -> Table:
     return Table((head, "before", "after"), tuple(rows), (1, 2))
 
 
-def _correlation(trace: LaneTrace) -> Table:
+def _correlation(trace: CoordinateTrace) -> Table:
     """How the errors of fitted parameters go together; empty for a single one."""
     names, matrix = trace.search.correlations_of(trace.chosen)
     shown = zip(names, matrix.tolist(), strict=True) if len(names) > 1 else ()
@@ -157,13 +157,13 @@ def _correlation(trace: LaneTrace) -> Table:
     return Table(("correlation of errors", *names), rows, tuple(range(1, len(names) + 1)))
 
 
-def _coordinate(trace: LaneTrace) -> dict[str, Any]:
+def _coordinate(trace: CoordinateTrace) -> dict[str, Any]:
     """What was compared of one coordinate: charts of errors before and after, evidence of every effect, runs."""
-    lane = trace.lane
-    steps, runs = count(int(lane.counted.sum()), "step"), count(len(np.unique(lane.run)), "run")
+    data = trace.data
+    steps, runs = count(int(data.counted.sum()), "step"), count(len(np.unique(data.run)), "run")
     chance = percent(trace.whiteness[1])
     summary = (
-        f"{steps} of {runs} were compared; a fifth of {count(len(lane.run), 'stretch', 'stretches')} was held out in "
+        f"{steps} of {runs} were compared; a fifth of {count(len(data.run), 'segment', 'segments')} was held out in "
         f"turn. What remains has an autocorrelation of {plain(trace.whiteness[0], 2)}; noise alone would have so much "
         f"with a probability of {chance}."
     )
@@ -180,17 +180,17 @@ def _coordinate(trace: LaneTrace) -> dict[str, Any]:
         "ranking": Bars("", tuple(bars)),
         "runs": _runs(trace),
     }
-    return {"name": lane.coordinate, "summary": summary, **charts}
+    return {"name": data.coordinate, "summary": summary, **charts}
 
 
-def _runs(trace: LaneTrace) -> Table:
-    lane, search = trace.lane, trace.search
+def _runs(trace: CoordinateTrace) -> Table:
+    data, search = trace.data, trace.search
     kinds = [search.errors(model, kind) for kind in ("one_step", "rollout") for model in (trace.nominal, trace.final)]
     rows: list[tuple[str, ...]] = []
-    for run in np.unique(lane.run)[:_MOST_RUNS]:
-        chosen = lane.counted & (lane.run == run)[:, None]
+    for run in np.unique(data.run)[:_MOST_RUNS]:
+        chosen = data.counted & (data.run == run)[:, None]
         sizes = [float(np.sqrt(np.mean(errors[chosen] ** 2))) for errors in kinds]
-        rows.append((str(run), *(quantity(size, lane.unit, degrees=False) for size in sizes)))
+        rows.append((str(run), *(quantity(size, data.unit, degrees=False) for size in sizes)))
     return Table(("run", "one step, before", "after", "roll-out, before", "after"), tuple(rows), (1, 2, 3, 4))
 
 
@@ -206,9 +206,9 @@ def motion_charts(calibration: Calibration) -> list[Chart]:
     ]
 
 
-def _motion(trace: LaneTrace) -> tuple[Chart, ...]:
+def _motion(trace: CoordinateTrace) -> tuple[Chart, ...]:
     """Measured motion of some runs, roll-outs of it before and after, and the commands below."""
-    whole = trace.lane.whole or trace.lane
+    whole = trace.data.whole or trace.data
     counted = whole.counted
     errors = np.zeros((2, *whole.z.shape))
     for number, model in enumerate((trace.nominal, trace.final)):
@@ -216,7 +216,7 @@ def _motion(trace: LaneTrace) -> tuple[Chart, ...]:
     return tuple(_run(whole, s, errors[:, s]) for s in evenly(len(whole.run), _MOST_DRAWN).tolist())
 
 
-def _run(whole: Lane, s: int, errors: Floats) -> Chart:
+def _run(whole: CoordinateData, s: int, errors: Floats) -> Chart:
     rows = np.flatnonzero(whole.counted[s])
     rows = np.array([rows[0] - 1, *rows]) if rows.size else np.arange(2)
     time, z, u = whole.time[s, rows], whole.z[s, rows], whole.u[s, rows]
@@ -236,22 +236,22 @@ def _run(whole: Lane, s: int, errors: Floats) -> Chart:
     return Chart(described, f"time in run {whole.run[s]} [s]", float(time[0]), float(time[-1]) + 1e-9, panels)
 
 
-def _residuals(trace: LaneTrace) -> tuple[tuple[Chart, Chart], ...]:
+def _residuals(trace: CoordinateTrace) -> tuple[tuple[Chart, Chart], ...]:
     """One-step errors before and after against time, configuration, direction and size of the command."""
-    lane = trace.lane
-    counted, starts = lane.counted, lane.counted_starts
+    data = trace.data
+    counted, starts = data.counted, data.counted_starts
     before = trace.search.errors(trace.nominal, "one_step")[counted]
     after = trace.search.errors(trace.final, "one_step")[counted]
-    u = lane.u[starts]
+    u = data.u[starts]
     side = np.sign(u) + 0.24 * np.linspace(-1, 1, u.size)
     axes = (
-        ("time in the run [s]", lane.time[counted]),
-        (f"{lane.coordinate} [{lane.unit}]", lane.z[starts]),
+        ("time in the run [s]", data.time[counted]),
+        (f"{data.coordinate} [{data.unit}]", data.z[starts]),
         ("direction of the command", side),
-        (f"size of the command [{lane.unit}]", np.abs(u)),
+        (f"size of the command [{data.unit}]", np.abs(u)),
     )
     reach = float(np.quantile(np.abs(before), _SHARE_SHOWN)) * 1.1 or 1e-9
-    names = f"error before\n[{lane.unit}]", f"error after\n[{lane.unit}]"
+    names = f"error before\n[{data.unit}]", f"error after\n[{data.unit}]"
     return tuple(
         (_scatter(x, before, names[0], label, reach, ORANGE), _scatter(x, after, names[1], label, reach, BLUE))
         for label, x in axes

@@ -61,7 +61,7 @@ class Span:
 
     start: float
     end: float
-    look: Literal["shade", "misfit", "interval"] = "shade"
+    look: Literal["shade", "hatched", "interval"] = "shade"
     color: str = ""
     label: str = ""
 

@@ -24,7 +24,7 @@ from micah_plan.files import replace_file
 from micah_plan.recording.value import Recording
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
-from micah_plan.task.release import carrying
+from micah_plan.task.release import pre_release_problem
 from micah_plan.view.chart import Area, Change, Chart, Columns, Curve, Level, Mark, Range, Span, Words, aligned
 from micah_plan.view.executed import configurations
 from micah_plan.view.palette import BELIEF, EXECUTED, GOAL, GRID, GUARD, INK, MUTED, mode_colors
@@ -51,7 +51,7 @@ _CURVES: dict[str, dict[str, Any]] = {
 }
 _SPANS: dict[str, dict[str, Any]] = {
     "shade": {"alpha": 0.15, "zorder": 0},
-    "misfit": {"alpha": 0.35, "hatch": "///", "zorder": 0},
+    "hatched": {"alpha": 0.35, "hatch": "///", "zorder": 0},
     "interval": {"alpha": 0.16, "zorder": 1},
 }
 _LEVELS: dict[str, dict[str, Any]] = {
@@ -151,7 +151,7 @@ def belief_figure(problem: Problem, plan: Plan, runs: Recording | None = None) -
     Raises:
         InputError: if the plan has no trajectory.
     """
-    problem = carrying(problem)
+    problem = pre_release_problem(problem)
     if plan.trajectory is None:
         raise InputError(
             f"a plan with outcome '{plan.outcome}' has no belief to draw", remedy="solve the problem first"

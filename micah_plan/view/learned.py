@@ -24,7 +24,7 @@ from micah_plan.automaton.joint import Joint, JointKind, radius
 from micah_plan.automaton.kinematics import inverse
 from micah_plan.quantities import in_degrees, listed, percent, quantity, with_spread
 from micah_plan.recording.value import Recording
-from micah_plan.view.palette import MISFIT, category
+from micah_plan.view.palette import NO_SINGLE_JOINT, category
 
 FLOOR = -10.0
 """Where a model counts as ruled out [nats]: odds of 1 to 22,000 against the best single one."""
@@ -70,8 +70,8 @@ def colored_segments(recording: Recording, graph: KinematicGraph | None) -> tupl
         earlier: list[tuple[Joint, str]] = []
         visited = [c for s in edge.segments for c in s.configuration_range]
         for segment in edge.segments:
-            name, color = NO_JOINT, MISFIT
-            if not is_misfit(segment):
+            name, color = NO_JOINT, NO_SINGLE_JOINT
+            if not fits_no_joint(segment):
                 same = [shade for joint, shade in earlier if _same_joint(joint, segment.joint, float(np.ptp(visited)))]
                 name, color = segment.joint.kind, same[0] if same else category(joints)
                 if not same:
@@ -85,9 +85,9 @@ def colored_segments(recording: Recording, graph: KinematicGraph | None) -> tupl
     return tuple(coloured)
 
 
-def is_misfit(segment: Segment) -> bool:
+def fits_no_joint(segment: Segment) -> bool:
     """Whether no single joint explains the segment."""
-    return segment.certainty is not None and segment.certainty.misfit is not None
+    return segment.certainty is not None and segment.certainty.no_single_joint is not None
 
 
 def rows_of_run(recording: Recording, edge: KinematicEdge, run: int) -> Ints:
@@ -259,7 +259,7 @@ def _learned_run(
 ) -> LearnedRun:
     rows = rows_of_run(recording, edge, run)
     poses = parent_poses(recording, edge, run, rows).inv() * recording.poses()[rows]
-    moving = [s for s in edge.segments if s.joint.moves and not is_misfit(s)]
+    moving = [s for s in edge.segments if s.joint.moves and not fits_no_joint(s)]
     stretches = []
     for colored in coloured:
         chosen = np.isin(rows, colored.rows)
@@ -349,7 +349,7 @@ def _model_colors(models: tuple[str, ...], density: Floats, rows: Ints, stretche
     """The colour of the segment that each model explains best among the models of its kind; None if there is none."""
     colors: list[str | None] = [None] * len(models)
     for stretch in stretches:
-        kind = "free" if is_misfit(stretch.segment) else stretch.segment.joint.kind
+        kind = "free" if fits_no_joint(stretch.segment) else stretch.segment.joint.kind
         same = [i for i, model in enumerate(models) if model.split("_")[0] == kind]
         if same:
             total = density[np.isin(rows, stretch.rows)].sum(axis=0)
@@ -375,7 +375,7 @@ def block_title(learned: LearnedRun, *, several_runs: bool) -> str:
 
 def block_words(learned: LearnedRun) -> list[str]:
     """Changepoints, and the parameters of each joint that moves, one sentence each."""
-    joints = {s.colored.color: s.segment for s in learned.stretches if not is_misfit(s.segment)}
+    joints = {s.colored.color: s.segment for s in learned.stretches if not fits_no_joint(s.segment)}
     moving = [f"{s.joint.kind}: {joint_words(s)}" for s in joints.values() if s.joint.moves]
     return [changepoint_words(learned), *moving]
 
@@ -387,7 +387,7 @@ def block_notes(learned: LearnedRun, *, recorded: bool) -> list[str]:
         recorded: whether there are actions.
     """
     notes = [
-        *(misfit_words(stretch.segment) for stretch in learned.stretches),
+        *(no_single_joint_sentence(stretch.segment) for stretch in learned.stretches),
         *deviation_notes([stretch.segment for stretch in learned.stretches]),
         channel_words(learned, recorded=recorded),
     ]
@@ -399,14 +399,14 @@ def capital(words: str) -> str:
     return words[:1].upper() + words[1:]
 
 
-def has_misfit(learned: LearnedRun) -> bool:
+def any_fits_no_joint(learned: LearnedRun) -> bool:
     """Whether no single joint explains some of the rows."""
-    return any(is_misfit(stretch.segment) for stretch in learned.stretches)
+    return any(fits_no_joint(stretch.segment) for stretch in learned.stretches)
 
 
 def headline(learned: LearnedRun) -> str:
     """The finding in one line: ``"revolute → rigid"``, or that no single-joint model fits."""
-    names = [NO_FIT if is_misfit(s.segment) else s.segment.joint.kind for s in learned.stretches]
+    names = [NO_FIT if fits_no_joint(s.segment) else s.segment.joint.kind for s in learned.stretches]
     return " → ".join(names) if names else "no segments"
 
 
@@ -439,17 +439,19 @@ def joint_words(segment: Segment) -> str:
     return ", ".join(words)
 
 
-def misfit_words(segment: Segment) -> str:
+def no_single_joint_sentence(segment: Segment) -> str:
     """Why no single joint explains a segment, with the numbers; empty if one does."""
-    misfit = None if segment.certainty is None else segment.certainty.misfit
-    if misfit is None:
+    no_single_joint = None if segment.certainty is None else segment.certainty.no_single_joint
+    if no_single_joint is None:
         return ""
-    missed = f"{quantity(misfit.position, 'm')} (noise alone: {quantity(misfit.position_noise, 'm')})"
-    if misfit.rotation is not None and misfit.rotation_noise is not None:
-        missed += f" and {in_degrees(misfit.rotation)} (noise alone: {in_degrees(misfit.rotation_noise)})"
+    missed = f"{quantity(no_single_joint.position, 'm')} (noise alone: {quantity(no_single_joint.position_noise, 'm')})"
+    if no_single_joint.rotation is not None and no_single_joint.rotation_noise is not None:
+        missed += (
+            f" and {in_degrees(no_single_joint.rotation)} (noise alone: {in_degrees(no_single_joint.rotation_noise)})"
+        )
     return (
         f"{NO_FIT} rows {segment.start} to {segment.end}: the best, {segment.joint.kind}, misses by {missed}; "
-        f"log odds of free motion against it: {misfit.log_odds:+.0f} nats"
+        f"log odds of free motion against it: {no_single_joint.log_odds:+.0f} nats"
     )
 
 
@@ -457,7 +459,9 @@ def deviation_notes(segments: Sequence[Segment]) -> list[str]:
     """How far a part leaves its joints where that is further than usual, one sentence for each joint."""
     rows: dict[tuple[JointKind, Deviation], list[str]] = {}
     for segment in segments:
-        deviation = None if segment.certainty is None or segment.misfit is not None else segment.certainty.deviation
+        deviation = (
+            None if segment.certainty is None or segment.no_single_joint is not None else segment.certainty.deviation
+        )
         if deviation is not None and deviation.probability >= _TOLD:
             rows.setdefault((segment.joint.kind, deviation), []).append(f"{segment.start} to {segment.end}")
     notes = []
@@ -488,16 +492,9 @@ def channel_words(learned: LearnedRun, *, recorded: bool) -> str:
 def action_words(channel: ActionChannel) -> str:
     """What actions make of the part's steps, with one standard deviation each."""
     std = dict(zip(CHANNEL_NAMES, np.sqrt(np.diag(np.array(channel.covariance))), strict=True))
-    delay = f"{with_spread(abs(channel.delay), std['delay'], 's')} {'after' if channel.delay >= 0 else 'before'} it"
-    if abs(channel.delay) < std["delay"]:
-        delay = f"at the same time (± {quantity(std['delay'], 's', digits=2)})"
-    angle, spread = channel_turn(channel)
-    turned = f"turned by {in_degrees(angle, spread)}"
-    frame = f"in a frame {turned}" if angle > 2 * spread else f"in the base frame ({turned})"
-    return (
-        f"they explain {percent(channel.explained, 0)} of the steps; the part makes "
-        f"{with_spread(channel.gain, std['gain'], '')} of a recorded action, {delay}; it is given {frame}"
-    )
+    gain, delay = with_spread(channel.gain, std["gain"], ""), with_spread(channel.delay, std["delay"], "s")
+    turned, explained = in_degrees(*channel_turn(channel)), percent(channel.explained, 0)
+    return f"gain {gain}, delay {delay}, frame rotation {turned}; they explain {explained} of the steps"
 
 
 def channel_turn(channel: ActionChannel) -> tuple[float, float]:
@@ -532,7 +529,7 @@ class SegmentLabel:
     text: str
     time: float
     level: int
-    misfit: bool
+    no_single_joint: bool
 
 
 def segment_labels(learned: LearnedRun, letter: float) -> tuple[SegmentLabel, ...]:
@@ -545,7 +542,7 @@ def segment_labels(learned: LearnedRun, letter: float) -> tuple[SegmentLabel, ..
     stretches_of_run = []
     for stretch in learned.stretches:
         segment = stretch.segment
-        wrong = is_misfit(segment)
+        wrong = fits_no_joint(segment)
         share = dict(kind_probabilities(segment)).get(segment.joint.kind, segment.probability)
         text = NO_FIT if wrong else f"{segment.joint.kind} {percent(share, 0)}"
         half = letter * len(text) / 2

@@ -13,14 +13,14 @@ from micah_plan.view.chart import Change, Chart, Columns, Curve, Mark, Panel, Sp
 from micah_plan.view.learned import (
     LEVELS,
     LearnedRun,
+    any_fits_no_joint,
     block_notes,
     block_title,
     block_words,
     capital,
-    has_misfit,
+    fits_no_joint,
     headline,
     interval_labels,
-    is_misfit,
     kind_probabilities,
     kind_words,
     line_labels,
@@ -28,7 +28,7 @@ from micah_plan.view.learned import (
     shown_counts,
 )
 from micah_plan.view.page import Bar, Bars, Block
-from micah_plan.view.palette import INK, MISFIT
+from micah_plan.view.palette import INK, NO_SINGLE_JOINT
 
 MOST_BLOCKS = 40
 
@@ -60,7 +60,7 @@ def learning_block(recording: Recording, learned: LearnedRun, shown: Floats, *, 
         learning_chart(learned),
         tuple(bars for bars in (_counts(learned), _kinds(learned)) if bars.rows),
         tuple(block_notes(learned, recorded=recording.has_actions)),
-        has_misfit(learned),
+        any_fits_no_joint(learned),
         tuple((float(shown[row]), float(at)) for row, at in zip(rows, learned.when(rows), strict=True)),
     )
 
@@ -82,7 +82,7 @@ def _segments(learned: LearnedRun) -> list[Mark]:
     marks: list[Mark] = []
     for number, stretch in enumerate(learned.stretches):
         left, right = learned.when([stretch.segment.start - 0.5, stretch.segment.end + 0.5]).tolist()
-        marks.append(Span(left, right, "misfit" if is_misfit(stretch.segment) else "shade", stretch.colored.color))
+        marks.append(Span(left, right, "hatched" if fits_no_joint(stretch.segment) else "shade", stretch.colored.color))
         if number and stretch.interval is not None:
             low, high = learned.when([stretch.interval[0] - 0.5, stretch.interval[1] + 0.5]).tolist()
             marks.append(Span(low, high, "interval", label="95 % interval"))
@@ -100,13 +100,13 @@ def _configuration(learned: LearnedRun, letter: float) -> Panel:
     marks: list[Mark] = []
     for stretch in learned.stretches:
         times = learned.when(stretch.rows)
-        if is_misfit(stretch.segment):
+        if fits_no_joint(stretch.segment):
             marks.append(Curve(times, stretch.measured, "rim", INK))
         marks.append(Curve(times, stretch.measured, "dots", stretch.colored.color))
         if not stretch.segment.joint.moves and learned.quantity == "configuration" and len(times):
             marks.append(Curve(times[[0, -1]], np.full(2, stretch.segment.configuration_start), "trend", INK))
     marks += [
-        Words(label.text, label.time, line=label.level, color=MISFIT if label.misfit else "")
+        Words(label.text, label.time, line=label.level, color=NO_SINGLE_JOINT if label.no_single_joint else "")
         for label in segment_labels(learned, letter)
     ]
     low, high = widened([stretch.measured for stretch in learned.stretches if len(stretch.measured)])

@@ -26,11 +26,11 @@ from micah_plan.view.learned import (
     NO_BREAK,
     LearnedRun,
     Stretch,
+    any_fits_no_joint,
     block_notes,
     block_title,
     block_words,
-    has_misfit,
-    is_misfit,
+    fits_no_joint,
     kind_probabilities,
     kind_words,
     learned_runs,
@@ -38,7 +38,7 @@ from micah_plan.view.learned import (
     wrapped,
 )
 from micah_plan.view.learning_charts import learning_chart
-from micah_plan.view.palette import GRID, INK, MISFIT, MUTED
+from micah_plan.view.palette import GRID, INK, MUTED, NO_SINGLE_JOINT
 from micah_plan.view.placement import joint_axis, joint_curve
 
 WIDTH = 11.0
@@ -117,7 +117,7 @@ def _plain(recording: Recording) -> Figure:
 def _draw_block(figure: Figure, block: _Block, top: float, *, several_runs: bool) -> None:
     """The finding in large letters, on yellow if no joint fits; changepoints and parameters; panels; sentences."""
     learned = block.learned
-    box = {"facecolor": MISFIT, "edgecolor": "none", "pad": 4.0} if has_misfit(learned) else None
+    box = {"facecolor": NO_SINGLE_JOINT, "edgecolor": "none", "pad": 4.0} if any_fits_no_joint(learned) else None
     title = block_title(learned, several_runs=several_runs)
     _write(figure, top - 0.38, title, fontsize=15, weight="bold", color=INK, va="center", bbox=box)
     words = "   ·   ".join(block_words(learned))
@@ -177,7 +177,7 @@ def plot_track(space: Any, learned: LearnedRun) -> None:
     for stretch in learned.stretches:
         is_row = np.isin(learned.rows, stretch.rows)
         segmented |= is_row
-        edge = INK if is_misfit(stretch.segment) else "none"
+        edge = INK if fits_no_joint(stretch.segment) else "none"
         space.scatter(
             *learned.position[is_row].T, s=17, color=stretch.colored.color, edgecolors=edge, linewidths=0.5,
             depthshade=False,
@@ -186,7 +186,7 @@ def plot_track(space: Any, learned: LearnedRun) -> None:
         space.scatter(*learned.position[~segmented].T, s=9, color=MUTED, depthshade=False)
     points = [learned.position]
     for stretch in {s.colored.color: s for s in reversed(learned.stretches)}.values():
-        if not is_misfit(stretch.segment):
+        if not fits_no_joint(stretch.segment):
             points += _plot_joint(space, stretch, size)
     _finish(space, np.concatenate(points), learned.position, "" if learned.in_base else f" in {learned.edge.parent}")
 

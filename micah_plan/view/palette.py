@@ -20,7 +20,7 @@ SLATE = "#5A5A8A"
 CATEGORIES = (SKY, VERMILLION, PINK, OLIVE, SLATE)
 """Segments and modes, in their order of appearance; none is a colour that means something else below."""
 
-MISFIT = "#F0C808"
+NO_SINGLE_JOINT = "#F0C808"
 """What fits no joint: yellow, hatched where an area can be, so that it is not taken for one more joint."""
 
 BELIEF = BLUE

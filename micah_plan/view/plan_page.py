@@ -23,7 +23,7 @@ from micah_plan.task.body import Body, Hull, Shape, corners, transform
 from micah_plan.task.contact_poses import settled_poses
 from micah_plan.task.plan import ArmTrajectory, Plan, Trajectory
 from micah_plan.task.problem import Problem
-from micah_plan.task.release import carrying
+from micah_plan.task.release import pre_release_problem
 from micah_plan.task.start import start_mode
 from micah_plan.view.camera import camera
 from micah_plan.view.drawing import draw_copy, draw_shapes, link_shapes, object_size, shown_links
@@ -36,7 +36,6 @@ from micah_plan.view.executed import (
     runs_details,
     runs_legend,
 )
-from micah_plan.view.letting_go import LettingGo, goal_poses, joined, letting_go, release_facts
 from micah_plan.view.model_page import draw_ground_and_frame, draw_mode_joints, draw_object, ground_legend
 from micah_plan.view.motion import (
     Keyframes,
@@ -54,6 +53,7 @@ from micah_plan.view.page import Band, LegendEntry, ScenePage, Status, Timeline,
 from micah_plan.view.palette import BELIEF, GOAL, INK, MUTED, START, mode_colors
 from micah_plan.view.placement import chain_coordinates
 from micah_plan.view.plan_charts import plan_charts
+from micah_plan.view.release import ReleaseMotion, goal_poses, joined, release_facts, release_motion_of
 from micah_plan.view.scene import Scene, slug, transforms
 from micah_plan.view.solids import Mesh, straightened, tube
 
@@ -93,7 +93,7 @@ def plan_page(
     scene, size = Scene(), object_size(automaton)
     keys = keyframes(plan.trajectory) if plan.trajectory else _still(_start_mode(problem), np.array(problem.start.mean))
     goal = _goal(problem, keys)
-    after = letting_go(plan, problem, keys, _end(plan.trajectory, runs)) if plan.trajectory else None
+    after = release_motion_of(plan, problem, keys, _end(plan.trajectory, runs)) if plan.trajectory else None
     keys, moved = _whole(problem, keys, after)
     draw_object(scene, automaton, keys, moved)
     draw_mode_joints(scene, automaton, keys, moved, size)
@@ -122,13 +122,13 @@ def plan_page(
         details=[*(runs_details(runs) if runs else []), *_details(plan, problem)],
         timeline=_timeline(plan.trajectory, problem, runs, after) if plan.trajectory else Timeline(),
         hidden=["spread"],
-        charts=plan_charts(plan, carrying(problem), [(run.run, run.x) for run in runs]),
+        charts=plan_charts(plan, pre_release_problem(problem), [(run.run, run.x) for run in runs]),
         runs=listed,
     )
     return render_scene(page, scene)
 
 
-def _whole(problem: Problem, keys: Keyframes, after: LettingGo | None) -> tuple[Keyframes, Moved]:
+def _whole(problem: Problem, keys: Keyframes, after: ReleaseMotion | None) -> tuple[Keyframes, Moved]:
     """Frames of a plan and of what follows it, and the poses of the parts in them."""
     automaton = problem.automaton
     moved = poses_over_time(automaton, keys) if problem.hold is None else settled_over_time(problem, keys)
@@ -144,7 +144,7 @@ def _executed(
         return ()
     if plan.trajectory is None:
         raise InputError("the plan has no trajectory that runs could follow", remedy="show it without runs")
-    return executed_runs(carrying(problem), plan.trajectory, executed, failures)
+    return executed_runs(pre_release_problem(problem), plan.trajectory, executed, failures)
 
 
 def _start_mode(problem: Problem) -> str:
@@ -238,7 +238,7 @@ def _facts(plan: Plan, problem: Problem) -> list[tuple[str, str]]:
     for index, value, tolerance in problem.goal.target:
         goal = with_spread(value, tolerance, coordinates[index].unit, degrees=False)
         facts.append((f"Goal for {coordinates[index].name}", goal))
-    if modes := carrying(problem).goal.modes:
+    if modes := pre_release_problem(problem).goal.modes:
         facts.append(("Goal modes", ", ".join(modes)))
     if plan.goal_error is not None:
         facts.append(("Distance to target", quantity(plan.goal_error, problem.goal_unit)))
@@ -279,7 +279,7 @@ def _end(trajectory: Trajectory, runs: Sequence[ExecutedRun]) -> float:
 
 
 def _timeline(
-    trajectory: Trajectory, problem: Problem, runs: Sequence[ExecutedRun], after: LettingGo | None
+    trajectory: Trajectory, problem: Problem, runs: Sequence[ExecutedRun], after: ReleaseMotion | None
 ) -> Timeline:
     automaton, period = problem.automaton, parameters_of(problem).control_period
     steps, times = step_times(trajectory), knot_times(trajectory)
@@ -357,7 +357,7 @@ def draw_arm(
     arm: ArmTrajectory,
     knot_times: Floats,
     times: Floats,
-    after: LettingGo | None = None,
+    after: ReleaseMotion | None = None,
 ) -> None:
     """The links of the arm, moving from knot to knot straight in the joints.
 

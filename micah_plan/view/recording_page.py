@@ -16,9 +16,9 @@ from micah_plan.view.learned import (
     NO_FIT,
     ColoredSegment,
     colored_segments,
-    is_misfit,
+    fits_no_joint,
     learned_runs,
-    misfit_words,
+    no_single_joint_sentence,
     parent_poses,
     rows_of_run,
 )
@@ -49,7 +49,7 @@ def recording_page(recording: Recording, graph: KinematicGraph | None = None, *,
     for number, colored in enumerate(segments):
         shown_rows[colored.rows] = True
         _draw_track(scene, f"track/{number}", recording.position[colored.rows], colored.color, size)
-        if not is_misfit(colored.segment):
+        if not fits_no_joint(colored.segment):
             _draw_segment_joint(scene, f"joints/{number}", recording, colored, size)
     _draw_track(scene, "track/rest", recording.position[~shown_rows], MUTED, size)
     shown, duration = _shown_times(recording)
@@ -59,8 +59,8 @@ def recording_page(recording: Recording, graph: KinematicGraph | None = None, *,
     if segments and not shown_rows.all():
         legend.append(LegendEntry(MUTED, "rows in no segment", shape="dot"))
     legend.append(LegendEntry(MUTED, "all measured positions" if segments else "measured positions", "track", "dot"))
-    misfits = [c for c in segments if is_misfit(c.segment)]
-    if len(misfits) < len(segments):
+    no_single_joints = [c for c in segments if fits_no_joint(c.segment)]
+    if len(no_single_joints) < len(segments):
         legend.append(LegendEntry(INK, "fitted joints: axis and centre, arc, line, ring (rigid)", "joints", "line"))
     legend.append(LegendEntry(FRAME_AXES[0], "measured frame of the part (x red, y green, z blue)", "frames", "line"))
     legend.append(LegendEntry(GRID, f"grid of {quantity(spacing, 'm')}, base frame, z up", "ground", "line"))
@@ -68,7 +68,9 @@ def recording_page(recording: Recording, graph: KinematicGraph | None = None, *,
         title=title,
         kind="recording",
         camera=camera(scene, recording.position),
-        badge=(NO_FIT if len(misfits) == len(segments) else f"{NO_FIT} some rows", "bad") if misfits else None,
+        badge=(NO_FIT if len(no_single_joints) == len(segments) else f"{NO_FIT} some rows", "bad")
+        if no_single_joints
+        else None,
         facts=_facts(recording, segments),
         details=[("Fitted joints", [_described(c) for c in segments])] if segments else [],
         legend=legend,
@@ -174,8 +176,8 @@ def _facts(recording: Recording, segments: tuple[ColoredSegment, ...]) -> list[t
 
 def _described(colored: ColoredSegment) -> str:
     joint, segment = colored.segment.joint, colored.segment
-    if is_misfit(segment):
-        return misfit_words(segment)
+    if fits_no_joint(segment):
+        return no_single_joint_sentence(segment)
     words = []
     if joint.turns:
         words.append(f"radius {quantity(radius(joint), 'm')}")

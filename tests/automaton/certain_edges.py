@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from automaton_examples import chain
 
-from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, Misfit, RowPosterior, SegmentCertainty
+from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, NoSingleJoint, RowPosterior, SegmentCertainty
 from micah_plan.automaton.graph import KinematicEdge, KinematicGraph
 
 CHANNEL = ActionChannel(
@@ -17,7 +17,9 @@ CHANNEL = ActionChannel(
     covariance=tuple(map(tuple, np.diag(np.square([0.1, 0.1, 0.05, 0.02, 0.03])).tolist())),
     explained=0.87,
 )
-MISFIT = Misfit(position=0.023, rotation=0.31, position_noise=0.002, rotation_noise=0.012, log_odds=120.0)
+NO_SINGLE_JOINT = NoSingleJoint(
+    position=0.023, rotation=0.31, position_noise=0.002, rotation_noise=0.012, log_odds=120.0
+)
 
 
 def sure_door(start: RowPosterior) -> KinematicGraph:
@@ -30,8 +32,8 @@ def sure_door(start: RowPosterior) -> KinematicGraph:
     return KinematicGraph((replace(edge, segments=(turning, shut), certainty=certainty),))
 
 
-def unfit(edge: KinematicEdge, index: int, misfit: Misfit = MISFIT) -> KinematicEdge:
+def unfit(edge: KinematicEdge, index: int, no_single_joint: NoSingleJoint = NO_SINGLE_JOINT) -> KinematicEdge:
     """The edge with a segment that no single joint explains."""
     segments = list(edge.segments)
-    segments[index] = replace(segments[index], certainty=SegmentCertainty(None, (), misfit))
+    segments[index] = replace(segments[index], certainty=SegmentCertainty(None, (), no_single_joint))
     return replace(edge, segments=tuple(segments))

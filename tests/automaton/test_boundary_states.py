@@ -11,11 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference_step import step
 
-from micah_plan.automaton.effects.add import with_effect
-from micah_plan.automaton.effects.value import Effect
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Reset
-from micah_plan.automaton.input_memory import with_memory_states
-from micah_plan.automaton.lifted import (
+from micah_plan.automaton.augmented import (
     boundaries_of_pins,
     boundary_of,
     boundary_stds,
@@ -23,6 +19,10 @@ from micah_plan.automaton.lifted import (
     with_boundaries,
     with_boundary_states,
 )
+from micah_plan.automaton.effects.add import with_effect
+from micah_plan.automaton.effects.value import Effect
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Reset
+from micah_plan.automaton.input_memory import with_memory_states
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.automaton.transition import TransitionBatch
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from automaton_examples import SPLIT, chain, segment
-from certain_edges import CHANNEL, MISFIT, sure_door, unfit
+from certain_edges import CHANNEL, NO_SINGLE_JOINT, sure_door, unfit
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -146,7 +146,7 @@ class TestMisfit:
         )
 
     def test_positions_alone_have_no_angle(self) -> None:
-        bare = replace(MISFIT, rotation=None, rotation_noise=None)
+        bare = replace(NO_SINGLE_JOINT, rotation=None, rotation_noise=None)
         edge = unfit(chain("door", [0, 1.2], ["revolute"]), 0, bare)
         with pytest.raises(InputError, match=r"misses them by 23 mm where the measurement alone would leave 2 mm;"):
             build_automaton(KinematicGraph((edge,)))

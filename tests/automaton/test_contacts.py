@@ -7,11 +7,11 @@ import pytest
 from held_stapler import AROUND, GRIP, LATCH, NOISE, PITCH, TABLE, stapler
 from scipy.spatial.transform import Rotation
 
+from micah_plan.automaton.augmented import threshold_stds
 from micah_plan.automaton.contacts.product import COLLIDED, with_contacts
 from micah_plan.automaton.contacts.touch import collision_regions, corners, moved, touch_pieces
 from micah_plan.automaton.contacts.values import Face
 from micah_plan.automaton.hybrid import Part, Primitive
-from micah_plan.automaton.lifted import threshold_stds
 from micah_plan.automaton.transition import TransitionBatch, simulate, step
 from micah_plan.belief.filter import initial_belief, predict, repeated, update
 from micah_plan.errors import InputError

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from reference_step import step
 
+from micah_plan.automaton.augmented import threshold_stds, with_boundaries
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.input_memory import without_memory_states
-from micah_plan.automaton.lifted import threshold_stds, with_boundaries
 from micah_plan.automaton.region import Region
 from micah_plan.automaton.step_noise import drawn_gains, uncertain_gains, with_gains
 from micah_plan.automaton.transition import TransitionBatch

@@ -9,7 +9,7 @@ import pytest
 
 from micah_plan import load
 from micah_plan.automaton.hybrid import HybridAutomaton, Pin, Tie
-from micah_plan.belief.filter import found_again, initial_belief, most_evidence, predict, repeated, update
+from micah_plan.belief.filter import initial_belief, most_evidence, predict, reinitialise, repeated, update
 from micah_plan.belief.hybrid_belief import batch_of
 from micah_plan.belief.layout import layout_of
 from micah_plan.belief.truncation import NEGLIGIBLE
@@ -46,7 +46,7 @@ TIED = slides(free={}, tied={"ties": (Tie(1, (0.5, 0.0), 0.1),)})
 def told(automaton: HybridAutomaton, z: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Weights (q,), means (q, n), factors (q, n, n) and log evidence of a belief that begins anew."""
     belief = initial_belief(automaton, [0.1, 0.1], [0.01, 0.02], "free")
-    found, evidence = found_again(layout_of(automaton), batch_of([belief], np.zeros(0)), np.array(z))
+    found, evidence = reinitialise(layout_of(automaton), batch_of([belief], np.zeros(0)), np.array(z))
     return found.weights[0], found.means[0], found.factors[0], evidence
 
 
@@ -90,7 +90,7 @@ def test_a_likely_measurement_is_no_reason_to_begin_anew_and_the_bound_is_one() 
     belief = initial_belief(PINNED, [0.1, 0.1], [0.01, 0.01], "free")
     for away in (0.0, 0.03, 0.05, 0.2):
         after = update(PINNED, predict(PINNED, belief, [0.0, 0.0]), [0.1 + away, 0.1])
-        assert after.is_anew == (away > 0.1)
+        assert after.was_reinitialised == (away > 0.1)
 
 
 def test_one_and_many_begin_anew_alike() -> None:
@@ -99,7 +99,7 @@ def test_one_and_many_begin_anew_alike() -> None:
     many = update(PINNED, repeated(PINNED, belief, 3), z)
     for number, own in enumerate(z):
         alone = update(PINNED, belief, own)
-        assert alone.is_anew == (number > 0)
+        assert alone.was_reinitialised == (number > 0)
         some = alone.weights > 0
         np.testing.assert_allclose(many.weights[number], alone.weights, atol=1e-12)
         np.testing.assert_allclose(many.means[number][some], alone.means[some], atol=1e-12)
@@ -109,9 +109,9 @@ def test_a_part_that_slipped_away_is_found_where_it_is() -> None:
     """Held for sure, then seen elsewhere: the next steps move it from there."""
     belief = initial_belief(PINNED, [0.1, 0.3], [0.01, 0.001], "pinned")
     belief = update(PINNED, belief, [0.1, 0.1])
-    assert belief.is_anew
+    assert belief.was_reinitialised
     assert belief.most_likely == 0
     for k in range(3):
         belief = update(PINNED, predict(PINNED, belief, [0.0, 0.02]), [0.1, 0.1 + 0.02 * (k + 1)])
-        assert not belief.is_anew
+        assert not belief.was_reinitialised
     assert belief.mean == pytest.approx([0.1, 0.16], abs=0.002)

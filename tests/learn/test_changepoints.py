@@ -16,9 +16,9 @@ from micah_plan.errors import InputError
 from micah_plan.learn.joints.joint_arrays import arrays_of
 from micah_plan.learn.segmenting.changepoints import LengthPrior, best_segmentation, most_probable_spans
 from micah_plan.learn.segmenting.evidence import EvidenceTable, segment_sums, tabulated
-from micah_plan.learn.segmenting.noise_fit import first_noise
+from micah_plan.learn.segmenting.noise_fit import initial_noise
 from micah_plan.learn.segmenting.pool import window_hypotheses
-from micah_plan.learn.segmenting.zoom import locate
+from micah_plan.learn.segmenting.refined_changepoint import refine_changepoint
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import part_track
 
@@ -60,7 +60,7 @@ def planted_table(positions_only: bool = False) -> EvidenceTable:
     )
     track = part_track(recording, 0, recording.parts[0])
     chosen = LearnSettings()
-    noise = first_noise(track, chosen)
+    noise = initial_noise(track, chosen)
     return tabulated(window_hypotheses(track, chosen.kinds, noise), track, noise, chosen.rest, 0.5)
 
 
@@ -97,7 +97,7 @@ def test_a_step_may_be_unled_only_where_actions_lead(acted: bool) -> None:
     push[:, :] = JOINTS["prismatic"].axis * np.append(np.diff(configuration[:41]), np.full(40, 0.01))[:, None]
     track = part_track(replace(recording, action=push if acted else None), 0, recording.parts[0])
     chosen = LearnSettings()
-    noise = first_noise(track, chosen)
+    noise = initial_noise(track, chosen)
     table = tabulated(window_hypotheses(track, chosen.kinds, noise), track, noise, chosen.rest, 0.5)
     led = table.motion.gain.any(axis=1)
     assert led.any() == acted
@@ -113,6 +113,6 @@ def test_a_changepoint_is_not_refined_where_no_row_counts_on_one_of_its_sides(co
     inlier = np.zeros(80, dtype=bool)
     inlier[counted] = True
     joints = arrays_of([JOINTS["revolute"], rigid(track.position[-1], track.quaternion[-1])])
-    located = locate(joints, 40, 4.0, (0, 80), track, inlier, LearnSettings())
-    assert located.row == 40 if inlier.sum() < 80 else abs(located.row - 40) <= 2
-    assert len(located.rows) == 1 if inlier.sum() < 80 else len(located.rows) > 1
+    refined = refine_changepoint(joints, 40, 4.0, (0, 80), track, inlier, LearnSettings())
+    assert refined.row == 40 if inlier.sum() < 80 else abs(refined.row - 40) <= 2
+    assert len(refined.rows) == 1 if inlier.sum() < 80 else len(refined.rows) > 1

@@ -55,7 +55,7 @@ def chain(seed):
 def answer(recording):
     """Kinds of the segments that move, in their order; a part that no joint holds is `none`."""
     (edge,) = learn_graph(recording).edges
-    return ["none" if one.misfit is not None else one.joint.kind for one in edge.segments if one.joint.moves]
+    return ["none" if one.no_single_joint is not None else one.joint.kind for one in edge.segments if one.joint.moves]
 
 
 @pytest.mark.parametrize(

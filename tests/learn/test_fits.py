@@ -12,7 +12,7 @@ from micah_plan.automaton.joint import Joint, radius, rigid, screw
 from micah_plan.automaton.kinematics import forward, inverse, jacobian
 from micah_plan.learn.joints.joint_arrays import JointArrays, arrays_of, compare_arrays
 from micah_plan.learn.joints.linear_fits import linear_fits
-from micah_plan.learn.segmenting.noise_fit import first_noise
+from micah_plan.learn.segmenting.noise_fit import initial_noise
 from micah_plan.learn.segmenting.pool_fits import fit_likelihood, parameter_design
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack, find_inliers, part_track
@@ -137,7 +137,7 @@ def test_the_design_is_the_derivative_of_the_errors_across_the_joint(kind: str, 
 @pytest.mark.parametrize("orientation", [True, False])
 def test_fits_of_a_batch_end_where_no_small_step_is_likelier(kind: str, orientation: bool) -> None:
     track = rows_of(kind, orientation, Noise(0.002, 0.01))
-    noise = first_noise(track, LearnSettings())
+    noise = initial_noise(track, LearnSettings())
     used = np.ones((1, ROWS), dtype=bool)
     joints, _ = linear_fits([kind], used, track.position, track.quaternion)
     best = fit_likelihood(joints, used, track, noise, 30)
@@ -161,7 +161,7 @@ def test_noise_scales_come_from_the_rows() -> None:
     )
     track = part_track(recording, 0, recording.parts[0])
     inlier = find_inliers(track)
-    noise = first_noise(track.take(inlier.nonzero()[0]), LearnSettings())
+    noise = initial_noise(track.take(inlier.nonzero()[0]), LearnSettings())
     assert noise.of_rows(1.0).position_white == pytest.approx(0.003, rel=0.2)
     assert noise.of_rows(1.0).rotation_white == pytest.approx(0.02, rel=0.2)
     truth = np.linalg.norm(

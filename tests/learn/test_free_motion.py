@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from planted import JOINTS, Noise, moving_then_held, recorded
 
-from micah_plan.automaton.certainty import Misfit
+from micah_plan.automaton.certainty import NoSingleJoint
 from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.kinematics import forward
 from micah_plan.learn.learn import learn_graph
@@ -34,29 +34,29 @@ def calibration() -> ModuleType:
         sys.path.remove(str(BENCHMARKS))
 
 
-def misfit_of(recording: Recording) -> Misfit | None:
+def no_single_joint(recording: Recording) -> NoSingleJoint | None:
     segments = learn_graph(recording).edges[0].segments
-    return next((s.certainty.misfit for s in segments if s.certainty.misfit is not None), None)
+    return next((s.certainty.no_single_joint for s in segments if s.certainty.no_single_joint is not None), None)
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_free_motion_fits_no_single_joint(calibration: ModuleType, motion: str) -> None:
     recording = calibration.free_recording(motion, 0, orientation=True)
-    misfit = misfit_of(recording)
-    assert misfit is not None
+    reason = no_single_joint(recording)
+    assert reason is not None
     # The numbers say by how much: far more than the noise, and no more than the part moved at all.
-    assert misfit.log_odds > 0
+    assert reason.log_odds > 0
     moved = np.sqrt(((recording.position - recording.position.mean(axis=0)) ** 2).sum(axis=1).mean())
-    off = misfit.position > 2 * misfit.position_noise or misfit.rotation > 2 * misfit.rotation_noise
+    off = reason.position > 2 * reason.position_noise or reason.rotation > 2 * reason.rotation_noise
     assert off
-    assert misfit.position < 1.5 * moved
+    assert reason.position < 1.5 * moved
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("orientation", [True, False])
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_free_motion_is_hardly_ever_taken_for_a_joint(calibration: ModuleType, motion: str, orientation: bool) -> None:
-    found = [misfit_of(calibration.free_recording(motion, seed, orientation)) for seed in range(6)]
+    found = [no_single_joint(calibration.free_recording(motion, seed, orientation)) for seed in range(6)]
     # Positions alone: a plane in which a hand moves nearly straight is nearly a drawer. A door that slides as it turns
     # looks like two hinges, one after the other.
     close = (motion == "plane" and not orientation) or motion == "sliding door on a hinge"
@@ -65,7 +65,7 @@ def test_free_motion_is_hardly_ever_taken_for_a_joint(calibration: ModuleType, m
 
 @pytest.mark.parametrize("kind", list(JOINTS))
 def test_a_joint_under_a_realistic_tracker_is_no_free_motion(calibration: ModuleType, kind: str) -> None:
-    assert misfit_of(calibration.joint_recording(kind, 0, wander=2.5, memory=15.0)) is None
+    assert no_single_joint(calibration.joint_recording(kind, 0, wander=2.5, memory=15.0)) is None
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,7 @@ def test_a_joint_under_a_realistic_tracker_is_no_free_motion(calibration: Module
 def test_trackers_raise_no_false_alarm(calibration: ModuleType, kind: str, memory: float) -> None:
     for seed in range(5):
         for wander in (1.0, 2.5):
-            assert misfit_of(calibration.joint_recording(kind, seed, wander, memory)) is None
+            assert no_single_joint(calibration.joint_recording(kind, seed, wander, memory)) is None
 
 
 @pytest.mark.parametrize("kind", list(JOINTS))
@@ -88,7 +88,7 @@ def test_a_sound_joint_says_that_it_fits(kind: str) -> None:
     recording = recorded([(JOINTS[kind], moving_then_held(kind))], np.random.default_rng(0), Noise(0.003, 0.02))
     segments = learn_graph(recording).edges[0].segments
     for segment in segments:
-        assert segment.certainty.misfit is None
+        assert segment.certainty.no_single_joint is None
         assert segment.certainty.deviation is None or segment.certainty.deviation.probability < 0.05
         assert sum(p for _, p in segment.certainty.kinds) == pytest.approx(1.0, abs=0.005)
 
@@ -124,14 +124,14 @@ def test_shared_recordings_fit_a_joint(shared_data, folder: str) -> None:
     files = sorted((shared_data / folder).rglob("*.csv"))
     assert files
     for file in files:
-        assert misfit_of(read_recording(file)) is None, file.name
+        assert no_single_joint(read_recording(file)) is None, file.name
 
 
 @pytest.mark.parametrize(("rows", "scatter"), [(20, Noise(1e-4, 5e-3)), (36, Noise(3e-4, 1e-3))])
 def test_few_rows_of_a_part_at_rest_are_rigid(rows: int, scatter: Noise) -> None:
     recording = recorded([(JOINTS["prismatic"], np.zeros(rows))], np.random.default_rng(0), scatter)
     segments = learn_graph(recording).edges[0].segments
-    assert [(one.joint.kind, one.certainty.misfit) for one in segments] == [("rigid", None)]
+    assert [(one.joint.kind, one.certainty.no_single_joint) for one in segments] == [("rigid", None)]
 
 
 def seen_by_a_wandering_tracker(position: np.ndarray, std: float, rng: np.random.Generator) -> Recording:
@@ -150,14 +150,14 @@ def test_what_a_wandering_tracker_misses_of_a_joint_is_no_free_motion(kind: str,
         rng = np.random.default_rng([seed, 8])
         c = moving_then_held(kind, 120, 0)
         position = forward(JOINTS[kind], c).translation
-        assert misfit_of(seen_by_a_wandering_tracker(position, std, rng)) is None
+        assert no_single_joint(seen_by_a_wandering_tracker(position, std, rng)) is None
 
 
 @pytest.mark.parametrize("std", [0.001, 0.003])
 def test_a_path_that_no_joint_has_is_refused_under_a_wandering_tracker_too(std: float) -> None:
     s = np.linspace(0, 0.3, 120)
     position = np.stack([s, 0.03 * np.cos(2 * np.pi * s / 0.15), np.zeros(120)], axis=1)
-    assert misfit_of(seen_by_a_wandering_tracker(position, std, np.random.default_rng(4))) is not None
+    assert no_single_joint(seen_by_a_wandering_tracker(position, std, np.random.default_rng(4))) is not None
 
 
 def test_how_sure_a_joint_is_fades_as_its_path_bends_away_from_it() -> None:
@@ -168,7 +168,7 @@ def test_how_sure_a_joint_is_fades_as_its_path_bends_away_from_it() -> None:
         position = np.stack([s, size * np.cos(2 * np.pi * s / 0.15), np.zeros(120)], axis=1)
         seen = seen_by_a_wandering_tracker(position, 0.007, np.random.default_rng(4))
         (segment,) = learn_graph(seen).edges[0].segments
-        said.append((sum(p for _, p in segment.certainty.kinds), segment.certainty.misfit is None))
+        said.append((sum(p for _, p in segment.certainty.kinds), segment.certainty.no_single_joint is None))
     (first, holds), (second, *_), (third, missed) = said
     assert holds
     assert not missed

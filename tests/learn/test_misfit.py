@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from micah_plan.automaton.joint import Joint, radius, radius_std
 from micah_plan.automaton.kinematics import forward, shifted
 from micah_plan.learn.joints.final_fit import fit_joint
-from micah_plan.learn.joints.tracker_noise import covering, misfit_modes, misfits_tried, without_misfit
+from micah_plan.learn.joints.tracker_noise import conservative_covariance, misfit_modes, misfits_tried, without_misfit
 from micah_plan.learn.settings import LearnSettings
 
 ARC = 1.2  # rad
@@ -71,7 +71,7 @@ def test_a_part_that_does_not_move_has_no_misfit() -> None:
 def test_stds_that_cover_hold_95_percent_of_a_mixture() -> None:
     rng = np.random.default_rng(1)
     chance, off, std = np.array([0.6, 0.3, 0.1]), np.array([[0.0], [0.5], [-2.0]]), np.array([[1.0], [0.2], [5.0]])
-    held = covering(np.array([[7.0]]), chance, off, std)
+    held = conservative_covariance(np.array([[7.0]]), chance, off, std)
     component = rng.choice(3, 200_000, p=chance)
     sampled = off[component, 0] + std[component, 0] * rng.standard_normal(200_000)
     assert np.mean(np.abs(sampled) < 1.959964 * np.sqrt(held[0, 0])) == pytest.approx(0.95, abs=0.002)
@@ -80,7 +80,7 @@ def test_stds_that_cover_hold_95_percent_of_a_mixture() -> None:
 def test_one_normal_keeps_its_covariance() -> None:
     matrix = np.array([[4.0, 1.0], [1.0, 9.0]])
     np.testing.assert_allclose(
-        covering(matrix, np.ones(1), np.zeros((1, 2)), np.array([[2.0, 3.0]])), matrix, rtol=1e-6
+        conservative_covariance(matrix, np.ones(1), np.zeros((1, 2)), np.array([[2.0, 3.0]])), matrix, rtol=1e-6
     )
 
 

@@ -55,7 +55,7 @@ def test_that_two_free_bodies_are_joined_is_found_and_the_remedy_told(seed: int)
     learned = stages.learn(recorded(pushed_about(0.5, seed), seed))
     on_base, joined = sorted(learned.graph.edges, key=lambda edge: edge.parent != "base")
     assert (on_base.parent, joined.parent) == ("base", on_base.child)
-    assert on_base.segments[0].misfit is not None
+    assert on_base.segments[0].no_single_joint is not None
     assert [segment.joint.kind for segment in joined.segments] == ["revolute"]
     assert learned.automaton is None
     assert f"--base {on_base.child}" in learned.reason

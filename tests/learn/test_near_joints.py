@@ -33,7 +33,7 @@ def learned(recording: Recording) -> tuple[Segment, ...]:
 
 
 def kinds(recording: Recording) -> list[str]:
-    return ["none" if one.certainty.misfit is not None else one.joint.kind for one in learned(recording)]
+    return ["none" if one.certainty.no_single_joint is not None else one.joint.kind for one in learned(recording)]
 
 
 def cap(pitch: float, turns: float, rows: int = 220) -> tuple[np.ndarray, Rotation]:

@@ -17,7 +17,7 @@ from micah_plan.documents.model import dump_model, load_model
 from micah_plan.learn.learn import learn_graph
 from micah_plan.learn.paths import length_std, principal_path, told_along
 from micah_plan.learn.segmenting.free import free_log_probability
-from micah_plan.learn.segmenting.noise_fit import first_noise
+from micah_plan.learn.segmenting.noise_fit import initial_noise
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import part_track
 from micah_plan.recording.value import Recording
@@ -84,7 +84,7 @@ def test_a_curve_that_is_passed_again_is_a_path(shape: str, times: int) -> None:
     segment = only(recording)
     assert segment.joint.kind == "path"
     assert segment.probability > 0.9
-    assert segment.certainty.misfit is None
+    assert segment.certainty.no_single_joint is None
     c = inverse(segment.joint, recording.position, recording.poses().rotation)
     left = np.linalg.norm(forward(segment.joint, c).translation - truth, axis=1)
     # Along the curve a row is only as good as its own noise; across it many rows are.
@@ -109,14 +109,14 @@ def test_a_tracker_that_wanders_between_passes_hides_no_path(shape: str) -> None
 def test_a_curve_that_is_passed_once_is_no_joint(shape: str, wanders: float) -> None:
     segment = only(passed(shape, 1, wanders=wanders)[0])
     assert segment.joint.kind != "path"
-    assert segment.certainty.misfit is not None
+    assert segment.certainty.no_single_joint is not None
 
 
 def test_a_path_by_positions_alone_is_likelier_than_free_motion_only_if_it_is_passed_again() -> None:
     for times, again in ((1, False), (3, True)):
         recording, _ = passed("slot", times, orientation=False)
         track = part_track(recording, 0, "lid")
-        noise = first_noise(track, LearnSettings())
+        noise = initial_noise(track, LearnSettings())
         curve = principal_path(track, length_std(noise))
         told = told_along(curve, track, noise, 1.0)
         free = free_log_probability(track, noise, 1.0)

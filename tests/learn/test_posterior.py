@@ -23,7 +23,7 @@ from micah_plan.automaton.kinematics import forward
 from micah_plan.learn.learn import METHODS, Method, learn_graph
 from micah_plan.learn.segmenting.changepoints import LengthPrior, length_priors
 from micah_plan.learn.segmenting.evidence import EvidenceTable, tabulated
-from micah_plan.learn.segmenting.noise_fit import first_noise
+from micah_plan.learn.segmenting.noise_fit import initial_noise
 from micah_plan.learn.segmenting.pool import refitted, window_hypotheses
 from micah_plan.learn.segmenting.posterior import (
     LOG_ODDS_OVERSTATED,
@@ -218,7 +218,7 @@ def test_forward_and_backward_sums_are_the_sum_over_all_segmentations() -> None:
     recording = recorded([(JOINTS["prismatic"], moving_then_held("prismatic", 5, 3))], np.random.default_rng(1))
     track = part_track(recording, 0, recording.parts[0])
     settings = LearnSettings()
-    noise = first_noise(track, settings)
+    noise = initial_noise(track, settings)
     pool = window_hypotheses(track, settings.kinds, noise).take([0, 1, 2])
     table = tabulated(pool, track, noise, settings.rest, 0.5)
     rng = np.random.default_rng(2)
@@ -243,7 +243,7 @@ def test_a_joint_is_paid_for_by_the_rows_that_it_explains_however_few_it_was_fit
     recording = recorded([(JOINTS["revolute"], np.linspace(0, 1, 60))], np.random.default_rng(1), Noise(0.002, 0.01))
     track = part_track(recording, 0, recording.parts[0])
     settings = LearnSettings(kinds=("revolute",))
-    noise = first_noise(track, settings)
+    noise = initial_noise(track, settings)
     prior = length_priors(track, settings)[0]
     for rows in (6, 60):
         pool = refitted(["revolute"], np.arange(60)[None] < rows, track, noise)
@@ -267,7 +267,7 @@ def test_an_answer_is_as_probable_as_its_joints_at_all_places_where_one_may_take
     recording = replace(recording, position=position)
     track = part_track(recording, 0, recording.parts[0])
     settings = LearnSettings()
-    noise, prior, n = first_noise(track, settings), length_priors(track, settings)[0], len(track)
+    noise, prior, n = initial_noise(track, settings), length_priors(track, settings)[0], len(track)
     joints = ["revolute", "prismatic"]
     turning = (np.arange(n) < 9) | (np.arange(n) >= 23)
     used = np.array([turning, ~turning])

@@ -87,7 +87,7 @@ def assert_found(kind: str, recording: Recording, method: Method, original: Reco
     """The planted joint, then rigid from the row on at which the part stopped in the original recording."""
     segments = learned(recording, method)
     assert kinds_of(segments) == [kind, "rigid"]
-    assert not any(s.certainty.misfit for s in segments)
+    assert not any(s.certainty.no_single_joint for s in segments)
     # Changes keep the rows' order; dropped rows move a row's number, not its share of what is left.
     share = MOVING / len(original) * len(recording)
     assert abs(segments[1].start - share) <= rows + 3 * np.sqrt(0.2 * MOVING) * (len(recording) < len(original))
@@ -153,7 +153,7 @@ def test_a_part_that_never_moves_is_rigid(noise: float, orientation: bool) -> No
         segments = learned(still, method)
         assert kinds_of(segments) == ["rigid"]
         assert segments[0].configuration_range == (0.0, 0.0)
-        assert segments[0].certainty.misfit is None
+        assert segments[0].certainty.no_single_joint is None
         np.testing.assert_allclose(segments[0].joint.position, JOINTS["revolute"].position, atol=3e-3)
 
 
@@ -174,7 +174,7 @@ def test_two_centimetres_of_noise_leave_the_kind(kind: str) -> None:
         segments = learned(noisy, method)
         assert segments[0].joint.kind == kind
         assert set(kinds_of(segments)) <= {kind, "rigid"}
-        assert not any(s.certainty.misfit for s in segments)
+        assert not any(s.certainty.no_single_joint for s in segments)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -203,7 +203,7 @@ def test_very_short_recordings_are_answered(rows: int, orientation: bool) -> Non
         )
         for segment in learned(recording):
             assert np.isfinite([*segment.joint.axis, *segment.joint.position, segment.configuration_end]).all()
-            assert segment.certainty.misfit is None
+            assert segment.certainty.no_single_joint is None
 
 
 @pytest.mark.parametrize("rows", [1, 2, 4])

@@ -41,7 +41,9 @@ def assert_as_known(name: str, method: str, seed: int) -> None:
     assert [segment.joint.kind for segment in found.segments] == kinds
     if rows is not None:
         assert found.changepoints[0] in rows
-    assert all(segment.certainty is not None and segment.certainty.misfit is None for segment in found.segments)
+    assert all(
+        segment.certainty is not None and segment.certainty.no_single_joint is None for segment in found.segments
+    )
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -76,4 +78,4 @@ def test_every_kitchen_track_has_one_moving_joint_and_rests() -> None:
     for path in sorted((DATA / "tracks" / "kitchen").glob("*.csv")):
         segments = edge(path, "champ").segments
         assert sum(segment.joint.kind != "rigid" for segment in segments) == 1, path.name
-        assert all(segment.certainty is not None and segment.certainty.misfit is None for segment in segments)
+        assert all(segment.certainty is not None and segment.certainty.no_single_joint is None for segment in segments)

@@ -25,7 +25,7 @@ from planted_parts import (
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.build import build_automaton
-from micah_plan.automaton.certainty import EdgeCertainty, Misfit, SegmentCertainty
+from micah_plan.automaton.certainty import EdgeCertainty, NoSingleJoint, SegmentCertainty
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import prismatic, rigid
 from micah_plan.errors import InputError
@@ -225,7 +225,7 @@ class TestBranchPoses:
         relative = relative_rows(noisy, BASE, "tray")
         assert relative is not None
         edge = sliding_edge(relative.recording)
-        unknown = SegmentCertainty(None, (("prismatic", 0.0),), Misfit(0.1, 0.0, STD, 0.002, 300.0))
+        unknown = SegmentCertainty(None, (("prismatic", 0.0),), NoSingleJoint(0.1, 0.0, STD, 0.002, 300.0))
         segment = replace(edge.segments[0], certainty=unknown)
         said = branch_poses(replace(edge, segments=(segment,)), relative, noisy.poses())
         errors = [np.std((poses.translation - exact.position)[relative.rows]) for poses in (said, noisy.poses())]

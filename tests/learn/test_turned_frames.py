@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.learn.learn import learn_graph
 from micah_plan.learn.parts.tree import carriers, moves_far
-from micah_plan.learn.segmenting.noise_fit import first_noise
+from micah_plan.learn.segmenting.noise_fit import initial_noise
 from micah_plan.learn.segmenting.steps import activity_of
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.small_motion import small_motions
@@ -71,7 +71,7 @@ def resting(orientation: bool) -> Recording:
 
 def answer(recording: Recording) -> list[tuple[str, bool]]:
     segments = learn_graph(recording).edges[0].segments
-    return [(one.joint.kind, one.certainty.misfit is None) for one in segments]
+    return [(one.joint.kind, one.certainty.no_single_joint is None) for one in segments]
 
 
 def assert_same_in_turned_frames(recording: Recording, frames: list[Rotation]) -> None:
@@ -116,12 +116,12 @@ def test_measured_tracks_are_the_same_in_every_frame(shared_data: Path, name: st
 def test_what_comes_before_the_joints_is_the_same_in_every_frame() -> None:
     recording, settings = resting(orientation=True), LearnSettings()
     track = part_track(recording, 0, recording.parts[0])
-    noise = first_noise(track, settings)
+    noise = initial_noise(track, settings)
     parts = recorded_parts(cabinet(), 0)
     for frame in FRAMES:
         other = part_track(turned(recording, frame), 0, recording.parts[0])
         np.testing.assert_array_equal(find_inliers(other), find_inliers(track))
-        np.testing.assert_allclose(first_noise(other, settings).white, noise.white)
+        np.testing.assert_allclose(initial_noise(other, settings).white, noise.white)
         activity = activity_of(track, np.arange(len(track)))
         turned_activity = activity_of(other, np.arange(len(other)))
         np.testing.assert_array_equal(turned_activity.rows, activity.rows)

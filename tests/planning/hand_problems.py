@@ -82,7 +82,7 @@ def hand_problem(
 RANGES = ["hand >= 0.0", "hand <= 0.4", "rod >= -1.0", "rod <= 1.0"]
 
 
-def carrying(start: float = 0.2, target: float = 0.5, hand: float = 0.0) -> Problem:
+def pre_release_problem(start: float = 0.2, target: float = 0.5, hand: float = 0.0) -> Problem:
     """A hand that carries a rod, both moved by one input, in one mode."""
     both = {"hand": "input hand", "rod": "input hand"}
     mean = {"hand": hand, "rod": start}

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from hand_problems import (
     around_a_block,
-    carrying,
     gears,
     handing_over,
+    pre_release_problem,
     pusher,
     regrasping,
     swinging_back,
@@ -32,8 +32,8 @@ from micah_plan.task.problem import Problem
 
 PROBLEMS: dict[str, tuple[Callable[[], Problem], int]] = {
     # How often the plan takes hold anew, at least.
-    "a rod is carried": (carrying, 0),
-    "it is carried back": (partial(carrying, 0.1, -0.2, 0.35), 0),
+    "a rod is carried": (pre_release_problem, 0),
+    "it is carried back": (partial(pre_release_problem, 0.1, -0.2, 0.35), 0),
     "three geared coordinates": (gears, 0),
     "around a block": (around_a_block, 0),
     "held elsewhere": (regrasping, 1),
@@ -80,7 +80,7 @@ def test_a_target_out_of_reach_stays_unsolved() -> None:
 
 def test_what_cannot_move_alone_is_said() -> None:
     """Hand and rod are carried together: no input brings the rod to 0.5 m and the hand to 0.4 m."""
-    problem = carrying()
+    problem = pre_release_problem()
     goal = replace(problem.goal, target=((0, 0.4, 0.02), (1, 0.5, 0.02)))
     refused = solve(replace(problem, goal=goal))
     assert refused.outcome == "no_plan"

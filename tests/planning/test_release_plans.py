@@ -17,7 +17,7 @@ from micah_plan.errors import InputError
 from micah_plan.planning.release import with_release
 from micah_plan.planning.verification import verify
 from micah_plan.task.deadline import NEVER
-from micah_plan.task.release import carrying, rest_of
+from micah_plan.task.release import pre_release_problem, rest_of
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 STAPLER, BOX = PROBLEMS / "stapler_on_books.yaml", PROBLEMS / "box_under_bar.yaml"
@@ -80,10 +80,10 @@ def test_only_what_is_held_can_be_let_go() -> None:
 
 def test_before_it_lets_go_the_hand_is_above_the_support_by_what_is_not_known() -> None:
     problem = load_problem(STAPLER, {"release.support_std": 0.004})
-    rest, goal = rest_of(problem), carrying(problem).goal
+    rest, goal = rest_of(problem), pre_release_problem(problem).goal
     (_, z, room), sigmas = goal.target[2], problem.settings.sigmas
     assert z - room == pytest.approx(rest.top + rest.touching + sigmas * 0.004)
-    assert carrying(carrying(problem)) == carrying(problem)
+    assert pre_release_problem(pre_release_problem(problem)) == pre_release_problem(problem)
 
 
 def test_the_plan_goes_down_and_away_along_a_free_path() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from planning_examples import DOOR_SHUT, door_automaton, door_problem, planar_problem
 
-from micah_plan.automaton.lifted import boundary_stds, with_boundaries
+from micah_plan.automaton.augmented import boundary_stds, with_boundaries
 from micah_plan.automaton.transition import simulate
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief

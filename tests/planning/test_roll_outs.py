@@ -17,8 +17,8 @@ from planning_examples import (
 )
 from reference_step import step
 
+from micah_plan.automaton.augmented import threshold_stds, with_boundaries
 from micah_plan.automaton.hybrid import HybridAutomaton, Light, Noise, Reset
-from micah_plan.automaton.lifted import threshold_stds, with_boundaries
 from micah_plan.belief.filter import initial_belief, predict, update
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.feedback import feedback_input, time_knots

@@ -18,7 +18,7 @@ from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.verification import verify
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
-from micah_plan.task.release import carrying
+from micah_plan.task.release import pre_release_problem
 
 ROOT = Path(__file__).resolve().parents[2]
 PROBLEM = ROOT / "problems" / "stapler_on_books.yaml"
@@ -56,7 +56,7 @@ def test_the_goal_is_a_place_alone() -> None:
     problem, _ = solved("")
     assert [problem.automaton.coordinates[i].name for i, _, _ in problem.goal.target] == ["x", "y", "z"]
     assert problem.goal.modes == CONTACTS
-    assert carrying(problem).goal.modes == ("rigid",)  # what is to stand must be shut
+    assert pre_release_problem(problem).goal.modes == ("rigid",)  # what is to stand must be shut
     assert problem.start.std == (0.01, 0.01, 0.01, 0.1)
 
 

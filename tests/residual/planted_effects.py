@@ -59,8 +59,8 @@ def door_recording(runs, *, across=0.0, seed=0, shape=None, turn=None, press=0.0
         action = action + press * hand.standard_normal((len(z), 1)) * np.stack([np.cos(z), np.sin(z), 0 * z], axis=1)
         action = action if turn is None else action @ turn.T
         action[-1] = np.nan
-        beside = across * rng.standard_normal((len(z), 2))
-        away = np.stack([beside[:, 0] * np.cos(z), beside[:, 0] * np.sin(z), beside[:, 1]], axis=1)
+        scatter = across * rng.standard_normal((len(z), 2))
+        away = np.stack([scatter[:, 0] * np.cos(z), scatter[:, 0] * np.sin(z), scatter[:, 1]], axis=1)
         columns["time"].append(PERIOD * np.arange(len(z)))
         columns["position"].append(place(z) + away)
         half = 0.5 * (z + across / RADIUS * rng.standard_normal(len(z)))

@@ -14,7 +14,7 @@ from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segm
 from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.tracks import tracks
 from micah_plan.residual import calibrate as calibration
-from micah_plan.residual.geometry import geometry_findings, scatter_across
+from micah_plan.residual.geometry import geometry_findings, transverse_rms
 
 SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (plants.RADIUS, 0.0, 0.1))
 SEEDS = range(20)
@@ -52,7 +52,7 @@ def found_and_scatter(door, recording):
     """Names found, and the scatter beside the joints before and after they are taken in [m]."""
     found = geometry_findings(door, tracks(door, recording))
     better = with_effect(door, *(one.effect for one in found))
-    before, after = (scatter_across(model, tracks(model, recording))[0] for model in (door, better))
+    before, after = (transverse_rms(model, tracks(model, recording))[0] for model in (door, better))
     return [one.effect.name for one in found], before, after
 
 

@@ -21,7 +21,7 @@ class _Scored:
         self.density, self.squared = np.array(density, dtype=float), squared
 
 
-class _Lane:
+class _CoordinateData:
     counted = np.ones((5, 10), dtype=bool)
 
 
@@ -36,7 +36,7 @@ class _Lane:
     ],
 )
 def test_evidence_must_come_from_more_than_one_run_and_not_be_lost_in_others(gains, expected) -> None:
-    assert is_worth(_Scored(gains, squared=0.5), _Scored(np.zeros(5)), _Lane()) is expected
+    assert is_worth(_Scored(gains, squared=0.5), _Scored(np.zeros(5)), _CoordinateData()) is expected
 
 
 def drawer_with_two_effects(seed):

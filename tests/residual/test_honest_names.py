@@ -11,8 +11,8 @@ from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segm
 from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.tracks import tracks
 from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.coordinate_data import coordinate_data_of
 from micah_plan.residual.examined import examined
-from micah_plan.residual.lane import lanes
 from micah_plan.residual.search import candidates, indistinguishable
 
 SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (plants.RADIUS, 0.0, 0.1))
@@ -26,24 +26,24 @@ def door():
     return build_automaton(KinematicGraph((KinematicEdge(BASE, "door", (only,)),)))
 
 
-def lane_of(door, **how):
+def data_of(door, **how):
     moved = plants.runs_of(plants.honest, 4, 40, 1, noise=0.001)
-    (lane,) = lanes(door, tracks(door, plants.door_recording(moved, **how)))
-    return lane, {part.name: part for part in candidates(lane)}
+    (data,) = coordinate_data_of(door, tracks(door, plants.door_recording(moved, **how)))
+    return data, {part.name: part for part in candidates(data)}
 
 
 def test_actions_that_follow_the_joint_say_nothing_of_their_frame(door) -> None:
     for turn in (None, TURN):
-        lane, able = lane_of(door, turn=turn)
+        data, able = data_of(door, turn=turn)
         assert "frame_rotation" not in able
         # Then a turn and a gain are the same.
-        assert "frame_rotation" in indistinguishable(able["gain"], lane)
+        assert "frame_rotation" in indistinguishable(able["gain"], data)
 
 
 def test_actions_across_the_joint_tell_their_frame(door) -> None:
-    lane, able = lane_of(door, turn=TURN, press=0.3 * plants.RADIUS * plants.STEP)
+    data, able = data_of(door, turn=TURN, press=0.3 * plants.RADIUS * plants.STEP)
     assert "frame_rotation" in able
-    assert "frame_rotation" not in indistinguishable(able["gain"], lane)
+    assert "frame_rotation" not in indistinguishable(able["gain"], data)
 
 
 @pytest.mark.slow
@@ -69,19 +69,19 @@ def alike(count, rows, seed):
 
 def test_runs_that_are_all_alike_do_not_tell_place_from_time(door) -> None:
     found = calibrate(door, plants.door_recording(alike(4, 15, 0)))
-    assert found.traces[0].lane.repeats_one_motion
+    assert found.traces[0].data.repeats_one_motion
     assert found.verdict == "partly"
     assert not any(effect.is_added for effect in found.effects)
     assert found.automaton == door
     assert any("may as well come from earlier commands" in note for note in found.notes)
-    lane, _ = lane_of(door)
-    assert not lane.repeats_one_motion
+    data, _ = data_of(door)
+    assert not data.repeats_one_motion
 
 
 def test_the_search_for_a_grip_starts_where_the_part_lets_go(door) -> None:
     moved = plants.runs_of(plants.sticking, 6, 50, 3, noise=0.002)
-    (lane,) = lanes(door, tracks(door, plants.door_recording(moved)))
-    (part,) = (one for one in candidates(lane) if one.name == "stick_slip")
+    (data,) = coordinate_data_of(door, tracks(door, plants.door_recording(moved)))
+    (part,) = (one for one in candidates(data) if one.name == "stick_slip")
     assert np.abs(part.starts[:, 0] - 0.07).min() < 0.003
 
 

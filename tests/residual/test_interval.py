@@ -7,25 +7,25 @@ import planted_effects as plants
 import pytest
 
 from micah_plan.automaton.tracks import tracks
+from micah_plan.residual.coordinate_data import coordinate_data_of
 from micah_plan.residual.fit import independent_share
-from micah_plan.residual.lane import lanes
 from micah_plan.residual.search import Search, candidates, steady_variance
 
 
 def interval_of(door, plant, name, seed, goals=None):
-    """(low, median, high) of the first parameter of the form that was planted, and the lane."""
+    """(low, median, high) of the first parameter of the form that was planted, and the data."""
     moved = plants.runs_of(plant, 8, 40, seed, noise=0.003, goals=goals)
-    (lane,) = lanes(door, tracks(door, plants.door_recording(moved)))
-    search = Search(lane)
-    (part,) = [one for one in candidates(lane) if one.name == name]
-    return search.intervals(search.score((part,), search.nominal))[0], lane
+    (data,) = coordinate_data_of(door, tracks(door, plants.door_recording(moved)))
+    search = Search(data)
+    (part,) = [one for one in candidates(data) if one.name == name]
+    return search.intervals(search.score((part,), search.nominal))[0], data
 
 
 def test_the_interval_of_a_threshold_is_as_wide_as_the_commands_around_it_are_apart(door) -> None:
-    (low, median, high), lane = interval_of(door, plants.sticky, "dead_zone", 2)
+    (low, median, high), data = interval_of(door, plants.sticky, "dead_zone", 2)
     assert low < median < high
     assert low < 0.02 < high
-    sizes = np.sort(np.abs(lane.u[lane.counted_starts]))
+    sizes = np.sort(np.abs(data.u[data.counted_starts]))
     inside = int(np.sum((sizes > low) & (sizes < high)))
     assert inside <= 6
 

@@ -8,8 +8,8 @@ import pytest
 
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.judgement import judge
-from micah_plan.residual.leftover import Circumstances, lagged, leftover
 from micah_plan.residual.prediction import predict_recording, rmse
+from micah_plan.residual.residual_test import Circumstances, lagged, whiteness_test
 
 NOISE, MOVED = 0.004, 0.001
 
@@ -95,10 +95,10 @@ def test_a_regression_takes_out_what_follows_the_circumstances_and_nothing_else(
     place, v = rng.uniform(0, 1, 600), rng.uniform(-0.05, 0.05, 600)
     under = Circumstances(place, lagged(v), 0.1 * np.arange(600.0), np.linspace(0, 1, 600))
     noise = 0.002 * rng.standard_normal(600)
-    pure = leftover(noise[:, None], under)
+    pure = whiteness_test(noise[:, None], under)
     assert pure.probability > 1e-4
     assert pure.floor[0] == pytest.approx(0.002, rel=0.1)
-    bent = leftover((noise + 0.01 * np.sin(3 * place))[:, None], under)
+    bent = whiteness_test((noise + 0.01 * np.sin(3 * place))[:, None], under)
     assert bent.floor[0] == pytest.approx(0.002, rel=0.1)
     assert bent.follows[0][0] in ("the configuration", "a constant")
-    assert leftover(noise[:5, None], under) is None
+    assert whiteness_test(noise[:5, None], under) is None

@@ -8,7 +8,7 @@ import pytest
 
 from micah_plan.automaton.tracks import tracks
 from micah_plan.residual.calibrate import calibrate
-from micah_plan.residual.lane import lanes
+from micah_plan.residual.coordinate_data import coordinate_data_of
 from micah_plan.residual.prediction import predict_recording, rmse
 from micah_plan.residual.search import Search
 from micah_plan.residual.trace import followed, means_places
@@ -53,7 +53,7 @@ def test_a_servo_is_told_by_its_places_and_predicts_another_run(door, servo) -> 
 
 
 def test_places_predict_better_than_displacements(door) -> None:
-    search = Search(lanes(door, tracks(door, plants.door_recording([servo_run(150, 1, share=0.3)])))[0])
+    search = Search(coordinate_data_of(door, tracks(door, plants.door_recording([servo_run(150, 1, share=0.3)])))[0])
     place = followed(search, 4)
     assert means_places(search, place, search.nominal)
     assert place.names == ("follow",)

@@ -13,7 +13,7 @@ from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.tracks import tracks
 from micah_plan.cli.residuals import calibrated
 from micah_plan.residual.calibrate import calibrate
-from micah_plan.residual.lane import lanes
+from micah_plan.residual.coordinate_data import coordinate_data_of
 from micah_plan.residual.missing_mode import missing_modes
 from micah_plan.view.calibration_page import calibration_page
 
@@ -35,10 +35,10 @@ def recorded(plant, seed, runs=8):
 
 def told(door, plant, seed):
     """What the changepoints say of one-step errors, as if nothing else explained anything."""
-    (lane,) = lanes(door, tracks(door, recorded(plant, seed)))
-    errors = np.zeros_like(lane.z)
-    errors[:, 1:] = lane.z[:, 1:] - np.clip(lane.z + lane.u, 0.0, END)[:, :-1]
-    return missing_modes(lane, errors, np.arange(len(lane.run)) % 4)
+    (data,) = coordinate_data_of(door, tracks(door, recorded(plant, seed)))
+    errors = np.zeros_like(data.z)
+    errors[:, 1:] = data.z[:, 1:] - np.clip(data.z + data.u, 0.0, END)[:, :-1]
+    return missing_modes(data, errors, np.arange(len(data.run)) % 4)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -58,18 +58,18 @@ def test_what_changes_gradually_or_everywhere_is_none(door, plant) -> None:
 def test_a_model_that_is_wrong_everywhere_and_by_much_lacks_no_mode(door) -> None:
     """Residuals of twenty times the noise are no bad rows."""
     moved = plants.runs_of(plants.feeble, 8, 50, 1, noise=0.0005, disturbance=0.0002)
-    (lane,) = lanes(door, tracks(door, plants.door_recording(moved)))
-    errors = np.zeros_like(lane.z)
-    errors[:, 1:] = lane.z[:, 1:] - np.clip(lane.z + lane.u, 0.0, END)[:, :-1]
-    assert missing_modes(lane, errors, np.arange(len(lane.run)) % 4) == ()
+    (data,) = coordinate_data_of(door, tracks(door, plants.door_recording(moved)))
+    errors = np.zeros_like(data.z)
+    errors[:, 1:] = data.z[:, 1:] - np.clip(data.z + data.u, 0.0, END)[:, :-1]
+    assert missing_modes(data, errors, np.arange(len(data.run)) % 4) == ()
 
 
 @pytest.mark.parametrize("seed", [3, 7])
 def test_residuals_that_wander_count_as_few_rows(door, seed) -> None:
-    (lane,) = lanes(door, tracks(door, recorded(plants.honest, 1)))
-    fresh = np.random.default_rng(seed).normal(0.0, 0.001, lane.z.shape)
+    (data,) = coordinate_data_of(door, tracks(door, recorded(plants.honest, 1)))
+    fresh = np.random.default_rng(seed).normal(0.0, 0.001, data.z.shape)
     wandering = lfilter([1.0], [1.0, -0.97], fresh, axis=1)
-    assert missing_modes(lane, wandering, np.arange(len(lane.run)) % 4) == ()
+    assert missing_modes(data, wandering, np.arange(len(data.run)) % 4) == ()
 
 
 @pytest.mark.slow

@@ -65,12 +65,12 @@ def test_motions_stay_where_the_recording_was_and_commands_are_no_larger(door, t
     assert all(nats > 8.0 for _, _, nats in designed.expected)
     assert {found.effects[0].effect.name, *found.effects[0].tied} >= set(designed.expected[0][:2])
     experiment = designed.experiment
-    largest = np.abs(found.traces[0].lane.u).max()
+    largest = np.abs(found.traces[0].data.u).max()
     for motion in experiment.motions:
         u = np.array(motion.commands)[:, 0]
         assert np.abs(u).max() <= 1.001 * largest
         assert 0.0 <= motion.start.mean[0] <= plants.LENGTH
-    low, high = found.traces[0].lane.visited
+    low, high = found.traces[0].data.visited
     place = np.cumsum([experiment.motions[1].start.mean[0], *u])
     assert place.min() > low - plants.STEP * 6
     assert place.max() < high + plants.STEP * 6

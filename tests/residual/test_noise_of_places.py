@@ -14,8 +14,8 @@ from micah_plan.automaton.joint import prismatic
 from micah_plan.automaton.tracks import tracks
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.coordinate_data import rows_as_seen
 from micah_plan.residual.examined import examined
-from micah_plan.residual.lane import rows_as_seen
 from micah_plan.residual.prediction import first_belief
 
 LENGTH, AT, GROWTH, STD, MOVED = 1.0, 0.2, 0.1, 0.002, 0.001
@@ -80,13 +80,13 @@ def test_a_first_measurement_is_believed_as_far_as_its_place_allows() -> None:
 @pytest.mark.parametrize("growth", [0.0, GROWTH])
 def test_innovations_over_their_spread_are_equally_large_everywhere(growth) -> None:
     (search,) = examined(slide(), recorded(1, growth=growth)).searches
-    rows = search.lane.counted
+    rows = search.data.counted
     own = search.innovations(search.nominal) / search.spread(search.nominal)
-    near = np.abs(search.lane.z - AT) < 0.25
+    near = np.abs(search.data.z - AT) < 0.25
     ratio = np.std(own[rows & near]) / np.std(own[rows & ~near])
     # Where the log knows no dark places, the likelihood takes noise that is the same everywhere.
     assert ratio == pytest.approx(1.0, abs=0.25)
-    assert np.ptp(search.lane.noise) > 1.0 if growth else np.ptp(search.lane.noise) == 0.0
+    assert np.ptp(search.data.noise) > 1.0 if growth else np.ptp(search.data.noise) == 0.0
 
 
 def test_nothing_is_found_where_only_the_noise_depends_on_the_place() -> None:

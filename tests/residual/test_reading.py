@@ -15,7 +15,7 @@ from micah_plan.automaton.tracks import tracks
 from micah_plan.errors import InputError
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
-from micah_plan.residual.examined import _density, reading_findings
+from micah_plan.residual.examined import _density, estimator_bias_findings
 from micah_plan.residual.likelihood import student_t_log_density
 from micah_plan.residual.prediction import estimate_errors, predict_recording
 from micah_plan.residual.trace import LEAST_EVIDENCE
@@ -82,7 +82,7 @@ def test_a_belief_that_agrees_says_nothing_of_the_sensor(drawer) -> None:
 def test_a_part_that_hardly_moves_is_no_sensor_that_reads_a_multiple(drawer, share) -> None:
     """The controller believes that it moved; the scale that would explain it is beyond what a sensor may have."""
     stuck = served(lambda c: c, by=lambda _, belief: share * belief)
-    found = reading_findings(drawer, tracks(drawer, stuck))
+    found = estimator_bias_findings(drawer, tracks(drawer, stuck))
     assert all(is_possible(one.effect) for one in found)
     assert "sensor_scale" not in [one.effect.name for one in found]
     assert estimate_errors(predict_recording(drawer, stuck))[1] > 0.05

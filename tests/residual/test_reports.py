@@ -48,9 +48,9 @@ def test_gain_and_bias_of_one_way_commands_go_together_as_in_a_regression() -> N
     c = 0.05 + np.cumsum(u + 0.001 * rng.standard_normal(u.shape), axis=1) - u
     recording = replace(recorded(5), position=_along_x(c), action=_along_x(u))
     (search,) = examined(slide(0.0), recording).searches
-    parts = {part.name: part for part in candidates(search.lane)}
+    parts = {part.name: part for part in candidates(search.data)}
     names, matrix = search.correlations_of(search.score((parts["gain"], parts["bias"])))
-    u = search.lane.u[search.lane.counted_starts]
+    u = search.data.u[search.data.counted_starts]
     assert names == ("gain of gain", "bias of bias")
     assert np.diag(matrix) == pytest.approx([1.0, 1.0])
     assert matrix[0, 1] == pytest.approx(-u.mean() / np.sqrt(np.mean(u**2)), abs=0.05)

@@ -12,7 +12,7 @@ from micah_plan.automaton.certainty import (
     ActionChannel,
     EdgeCertainty,
     EvidenceTrace,
-    Misfit,
+    NoSingleJoint,
     RowPosterior,
     SegmentCertainty,
 )
@@ -83,8 +83,10 @@ def no_joint(rows: int = 50) -> tuple[Recording, KinematicGraph]:
     position = np.column_stack([0.3 * t + 0.05 * np.sin(9 * t), 0.1 * np.sin(6 * t), np.full(rows, 0.1)])
     recording = Recording(t * 4, position + rng.normal(0, 0.002, (rows, 3)))
     best = Joint("prismatic", position=(0.0, 0.0, 0.1), axis=(0.98, -0.2, 0.0))
-    misfit = Misfit(0.058, None, 0.002, None, 214.0)
-    certainty = SegmentCertainty(None, (("rigid", 0.0), ("prismatic", 0.0), ("revolute", 0.0), ("screw", 0.0)), misfit)
+    no_single_joint = NoSingleJoint(0.058, None, 0.002, None, 214.0)
+    certainty = SegmentCertainty(
+        None, (("rigid", 0.0), ("prismatic", 0.0), ("revolute", 0.0), ("screw", 0.0)), no_single_joint
+    )
     segment = Segment(best, 0, 0, rows - 1, 0.0, 0.3, (0.0, 0.3), 0.01, 0.002, -300.0, 0.6, certainty)
     edge = KinematicEdge(BASE, "part", (segment,), EdgeCertainty(-100.0, ((0.97, 0.03),), None, None))
     return recording, KinematicGraph((edge,))

@@ -18,7 +18,7 @@ from micah_plan.view.chart import Columns, Curve, Span
 from micah_plan.view.learned import FLOOR, EvidenceLine, learned_runs, line_labels, segment_labels
 from micah_plan.view.learning_charts import learning_block
 from micah_plan.view.page import Block
-from micah_plan.view.palette import MISFIT, category
+from micah_plan.view.palette import NO_SINGLE_JOINT, category
 from micah_plan.view.recording_page import recording_page
 
 
@@ -78,9 +78,9 @@ def test_every_model_has_a_line_and_a_name() -> None:
 def test_no_joint_fits_is_said_in_words_and_colour() -> None:
     page = recording_page(*no_joint())
     assert '<p class="badge bad">no single-joint model fits</p>' in page
-    assert '<h3 class="misfit">part: no single-joint model fits</h3>' in page
+    assert '<h3 class="alarm">part: no single-joint model fits</h3>' in page
     made = block(*no_joint())
-    assert [span.color for span in marks(made.chart, Span) if span.look == "misfit"] == [MISFIT]
+    assert [span.color for span in marks(made.chart, Span) if span.look == "hatched"] == [NO_SINGLE_JOINT]
     assert "misses by 58 mm (noise alone: 2 mm)" in words_of(made)
     assert "fitted joints:" not in page, "a joint that does not fit is not drawn"
 

@@ -18,7 +18,7 @@ from micah_plan.automaton.graph import KinematicGraph
 from micah_plan.recording.value import Recording
 from micah_plan.view.learned import FLOOR, learned_runs, relative_evidence
 from micah_plan.view.learning_figure import MOST_BLOCKS, learning_figure
-from micah_plan.view.palette import INK, MISFIT, category
+from micah_plan.view.palette import INK, NO_SINGLE_JOINT, category
 
 GAP = "no single-joint model fits"
 
@@ -139,7 +139,7 @@ def test_posteriors_are_in_figures_and_words() -> None:
     for text in ("revolute 93 %", "screw 6 %", "rigid 88 %", "revolute 9 %", "<1 %", "96 %"):
         assert text in said
     assert f"{CHANNEL.gain:.2f} ± 0.02" in said
-    assert "0.11 ± 0.01 s after it" in said
+    assert "delay 0.11 ± 0.01 s" in said
     assert "turned by 12.0 ± 1.1°" in said.replace("\n", " ")
     assert "radius 300 mm, axis ± 0.69°, centre ± 3 mm" in said
 
@@ -149,9 +149,11 @@ def test_no_joint_fits_is_said_in_words_and_colour() -> None:
     assert any(text.get_text() == f"part: {GAP}" and text.get_bbox_patch() for text in figure.texts)
     assert "misses by 58 mm (noise alone: 2 mm)" in words(figure)
     axes = labelled(figure, "displacement [m]")
-    assert [color for color, _, _ in dots(axes)] == [INK, MISFIT], "with a rim"
+    assert [color for color, _, _ in dots(axes)] == [INK, NO_SINGLE_JOINT], "with a rim"
     assert any(patch.get_hatch() for patch in axes.patches)
-    assert MISFIT not in {color for color, _, _ in dots(labelled(learning_figure(*assessed_door()), "configuration"))}
+    assert NO_SINGLE_JOINT not in {
+        color for color, _, _ in dots(labelled(learning_figure(*assessed_door()), "configuration"))
+    }
 
 
 def test_a_joint_that_returns_has_its_colour_again_and_parts_have_their_own() -> None:

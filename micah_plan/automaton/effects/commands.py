@@ -27,7 +27,7 @@ class Gain(EffectForm):
     sentence = "Every commanded displacement is carried out by a constant factor too far or too short."
     source = "Siciliano et al., Robotics, ch. 6: calibration of drives"
     parameters = (Parameter("gain", "1", 1.0),)
-    plainness = 0
+    complexity_rank = 0
 
     def command(self, ops: Operations, v: Value, p: Values) -> Value:
         return p[0] * v
@@ -62,7 +62,7 @@ class Bias(EffectForm):
     sentence = "Every step moves by the same amount more, whatever is commanded."
     source = "Siciliano et al., Robotics, ch. 6: offset of a drive"
     parameters = (Parameter("bias", "coordinate", 0.0),)
-    plainness = 1
+    complexity_rank = 1
 
     def command(self, ops: Operations, v: Value, p: Values) -> Value:
         return v + p[0]
@@ -76,7 +76,7 @@ class Saturation(EffectForm):
     sentence = "No step is larger than a limit, however large the command."
     source = "Khalil, Nonlinear Systems, 3rd ed., section 1.2.7"
     parameters = (Parameter("largest", "coordinate", None, 0.0),)
-    plainness = 5
+    complexity_rank = 5
     experiments = (("gain", "command small and large steps: a limit only cuts the large ones"),)
 
     def command(self, ops: Operations, v: Value, p: Values) -> Value:
@@ -95,7 +95,7 @@ class DeadZone(EffectForm):
     sentence = "Commands smaller than a threshold move nothing (dry friction); larger ones may lose as much."
     source = "Khalil, Nonlinear Systems, 3rd ed., sections 1.2.3 and 1.2.7; Armstrong-Helouvry et al., Automatica 1994"
     parameters = (Parameter("width", "coordinate", 0.0, 0.0), Parameter("lost", "1", None, 0.0, 1.0))
-    plainness = 4
+    complexity_rank = 4
     experiments = (("gain", "command steps of very different sizes: friction takes as much off each"),)
 
     def command(self, ops: Operations, v: Value, p: Values) -> Value:

@@ -9,6 +9,7 @@ from typing import final
 
 import numpy as np
 
+from micah_plan.automaton.augmented import mapped
 from micah_plan.automaton.effects.form import (
     EffectForm,
     Operations,
@@ -21,7 +22,6 @@ from micah_plan.automaton.effects.form import (
 )
 from micah_plan.automaton.effects.geometry import rigid_at
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin, Reset
-from micah_plan.automaton.lifted import mapped
 from micah_plan.automaton.region import HalfSpace, Region, above, below
 from micah_plan.errors import InputError
 
@@ -40,7 +40,7 @@ class Limit(EffectForm):
     sentence = "The motion is stopped inside of the range that the model knows."
     source = "Lygeros, Sastry and Tomlin, Hybrid systems: an invariant that is smaller than modelled"
     parameters = (Parameter("at", "coordinate"), Parameter("side", "1", None, -1.0, 1.0))
-    plainness = 11
+    complexity_rank = 11
     experiments = (
         (
             "guard_shift",
@@ -76,7 +76,7 @@ class GuardShift(EffectForm):
     sentence = "The threshold at which the motion changes lies elsewhere than in the model."
     source = "Lygeros, Sastry and Tomlin, Hybrid systems: guards"
     parameters = (Parameter("shift", "coordinate", 0.0), Parameter("side", "1", None, -1.0, 1.0))
-    plainness = 10
+    complexity_rank = 10
 
     def stops(self, ops: Operations, lower: Value, upper: Value, p: Values) -> tuple[Value, Value]:
         return ops.where(p[1] < 0, lower + p[0], lower), ops.where(p[1] > 0, upper + p[0], upper)
@@ -110,7 +110,7 @@ class GuardHysteresis(EffectForm):
     sentence = "A threshold that was crossed in one direction takes more to be crossed in the other."
     source = "Goebel, Sanfelice and Teel, Hybrid dynamical systems, 2009: hysteresis"
     parameters = (Parameter("width", "coordinate", 0.0, 0.0),)
-    plainness = 13
+    complexity_rank = 13
     experiments = (("guard_shift", "go through the threshold in both directions"),)
 
     def release(self, p: Values) -> Value:

@@ -24,7 +24,7 @@ class Spring(EffectForm):
         Parameter("rest", "coordinate"),
         Parameter("ahead", "1", None, 0.0, 1.0),
     )
-    plainness = 2
+    complexity_rank = 2
     experiments = (
         ("gain", "hold the commands at zero far from the rest position: only a spring moves the part"),
         ("bias", "visit the whole range: a spring's pull changes its sign, a bias does not"),
@@ -49,7 +49,7 @@ class Gravity(EffectForm):
     sentence = "The joint sags under its weight, by an amount that depends on where it is."
     source = "Murray, Li and Sastry, ch. 4: torque of gravity about a fixed axis"
     parameters = (Parameter("sine", "rad", 0.0), Parameter("cosine", "rad", 0.0))
-    plainness = 3
+    complexity_rank = 3
     experiments = (
         ("bias", "visit the whole range: gravity changes with the angle, a bias does not"),
         ("spring", "visit a wider range of angles: gravity bends back, a spring does not"),
@@ -78,7 +78,7 @@ class Latch(EffectForm):
         Parameter("at", "coordinate"),
         Parameter("reach", "coordinate", None, 1e-6),
     )
-    plainness = 12
+    complexity_rank = 12
     experiments = (("spring", "visit places far from the attraction: a spring pulls on, a latch lets go"),)
 
     def force(self, ops: Operations, c: Value, v: Value, p: Values) -> Value:

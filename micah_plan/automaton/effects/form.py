@@ -47,7 +47,7 @@ _HOOKS: dict[str, Layer] = {
     "release": "guard",
     "measured": "sensor",
 }
-_LEAST_PLAIN = 17
+_HIGHEST_RANK = 17
 # What is large for a parameter that is no displacement.
 _LARGE = 0.3
 
@@ -96,7 +96,7 @@ class EffectForm:
         source: where the formula comes from.
         parameters: in order.
         layers: of the hooks that it overrides; one, for a form that can be used, and that is its `layer`.
-        plainness: place among the forms where a recording cannot tell them apart: the smallest is named first.
+        complexity_rank: place among the forms where a recording cannot tell them apart: the smallest is named first.
         experiments: (name of another effect, what would tell it from this one).
         is_sought: whether `calibrate` tries it as it tries any: not what it seeks in another way, nor what is added by
             hand only.
@@ -108,7 +108,7 @@ class EffectForm:
     parameters: ClassVar[tuple[Parameter, ...]]
     layers: ClassVar[tuple[Layer, ...]] = ()
     layer: ClassVar[Layer]
-    plainness: ClassVar[int] = _LEAST_PLAIN
+    complexity_rank: ClassVar[int] = _HIGHEST_RANK
     experiments: ClassVar[tuple[tuple[str, str], ...]] = ()
     is_sought: ClassVar[bool] = True
 
@@ -187,7 +187,7 @@ _AT_REST = 1e-3
 
 
 class Shown(Protocol):
-    """One coordinate over S stretches of up to T rows; calibration's `lane.Lane` is one.
+    """One coordinate over S segments of up to T rows; calibration's `coordinate_data.CoordinateData` is one.
 
     Attributes:
         unit: rad or m. z, u: (S, T) measured configuration, and commanded displacement from each row to the next.

@@ -8,10 +8,10 @@ from typing import final
 
 import numpy as np
 
+from micah_plan.automaton.augmented import mapped
 from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Same, Shown, Start, Value, Values
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint, axis_basis, rigid, twisting
-from micah_plan.automaton.lifted import mapped
 
 # Actions across the joint of their own that are smaller than this share of the commands say nothing of their frame.
 _ACROSS = 0.1
@@ -27,7 +27,7 @@ class FrameRotation(EffectForm):
     sentence = "Actions are given in a frame that is turned against the base frame."
     source = "Murray, Li and Sastry, ch. 2: exponential coordinates of rotations"
     parameters = tuple(Parameter(f"rotation_{k}", "rad", 0.0, -3.2, 3.2) for k in (1, 2, 3))
-    plainness = 16
+    complexity_rank = 16
     experiments = (
         (
             "gain",

@@ -21,7 +21,7 @@ class Delay(EffectForm):
     sentence = "Commands take effect later than they were given."
     source = "Laakso et al., Splitting the unit delay, IEEE Signal Processing Magazine 1996 (linear interpolation)"
     parameters = (Parameter("steps", "step", 0.0, 0.0, float(LONGEST_DELAY)),)
-    plainness = 6
+    complexity_rank = 6
 
     def at_rest(self, p: Values) -> Memory:
         # Many delays at once share a line for the longest.
@@ -48,7 +48,7 @@ class Lag(EffectForm):
     sentence = "The motion follows the command only gradually."
     source = "Astrom and Wittenmark, Computer-Controlled Systems, 3rd ed., section 2.3: sampled first-order system"
     parameters = (Parameter("steps", "step", 0.0, 0.0, 30.0),)
-    plainness = 7
+    complexity_rank = 7
     experiments = (
         ("gain", "command one long step and then none: a lag goes on moving, a gain does not"),
         ("delay", "command one large step after a rest: a delay moves all at once, a lag gradually"),
@@ -77,7 +77,7 @@ class Backlash(EffectForm):
     sentence = "When the direction reverses, a part of the motion is lost before the part follows."
     source = "Nordin and Gutman, Controlling mechanical systems with backlash, Automatica 2002 (play model)"
     parameters = (Parameter("width", "coordinate", 0.0, 0.0), Parameter("side", "1", None, -1.0, 1.0))
-    plainness = 8
+    complexity_rank = 8
     experiments = (
         ("delay", "reverse slowly: play loses the same distance at any speed, a delay less"),
         ("lag", "reverse slowly: play loses the same distance at any speed, a lag less"),
@@ -106,7 +106,7 @@ class StickSlip(EffectForm):
         "Karnopp, Computer simulation of stick-slip friction, ASME J. Dynamic Systems 1985 (without the slip's time)"
     )
     parameters = (Parameter("grip", "coordinate", 0.0, 0.0),)
-    plainness = 9
+    complexity_rank = 9
     experiments = (("backlash", "command many small steps one way: with play all but the first arrive"),)
 
     def at_rest(self, p: Values) -> Memory:

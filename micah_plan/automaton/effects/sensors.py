@@ -15,7 +15,7 @@ class SensorScale(EffectForm):
     sentence = "The sensor's unit is off by a factor."
     source = "Siciliano et al., Robotics, ch. 5: sensor calibration"
     parameters = (Parameter("scale", "1", 1.0, 0.2, 5.0),)
-    plainness = 15
+    complexity_rank = 15
     experiments = (
         (
             "gain",
@@ -55,7 +55,7 @@ class Drift(EffectForm):
     sentence = "The reading wanders away at a constant rate while the part may rest."
     source = "Titterton and Weston, Strapdown inertial navigation, ch. 4"
     parameters = (Parameter("rate", "coordinate/s", 0.0),)
-    plainness = 14
+    complexity_rank = 14
     experiments = (
         ("bias", "let the part rest against a stop: a sensor that drifts goes on, a bias does not"),
         ("guard_shift", "rest at the end for a while: a drifting reading goes on"),

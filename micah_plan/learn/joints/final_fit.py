@@ -65,7 +65,7 @@ _FAR = 4.0  # stds that better weights may move an axis by
 
 
 @dataclass(frozen=True)
-class JointDoubts:
+class LackOfFit:
     """What all rows say against a joint that was fitted to them.
 
     Attributes:
@@ -77,7 +77,7 @@ class JointDoubts:
     deviation: Deviation | None = None
 
 
-NO_DOUBTS = JointDoubts()
+NO_LACK_OF_FIT = LackOfFit()
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ class FittedJoint:
         position_std: total std of a position per axis [m], white and wandering.
         rotation_std: the same of a rotation [rad]; 0 without orientations.
         log_likelihood: of the mixture, with the prior of γ, rows taken as independent.
-        doubts: what the rows say against it.
+        lack_of_fit: what the rows say against it.
     """
 
     joint: Joint
@@ -100,7 +100,7 @@ class FittedJoint:
     position_std: float
     rotation_std: float
     log_likelihood: float
-    doubts: JointDoubts = NO_DOUBTS
+    lack_of_fit: LackOfFit = NO_LACK_OF_FIT
 
 
 def fit_joint(
@@ -157,8 +157,8 @@ def fit_joint(
     joint, noise = helix or (_refined(before, *rows.of(kept), noise, posterior), noise)
     judged = _fitted(joint, rows.mixture(joint, noise.stds), quaternion is not None)
     rotation_std = noise.stds[0] if quaternion is not None else 0.0
-    doubts = JointDoubts(log_odds, _deviation(posterior, scales) if joint.moves else None)
-    return replace(judged, position_std=noise.stds[1], rotation_std=rotation_std, doubts=doubts)
+    lack_of_fit = LackOfFit(log_odds, _deviation(posterior, scales) if joint.moves else None)
+    return replace(judged, position_std=noise.stds[1], rotation_std=rotation_std, lack_of_fit=lack_of_fit)
 
 
 def _deviation(posterior: ErrorPosterior, scales: Scales) -> Deviation:

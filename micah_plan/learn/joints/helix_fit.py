@@ -32,7 +32,7 @@ from micah_plan.learn.joints.tracker_noise import (
     OrnsteinUhlenbeck,
     Scales,
     TrackerNoise,
-    covering,
+    conservative_covariance,
     log_evidence,
     noise_of,
     wanders,
@@ -225,7 +225,7 @@ def _covered(median: _Tried, tried: Sequence[_Tried], chance: Floats, spread: Fl
     between = _interpolation(len(tried))
     off, slope = between @ np.array(offs), np.tensordot(between, all_slopes, 1)
     matrix = (chance[:, None] * off).T @ off + np.einsum("i,ijr,ikr->jk", chance, slope, slope)
-    matrix = turn.T @ covering(matrix, chance, off, np.sqrt((slope**2).sum(axis=2))) @ turn
+    matrix = turn.T @ conservative_covariance(matrix, chance, off, np.sqrt((slope**2).sum(axis=2))) @ turn
     rows = (0.5 * (matrix + matrix.T)).tolist()
     return replace(joint, covariance=ParameterCovariance(chart.names, tuple(tuple(row) for row in rows)))
 

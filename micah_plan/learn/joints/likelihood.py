@@ -20,7 +20,13 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import Joint, ParameterCovariance
 from micah_plan.learn.joints.joint_frame import Seen, seen_by
 from micah_plan.learn.joints.parametrization import Chart, chart_of, stepped
-from micah_plan.learn.joints.tracker_noise import Contrasts, ErrorPosterior, TrackerNoise, contrasts_of, covering
+from micah_plan.learn.joints.tracker_noise import (
+    Contrasts,
+    ErrorPosterior,
+    TrackerNoise,
+    conservative_covariance,
+    contrasts_of,
+)
 
 _STEPS = 25
 
@@ -108,7 +114,7 @@ def error_covariance(fit: Fit, noise: TrackerNoise, posterior: ErrorPosterior, g
     matrix = noisy + mean[0] * missed[0] + mean[1] * missed[1]
     variances = np.diag(noisy) + sizes.T @ np.stack([np.diag(variance) for variance in missed])
     std = np.sqrt(np.maximum(variances, 0.0))
-    return covering(matrix, posterior.chance, np.zeros_like(std), std)
+    return conservative_covariance(matrix, posterior.chance, np.zeros_like(std), std)
 
 
 def normal_equations(fit: Fit, noise: TrackerNoise) -> tuple[Floats, Floats, float]:

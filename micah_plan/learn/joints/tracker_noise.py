@@ -586,7 +586,7 @@ _BISECTIONS = 30
 _SMALLEST_STD = 1e-12
 
 
-def covering(matrix: Floats, chance: Floats, off: Floats, std: Floats) -> Floats:
+def conservative_covariance(matrix: Floats, chance: Floats, off: Floats, std: Floats) -> Floats:
     """(k, k) covariance with the correlations of a matrix (k, k), and stds that cover.
 
     Args:

@@ -259,7 +259,7 @@ def branch_poses(edge: KinematicEdge, relative: RelativeRows, poses: RigidTransf
     relative_poses, seen_action = relative.recording.poses(), relative.recording.action
     for segment in edge.segments:
         index = slice(segment.start, segment.end + 1)
-        if segment.misfit is not None:
+        if segment.no_single_joint is not None:
             local = _smoothed_freely(relative_poses[index])
         else:
             rotation = relative_poses.rotation[index] if relative.recording.has_orientation else None

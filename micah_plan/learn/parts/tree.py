@@ -85,7 +85,7 @@ class PairEdge:
     @property
     def is_rigid(self) -> bool:
         """Whether the two never move relative to each other."""
-        return all(not segment.joint.moves and segment.misfit is None for segment in self.edge.segments)
+        return all(not segment.joint.moves and segment.no_single_joint is None for segment in self.edge.segments)
 
     @property
     def log_evidence(self) -> float:

@@ -36,7 +36,7 @@ class EvidenceTable:
     """Densities of rows under a pool.
 
     Attributes:
-        trust: power of the likelihood.
+        likelihood_power: power of the likelihood.
         pool, motion: the h hypotheses and how the part moves along them.
         log_density: (p + 1, n, h): of a row, given 0, 1, ... p rows before it.
         ending: (p + 1, n, h): by how much more probable it is as the last one of its segment.
@@ -46,7 +46,7 @@ class EvidenceTable:
         rows: (h,) how many rows they were fitted to.
     """
 
-    trust: float
+    likelihood_power: float
     pool: Pool
     motion: Motion
     log_density: Floats
@@ -90,17 +90,17 @@ def tabulated(
     track: PartTrack,
     noise: NoiseModel,
     rest: float,
-    trust: float,
+    likelihood_power: float,
     begun: bool = False,
 ) -> EvidenceTable:
     """The densities of all rows under all hypotheses.
 
     Args:
         rest: prior probability that a part on a moving joint rests in a step, where actions do not tell.
-        trust: power of the likelihood (`noise.trust_in`).
+        likelihood_power: power of the likelihood (`noise.likelihood_power_of`).
         begun: whether the part has moved before the first row.
     """
-    return all_tabulated([hypotheses], track, [noise], rest, trust, begun)[0]
+    return all_tabulated([hypotheses], track, [noise], rest, likelihood_power, begun)[0]
 
 
 def all_tabulated(
@@ -108,7 +108,7 @@ def all_tabulated(
     track: PartTrack,
     noises: Sequence[NoiseModel],
     rest: float,
-    trust: float,
+    likelihood_power: float,
     begun: bool = False,
 ) -> list[EvidenceTable]:
     """The same of several sets of hypotheses, each under a noise of its own, at once."""
@@ -116,7 +116,7 @@ def all_tabulated(
     noise = stacked(noises, counts) if len(pools) > 1 else noises[0]
     pool = pool_of(together, track, noise)
     table, scale = _across(pool, noise)
-    motion = fit_motion(pool, track.action, rest, scale, trust, begun)
+    motion = fit_motion(pool, track.action, rest, scale, likelihood_power, begun)
     unled = table + motion.unled
     # Where on its joint a segment starts is uniform over what the recording reaches.
     table[1:] += motion.log_density
@@ -126,28 +126,28 @@ def all_tabulated(
     slipped = np.log(_SLIP) + table[0]
     for densities in (table, led_or_not):
         densities[1:] = log_add(np.log1p(-_SLIP) + densities[1:], slipped)
-    ending = trust * (led_or_not - table)
+    ending = likelihood_power * (led_or_not - table)
     # A segment of one row begins and ends within it, which is asked once; the last row of all leaves its segment open.
     ending[0] = ending[..., -1] = 0.0
     # The first row of a segment may go on where the row before was, or not.
     going_on = table[1:, :, 1:].copy()
     going_on[:1] = led_or_not[1:2, :, 1:]
     table[:-1, :, 1:] = log_add(table[:-1, :, 1:], going_on) + np.log(0.5)
-    table *= trust
+    table *= likelihood_power
     if not begun:
         table[0, ~pool.moving, 0] -= _HELD_FIRST
     rows = np.maximum(together.used.sum(axis=1), 1).astype(float)
     of_motion = 0.5 * motion.parameters * np.log(rows)
     parameters = parameter_counts(together.joints, track.quaternion is not None) + motion.parameters
-    cost, denied = parameter_costs(pool, track, noise, trust)
+    cost, denied = parameter_costs(pool, track, noise, likelihood_power)
     ends = np.cumsum(counts)
     tables = []
     for pool_of_part, noise_of_part, part in zip(pools, noises, map(slice, ends - counts, ends), strict=True):
         pool_of_one = pool.part(part, pool_of_part)
-        held = held_costs(cost[part], denied[part], pool_of_one, noise_of_part, trust) + of_motion[part]
+        held = held_costs(cost[part], denied[part], pool_of_one, noise_of_part, likelihood_power) + of_motion[part]
         density = table[:, part].swapaxes(1, 2), ending[:, part].swapaxes(1, 2)
         numbers = parameters[part], cost[part] + of_motion[part], held, rows[part]
-        tables.append(EvidenceTable(trust, pool_of_one, motion.part(part), *density, *numbers))
+        tables.append(EvidenceTable(likelihood_power, pool_of_one, motion.part(part), *density, *numbers))
     return tables
 
 

@@ -40,12 +40,12 @@ class Trend:
     begun: float
 
 
-def free_log_probability(track: PartTrack, noise: NoiseModel, trust: float) -> float:
+def free_log_probability(track: PartTrack, noise: NoiseModel, likelihood_power: float) -> float:
     """ln probability of a track of free motion, to compare with that of its segments.
 
     Args:
         noise: as the roughness of the rows tells it.
-        trust: power of the likelihood.
+        likelihood_power: power of the likelihood.
     """
     path = _path(track)
     trends = [
@@ -54,7 +54,7 @@ def free_log_probability(track: PartTrack, noise: NoiseModel, trust: float) -> f
     squares = np.sum([trend.squares for trend in trends], axis=0)
     sizes = np.sum([trend.sizes for trend in trends], axis=0)
     log_probability = float(density(squares, sizes, path.shape[1]).sum()) + sum(trend.begun for trend in trends)
-    return float(trust * log_probability - len(trends) * price(len(track)))
+    return float(likelihood_power * log_probability - len(trends) * price(len(track)))
 
 
 def rough(noise: NoiseModel) -> list[float]:

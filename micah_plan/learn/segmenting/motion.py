@@ -51,7 +51,7 @@ class _StepModel:
 
     forth: Floats
     back: Floats
-    waiting: Floats
+    not_yet_grasped: Floats
     gain: Floats
     parameters: float
     allowed: Booleans
@@ -79,7 +79,7 @@ class Motion:
 
 
 def fit_motion(
-    pool: Pool, action: Floats | None, rest: float, scale: Floats, trust: float, begun: bool = False
+    pool: Pool, action: Floats | None, rest: float, scale: Floats, likelihood_power: float, begun: bool = False
 ) -> Motion:
     """Maximum-likelihood step models.
 
@@ -105,22 +105,24 @@ def fit_motion(
     free, led, still = _step_variances(grid, action, n)
     variances = np.concatenate([free, led, still], axis=2)
     innovations, quiet = innovations_of(_signals(c, action), pool.along.take(members), variances, scale[members])
-    waiting = _quiet_density(innovations[0, :, :, -1], quiet[:, :, -1])
+    not_yet_grasped = _quiet_density(innovations[0, :, :, -1], quiet[:, :, -1])
     # Without gaps: NumPy is slow at rows of three numbers.
     of_free, of_led = slice(0, free.shape[2]), slice(free.shape[2], -1)
     step, ramp, calm = (np.ascontiguousarray(rows[..., of_free]) for rows in (innovations[0], innovations[1], quiet))
     weights = np.repeat(weight, grid.shape[1], axis=2)
     speeds = _directions(c), *_speeds(c, weight, white)
-    models = [_freely(step, ramp, calm, mean_square, weights, rest, *speeds, waiting)]
+    models = [_constant_velocity_model(step, ramp, calm, mean_square, weights, rest, *speeds, not_yet_grasped)]
     if action is not None:
         # A prior, which is not tempered as what rows say is.
-        hazard = _onward(c) / (trust * _GAP * np.maximum(np.ptp(c, axis=1), 1e-9))
+        contact_rate = _onward(c) / (likelihood_power * _GAP * np.maximum(np.ptp(c, axis=1), 1e-9))
         signals, quiet = np.ascontiguousarray(innovations[..., of_led]), np.ascontiguousarray(quiet[:, :, of_led])
-        arguments = led, weight, pool.lever[members], waiting, enough, action, hazard
-        by_actions = _led(signals[0], signals[2:], quiet, *arguments)
+        arguments = led, weight, pool.lever[members], not_yet_grasped, enough, action, contact_rate
+        by_actions = _action_driven_model(signals[0], signals[2:], quiet, *arguments)
         # However little they explain: a hand that pushes does not wait.
-        models = [replace(models[0], waiting=by_actions[0].waiting), *by_actions]
-    states = [np.stack([getattr(model, name) for model in models], axis=2) for name in ("forth", "back", "waiting")]
+        models = [replace(models[0], not_yet_grasped=by_actions[0].not_yet_grasped), *by_actions]
+    states = [
+        np.stack([getattr(model, name) for model in models], axis=2) for name in ("forth", "back", "not_yet_grasped")
+    ]
     density = _either(states, begun)
     numbers = np.array([m.parameters for m in models])
     score = (density * weight).sum(axis=0) - 0.5 * numbers * np.log(enough)[:, None]
@@ -198,7 +200,7 @@ def innovations_of(signals: Floats, along: NoiseScales, steps: Floats, scale: Fl
     return innovations.transpose(1, 0, 2, 3), total - steps
 
 
-def _freely(
+def _constant_velocity_model(
     innovation: Floats,
     ramp: Floats,
     quiet: Floats,
@@ -207,8 +209,8 @@ def _freely(
     rest: float,
     direction: Floats,
     before: Floats,
-    trust: Floats,
-    waiting: Floats,
+    speed_weight: Floats,
+    not_yet_grasped: Floats,
 ) -> _StepModel:
     """(μ, q) by expectation maximisation for every E[w²] of the grid, the best of them.
 
@@ -237,7 +239,7 @@ def _freely(
     ways = np.array([1.0, -1.0])[:, None, None, None]  # forth and back
     both = log_step_density(innovation - ways * (mean * resting), quiet, ways * mean, variance, rest)
     # How fast a part is moved belongs to the demonstration and changes: as likely it goes on as it went before.
-    speed = np.maximum(mean + trust[:, None] * (np.abs(before)[:, :, None] - mean), _SLOWEST * mean)
+    speed = np.maximum(mean + speed_weight[:, None] * (np.abs(before)[:, :, None] - mean), _SLOWEST * mean)
     square_missed = (weight * ((folded - speed * going) ** 2 - quiet)).sum(axis=0)
     spread = np.maximum(square_missed / np.maximum(weight.sum(axis=0), 1.0), 0.01 * grid)
     as_before = log_step_density(innovation - ways * (speed * resting), quiet, ways * speed, spread, rest)
@@ -248,7 +250,7 @@ def _freely(
     at = np.arange(len(best))
     sure = np.ones(len(best), dtype=bool)
     forth, back = both[:, :, at, best]
-    return _StepModel(forth, back, waiting, np.zeros((len(best), 3)), 2.0, sure)
+    return _StepModel(forth, back, not_yet_grasped, np.zeros((len(best), 3)), 2.0, sure)
 
 
 def _either(densities: list[Floats], begun: bool) -> Floats:
@@ -303,24 +305,24 @@ def _onward(c: Floats) -> Floats:
     return np.asarray(np.sign(away[np.arange(len(c)), np.argmax(far, axis=1)]))
 
 
-def _led(
+def _action_driven_model(
     steps: Floats,
     commanded: Floats,
     quiet: Floats,
     grid: Floats,
     weight: Floats,
     lever: Floats,
-    waiting: Floats,
+    not_yet_grasped: Floats,
     enough: Floats,
     action: Floats,
-    hazard: Floats,
+    contact_rate: Floats,
 ) -> list[_StepModel]:
     """h along the levers (h, 3), and h of any direction, each for the best E[w²] of the grid.
 
     Args:
         steps, commanded: (n - 1, h, g) and (3, n - 1, h, g) innovations of the configuration and of what was commanded.
         action: (n, 3) in the part's frame [m].
-        hazard: (h,) with which a hand has the part [per rad or m that it gets], signed as the part then goes.
+        contact_rate: (h,) with which a hand has the part [per rad or m that it gets], signed as the part then goes.
         enough: (h,) how many steps there are to tell from.
     """
     pushes = commanded.transpose(2, 3, 0, 1)
@@ -342,9 +344,9 @@ def _led(
     is_enough = enough >= FEWEST_ACTED
     exact, loose = ([density[i][:, at, chosen] for i, chosen in enumerate(best)] for density in (exactly, loosely))
     # A hand that is not there yet has the part the sooner, the further it gets the way that the part then goes.
-    got = np.cumsum(action[:-1] @ np.concatenate([along, turned]).T, axis=0) * np.tile(hazard, 2)
+    got = np.cumsum(action[:-1] @ np.concatenate([along, turned]).T, axis=0) * np.tile(contact_rate, 2)
     further = np.diff(np.maximum.accumulate(np.maximum(got, 0.0), axis=0), axis=0, prepend=0.0)
-    absent = [waiting - part for part in np.split(further, 2, axis=1)]
+    absent = [not_yet_grasped - part for part in np.split(further, 2, axis=1)]
     return [
         _StepModel(exact[0], loose[0], absent[0], along, 3.0, is_enough),
         _StepModel(exact[1], loose[1], absent[1], turned, 5.0, is_enough & plausible),

@@ -196,21 +196,21 @@ def log_peak(size: int, dof: float | Floats) -> Floats:
     return np.asarray(gammaln((dof + size) / 2) - gammaln(dof / 2) - 0.5 * size * np.log((dof + size) * np.pi))
 
 
-LEAST_TRUST = 0.5
+LEAST_LIKELIHOOD_POWER = 0.5
 
 
-def trust_in(noise: NoiseModel, settings: LearnSettings) -> float:
+def likelihood_power_of(noise: NoiseModel, settings: LearnSettings) -> float:
     """Power of the likelihood, from 0.5 (misfits rule) to 1 (noise rules).
 
     Args:
         noise: as the roughness of the rows tells it, so that all answers for a track are judged with one power.
     """
-    if settings.trust is not None:
-        return settings.trust
+    if settings.likelihood_power is not None:
+        return settings.likelihood_power
     whites = noise.white[0].reshape(-1, 3).mean(axis=1)
     misfits = [settings.rotation_misfit, settings.position_misfit][-len(whites) :]
     shares = whites / (whites + np.square(misfits))
-    return float(LEAST_TRUST + (1 - LEAST_TRUST) * shares.mean())
+    return float(LEAST_LIKELIHOOD_POWER + (1 - LEAST_LIKELIHOOD_POWER) * shares.mean())
 
 
 def log_add(a: Floats, b: Floats) -> Floats:

@@ -30,7 +30,7 @@ _ITERATIONS = 3
 _STILL = 1e-9  # stds of noise per rad or m; where a pose moves by less, it has no direction of motion
 
 
-def first_noise(track: PartTrack, settings: LearnSettings) -> NoiseModel:
+def initial_noise(track: PartTrack, settings: LearnSettings) -> NoiseModel:
     """White noise from the rows' misses of their neighbours' line, and the wander that is always expected."""
     missed = [bends(track.position)]
     if track.rotation is not None:
@@ -42,7 +42,7 @@ def first_noise(track: PartTrack, settings: LearnSettings) -> NoiseModel:
     return _model(white, none, slow[None], none, slow_kept, len(track), settings)
 
 
-def noises_left(
+def fit_noise_to_residuals(
     answers: Sequence[tuple[Pool, Ints]], settings: LearnSettings, any_slow: bool = False
 ) -> list[NoiseModel]:
     """The noise that each of some answers for a track leaves: white noise, fast wander, correlation and tails.

@@ -28,17 +28,17 @@ _DRIFT = 14.0  # more than a tracker wanders during a rest, in the noise of thes
 _WIDTHS = np.array([1.0] * 12 + [PITCH])
 
 
-def parameter_costs(pool: Pool, track: PartTrack, noise: NoiseModel, trust: float) -> tuple[Floats, Floats]:
+def parameter_costs(pool: Pool, track: PartTrack, noise: NoiseModel, likelihood_power: float) -> tuple[Floats, Floats]:
     """(h,) costs of the hypotheses' parameters on the rows that they were fitted to [nats], and what of it is denial.
 
     Args:
-        trust: power of the likelihood.
+        likelihood_power: power of the likelihood.
     """
     denied = _denied(pool, noise)
-    return _parameter_cost(pool, track, noise, trust) + denied, denied
+    return _parameter_cost(pool, track, noise, likelihood_power) + denied, denied
 
 
-def _parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, trust: float) -> Floats:
+def _parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, likelihood_power: float) -> Floats:
     """(h,) how much narrower the rows make the parameters than their prior, and what is believed of joints before."""
     joints, used = pool.hypotheses.joints, pool.hypotheses.used
     count = np.maximum(used.sum(axis=1), 1)
@@ -51,13 +51,13 @@ def _parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, trust: floa
     widths = _WIDTHS[: design.shape[2]]
     flat = (scaling @ design.reshape(*design.shape[:2], -1)).reshape(design.shape) * widths[:, None]
     information = (flat @ flat.swapaxes(2, 3)).sum(axis=1) * (count / _SAMPLES)[:, None, None]
-    narrower = np.linalg.slogdet(np.eye(len(widths)) + trust * information)[1]
+    narrower = np.linalg.slogdet(np.eye(len(widths)) + likelihood_power * information)[1]
     reach = np.where(joints.turning, np.linalg.norm(joints.position - joints.center, axis=1), 0.0)
     far = 0.5 * (reach**2 + (joints.pitch / PITCH) ** 2)
     return np.asarray(far + SCREW_CHOSEN * joints.twisting + 0.5 * narrower)
 
 
-def held_costs(cost: Floats, denied: Floats, pool: Pool, noise: NoiseModel, trust: float) -> Floats:
+def held_costs(cost: Floats, denied: Floats, pool: Pool, noise: NoiseModel, likelihood_power: float) -> Floats:
     """(h,) the same, cheaper where a rigid pose lies on a moving joint of the pool: a part is held on its way.
 
     Given the joint, the pose has only its configuration free, and the slow wander across it.
@@ -69,7 +69,7 @@ def held_costs(cost: Floats, denied: Floats, pool: Pool, noise: NoiseModel, trus
     if not len(joints) or pool.moving.all():
         return result
     reach = np.ptp(pool.seen.configuration[joints], axis=1)
-    information = trust * noise.information_share[0, :, None] * np.linalg.inv(noise.innovation[0])
+    information = likelihood_power * noise.information_share[0, :, None] * np.linalg.inv(noise.innovation[0])
     error, direction = pool.seen.error[joints], pool.seen.direction[joints]
     rigid = np.flatnonzero(~pool.moving)
     rows = [np.flatnonzero(used[i]) for i in rigid]

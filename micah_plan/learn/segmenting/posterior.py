@@ -17,7 +17,7 @@ from scipy.special import expit
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import JointKind
-from micah_plan.learn.joints.final_fit import NO_DOUBTS, RARE_SCREW, SCREW_CHOSEN, JointDoubts
+from micah_plan.learn.joints.final_fit import NO_LACK_OF_FIT, RARE_SCREW, SCREW_CHOSEN, LackOfFit
 from micah_plan.learn.segmenting.changepoints import LengthPrior, reached
 from micah_plan.learn.segmenting.segmentation import ANOTHER_JOINT, Alternative, Segmented, rests_in_the_end
 from micah_plan.learn.settings import LearnSettings
@@ -197,13 +197,13 @@ def kind_probabilities(
     hypothesis: int,
     kinds: Sequence[JointKind],
     free: float,
-    doubts: JointDoubts = NO_DOUBTS,
+    lack_of_fit: LackOfFit = NO_LACK_OF_FIT,
 ) -> tuple[tuple[JointKind, float], ...]:
     """Probability of every kind of joint for all rows of one joint.
 
     Args:
         free: log odds of free motion against all segments together [nats].
-        doubts: what all rows say against the joint, as its last fit has them.
+        lack_of_fit: what all rows say against the joint, as its last fit has them.
     """
     table, pieces = answer.table, answer.segmentation.pieces
     names, moving = table.pool.hypotheses.joints.kinds, table.pool.moving
@@ -238,11 +238,11 @@ def kind_probabilities(
         there = list(kinds).index(other_answer.kinds[int(np.argmax(np.bincount(other_answer.of_row[governed])))])
         if there != index:
             share[there] = max(share[there], _odds(other_answer, answer) * share[index])
-    if doubts.screw_log_odds is not None:
+    if lack_of_fit.screw_log_odds is not None:
         hinge_or_screw = [list(kinds).index("revolute"), list(kinds).index("screw")]
-        advancing = float(expit(doubts.screw_log_odds - RARE_SCREW))
+        advancing = float(expit(lack_of_fit.screw_log_odds - RARE_SCREW))
         share[hinge_or_screw] = share[hinge_or_screw].sum() * np.array([1 - advancing, advancing])
     share = share / share.sum() / (1 + np.exp(min(free / LOG_ODDS_OVERSTATED, 700.0)))
-    if doubts.deviation is not None:
-        share = share * (1 - OTHER_MECHANISM * doubts.deviation.probability)
+    if lack_of_fit.deviation is not None:
+        share = share * (1 - OTHER_MECHANISM * lack_of_fit.deviation.probability)
     return tuple((kind, float(value)) for kind, value in zip(kinds, share, strict=True))

@@ -41,8 +41,8 @@ from micah_plan.learn.segmenting.changepoints import (
 from micah_plan.learn.segmenting.evidence import EvidenceTable, all_tabulated, tabulated
 from micah_plan.learn.segmenting.held import along_joint, places_held
 from micah_plan.learn.segmenting.motion import FEWEST_ACTED
-from micah_plan.learn.segmenting.noise import NoiseModel, stacked, trust_in
-from micah_plan.learn.segmenting.noise_fit import first_noise, noises_left
+from micah_plan.learn.segmenting.noise import NoiseModel, likelihood_power_of, stacked
+from micah_plan.learn.segmenting.noise_fit import fit_noise_to_residuals, initial_noise
 from micah_plan.learn.segmenting.pool import Hypotheses, all_refitted, pool_of, refitted, window_hypotheses
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
@@ -68,7 +68,9 @@ def segment_track(track: PartTrack, settings: LearnSettings, start: Segmented | 
         tables = _from_two_noises(track, priors[0], settings)
     else:
         table = start.table
-        tables = [(start.noise, tabulated(table.pool.hypotheses, track, start.noise, settings.rest, table.trust))]
+        tables = [
+            (start.noise, tabulated(table.pool.hypotheses, track, start.noise, settings.rest, table.likelihood_power))
+        ]
     proposals = [proposal for noise, table in tables for proposal in _proposed(track, noise, table, priors, settings)]
     proposals = _different(proposals)[:_MOST_PROPOSALS]
     outcomes = _settled(proposals, settings)
@@ -88,7 +90,7 @@ def log_probability_at_most(answer: Segmented, settings: LearnSettings) -> float
     """
     prior, best = answer.prior, answer.log_probability
     for _ in range(_TIGHTENED):
-        noise = noises_left([(answer.table.pool, answer.segmentation.which)], settings, any_slow=True)
+        noise = fit_noise_to_residuals([(answer.table.pool, answer.segmentation.which)], settings, any_slow=True)
         (table,) = _tables([answer], noise, settings)
         joints_in_use = list(range(len(rows_of_joints(answer)[0])))
         answer = Segmented(answer.track, noise[0], prior, shared(table, joints_in_use, prior, settings), table)
@@ -102,12 +104,12 @@ def best_single(answer: Segmented, settings: LearnSettings) -> Segmented:
     Compared under one noise, a joint that misses the rows has made that noise wide, and any kind will do.
     """
     track, prior = answer.track, length_priors(answer.track, settings)[0]
-    n, trust = len(track), answer.table.trust
+    n, likelihood_power = len(track), answer.table.likelihood_power
     ones, noises = _singles(track, answer.noise, settings, any_slow=True)
-    alone = all_tabulated(ones, track, noises, settings.rest, trust)
+    alone = all_tabulated(ones, track, noises, settings.rest, likelihood_power)
     noise = noises[_likeliest(alone, prior, settings)]
     pool = refitted(list(settings.kinds), np.ones((len(settings.kinds), n), dtype=bool), track, noise)
-    table = tabulated(pool, track, noise, settings.rest, trust)
+    table = tabulated(pool, track, noise, settings.rest, likelihood_power)
     totals = table.sums[:, 0, -1] - table.occam
     moving = table.pool.moving
     best = int(np.argmax(np.where(moving | ~moving.any(), totals, -np.inf)))
@@ -122,15 +124,15 @@ def _from_two_noises(
 
     The second is the noise left by the joint that is the most probable one with the noise that it leaves.
     """
-    fine = first_noise(track, settings)
-    trust = trust_in(fine, settings)
+    fine = initial_noise(track, settings)
+    likelihood_power = likelihood_power_of(fine, settings)
     pool = window_hypotheses(track, settings.kinds, fine)
     ones, noises = _singles(track, fine, settings)
-    table, *alone = all_tabulated([pool, *ones], track, [fine, *noises], settings.rest, trust)
+    table, *alone = all_tabulated([pool, *ones], track, [fine, *noises], settings.rest, likelihood_power)
     if not alone:
         return [(fine, table)]
     single = noises[_likeliest(alone, prior, settings)]
-    return [(fine, table), (single, tabulated(pool, track, single, settings.rest, trust))]
+    return [(fine, table), (single, tabulated(pool, track, single, settings.rest, likelihood_power))]
 
 
 def _singles(
@@ -144,7 +146,9 @@ def _singles(
     kinds = kinds or list(settings.kinds)
     whole = refitted(kinds, np.ones((len(kinds), len(track)), dtype=bool), track, noise)
     pool, every = pool_of(whole, track, noise), np.zeros(len(track), dtype=np.int64)
-    noises = noises_left([(pool, every + i) for i in range(len(whole))], settings, any_slow) if len(whole) else []
+    noises = (
+        fit_noise_to_residuals([(pool, every + i) for i in range(len(whole))], settings, any_slow) if len(whole) else []
+    )
     return [whole.take([i]) for i in range(len(whole))], noises
 
 
@@ -184,7 +188,9 @@ def _settled(starts: Sequence[Segmented], settings: LearnSettings) -> list[Segme
         if not open_ones:
             break
         answers = list(open_ones.values())
-        noises = noises_left([(answer.table.pool, answer.segmentation.which) for answer in answers], settings)
+        noises = fit_noise_to_residuals(
+            [(answer.table.pool, answer.segmentation.which) for answer in answers], settings
+        )
         tables = _tables(answers, noises, settings)
         for i, noise, table in zip(tuple(open_ones), noises, tables, strict=True):
             prior = starts[i].prior
@@ -216,7 +222,7 @@ def _tables(answers: Sequence[Segmented], noises: Sequence[NoiseModel], settings
         answer.table.pool.hypotheses.take(used).joined(more)
         for answer, (used, _), more in zip(answers, in_use, rivals, strict=True)
     ]
-    return all_tabulated(pools, track, noises, settings.rest, answers[0].table.trust)
+    return all_tabulated(pools, track, noises, settings.rest, answers[0].table.likelihood_power)
 
 
 @dataclass(frozen=True, eq=False)
@@ -404,7 +410,7 @@ def with_rests(answer: Segmented, priors: Sequence[LengthPrior], settings: Learn
     pool = Hypotheses(table.pool.hypotheses.joints.take([joint]), outside)
     pool = pool.joined(refitted(["rigid"] * len(inside), inside, track, answer.noise))
     pool = pool.joined(table.pool.hypotheses.take([i for i in used if i != joint]))
-    tried = tabulated(pool, track, answer.noise, settings.rest, table.trust)
+    tried = tabulated(pool, track, answer.noise, settings.rest, table.likelihood_power)
     every = list(range(len(pool)))
     answers = [
         replace(answer, table=tried, prior=prior, segmentation=few(tried, every, prior, settings)) for prior in priors
@@ -429,7 +435,7 @@ def rests_in_the_end(
     ends: NDArray[np.bool_] = np.arange(n) >= n - lengths[lengths < n, None]
     rests = refitted(["rigid"] * len(ends), ends, track, noise)
     pool = table.pool.hypotheses.take(moves).joined(rests)
-    tried = tabulated(pool, track, noise, rest, table.trust)
+    tried = tabulated(pool, track, noise, rest, table.likelihood_power)
     held = np.arange(len(moves), len(pool))
     cost = tried.cost(held, tried.rows[held], bool(moves))
     return np.asarray(tried.sums[held] - cost[:, None, None])

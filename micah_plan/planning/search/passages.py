@@ -23,11 +23,11 @@ from scipy.optimize import linprog
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
 from micah_plan.automaton.region import HalfSpace
-from micah_plan.planning.chains import front_of
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.path_constraints import in_steps
 from micah_plan.planning.search.polytope import TOLERANCE, Polytope, nominal_start, open_states
 from micah_plan.planning.search.roadmap import TRANSITION_COST
+from micah_plan.planning.zero_time_transitions import front_of
 from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.problem import Problem
 

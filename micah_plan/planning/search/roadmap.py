@@ -24,11 +24,11 @@ from scipy.sparse.csgraph import dijkstra
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.region import Region
-from micah_plan.planning.chains import ChainEdge
 from micah_plan.planning.limits import Limits, holding_inputs, room_for_motion
 from micah_plan.planning.path_constraints import admitted
 from micah_plan.planning.search.leaves import Leaves
 from micah_plan.planning.search.polytope import TOLERANCE
+from micah_plan.planning.zero_time_transitions import ZeroTimeEdge
 from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.problem import Problem
 
@@ -111,7 +111,7 @@ def obstacles_on_state(automaton: HybridAutomaton, mode: str) -> tuple[Region, .
     """The guards that leave a mode and depend on x alone; others are avoided by the choice of the input."""
     edges = [edge for edge in automaton.edges_from(mode) if not edge.is_self_transition]
     # A chain lies within the guard of its first transition.
-    guards = [edge.guard for edge in edges if not isinstance(edge, ChainEdge)]
+    guards = [edge.guard for edge in edges if not isinstance(edge, ZeroTimeEdge)]
     return tuple(g for g in guards if g.half_spaces and not g.on_input)
 
 

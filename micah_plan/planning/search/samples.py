@@ -16,12 +16,12 @@ import numpy as np
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import Edge, Mode
 from micah_plan.automaton.region import Region
-from micah_plan.planning.chains import front_of
 from micah_plan.planning.limits import Limits, named_values
 from micah_plan.planning.search.leaves import Leaves, leaves_of
 from micah_plan.planning.search.passages import Passage, passages
 from micah_plan.planning.search.polytope import Polytope, mode_states, nominal_start
 from micah_plan.planning.search.roadmap import obstacles_on_state
+from micah_plan.planning.zero_time_transitions import front_of
 from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.problem import Problem
 

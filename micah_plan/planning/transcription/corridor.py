@@ -25,12 +25,12 @@ import numpy as np
 
 from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
+from micah_plan.automaton.input_reversal import input_reversal_of
 from micah_plan.automaton.region import HalfSpace
-from micah_plan.automaton.turning import turn_of
-from micah_plan.planning.chains import ChainEdge, front_of
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.transcription.guess import PhaseGuess
 from micah_plan.planning.transcription.rows import Row, boundary_name, unit_of
+from micah_plan.planning.zero_time_transitions import ZeroTimeEdge, front_of
 from micah_plan.symbolic.compiled import CasadiOperations, compiled_edge, compiled_mode
 from micah_plan.symbolic.square_root import SMALLEST_STD
 from micah_plan.task.path import Pay, Require, path_terms
@@ -94,7 +94,7 @@ def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, k: f
     mode = automaton.mode(guess.mode)
     leaving = None if guess.edge is None else automaton.edges[guess.edge]
     exits = () if leaving is None else leaving.guard.half_spaces
-    turn = None if leaving is None else turn_of(automaton, leaving)
+    turn = None if leaving is None else input_reversal_of(automaton, leaving)
     fixed = _fixed_boundaries(automaton, mode, exits)
     obstacles = _obstacles(automaton, mode, guess.edge)
     # A step stays out of a convex set if both its ends are outside of the same half-space.
@@ -164,7 +164,7 @@ def _obstacles(automaton: HybridAutomaton, mode: Mode, exit_edge: int | None) ->
         rows = edge.guard.half_spaces
         if edge.source != mode.name or edge.is_self_transition or index == exit_edge or not rows:
             continue
-        if not edge.guard.on_state or isinstance(edge, ChainEdge):
+        if not edge.guard.on_state or isinstance(edge, ZeroTimeEdge):
             continue
         outside = any(h.excludes(g) for h in mode.invariant.half_spaces for g in rows)
         if not outside and not edge.guard.on_input:
@@ -178,7 +178,7 @@ def _entered_before(mode: Mode, leaving: Edge, guess: PhaseGuess) -> tuple[HalfS
     The transition happens within that step, at the instant at which the last half-space is entered: where the mode
     ends, or else the one that the guess enters last. The others must hold until then, not only at the next knot.
     """
-    chained = isinstance(leaving, ChainEdge)
+    chained = isinstance(leaving, ZeroTimeEdge)
     rows = [h for h in (front_of(leaving) if chained else leaving.guard.half_spaces) if h.on_state]
     if leaving.guard.on_input or len(rows) < 2 or guess.steps < 2:
         return ()
@@ -196,7 +196,7 @@ def mixed_guards(automaton: HybridAutomaton, guess: PhaseGuess) -> list[tuple[Ha
         edge.guard.half_spaces
         for index, edge in enumerate(automaton.edges)
         if edge.source == guess.mode and index != guess.edge and not edge.is_self_transition
-        if edge.guard.on_input and len(edge.guard.half_spaces) > 1 and not isinstance(edge, ChainEdge)
+        if edge.guard.on_input and len(edge.guard.half_spaces) > 1 and not isinstance(edge, ZeroTimeEdge)
     ]
 
 

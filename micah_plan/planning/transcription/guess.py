@@ -10,9 +10,8 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.input_reversal import matrix_after
 from micah_plan.automaton.region import HalfSpace
-from micah_plan.automaton.turning import matrix_after
-from micah_plan.planning.chains import stds_of
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.limits import (
     Limits,
@@ -26,6 +25,7 @@ from micah_plan.planning.limits import (
 from micah_plan.planning.search.mode_search import ModeSequence
 from micah_plan.planning.search.path_beliefs import MOST_LOCALISING_STEPS, WORTH_A_STEP, steps_to_correct_start
 from micah_plan.planning.search.polytope import nominal_start
+from micah_plan.planning.zero_time_transitions import stds_of
 from micah_plan.symbolic.compiled import CompiledMode, compiled_edge, compiled_mode
 from micah_plan.task.problem import Problem
 

@@ -37,9 +37,8 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
+from micah_plan.automaton.input_reversal import input_reversal_of
 from micah_plan.automaton.region import HalfSpace
-from micah_plan.automaton.turning import turn_of
-from micah_plan.planning.chains import stds_of
 from micah_plan.planning.limits import Limits, steps_of_memory
 from micah_plan.planning.nlp import Programme
 from micah_plan.planning.path_constraints import effort_cost, goal_cost, variance_cost
@@ -58,6 +57,7 @@ from micah_plan.planning.transcription.corridor import (
 )
 from micah_plan.planning.transcription.guess import STRICT_SHARE, PhaseGuess, guard_need
 from micah_plan.planning.transcription.rows import Row, Rows, boundary_name, unit_of
+from micah_plan.planning.zero_time_transitions import stds_of
 from micah_plan.symbolic.compiled import CompiledEdge, CompiledMode, compiled_edge, compiled_mode
 from micah_plan.symbolic.square_root import SMALLEST_STD
 from micah_plan.symbolic.square_root import norm as smooth_norm
@@ -406,9 +406,9 @@ def lost_motion(
 def _lost_per_input(automaton: HybridAutomaton, edge: Edge, speed: Floats) -> Floats | None:
     """(n, m) by how much an input moves each coordinate otherwise before a guard on the state than behind it [steps].
 
-    A turn is crossed in one known step (`automaton.turning`) and loses nothing.
+    A turn is crossed in one known step (`automaton.input_reversal`) and loses nothing.
     """
-    if edge.guard.on_input or turn_of(automaton, edge) is not None:
+    if edge.guard.on_input or input_reversal_of(automaton, edge) is not None:
         return None
     target = automaton.mode(edge.target)
     kept = target.free & ~np.isin(np.arange(automaton.n), [tie.coordinate for tie in target.ties])

@@ -47,7 +47,7 @@ const Charts = (function () {
         for (let i = mark.x.length - 1; i >= 0; i--) path.lineTo(x(mark.x[i]), y(mark.low[i]));
         fill(tint(mark, "ink"), mark.look === "level" ? 0.75 : 0.28, () => ctx.fill(path));
       },
-      span(mark) { across(mark, { shade: 0.17, misfit: 0.4, interval: 0.18 }[mark.look], tint(mark, "ink")); },
+      span(mark) { across(mark, { shade: 0.17, hatched: 0.4, interval: 0.18 }[mark.look], tint(mark, "ink")); },
       range(mark) { fill(tint(mark, "ink"), 0.3, () => ctx.fillRect(box.left, y(mark.high), box.width, Math.max(y(mark.low) - y(mark.high), dpr))); },
       level(mark) {
         const path = line(box.left, y(mark.value), box.left + box.width, y(mark.value));

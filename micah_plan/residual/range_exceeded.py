@@ -42,7 +42,7 @@ _STOP, _SHIFT = "limit", "guard_shift"
 
 
 @dataclass(frozen=True)
-class Beyond:
+class RangeExceeded:
     """An end of a coordinate's range that a recording went beyond.
 
     Attributes:
@@ -152,7 +152,7 @@ def _is_foretold_later(runs: Sequence[Track], late: int, i: int) -> bool:
     return bool(response[0] > _OWN_SHARE * np.abs(response).sum())
 
 
-def beyond_range(automaton: HybridAutomaton, runs: Sequence[Floats]) -> tuple[Beyond, ...]:
+def ranges_exceeded(automaton: HybridAutomaton, runs: Sequence[Floats]) -> tuple[RangeExceeded, ...]:
     """The ends that measured configurations (T, n) of runs lie beyond, where no mode holds the part."""
     excesses = []
     for i, coordinate in enumerate(automaton.coordinates):
@@ -171,40 +171,42 @@ def beyond_range(automaton: HybridAutomaton, runs: Sequence[Floats]) -> tuple[Be
                 onward = reached + sign * _ONWARD * float(np.ptp(c))
                 is_all = bool((away > 0).all())
                 excesses.append(
-                    Beyond(i, coordinate.name, coordinate.unit, side, end, reached, onward, step, is_all, std)
+                    RangeExceeded(i, coordinate.name, coordinate.unit, side, end, reached, onward, step, is_all, std)
                 )
     return tuple(excesses)
 
 
-def opened(automaton: HybridAutomaton, beyond: Sequence[Beyond]) -> HybridAutomaton:
+def with_extended_range(automaton: HybridAutomaton, exceeded: Sequence[RangeExceeded]) -> HybridAutomaton:
     """The automaton whose joints go on beyond those ends."""
-    for excess in beyond:
+    for excess in exceeded:
         automaton = with_end_moved(automaton, excess.coordinate, excess.end, excess.onward)
     return automaton
 
 
-def with_shifts(effects: Sequence[Effect], beyond: Sequence[Beyond]) -> list[Effect]:
+def with_shifts(effects: Sequence[Effect], exceeded: Sequence[RangeExceeded]) -> list[Effect]:
     """Effects on the opened automaton as those of the model: a stop that was found beyond an end is that end, moved."""
     return [
-        next((excess.as_shift(effect) for excess in beyond if excess.is_stopped_by(effect)), effect)
+        next((excess.as_shift(effect) for excess in exceeded if excess.is_stopped_by(effect)), effect)
         for effect in effects
     ]
 
 
-def without_old_ends(effects: Sequence[Effect], beyond: Sequence[Beyond]) -> list[Effect]:
+def without_old_ends(effects: Sequence[Effect], exceeded: Sequence[RangeExceeded]) -> list[Effect]:
     """The effects that say something: a stop at the end that the model has already (readings went on) says nothing."""
 
     def is_old(effect: Effect) -> bool:
         return effect.name == _SHIFT and any(
-            excess.is_at(effect) and abs(effect.values[0]) < excess.std for excess in beyond
+            excess.is_at(effect) and abs(effect.values[0]) < excess.std for excess in exceeded
         )
 
     return [effect for effect in effects if not is_old(effect)]
 
 
-def closed(automaton: HybridAutomaton, beyond: Sequence[Beyond], effects: Sequence[Effect]) -> HybridAutomaton:
+def with_range_ends(
+    automaton: HybridAutomaton, exceeded: Sequence[RangeExceeded], effects: Sequence[Effect]
+) -> HybridAutomaton:
     """The opened automaton with ranges that end a step beyond the recording, or as before where an effect says why."""
-    for excess in beyond:
+    for excess in exceeded:
         is_moved = any(excess.is_told_by(effect) for effect in effects)
         measured = excess.reached + (excess.step if excess.side else -excess.step)
         automaton = with_end_moved(automaton, excess.coordinate, excess.onward, excess.end if is_moved else measured)

@@ -7,7 +7,13 @@ from dataclasses import replace
 import pytest
 
 from micah_plan.api import stages
-from micah_plan.automaton.certainty import EdgeCertainty, LearnedEdge, LearnedSegment, SegmentCertainty, doubts
+from micah_plan.automaton.certainty import (
+    EdgeCertainty,
+    LearnedEdge,
+    LearnedSegment,
+    SegmentCertainty,
+    low_probability_warnings,
+)
 from micah_plan.documents.problem import load_problem
 
 
@@ -22,18 +28,21 @@ def edge(hinge: float, one_stop: float = 0.98) -> LearnedEdge:
 
 
 def test_what_is_sure_needs_no_words() -> None:
-    assert doubts([edge(0.6)]) == ()
-    assert doubts([replace(edge(0.1), segments=(LearnedSegment("revolute", 0, 0, 79),), certainty=None)]) == ()
+    assert low_probability_warnings([edge(0.6)]) == ()
+    assert (
+        low_probability_warnings([replace(edge(0.1), segments=(LearnedSegment("revolute", 0, 0, 79),), certainty=None)])
+        == ()
+    )
 
 
 def test_a_doubtful_kind_is_said_with_the_next_likely_one() -> None:
-    (line,) = doubts([edge(0.59)])
+    (line,) = low_probability_warnings([edge(0.59)])
     assert "only 59 % sure that door is revolute relative to base (rows 0 to 79); screw has 41 %" in line
 
 
 @pytest.mark.parametrize(("one_stop", "said"), [(0.3, "changes 1 time in run 0; 2 times has 70 %"), (0.7, None)])
 def test_a_doubtful_number_of_changes_is_said(one_stop: float, said: str | None) -> None:
-    lines = doubts([edge(0.9, one_stop)])
+    lines = low_probability_warnings([edge(0.9, one_stop)])
     assert len(lines) == (said is not None)
     assert said is None or said in lines[0]
 

@@ -19,7 +19,7 @@ from micah_plan.automaton.region import HalfSpace
 
 
 @dataclass(frozen=True, eq=False)
-class Turn:
+class InputReversal:
     """A boundary to cross in one step, and where the state that lies behind it goes.
 
     Attributes:
@@ -36,7 +36,7 @@ class Turn:
     spread: Floats
 
 
-def turn_of(automaton: HybridAutomaton, edge: Edge) -> Turn | None:
+def input_reversal_of(automaton: HybridAutomaton, edge: Edge) -> InputReversal | None:
     """The turn at an edge; None where the next mode moves on as before, pins the state, or a reset leads elsewhere."""
     crossed = None if edge.is_self_transition or not edge.reset.is_identity else _way_out(automaton, edge)
     if crossed is None:
@@ -52,13 +52,13 @@ def turn_of(automaton: HybridAutomaton, edge: Edge) -> Turn | None:
     across = (1.0 + mirrored) * a / float(a @ a)
     sides = tuple(h for h in edge.guard.half_spaces if h is not crossed and not h.on_input)
     A = np.eye(automaton.n) - np.outer(across, a)
-    return Turn(crossed, sides, A, across * crossed.c, across * edge.threshold_std)
+    return InputReversal(crossed, sides, A, across * crossed.c, across * edge.threshold_std)
 
 
 def matrix_after(automaton: HybridAutomaton, edge: Edge) -> Floats:
     """(n, n) how a deviation before an edge continues behind it: through its turn or its reset."""
-    turn = turn_of(automaton, edge)
-    return edge.reset.matrices(automaton.n, automaton.m)[0] if turn is None else turn.A
+    reversal = input_reversal_of(automaton, edge)
+    return edge.reset.matrices(automaton.n, automaton.m)[0] if reversal is None else reversal.A
 
 
 def _way_out(automaton: HybridAutomaton, edge: Edge) -> HalfSpace | None:

@@ -31,7 +31,7 @@ _FRAMES = 8
 
 
 @dataclass(frozen=True, eq=False)
-class LettingGo:
+class ReleaseMotion:
     """What is shown after a plan.
 
     Attributes:
@@ -52,7 +52,7 @@ class LettingGo:
     opened: Floats
 
 
-def letting_go(plan: Plan, problem: Problem, last: Keyframes, begin: float) -> LettingGo | None:
+def release_motion_of(plan: Plan, problem: Problem, last: Keyframes, begin: float) -> ReleaseMotion | None:
     """What follows the last frame of a plan from a time on [s]; None where the object stays in the hand."""
     if plan.release is None or problem.release is None:
         return None
@@ -76,10 +76,10 @@ def letting_go(plan: Plan, problem: Problem, last: Keyframes, begin: float) -> L
     bands = [Band(a, b, color, name) for (a, b), color, name in looks]
     bands[-1] = replace(bands[-1], end=bands[-1].end + _END)
     arm_times, arm, robot = _arm(release_plan, ends, problem)
-    return LettingGo(keys, moved, tuple(bands), arm_times, arm, robot, ends[1:3])
+    return ReleaseMotion(keys, moved, tuple(bands), arm_times, arm, robot, ends[1:3])
 
 
-def joined(first: Keyframes, then: LettingGo | None) -> Keyframes:
+def joined(first: Keyframes, then: ReleaseMotion | None) -> Keyframes:
     """The frames of a plan and those that follow."""
     if then is None:
         return first

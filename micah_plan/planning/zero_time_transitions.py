@@ -1,4 +1,4 @@
-"""Transitions as search and transcription take them: chains of those in one instant, and parts of those that others
+"""Transitions as search and transcription take them: sequences of those in one instant, and parts of those that others
 precede.
 
 **Parts.** Of transitions whose guards hold at one instant the first listed happens. So a later one is taken only
@@ -8,9 +8,9 @@ earlier guard that overlaps it.
 
 A transition may lead to a state in which the next one fires at once: an almost shut stapler that touches the table is
 already past the place where its contact spreads to a surface. No motion lies between, so the mode between has no states
-for a roadmap and no knots for a transcription. A chain is one edge from the first mode to the last: its guard is the
+for a roadmap and no knots for a transcription. A sequence is one edge from the first mode to the last: its guard is the
 first guard with those after it pulled back through the resets, its reset is that of all. Roll-outs and executions know
-nothing of chains: they take each transition as it comes.
+nothing of sequences: they take each transition as it comes.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _INSIDE = 1e-6
 # A transition that others leave more parts of is planned as if they were not there; roll-outs tell.
 _MOST_PARTS = 12
 _WHOLE, _IN_PARTS = "", "in parts"
-# Transitions in one instant; a chain of more is left to roll-outs.
+# Transitions in one instant; a sequence of more is left to roll-outs.
 _LONGEST = 4
 
 
@@ -53,7 +53,7 @@ class PlannedEdge(Edge):
 
 
 @dataclass(frozen=True)
-class ChainEdge(PlannedEdge):
+class ZeroTimeEdge(PlannedEdge):
     """Transitions that happen at one instant.
 
     Attributes:
@@ -63,14 +63,16 @@ class ChainEdge(PlannedEdge):
     through: tuple[str, ...] = ()
 
 
-def with_chains(problem: Problem, in_parts: bool = False) -> Problem:
-    """The problem with the edges that its model can take, and the chains that these allow behind them.
+def with_zero_time_transitions(problem: Problem, in_parts: bool = False) -> Problem:
+    """The problem with the edges that its model can take, and the sequences that these allow behind them.
 
     Args:
         in_parts: whether transitions are divided where others listed before them happen first. Few problems need it: a
             plan seldom leads to where two guards hold, and every part is one more way for the search.
     """
-    automaton = _chained(problem.automaton, "\0".join((_IN_PARTS if in_parts else _WHOLE, *problem.goal.modes)))
+    automaton = _with_zero_time_edges(
+        problem.automaton, "\0".join((_IN_PARTS if in_parts else _WHOLE, *problem.goal.modes))
+    )
     return problem if automaton is problem.automaton else replace(problem, automaton=automaton)
 
 
@@ -85,7 +87,7 @@ def stds_of(edge: Edge) -> tuple[float, ...]:
 
 
 @memoised
-def _chained(automaton: HybridAutomaton, asked: str) -> HybridAutomaton:
+def _with_zero_time_edges(automaton: HybridAutomaton, asked: str) -> HybridAutomaton:
     """Args: the automaton, and joined by null bytes whether its edges are divided and the goal's modes."""
     divided, *goal_modes = asked.split("\0")
     if any(isinstance(edge, PlannedEdge) for edge in automaton.edges):
@@ -96,11 +98,11 @@ def _chained(automaton: HybridAutomaton, asked: str) -> HybridAutomaton:
     if taken != automaton.edges:
         automaton = sharing_motion(replace(automaton, edges=taken), automaton)
     after = {mode.name: _leading_on(automaton, mode.name, goal_modes) for mode in automaton.modes}
-    edges: list[ChainEdge] = []
+    edges: list[ZeroTimeEdge] = []
     begun: list[Edge] = [edge for edge in automaton.edges if not edge.is_self_transition and after[edge.target]]
     for _ in range(_LONGEST - 1):
-        begun = [chain for edge in begun for chain in _continued(automaton, edge, after[edge.target])]
-        edges += [chain for chain in begun if isinstance(chain, ChainEdge)]
+        begun = [sequence for edge in begun for sequence in _continued(automaton, edge, after[edge.target])]
+        edges += [sequence for sequence in begun if isinstance(sequence, ZeroTimeEdge)]
     if not edges:
         return automaton
     return sharing_motion(replace(automaton, edges=(*automaton.edges, *edges)), automaton)
@@ -149,7 +151,7 @@ def _overlap(first: Sequence[HalfSpace], second: Sequence[HalfSpace]) -> bool:
 
 
 def _leading_on(automaton: HybridAutomaton, name: str, goal_modes: list[str]) -> list[Edge]:
-    """The edges from a mode that can be the next of a chain: on the state alone, and not to where all ends."""
+    """The edges from a mode that can be the next of a sequence: on the state alone, and not to where all ends."""
     ends = {mode.name for mode in automaton.modes if is_final(automaton, mode)}
     return [
         edge
@@ -161,14 +163,14 @@ def _leading_on(automaton: HybridAutomaton, name: str, goal_modes: list[str]) ->
     ]
 
 
-def _continued(automaton: HybridAutomaton, first: Edge, following: list[Edge]) -> list[ChainEdge]:
-    """The chains of an edge, perhaps a chain itself, and one of those that can follow it."""
+def _continued(automaton: HybridAutomaton, first: Edge, following: list[Edge]) -> list[ZeroTimeEdge]:
+    """The sequences of an edge, perhaps a sequence itself, and one of those that can follow it."""
     following = [edge for edge in following if edge.target not in (first.source, *_through(first))]
     if not following:
         return []
     A, B, c = _arrival(automaton, first)
     low, high = _image(*_box(automaton, first), A, c)
-    chains = []
+    sequences = []
     for edge in following:
         a = np.array([h.a for h in edge.guard.half_spaces])
         least = np.array([h.c for h in edge.guard.half_spaces]) + _INSIDE * np.linalg.norm(a, axis=1)
@@ -177,11 +179,11 @@ def _continued(automaton: HybridAutomaton, first: Edge, following: list[Edge]) -
         if B.any() or not (most > least).all():
             continue
         if _is_possible(automaton, first, a @ A, least - a @ c):
-            chains.append(_joined(automaton, first, edge, (A, c)))
-    return chains
+            sequences.append(_joined(automaton, first, edge, (A, c)))
+    return sequences
 
 
-def _joined(automaton: HybridAutomaton, first: Edge, second: Edge, arrival: tuple[Floats, Floats]) -> ChainEdge:
+def _joined(automaton: HybridAutomaton, first: Edge, second: Edge, arrival: tuple[Floats, Floats]) -> ZeroTimeEdge:
     """Two transitions as one; the first leads to A x + c."""
     (A, c), rows, stds = arrival, list(first.guard.half_spaces), list(stds_of(first))
     for h in second.guard.half_spaces:
@@ -193,7 +195,7 @@ def _joined(automaton: HybridAutomaton, first: Edge, second: Edge, arrival: tupl
     if not (np.array_equal(A, np.eye(automaton.n)) and not c.any() and second.reset.is_identity):
         last, _, offset = second.reset.matrices(automaton.n, automaton.m)
         reset = Reset(A=tuple(map(tuple, (last @ A).tolist())), c=tuple((last @ c + offset).tolist()))
-    return ChainEdge(
+    return ZeroTimeEdge(
         first.source,
         second.target,
         Region(tuple(rows)),
@@ -205,7 +207,7 @@ def _joined(automaton: HybridAutomaton, first: Edge, second: Edge, arrival: tupl
 
 
 def _through(edge: Edge) -> tuple[str, ...]:
-    return edge.through if isinstance(edge, ChainEdge) else ()
+    return edge.through if isinstance(edge, ZeroTimeEdge) else ()
 
 
 def _arrival(automaton: HybridAutomaton, edge: Edge) -> tuple[Floats, Floats, Floats]:

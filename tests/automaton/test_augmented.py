@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from automaton_examples import cabinet, detent, door, two_rails
 
+from micah_plan.automaton.augmented import augment_state, fix_augmented_state, mapped
 from micah_plan.automaton.hybrid import Coordinate, HybridAutomaton, Light, Mode, Reset
-from micah_plan.automaton.lifted import lifted, mapped, restricted
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.automaton.transition import step
 
@@ -30,7 +30,7 @@ ADDED = (Coordinate("late", "m"), Coordinate("later", "m"))
 @pytest.mark.parametrize("name", OBJECTS)
 def test_added_coordinates_stay_and_change_nothing(name: str) -> None:
     automaton, rng = OBJECTS[name](), np.random.default_rng(0)
-    whole = lifted(automaton, ADDED)
+    whole = augment_state(automaton, ADDED)
     assert whole.coordinates == (*automaton.coordinates, *ADDED)
     assert whole.noise.process_std[automaton.n :] == (0.0, 0.0)
     for mode in automaton.modes:
@@ -45,18 +45,18 @@ def test_added_coordinates_stay_and_change_nothing(name: str) -> None:
 @pytest.mark.parametrize("name", OBJECTS)
 def test_they_can_be_taken_out_again(name: str) -> None:
     automaton = OBJECTS[name]()
-    assert restricted(lifted(automaton, ADDED), automaton.n) == automaton
+    assert fix_augmented_state(augment_state(automaton, ADDED), automaton.n) == automaton
     assert mapped(automaton) == automaton
 
 
 @pytest.mark.parametrize("name", OBJECTS)
 def test_with_values_it_steps_as_the_larger_one_does_from_there(name: str) -> None:
     automaton, rng = OBJECTS[name](), np.random.default_rng(1)
-    whole = lifted(automaton, ADDED, lambda h, _: (0.3 * sum(h.a), -0.2 * sum(h.a)))
+    whole = augment_state(automaton, ADDED, lambda h, _: (0.3 * sum(h.a), -0.2 * sum(h.a)))
     for _ in range(40):
         mode = automaton.modes[rng.integers(len(automaton.modes))].name
         x, u, e = rng.uniform(-0.2, 1.5, automaton.n), rng.uniform(-0.5, 0.5, automaton.m), 0.3 * rng.normal(size=2)
-        alone = step(restricted(whole, automaton.n, e.tolist()), mode, x, u)
+        alone = step(fix_augmented_state(whole, automaton.n, e.tolist()), mode, x, u)
         together = step(whole, mode, [*x, *e], u)
         assert alone.mode == together.mode
         np.testing.assert_allclose(alone.x, together.x[: automaton.n], atol=1e-12)
@@ -69,7 +69,7 @@ def test_invariants_and_guards_may_depend_on_them() -> None:
         seen.append(mode)
         return (0.0, -half_space.a[0]) if mode is None else (half_space.a[0], 0.0)
 
-    whole = lifted(automaton, ADDED, weights)
+    whole = augment_state(automaton, ADDED, weights)
     assert {None if mode is None else mode.name for mode in seen} == {None, *automaton.mode_names}
     for own, mode in zip(automaton.modes, whole.modes, strict=True):
         assert [h.a for h in mode.invariant.half_spaces] == [(h.a[0], h.a[0], 0.0) for h in own.invariant.half_spaces]

@@ -9,7 +9,7 @@ import numpy as np
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.learn.joints.joint_arrays import JointArrays
 from micah_plan.learn.segmenting.evidence import tabulated
-from micah_plan.learn.segmenting.noise_fit import first_noise, noises_left
+from micah_plan.learn.segmenting.noise_fit import fit_noise_to_residuals, initial_noise
 from micah_plan.learn.segmenting.pool import Hypotheses, pool_of
 from micah_plan.learn.segmenting.steps import averaged
 from micah_plan.learn.settings import LearnSettings
@@ -25,7 +25,7 @@ _UNLIKELY = 7.0  # nats; rows so much less likely than the best are not looked a
 
 
 @dataclass(frozen=True, eq=False)
-class Located:
+class RefinedChangepoint:
     """Where a changepoint is.
 
     Attributes:
@@ -40,7 +40,7 @@ class Located:
     log_probability: Floats
 
 
-def locate(
+def refine_changepoint(
     joints: JointArrays,
     row: int,
     size: float,
@@ -48,7 +48,7 @@ def locate(
     track: PartTrack,
     inlier: Booleans,
     settings: LearnSettings,
-) -> Located:
+) -> RefinedChangepoint:
     """The row at which a part goes over from one joint to another.
 
     Args:
@@ -69,21 +69,21 @@ def locate(
         near = max(first, limits[0] + 1), min(last, limits[1] - 1)
         wide = max(row - beyond, limits[0]), min(row + beyond, limits[1])
         if near[1] <= near[0]:
-            return Located(row, rows, score)
+            return RefinedChangepoint(row, rows, score)
         starts = np.unique(
             np.linspace(*wide, max(round((wide[1] - wide[0]) / size), 2), endpoint=False).astype(np.int64)
         )
         starts = starts[[inlier[a:b].any() for a, b in zip(starts, np.append(starts[1:], wide[1]), strict=True)]]
         if not len(starts) or not starts[0] < row <= starts[-1]:  # no row counts on one of its sides
-            return Located(row, rows, score)
+            return RefinedChangepoint(row, rows, score)
         scores = _scores(joints, row, starts, wide[1], track, inlier, settings)
         inside = (starts >= near[0]) & (starts <= near[1])
         if not inside.any():
-            return Located(row, rows, score)
+            return RefinedChangepoint(row, rows, score)
         rows, score = starts[inside], scores[inside]
         row = int(rows[np.argmax(score)])
         if size <= 1.0:
-            return Located(row, rows, score)
+            return RefinedChangepoint(row, rows, score)
         open_rows = rows[score > score.max() - _UNLIKELY]
         likely = float(open_rows[0]) - size, float(open_rows[-1]) + size
 
@@ -104,8 +104,8 @@ def _scores(
     scaled = replace(settings, wander_durations=settings.wander_durations * share)
     later = starts >= row
     hypotheses = Hypotheses(joints, np.stack([~later, later]))
-    pool = pool_of(hypotheses, steps, first_noise(steps, scaled))
-    (noise,) = noises_left([(pool, later.astype(np.int64))], scaled)
+    pool = pool_of(hypotheses, steps, initial_noise(steps, scaled))
+    (noise,) = fit_noise_to_residuals([(pool, later.astype(np.int64))], scaled)
     density = tabulated(hypotheses, steps, noise, settings.rest, 1.0, begun=True).log_density
     order = len(density) - 1
     before = np.concatenate([[0.0], np.cumsum(density[order, :, 0])])[:-1]

@@ -14,8 +14,8 @@ from micah_plan.automaton.transition import step
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.documents.plan import plan_text
 from micah_plan.documents.problem import load_problem
-from micah_plan.planning.chains import ChainEdge, front_of, stds_of, with_chains
 from micah_plan.planning.replanning import RecedingHorizon, rest_of
+from micah_plan.planning.zero_time_transitions import ZeroTimeEdge, front_of, stds_of, with_zero_time_transitions
 from micah_plan.task.problem import Problem
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
@@ -29,8 +29,8 @@ def stapler(theta: float, std: float = 0.03, name: str = "stapler_on_books") -> 
     return replace(problem, start=start, robot=None, grasp=None)
 
 
-def chains_of(problem: Problem) -> list[ChainEdge]:
-    return [edge for edge in with_chains(problem).automaton.edges if isinstance(edge, ChainEdge)]
+def chains_of(problem: Problem) -> list[ZeroTimeEdge]:
+    return [edge for edge in with_zero_time_transitions(problem).automaton.edges if isinstance(edge, ZeroTimeEdge)]
 
 
 def test_only_what_can_happen_at_one_instant_is_a_chain() -> None:
@@ -39,9 +39,9 @@ def test_only_what_can_happen_at_one_instant_is_a_chain() -> None:
         ("free -> rigid", ("line", "surface")),
     ]
     for problem in (door_problem(0.2, 1.0), planar_problem(), load_problem(PROBLEMS / "drawer_behind_door.yaml")):
-        assert with_chains(problem) is problem
-    once = with_chains(stapler(0.2))
-    assert with_chains(once) is once
+        assert with_zero_time_transitions(problem) is problem
+    once = with_zero_time_transitions(stapler(0.2))
+    assert with_zero_time_transitions(once) is once
 
 
 @pytest.mark.parametrize("name", ["stapler_on_books", "stapler_in_shaft"])
@@ -89,10 +89,10 @@ def test_what_remains_of_a_plan_with_a_chain_is_found_again() -> None:
     problem = stapler(0.5)
     trajectory = solve(problem).trajectory
     assert trajectory is not None
-    chained = with_chains(problem)
+    chained = with_zero_time_transitions(problem)
     sequence, steps = rest_of(chained.automaton, trajectory, 0)
     taken = chained.automaton.edges[sequence.edges[0]]
-    assert isinstance(taken, ChainEdge)
+    assert isinstance(taken, ZeroTimeEdge)
     assert taken.target == "surface"
     again = RecedingHorizon(problem, trajectory)
     modes = len(problem.automaton.modes)

@@ -38,7 +38,7 @@ _RANK = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
-class Leftover:
+class ResidualTest:
     """What a regression leaves of d residuals.
 
     Attributes:
@@ -94,7 +94,7 @@ class Circumstances:
     spread: Floats | None = None
 
 
-def leftover(residual: Floats, under: Circumstances) -> Leftover | None:
+def whiteness_test(residual: Floats, under: Circumstances) -> ResidualTest | None:
     """Regress residuals (N, d); None where there are too few rows to say anything."""
     rows = len(residual)
     if rows < FEWEST_ROWS:
@@ -106,7 +106,7 @@ def leftover(residual: Floats, under: Circumstances) -> Leftover | None:
     directions, of_group = _orthonormal(groups)
     freedom = rows - len(of_group)
     if freedom < 1 or not (size > _EXACT).any():
-        return Leftover(size, residual, 1.0, ())
+        return ResidualTest(size, residual, 1.0, ())
     explained, nothing = (directions.T @ scaled) ** 2, (scaled**2).sum(axis=0)
     left = nothing - explained.sum(axis=0)
     tests = []
@@ -120,7 +120,7 @@ def leftover(residual: Floats, under: Circumstances) -> Leftover | None:
     sure = tuple(test for test in tests if test[1] < UNLIKELY)
     share = 1.0 - float((left / freedom).sum()) / max(float(nothing.sum()) / rows, _EXACT**2)
     least = min(1.0, len(tests) * min(test[1] for test in tests))
-    return Leftover(np.asarray(floor), np.asarray(kept), chance, sure, min(max(share, 0.0), 1.0), least)
+    return ResidualTest(np.asarray(floor), np.asarray(kept), chance, sure, min(max(share, 0.0), 1.0), least)
 
 
 def _groups(under: Circumstances, rows: int) -> Mapping[str, Floats]:

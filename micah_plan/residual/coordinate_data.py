@@ -1,4 +1,4 @@
-"""Recorded runs cut into stretches of one coordinate each: what the identification of effects works on.
+"""Recorded runs cut into segments of one coordinate each: what the identification of effects works on.
 
 Where the motion of one coordinate ends in each measured row: what the other coordinates, and the mode, allow.
 
@@ -19,28 +19,28 @@ from typing import Any
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints, robust_std
+from micah_plan.automaton.augmented import threshold_stds
 from micah_plan.automaton.effects.ends import range_of
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.lifted import threshold_stds
 from micah_plan.automaton.link_motion import LinkMotion, link_motions
 from micah_plan.automaton.tracks import Track, in_base_frame, measuring_links
 from micah_plan.automaton.transition import TransitionBatch
 from micah_plan.belief.filter import predict, update
 from micah_plan.errors import InputError
 from micah_plan.residual.prediction import first_belief, inputs_of
-from micah_plan.residual.seen import sections
+from micah_plan.residual.range_exceeded import sections
 
-# Rows before a stretch from the middle of a run: they bring filter and memories up to date and are not counted.
+# Rows before a segment from the middle of a run: they bring filter and memories up to date and are not counted.
 WARM_UP = 15
-# Stretches of long runs have at most this many rows, which costs a seventh more for warming up, and the time of a
-# prediction goes with the longest stretch. Fewer rows are read than `MOST_ROWS`, evenly over the recording.
+# Segments of long runs have at most this many rows, which costs a seventh more for warming up, and the time of a
+# prediction goes with the longest segment. Fewer rows are read than `MOST_ROWS`, evenly over the recording.
 _LONGEST = 100
 MOST_ROWS = 20_000
 # Roll-outs go over whole runs, up to this many rows.
 _LONGEST_ROLLOUT = 3000
-# With fewer runs than this, stretches of the same run are held out from each other.
+# With fewer runs than this, segments of the same run are held out from each other.
 ENOUGH_RUNS = 4
 _SHORTEST = 5
 # Variance, over that of others, of a measurement that says nothing.
@@ -50,8 +50,8 @@ _ALIKE = 0.95
 
 
 @dataclass(frozen=True, eq=False)
-class Lane:
-    """One coordinate over S stretches of up to T rows, short ones padded.
+class CoordinateData:
+    """One coordinate over S segments of up to T rows, short ones padded.
 
     Attributes:
         coordinate, index, unit: of the coordinate.
@@ -71,7 +71,7 @@ class Lane:
         release: (2,) size of a command that leaves the lower and the upper end.
         holds: (2,) whether a mode holds the coordinate at the lower and the upper end.
         period: median time from row to row [s].
-        rows: of the recording, before stretches were chosen.
+        rows: of the recording, before segments were chosen.
         modes: names of the automaton's modes.
         motion_noise: share of the process noise's variance that grows with the square of the command, 0 to 1.
         noise: (S, T) variance of each measurement as the model has it, over the mean of the rows that count; `UNSEEN`
@@ -79,7 +79,7 @@ class Lane:
         is_outside: whether commands lead from what was believed, and something else measured the part.
         effects: on the motion, that the model has already.
         whole: the same rows in uncut runs, for roll-outs of their full length.
-        stretch: (S, T) of a whole lane: number of the stretch in which a row counts, -1 if in none.
+        segment: (S, T) of whole runs: number of the segment in which a row counts, -1 if in none.
     """
 
     coordinate: str
@@ -108,16 +108,16 @@ class Lane:
     motion_noise: float = 0.0
     is_outside: bool = False
     effects: tuple[Effect, ...] = ()
-    whole: Lane | None = None
-    stretch: Ints | None = None
+    whole: CoordinateData | None = None
+    segment: Ints | None = None
 
     @property
     def process_profile(self) -> Floats:
         """(S, T) variance of the process noise of the step that starts at each row, relative to its mean."""
         return (1.0 - self.motion_noise) + self.motion_noise * (self.u / self.command_size) ** 2
 
-    def with_noise(self, motion: float, *, is_alike: bool = False) -> Lane:
-        """The lane, and its whole runs, with a share of noise that commands make, and all rows measured alike."""
+    def with_noise(self, motion: float, *, is_alike: bool = False) -> CoordinateData:
+        """The data, and its whole runs, with a share of noise that commands make, and all rows measured alike."""
         whole = None if self.whole is None else self.whole.with_noise(motion, is_alike=is_alike)
         noise = np.where(self.is_measured, 1.0, self.noise) if is_alike else self.noise
         return replace(self, motion_noise=motion, noise=noise, whole=whole)
@@ -177,34 +177,34 @@ class Lane:
         return float(measured.min()), float(measured.max())
 
 
-def lanes(
+def coordinate_data_of(
     automaton: HybridAutomaton, tracks: tuple[Track, ...], reference: HybridAutomaton | None = None
-) -> tuple[Lane, ...]:
-    """The lanes of all coordinates that some mode moves.
+) -> tuple[CoordinateData, ...]:
+    """The data of all coordinates that some mode moves.
 
     Args:
-        reference: the model before its ranges were opened (`seen.opened`); None: they were not.
+        reference: the model before its ranges were opened (`range_exceeded.with_extended_range`); None: they were not.
     """
-    stretches, runs = _pieces(tracks, _cuts), _pieces(tracks, _uncut)
-    kept, lanes = _thinned(stretches), []
+    segments, runs = _pieces(tracks, _cuts), _pieces(tracks, _uncut)
+    kept, result = _thinned(segments), []
     rows_of_tracks = [rows_as_seen(automaton, track) for track in tracks]
     of_rows = [np.full(len(track.time), -1) for track in tracks]
     for s, piece in enumerate(kept):
         of_rows[piece.track][piece.start + 1 : piece.end] = s
     for number, link in measuring_links(automaton):
         if any(mode.driven[link.coordinate] for mode in automaton.modes):
-            lane, whole = (
-                _lane(automaton, tracks, rows_of_tracks, (number, link.coordinate), rows_measured)
+            data, whole = (
+                _coordinate_data(automaton, tracks, rows_of_tracks, (number, link.coordinate), rows_measured)
                 for rows_measured in (kept, runs)
             )
-            stretch = np.full(whole.z.shape, -1)
+            segment = np.full(whole.z.shape, -1)
             for s, piece in enumerate(runs):
-                stretch[s, : piece.end - piece.first] = of_rows[piece.track][piece.first : piece.end]
-            stretch[:, 0] = -1
+                segment[s, : piece.end - piece.first] = of_rows[piece.track][piece.first : piece.end]
+            segment[:, 0] = -1
             ends = range_of(reference or automaton, link.coordinate)
-            whole = replace(whole, counted=stretch >= 0, stretch=stretch, told=ends)
-            lanes.append(replace(lane, told=ends, whole=whole))
-    return tuple(lanes)
+            whole = replace(whole, counted=segment >= 0, segment=segment, told=ends)
+            result.append(replace(data, told=ends, whole=whole))
+    return tuple(result)
 
 
 @dataclass(frozen=True)
@@ -229,13 +229,13 @@ def _pieces(tracks: tuple[Track, ...], cuts: Callable[[int, int], list[tuple[int
     return pieces
 
 
-def _lane(
+def _coordinate_data(
     automaton: HybridAutomaton,
     tracks: tuple[Track, ...],
     rows_measured: list[RowsSeen],
     measuring: tuple[int, int],
     kept: list[_Piece],
-) -> Lane:
+) -> CoordinateData:
     link, i = measuring
     total = sum(len(track.time) for track in tracks)
     shape = (len(kept), max(piece.end - piece.first for piece in kept))
@@ -266,7 +266,7 @@ def _lane(
             counted[s, 1:count] &= ~own.leaves_open(z[s, :count], u[s, :count])[:-1]
         if vectors and track.action is not None:
             action[s, : min(count, len(track.action) - first)] = track.action[first:end, link]
-    return Lane(
+    return CoordinateData(
         coordinate=automaton.coordinates[i].name,
         index=i,
         unit=automaton.coordinates[i].unit,
@@ -312,14 +312,14 @@ def _on_motion(automaton: HybridAutomaton, coordinate: str) -> tuple[Effect, ...
 
 
 def _cuts(rows: int, runs: int) -> list[tuple[int, int, int]]:
-    """(first row read, first counted from, end) of the stretches of a run."""
+    """(first row read, first counted from, end) of the segments of a run."""
     wanted = math.ceil(rows / _LONGEST)
     if runs < ENOUGH_RUNS:
         wanted = max(wanted, min(math.ceil(2 * ENOUGH_RUNS / runs), rows // _SHORTEST))
     edges = np.linspace(0, rows, max(wanted, 1) + 1).astype(int)
     cuts = []
     for start, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        # The step into the first row of a later stretch counts there, so that no step is lost.
+        # The step into the first row of a later segment counts there, so that no step is lost.
         first = max(0, start - WARM_UP)
         cuts.append((first, max(start - 1, 0), end))
     return [cut for cut in cuts if cut[2] - cut[1] >= 2]
@@ -391,7 +391,7 @@ def row_modes(automaton: HybridAutomaton, x: Floats) -> Ints:
     """(T,) index of the mode that each state (T, n) is in: the one whose invariant and pins it violates least."""
     std = np.array([min(s, 1.0) for s in automaton.noise.observation_std])
     u = np.zeros((len(x), automaton.m))
-    misfits = []
+    misses = []
     for mode in automaton.modes:
         worst = np.zeros(len(x))
         if mode.invariant.half_spaces:
@@ -400,8 +400,8 @@ def row_modes(automaton: HybridAutomaton, x: Floats) -> Ints:
             away = np.abs(x[:, pin.coordinate] - pin.value) / max(pin.std, std[pin.coordinate])
             worst = np.maximum(worst, np.where(away > 2.0, away, 0.0))
         # Being held says more than being somewhere in a range, so it comes first where both fit.
-        misfits.append(worst - 0.1 * bool(mode.pins) * (worst == 0))
-    return np.asarray(np.argmin(np.stack(misfits), axis=0))
+        misses.append(worst - 0.1 * bool(mode.pins) * (worst == 0))
+    return np.asarray(np.argmin(np.stack(misses), axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -459,7 +459,7 @@ def _alternatives(automaton: HybridAutomaton, x: Floats, i: int) -> list[Floats]
 def _pushed(automaton: HybridAutomaton, x: Floats, modes: Ints, i: int) -> tuple[Floats, Floats]:
     """(low, high) to which a push far beyond the range leads coordinate i; infinite where nothing stops it.
 
-    What a mode holds only an input can move: where it does, what it takes is known (`lane.Lane.release`).
+    What a mode holds only an input can move: where it does, what it takes is known (`CoordinateData.release`).
     """
     lower, upper = range_of(automaton, i)
     x = x.copy()

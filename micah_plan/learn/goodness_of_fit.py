@@ -13,13 +13,13 @@ from itertools import pairwise
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats
-from micah_plan.automaton.certainty import Misfit
+from micah_plan.automaton.certainty import NoSingleJoint
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import ROTATION_LENGTH, jacobian
 from micah_plan.learn.paths import length_std, likeliest_path, principal_path
 from micah_plan.learn.segmenting.free import free_log_probability
 from micah_plan.learn.segmenting.noise import MeasurementNoise
-from micah_plan.learn.segmenting.noise_fit import first_noise, misses
+from micah_plan.learn.segmenting.noise_fit import initial_noise, misses
 from micah_plan.learn.segmenting.segmentation import Segmented, best_single, log_probability_at_most
 from micah_plan.learn.segments import FittedPiece, configurations, left_by
 from micah_plan.learn.settings import LearnSettings
@@ -36,7 +36,7 @@ _FEWEST_TO_DOUBT = 16  # rows; fewer lie on any smooth path, and tell no joint f
 
 
 @dataclass(frozen=True, eq=False)
-class Doubt:
+class GoodnessOfFit:
     """What else may explain the rows than the joints of an answer.
 
     Attributes:
@@ -56,14 +56,14 @@ class Doubt:
         return self.single is not None and self.path is None and self.log_odds > 0
 
 
-def doubt_of(
+def assess_joints(
     segmented: Segmented,
     fitted: Sequence[FittedPiece],
     track: PartTrack,
     inlier: Booleans,
     noise: MeasurementNoise,
     settings: LearnSettings,
-) -> Doubt | None:
+) -> GoodnessOfFit | None:
     """What may explain the rows better than an answer; None if its joints miss them by little.
 
     Joints in turn follow many a curve closely, and a slide forgives a turn: what counts is how far either the answer or
@@ -80,44 +80,44 @@ def doubt_of(
     missed_by_one = _missed_by(single)
     if not (np.maximum(missed, missed_by_one) > _CURVED * scatter).any():
         return None
-    steps, trust = segmented.track, segmented.table.trust
-    rough = first_noise(steps, settings)
-    free = free_log_probability(steps, rough, trust)
-    path = likeliest_path(steps, rough, trust) if settings.paths else None
+    steps, likelihood_power = segmented.track, segmented.table.likelihood_power
+    rough = initial_noise(steps, settings)
+    free = free_log_probability(steps, rough, likelihood_power)
+    path = likeliest_path(steps, rough, likelihood_power) if settings.paths else None
     if path is not None and path.log_probability <= free:
         path = None
     answer = segmented.log_probability
     if path is None and not (missed_by_one > _CURVED * scatter).any():
         # Rows that come by once lie on a smooth curve whatever holds them, and one joint is as near as joints are.
         fits = single.log_probability > max(answer, log_probability_at_most(segmented, settings))
-        return Doubt(-np.inf, single.log_probability, single) if fits else None
+        return GoodnessOfFit(-np.inf, single.log_probability, single) if fits else None
     log_alternative = (free if path is None else path.log_probability) - _RARE
     if log_alternative > answer:
         answer = log_probability_at_most(segmented, settings)
     if log_alternative <= answer:
-        return Doubt(log_alternative - answer, answer)
+        return GoodnessOfFit(log_alternative - answer, answer)
     log_odds = log_alternative - max(single.log_probability, answer)
     if log_odds <= 0:
-        return Doubt(log_odds, single.log_probability, single)
+        return GoodnessOfFit(log_odds, single.log_probability, single)
     if path is None:
-        return Doubt(log_odds, log_alternative, single)
+        return GoodnessOfFit(log_odds, log_alternative, single)
     rows = track.take(np.flatnonzero(inlier))
-    std = max(path.std, length_std(first_noise(rows, settings)))
-    return Doubt(log_odds, log_alternative, single, principal_path(rows, std, path.curve) or path.curve)
+    std = max(path.std, length_std(initial_noise(rows, settings)))
+    return GoodnessOfFit(log_odds, log_alternative, single, principal_path(rows, std, path.curve) or path.curve)
 
 
-def misfit_of(
+def no_single_joint_of(
     fitted: Sequence[FittedPiece],
     track: PartTrack,
     inlier: Booleans,
     noise: MeasurementNoise,
     settings: LearnSettings,
     log_odds: float,
-) -> Misfit:
+) -> NoSingleJoint:
     """How far joints miss rows of free motion."""
     missed, scatter = _missed(fitted, track, inlier), _scatter(track, inlier, noise, settings)
     turned = track.quaternion is not None
-    return Misfit(
+    return NoSingleJoint(
         position=float(missed[-1]),
         rotation=float(missed[0]) if turned else None,
         position_noise=float(scatter[-1]),
@@ -163,7 +163,7 @@ def _scatter(track: PartTrack, inlier: Booleans, noise: MeasurementNoise, settin
     By their white noise, of which a few rows leave open how much it is, and because neither joints nor trackers are
     ideal.
     """
-    rough = first_noise(track.take(np.flatnonzero(inlier)), settings).of_rows(1.0)
+    rough = initial_noise(track.take(np.flatnonzero(inlier)), settings).of_rows(1.0)
     position = np.hypot(max(noise.position_white, rough.position_white), settings.position_misfit)
     rotation = np.hypot(max(noise.rotation_white, rough.rotation_white), settings.rotation_misfit)
     return np.asarray(np.sqrt(3) * np.array([rotation, position] if track.quaternion is not None else [position]))

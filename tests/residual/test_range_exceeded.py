@@ -14,7 +14,7 @@ from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segm
 from micah_plan.automaton.joint import revolute
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.prediction import predict_recording, rmse
-from micah_plan.residual.seen import beyond_range, sections
+from micah_plan.residual.range_exceeded import ranges_exceeded, sections
 
 HALF = 0.5 * plants.LENGTH
 
@@ -63,7 +63,7 @@ def test_readings_that_go_beyond_an_end_need_not_mean_that_it_is_elsewhere():
 def test_rows_a_hair_beyond_the_end_move_no_end(door):
     log = recording(goals=(-1.0, 2.0))
     runs = predict_recording(door, log)
-    assert not beyond_range(door, [run.x for run in runs])
+    assert not ranges_exceeded(door, [run.x for run in runs])
     # An end takes nothing of a command that leads away from it: errors there are those of the noise.
     assert rmse([run.one_step.configuration for run in runs]) < 1.2 * np.sqrt(2.0) * 0.003
 

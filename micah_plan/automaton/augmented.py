@@ -4,7 +4,8 @@ Memories of inputs and the places of uncertain boundaries are coordinates of a l
 `with_boundary_states`). They stand behind the others. Neither inputs nor noise move them, no sensor shows them,
 and transitions keep them. Which half-spaces depend on them is for the caller to say.
 
-An automaton over (x, e) stands for one automaton over x for each value of e: `restricted` is that for given values.
+An automaton over (x, e) stands for one automaton over x for each value of e: `fix_augmented_state` is
+that for given values.
 
 Thresholds that are known only so well: what the true object's may be, and where they are as a part of the state.
 
@@ -48,7 +49,9 @@ def mapped(
     return replace(automaton, modes=tuple(map(mode, automaton.modes)), edges=tuple(map(edge, automaton.edges)))
 
 
-def lifted(automaton: HybridAutomaton, added: Sequence[Coordinate], weights: Weights | None = None) -> HybridAutomaton:
+def augment_state(
+    automaton: HybridAutomaton, added: Sequence[Coordinate], weights: Weights | None = None
+) -> HybridAutomaton:
     """The automaton over (x, e), with k coordinates e added behind those of x as the module's docstring says.
 
     Args:
@@ -58,11 +61,12 @@ def lifted(automaton: HybridAutomaton, added: Sequence[Coordinate], weights: Wei
     return _resized(automaton, (*automaton.coordinates, *added), weights)
 
 
-def restricted(automaton: HybridAutomaton, n: int, values: Sequence[float] = ()) -> HybridAutomaton:
+def fix_augmented_state(automaton: HybridAutomaton, n: int, values: Sequence[float] = ()) -> HybridAutomaton:
     """The automaton over its first n coordinates x that steps as the one over (x, e) does with e at values.
 
     Args:
-        values: (k,) of the coordinates e behind them; none: nothing depends on e, as after `lifted` without weights.
+        values: (k,) of the coordinates e behind them; none: nothing depends on e, as after `augment_state` without
+            weights.
     """
     return _resized(automaton, automaton.coordinates[:n], values=values)
 
@@ -162,7 +166,7 @@ def with_boundaries(automaton: HybridAutomaton, by: Floats, stds: Floats | None 
     now = before if stds is None else dict(zip(before, map(float, stds), strict=True))
     if now == before and not np.any(by):
         return automaton
-    moved = restricted(with_boundary_states(automaton), automaton.n, by.tolist())
+    moved = fix_augmented_state(with_boundary_states(automaton), automaton.n, by.tolist())
 
     def pin_std(pin: Pin, at: Boundary | None) -> float:
         gained = 0.0 if at is None else before[at] ** 2 - now[at] ** 2
@@ -205,7 +209,7 @@ def with_boundary_states(automaton: HybridAutomaton) -> HybridAutomaton:
         return replace(mode, pins=tuple(following(pin, at[pin]) if pin in at else pin for pin in mode.pins))
 
     added = [Coordinate(f"boundary {i + 1}", "") for i in range(len(stds))]
-    whole = lifted(automaton, added, weights)
+    whole = augment_state(automaton, added, weights)
     return mapped(whole, with_following_pins, lambda edge: replace(edge, threshold_std=0.0))
 
 
