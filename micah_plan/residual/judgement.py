@@ -15,7 +15,8 @@ from micah_plan.residual.calibrate import told_of_late
 from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.faulty_runs import FaultyRun, unlike_others
 from micah_plan.residual.prediction import RunPrediction
-from micah_plan.residual.residual_test import Circumstances, ResidualTest, lagged, whiteness_test
+from micah_plan.residual.residual_test import FEWEST_ROWS, Circumstances, lagged, whiteness_test
+from micah_plan.residual.search import Search
 
 
 @dataclass(frozen=True)
@@ -66,20 +67,16 @@ class Judgement:
 def judge(automaton: HybridAutomaton, recording: Recording, runs: Sequence[RunPrediction]) -> Judgement:
     """Compare the errors of predicted runs with the noise that the same runs show.
 
-    Whether anything is left is asked of innovations, and poses beside the joints, as `calibrate` asks it.
+    Whether anything is left is asked of innovations, and poses beside the joints, as `calibrate` asks it; and so is
+    what noise alone leaves.
     """
     changes = tuple(change for run in runs for change in _changes(run))
     errors = [[run.one_step.configuration[:, i] for run in runs] for i in range(automaton.n)]
     correlation = max(map(_correlation, errors), key=abs)
-    tests = [
-        whiteness_test(np.concatenate(errors_of_run)[:, None], _circumstances(runs, i))
-        for i, errors_of_run in enumerate(errors)
-    ]
-    tests_done = [test for test in tests if test is not None]
-    if len(tests_done) < len(tests):
-        return Judgement(None, None, None, "too few rows to tell errors from noise", (), correlation, changes)
-    one_step, rollout = _floors(automaton, runs, tests_done)
     examination = examined(automaton, recording)
+    one_step, rollout = _floors(automaton, runs, examination.searches)
+    if sum(len(run.v) for run in runs) < FEWEST_ROWS:
+        return Judgement(None, None, None, "too few rows to tell errors from noise", (), correlation, changes)
     sentence = _sentence(examination, () if examination.is_noise else _faulty(automaton, runs))
     sentence = f"{told_of_late(examination.late)}. {sentence}" if examination.late else sentence
     follows = tuple(
@@ -137,59 +134,62 @@ def _correlation(errors: Sequence[Floats]) -> float:
 
 
 def _floors(
-    automaton: HybridAutomaton, runs: Sequence[RunPrediction], tests_done: Sequence[ResidualTest]
+    automaton: HybridAutomaton, runs: Sequence[RunPrediction], searches: Sequence[Search]
 ) -> tuple[Floor | None, Floor | None]:
-    """Floors of one step and of the roll-out.
+    """Floors of one step and of the roll-out; None where not every coordinate has an input of its own.
 
-    Errors across a joint are those of its measured poses in both; along it a roll-out adds up what moves the part: with
-    measurement noise of variance r and q per step its k-th error has 2 r + k q, and a one-step error 2 r + q.
+    Along the joints they are those of the searches. Errors across a joint are those of its measured poses in both.
     """
-    steps = np.concatenate([np.arange(1, len(run.v) + 1) for run in runs])
-    one2 = np.array([float(test.floor[0]) ** 2 for test in tests_done])
-    roll2 = np.array([2.0 * r + q * steps.mean() for r, q in (_shares(test, runs) for test in tests_done)])
-    position = _across(automaton, runs, one2, roll2, 3, [run.one_step.offset for run in runs])
+    of_coordinate = {search.data.coordinate: search for search in searches}
+    if not all(coordinate.name in of_coordinate for coordinate in automaton.coordinates):
+        return None, None
+    ordered = [of_coordinate[coordinate.name] for coordinate in automaton.coordinates]
+    steps = [search.noise_floor(search.nominal) for search in ordered]
+    rolled = [search.rollout_floor(search.nominal, step) for search, step in zip(ordered, steps, strict=True)]
+    along = np.array([steps, rolled])
+    position = _with_across(automaton, runs, along, 3, [run.one_step.offset for run in runs])
     turns = [run.one_step.turn for run in runs if run.one_step.turn is not None]
-    rotation = _across(automaton, runs, one2, roll2, 0, turns) if len(turns) == len(runs) else None
+    rotation = _with_across(automaton, runs, along, 0, turns) if len(turns) == len(runs) else None
     if position is None:
         return None, None
-    floors = []
-    for k, own2 in enumerate((one2, roll2)):
-        turned, sizes = None if rotation is None else rotation[k], tuple(np.sqrt(own2).tolist())
-        floors.append(Floor(position[k], turned, float(np.sqrt(own2.mean())), sizes))
-    return floors[0], floors[1]
+    one_step, rollout = (
+        Floor(float(place), turn, float(np.sqrt(np.mean(own**2))), tuple(own.tolist()))
+        for place, turn, own in zip(
+            position, (None, None) if rotation is None else rotation.tolist(), along, strict=True
+        )
+    )
+    return one_step, rollout
 
 
-def _shares(test: ResidualTest, runs: Sequence[RunPrediction]) -> tuple[float, float]:
-    """(r, q) of what a regression leaves: two errors in a row share one measurement, with opposite signs."""
-    ends = np.cumsum([len(run.v) for run in runs])[:-1]
-    correlation = _correlation(np.split(test.left[:, 0], ends))
-    variance = float(test.floor[0]) ** 2
-    r = float(np.clip(-correlation, 0.0, 0.5)) * variance
-    return r, variance - 2.0 * r
+def _with_across(
+    automaton: HybridAutomaton, runs: Sequence[RunPrediction], along: Floats, first: int, errors: Sequence[Floats]
+) -> Floats | None:
+    """(2,) floors of a vector error of every link, given those along the joints (2, n).
 
-
-def _across(
-    automaton: HybridAutomaton,
-    runs: Sequence[RunPrediction],
-    one2: Floats,
-    roll2: Floats,
-    first: int,
-    errors: Sequence[Floats],
-) -> tuple[float, float] | None:
-    """Floors of a vector error of every link, whose part along the joint is rows `first` on of the Jacobian."""
+    Args:
+        first: row of the Jacobian at which the vector's part along the joint begins.
+        errors: one step's vectors (T, links, 3) of each run.
+    """
     totals = []
     every = np.concatenate(list(errors))
     for number, link in enumerate(automaton.links):
         i = link.coordinate
-        test_of_run = whiteness_test(every[:, number], _circumstances(runs, i))
-        if test_of_run is None:
+        circumstances = _circumstances(runs, i)
+        test, test_along = (
+            whiteness_test(values, circumstances)
+            for values in (
+                every[:, number],
+                np.concatenate([run.one_step.configuration[:, i] for run in runs])[:, None],
+            )
+        )
+        if test is None or test_along is None:
             return None
         x = np.concatenate([run.x[1:, i] for run in runs])
         j = link_motions(automaton)[number].tangents(x)[:, first : first + 3]
-        lever2, size2 = float(np.mean((j**2).sum(axis=1))), float((test_of_run.floor**2).sum())
-        totals.append((size2, max(size2 - lever2 * one2[i], 0.0) + lever2 * roll2[i]))
-    step_rms, roll = np.sqrt(np.mean(totals, axis=0))
-    return float(step_rms), float(roll)
+        lever2 = float(np.mean((j**2).sum(axis=1)))
+        across2 = max(float((test.floor**2).sum()) - lever2 * float(test_along.floor[0]) ** 2, 0.0)
+        totals.append(across2 + lever2 * along[:, i] ** 2)
+    return np.asarray(np.sqrt(np.mean(totals, axis=0)))
 
 
 def _changes(run: RunPrediction) -> list[ModeChange]:

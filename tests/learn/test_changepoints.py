@@ -116,3 +116,19 @@ def test_a_changepoint_is_not_refined_where_no_row_counts_on_one_of_its_sides(co
     refined = refine_changepoint(joints, 40, 4.0, (0, 80), track, inlier, LearnSettings())
     assert refined.row == 40 if inlier.sum() < 80 else abs(refined.row - 40) <= 2
     assert len(refined.rows) == 1 if inlier.sum() < 80 else len(refined.rows) > 1
+
+
+def test_a_rest_elsewhere_does_not_explain_a_row_by_the_row_before_it() -> None:
+    """A segment goes on from the row before it where both lie on its joint: else any far pose explained a last step."""
+    table = planted_table()
+    names = table.pool.hypotheses.joints.kinds
+    fitted = table.pool.hypotheses.used
+    rest = max(
+        (i for i, name in enumerate(names) if name == "rigid"),
+        key=lambda i: fitted[i, 45:].sum() - fitted[i, :45].sum(),
+    )
+    motion = max((i for i, name in enumerate(names) if name == "revolute"), key=lambda i: fitted[i, :38].sum())
+    in_motion, at_rest = 10, 55
+    far, near = (float(table.sums[rest, row, row] - table.sums[motion, row, row]) for row in (in_motion, at_rest))
+    assert far < -15.0
+    assert near > -2.0

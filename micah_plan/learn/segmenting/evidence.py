@@ -8,6 +8,9 @@ evidence of a segment is a sum of tabled terms. A revolute joint that rests is n
 A step in which a part is caught by a stop, or let go by it, does not do what the action asks of it: its poses are a
 mean of rest and motion. So the step with which a segment begins or ends may be led, or not.
 
+A segment may go on where the row before it was, as far as that row lies on its joint as well: a part goes over from one
+joint to another at a pose that both have.
+
 Source: MICAH, ln L ≈ ln p(y | M, θ̂, a) - k/2 ln(t - s).
 """
 
@@ -19,6 +22,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy.special import digamma
 
 from micah_plan.arrays import Floats, Ints
 from micah_plan.learn.segmenting.motion import Motion, fit_motion
@@ -115,7 +119,7 @@ def all_tabulated(
     together, counts = all_of(pools), [len(pool) for pool in pools]
     noise = stacked(noises, counts) if len(pools) > 1 else noises[0]
     pool = pool_of(together, track, noise)
-    table, scale = _across(pool, noise)
+    table, scale, off_joint = _across(pool, noise)
     motion = fit_motion(pool, track.action, rest, scale, likelihood_power, begun)
     unled = table + motion.unled
     # Where on its joint a segment starts is uniform over what the recording reaches.
@@ -129,9 +133,11 @@ def all_tabulated(
     ending = likelihood_power * (led_or_not - table)
     # A segment of one row begins and ends within it, which is asked once; the last row of all leaves its segment open.
     ending[0] = ending[..., -1] = 0.0
-    # The first row of a segment may go on where the row before was, or not.
+    # A segment may go on where the row before it was, or not.
     going_on = table[1:, :, 1:].copy()
     going_on[:1] = led_or_not[1:2, :, 1:]
+    for k, density in enumerate(going_on):  # of a row with k rows of its segment before it
+        density[:, k:] += off_joint[:, : density.shape[1] - k]
     table[:-1, :, 1:] = log_add(table[:-1, :, 1:], going_on) + np.log(0.5)
     table *= likelihood_power
     if not begun:
@@ -151,8 +157,11 @@ def all_tabulated(
     return tables
 
 
-def _across(pool: Pool, noise: NoiseModel) -> tuple[Floats, Floats]:
-    """(p + 1, h, n) ln densities across the joints, and (h, n) how much wider than usual a row's noise is."""
+def _across(pool: Pool, noise: NoiseModel) -> tuple[Floats, Floats, Floats]:
+    """(p + 1, h, n) ln densities across the joints, and (h, n) how much wider than usual a row's noise is.
+
+    And (h, n) by how much less likely than a row on the joint usually is each of them is, alone [nats, at most 0].
+    """
     direction = pool.seen.direction
     h, d, n = direction.shape
     heavy = noise.dof[:, None] + d - pool.moving[:, None]
@@ -169,7 +178,10 @@ def _across(pool: Pool, noise: NoiseModel) -> tuple[Floats, Floats]:
     volume = np.log(np.diagonal(scaling, axis1=2, axis2=3)).sum(axis=2)[..., None]
     tails = heavy * np.log1p(squares / heavy) + np.log(np.maximum(information, 1e-12))
     # Given how far off a row is across the joint, Student's distribution is as much wider along it.
-    return peak - 0.5 * tails + volume, 1 + (squares[-1] - (heavy - noise.dof[:, None])) / heavy
+    wider = 1 + (squares[-1] - (heavy - noise.dof[:, None])) / heavy
+    usual = digamma(heavy / 2) - digamma(noise.dof[:, None] / 2)  # of the logarithm, under Student's distribution
+    off_joint = 0.5 * heavy * np.minimum(usual - np.log1p(squares[0] / heavy), 0.0)
+    return peak - 0.5 * tails + volume, wider, off_joint
 
 
 def best_of(layers: Iterable[Floats]) -> Floats:

@@ -106,11 +106,6 @@ def _scores(
     hypotheses = Hypotheses(joints, np.stack([~later, later]))
     pool = pool_of(hypotheses, steps, initial_noise(steps, scaled))
     (noise,) = fit_noise_to_residuals([(pool, later.astype(np.int64))], scaled)
-    density = tabulated(hypotheses, steps, noise, settings.rest, 1.0, begun=True).log_density
-    order = len(density) - 1
-    before = np.concatenate([[0.0], np.cumsum(density[order, :, 0])])[:-1]
-    after = np.zeros(n)
-    for s in range(n):
-        k = np.minimum(np.arange(n - s), order)
-        after[s] = density[k, np.arange(s, n), 1].sum()
-    return np.asarray(before + after)
+    earlier, later_on = tabulated(hypotheses, steps, noise, settings.rest, 1.0, begun=True).sums
+    before = np.concatenate([[0.0], earlier[0, :-1]])
+    return np.asarray(before + later_on[:, -1])
