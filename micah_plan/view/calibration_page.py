@@ -17,6 +17,7 @@ from micah_plan.view.chart import Chart, Curve, Level, Panel, evenly, widened
 from micah_plan.view.learned import capital
 from micah_plan.view.page import Bar, Bars, Status, Table, render
 from micah_plan.view.palette import BLUE, INK, ORANGE
+from micah_plan.view.prediction_page import calibration_scene
 
 _BADGES: dict[Verdict, tuple[str, Status]] = {
     "none": ("nothing is missing", "good"),
@@ -56,6 +57,7 @@ def calibration_page(calibration: Calibration, title: str) -> str:
         "coordinates": coordinates,
         "first": coordinates[max(range(len(coordinates)), key=lambda k: _worth(calibration.traces[k]))]["motion"][:2],
         "experiment": f"{capital(calibration.experiment)}.",
+        "scene": calibration_scene(calibration, f"{names}: before and after"),
     }
     return render("calibration.html.j2", page=page)
 

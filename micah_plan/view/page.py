@@ -167,6 +167,7 @@ class ScenePage:
         hidden: layers that are switched off at first.
         charts: shown in a column of their own, below the panel where the window is narrow.
         runs: to choose from; the first is shown at first.
+        is_within: whether it is shown within another page, which has its title and says what its colours are.
     """
 
     title: str
@@ -182,6 +183,7 @@ class ScenePage:
     hidden: Sequence[str] = ()
     charts: Sequence[Block] = ()
     runs: Sequence[RunEntry] = ()
+    is_within: bool = False
 
 
 def render_scene(page: ScenePage, scene: Scene) -> str:

@@ -1,12 +1,12 @@
-"""The page of a prediction: the object as it was measured beside where the model has it, run by run.
+"""The page of a prediction: the object as it was measured beside where one model has it, or two, run by run.
 
 The figure of measured and predicted motion: one axes per coordinate and run, over the time of the run.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -15,8 +15,16 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.quantities import count, quantity
 from micah_plan.recording.value import Recording
+from micah_plan.residual.calibrate import Calibration
 from micah_plan.residual.judgement import Floor, Judgement
-from micah_plan.residual.prediction import PredictionError, RunPrediction, rmse, rmse_of_coordinates
+from micah_plan.residual.prediction import (
+    PredictionError,
+    RunPrediction,
+    predict_recording,
+    refused,
+    rmse,
+    rmse_of_coordinates,
+)
 from micah_plan.view.camera import camera
 from micah_plan.view.chart import Chart, Curve, Level, Panel, evenly, widened
 from micah_plan.view.drawing import draw_shapes, fixed_shapes, link_shapes, object_size, shape_corners, shown_links
@@ -56,18 +64,13 @@ def prediction_page(
         judged: what their errors are worth.
     """
     worst = sorted(runs, key=lambda run: -rmse([run.rollout.position]))[:_MOST_RUNS]
-    scene, size = Scene(), object_size(automaton)
-    longest = max(float(run.time[-1]) for run in worst)
-    scale = min(max(longest, _SHORTEST_S), _LONGEST_S) / max(longest, 1e-9)
-    fixed = fixed_shapes(automaton)
-    draw_shapes(scene, "object/fixed", fixed, opacity=0.5)
-    scene.reserve(shape_corners(fixed, RigidTransform.identity()))
+    scene, scale, longest = _scene_of(automaton, worst)
     entries, handles = [], []
     for order, run in enumerate(worst):
-        entry, points = _draw_run(scene, automaton, recording, run, order, scale)
+        entry, points = _draw_run(scene, recording, [_Ghost(automaton, run, ORANGE)], order, scale)
         entries.append(entry)
         handles += points
-    spacing = draw_ground_and_frame(scene, size)
+    spacing = draw_ground_and_frame(scene, object_size(automaton))
     page = ScenePage(
         title=title,
         kind="measured against predicted",
@@ -88,45 +91,127 @@ def prediction_page(
     return render_scene(page, scene)
 
 
+@dataclass(frozen=True)
+class _Ghost:
+    """The roll-out of a run by a model, drawn in a colour."""
+
+    automaton: HybridAutomaton
+    run: RunPrediction
+    color: str
+    name: str = "predicted"
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        return (self.run.rollout.modes[0], *self.run.rollout.modes)
+
+    @property
+    def x(self) -> Floats:
+        """(K + 1, n) configurations, the first as it was measured."""
+        return np.vstack([self.run.x[:1], self.run.x[1:] + self.run.rollout.configuration])
+
+
 def _draw_run(
-    scene: Scene, automaton: HybridAutomaton, recording: Recording, run: RunPrediction, order: int, scale: float
+    scene: Scene, recording: Recording, ghosts: Sequence[_Ghost], order: int, scale: float
 ) -> tuple[RunEntry, list[Floats]]:
-    """The measured object and the ghost of its roll-out; the entry of the run, and where its handles were."""
+    """The measured object and the ghosts of its roll-outs; the entry of the run, and where its handles were."""
+    automaton, run = ghosts[0].automaton, ghosts[0].run
     rows = evenly(len(run.time), _MOST_KEYFRAMES)
     clock = run.time[rows] * scale
     measured = poses_of_run(automaton, recording.select(run=run.run), run.x, ())
-    modes = (run.rollout.modes[0], *run.rollout.modes)
-    rolled = np.vstack([run.x[:1], run.x[1:] + run.rollout.configuration])
-    predicted = poses_over_time(automaton, Keyframes(clock, tuple(modes[i] for i in rows), rolled[rows]))
+    drawn: list[tuple[HybridAutomaton, str, Mapping[str, RigidTransform], str | None, float]] = [
+        (automaton, "measured", {name: poses[rows] for name, poses in measured.items()}, None, 1.0)
+    ]
+    for ghost in ghosts:
+        keys = Keyframes(clock, tuple(ghost.modes[i] for i in rows), ghost.x[rows])
+        drawn.append((ghost.automaton, ghost.name, poses_over_time(ghost.automaton, keys), ghost.color, 0.45))
     layer, points = f"runs/{order}_run", list[Floats]()
-    for number, link in shown_links(automaton):
-        shapes, name = link_shapes(automaton, number), slug(link.child, number)
-        for path, poses, color, opacity in (
-            (f"{layer}/measured/{name}", measured[link.child][rows], None, 1.0),
-            (f"{layer}/predicted/{name}", predicted[link.child], ORANGE, 0.45),
-        ):
+    for model, kind, poses_of, color, opacity in drawn:
+        for number, link in shown_links(model):
+            shapes, path = link_shapes(model, number), f"{layer}/{kind}/{slug(link.child, number)}"
+            poses = poses_of[link.child]
             draw_shapes(scene, path, shapes, color=color, opacity=opacity)
             scene.animate(path, clock, poses)
             for i in range(0, len(poses), max(1, len(poses) // 6)):
                 scene.reserve(shape_corners(shapes, poses[i]))
+    for _, link in shown_links(automaton):
         points.append(np.asarray(measured[link.child].apply(handle_in_part(automaton, link.child))))
-    steps, rolled_on = (
-        _sizes(automaton, rmse_of_coordinates([prediction])) for prediction in (run.one_step, run.rollout)
+    return RunEntry(f"run {run.run}", _run_words(ghosts), layer, run.run, _readouts(ghosts, scale)), points
+
+
+def _run_words(ghosts: Sequence[_Ghost]) -> tuple[str, ...]:
+    """How far one model is off, or how far two are when nothing is measured again."""
+    sizes = [
+        [_sizes(ghost.automaton, rmse_of_coordinates([error])) for error in (ghost.run.one_step, ghost.run.rollout)]
+        for ghost in ghosts
+    ]
+    if len(ghosts) > 1:
+        rolled = ", ".join(f"{size} {ghost.name}" for ghost, (_, size) in zip(ghosts, sizes, strict=True))
+        return (f"Off by {rolled} (root mean square).",)
+    ((steps, rolled),) = sizes
+    return (f"One step ahead {steps} off, from the first row on {rolled} (root mean square).",)
+
+
+def calibration_scene(calibration: Calibration, title: str) -> str | None:
+    """The page (HTML) of the measured object with its roll-outs before and after a calibration; None if there are none.
+
+    There are none where the new model refuses the runs.
+    """
+    recording, models = calibration.recording, (calibration.told, calibration.automaton)
+    if any(refused(model, recording) for model in models):
+        return None
+    before, after = (
+        {(run.run, float(run.time[0]), len(run.time)): run for run in predict_recording(model, recording)}
+        for model in models
     )
-    words = (f"One step ahead {steps} off, from the first row on {rolled_on} (root mean square).",)
-    readouts = _readouts(automaton, run, rolled, modes, scale)
-    return RunEntry(f"run {run.run}", words, layer, run.run, readouts), points
+    both = [(before[key], after[key]) for key in before if key in after]
+    worst = sorted(both, key=lambda pair: -rmse([pair[0].rollout.position]))[:_MOST_DRAWN]
+    if not worst:
+        return None
+    colors = ((ORANGE, "before"), (BLUE, "after"))
+    scene, scale, longest = _scene_of(calibration.told, [run for run, _ in worst])
+    entries, handles = [], []
+    for order, pair in enumerate(worst):
+        ghosts = [_Ghost(model, run, *color) for model, run, color in zip(models, pair, colors, strict=True)]
+        entry, points = _draw_run(scene, recording, ghosts, order, scale)
+        entries.append(entry)
+        handles += points
+    spacing = draw_ground_and_frame(scene, object_size(calibration.told))
+    page = ScenePage(
+        title=title,
+        kind="measured against two models",
+        camera=camera(scene, np.concatenate(handles)),
+        legend=[
+            LegendEntry(INK, "the object as it was measured, in its own colours"),
+            LegendEntry(ORANGE, "roll-out before the calibration"),
+            LegendEntry(BLUE, "roll-out after it"),
+            *ground_legend(spacing),
+        ],
+        timeline=Timeline(longest * scale + _REST_S),
+        runs=entries,
+        is_within=True,
+    )
+    return render_scene(page, scene)
 
 
-def _readouts(
-    automaton: HybridAutomaton, run: RunPrediction, rolled: Floats, modes: Sequence[str], scale: float
-) -> tuple[tuple[float, tuple[str, ...]], ...]:
-    found = []
+def _scene_of(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> tuple[Scene, float, float]:
+    """A scene with what stands, seconds of the player per second of the runs, and the longest run [s]."""
+    scene, longest = Scene(), max(float(run.time[-1]) for run in runs)
+    fixed = fixed_shapes(automaton)
+    draw_shapes(scene, "object/fixed", fixed, opacity=0.5)
+    scene.reserve(shape_corners(fixed, RigidTransform.identity()))
+    return scene, min(max(longest, _SHORTEST_S), _LONGEST_S) / max(longest, 1e-9), longest
+
+
+def _readouts(ghosts: Sequence[_Ghost], scale: float) -> tuple[tuple[float, tuple[str, ...]], ...]:
+    """What is measured and predicted at each keyframe, by the player's clock [s]."""
+    found, run, paths = [], ghosts[0].run, [ghost.x for ghost in ghosts]
     for row in evenly(len(run.time), _MOST_KEYFRAMES).tolist():
-        lines = [f"run {run.run} after {quantity(float(run.time[row]), 's')}, predicted {modes[row]}"]
-        for c, measured, predicted in zip(automaton.coordinates, run.x[row], rolled[row], strict=True):
-            both = (quantity(float(value), c.unit, degrees=False) for value in (measured, predicted))
-            lines.append(f"{c.name} = {' measured, '.join(both)} predicted")
+        when = quantity(float(run.time[row]), "s")
+        lines = [f"run {run.run} after {when}, {', '.join(f'{ghost.name} {ghost.modes[row]}' for ghost in ghosts)}"]
+        for i, c in enumerate(ghosts[0].automaton.coordinates):
+            values = [("measured", run.x[row, i]), *((g.name, x[row, i]) for g, x in zip(ghosts, paths, strict=True))]
+            told = (f"{quantity(float(value), c.unit, degrees=False)} {name}" for name, value in values)
+            lines.append(f"{c.name} = {', '.join(told)}")
         found.append((float(run.time[row] * scale), tuple(lines)))
     return tuple(found)
 

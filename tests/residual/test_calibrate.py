@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import planted_effects as plants
 import pytest
@@ -9,7 +11,9 @@ import pytest
 from micah_plan.errors import InputError
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.prediction import predict_recording, rmse
+from micah_plan.view import prediction_page
 from micah_plan.view.calibration_page import calibration_page
+from micah_plan.view.prediction_page import calibration_scene
 
 
 def found_in(door, plant, *, runs=6, rows=25, seed=3):
@@ -42,13 +46,27 @@ def test_a_gain_is_named_sized_and_added(door) -> None:
         for model in (door, found.automaton)
     )
     assert after < 0.25 * before
-    page = calibration_page(found, "door")
+    page, scene = re.subn(r"<iframe.*?</iframe>", "", calibration_page(found, "door"), flags=re.DOTALL)
+    assert scene == 1
     assert "explained" in page
     assert page.count('<div class="chart"') == 14
     assert "gain (gain 0." in page  # opens with what was found, and what it is worth
     assert "Errors on rows that no fit saw: roll-outs from " in page
     named = ('http-equiv="Content-Security-Policy"', "https://github.com/leeoniya/uPlot (v1.6.32)")
     assert "http" not in page.replace(named[0], "").replace(named[1], "")
+
+
+def test_a_calibration_plays_the_runs_before_and_after_unless_the_new_model_refuses_them(
+    door, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found, recording = found_in(door, plants.short_steps)
+    scene = calibration_scene(found, "door")
+    assert scene is not None
+    worst = max(predict_recording(door, recording), key=lambda run: float(np.mean(run.rollout.configuration**2))).run
+    assert f"run {worst} after" in scene
+    assert re.search(r"door = [\d.]+ rad measured, [\d.]+ rad before, [\d.]+ rad after", scene)
+    monkeypatch.setattr(prediction_page, "refused", lambda model, _: "" if model is door else "a run starts elsewhere")
+    assert calibration_scene(found, "door") is None
 
 
 @pytest.mark.slow

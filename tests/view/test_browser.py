@@ -299,6 +299,10 @@ def test_pages_of_an_arm_and_of_a_calibration_open_without_errors(show: Any, rep
     drawer = load_problem(repository / "problems" / "drawer_open.yaml")
     runs = stages.execute(drawer, stages.solve(drawer), trials=4).recording
     shown = show(calibration_page(calibrate(drawer.automaton, runs), "drawer"), "")
+    scene = shown.page.frame_locator("iframe.scene")
+    scene.locator("body.ready").wait_for()
+    assert np.ptp(shown.pixels("iframe.scene")) > 0.3
+    assert scene.locator("#run").is_visible()
     assert shown.page.inner_text("h1") == "drawer: measured motion against the model"
     assert shown.page.locator(".chart canvas").count() > 10
 

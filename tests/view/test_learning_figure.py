@@ -140,7 +140,7 @@ def test_posteriors_are_in_figures_and_words() -> None:
         assert text in said
     assert f"{CHANNEL.gain:.2f} ± 0.02" in said
     assert "delay 0.11 ± 0.01 s" in said
-    assert "turned by 12.0 ± 1.1°" in said.replace("\n", " ")
+    assert "frame rotation 12.0 ± 1.1°" in said.replace("\n", " ")
     assert "radius 300 mm, axis ± 0.69°, centre ± 3 mm" in said
 
 

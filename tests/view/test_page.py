@@ -89,7 +89,7 @@ def report(text: str) -> dict[str, object]:
     return {
         "title": text, "kind": text, "badge": (text, "good"), "message": text, "notes": [text], "modes": [text],
         "parameters": table, "effects": [effect], "errors": table, "poses": table, "unexplained": text,
-        "coordinates": [coordinate], "experiment": text, "headline": text, "first": [chart_of(text)],
+        "coordinates": [coordinate], "experiment": text, "headline": text, "first": [chart_of(text)], "scene": text,
     }  # fmt: skip
 
 
