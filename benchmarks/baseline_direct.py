@@ -40,9 +40,9 @@ from micah_plan.planning.transcription.corridor import pack, packed
 from micah_plan.quantities import Progress
 from micah_plan.symbolic.compiled import compiled_mode, sensing_std
 from micah_plan.symbolic.square_root import SMALLEST_STD, lower_factor, observe, put_at
-from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
+from micah_plan.task.settings import Deadline
 
 Expression = TypeVar("Expression", ca.MX, ca.SX)
 

@@ -23,9 +23,9 @@ from micah_plan.planning.search.polytope import nominal_start
 from micah_plan.planning.search.roadmap import box
 from micah_plan.planning.search.samples import goal_states
 from micah_plan.quantities import Progress
-from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
+from micah_plan.task.settings import Deadline
 
 # Extensions of the tree, after which it is given up: with them the result depends on the seed alone.
 _MOST_EXTENSIONS = 20_000

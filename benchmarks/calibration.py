@@ -18,8 +18,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 from simulated_hand import slow
 
-from micah_plan.automaton.certainty import RowPosterior
-from micah_plan.automaton.graph import Segment
+from micah_plan.automaton.graph import RowPosterior, Segment
 from micah_plan.automaton.joint import Joint, prismatic, revolute, screw
 from micah_plan.automaton.kinematics import forward
 from micah_plan.learn.learn import Method, learn_graph

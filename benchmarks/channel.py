@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from micah_plan.automaton.certainty import ActionChannel
+from micah_plan.automaton.graph import ActionChannel
 from micah_plan.automaton.joint import Joint, prismatic, revolute
 from micah_plan.automaton.kinematics import forward, jacobian
 from micah_plan.learn.actions.channel import estimate_channel

@@ -97,7 +97,7 @@ def _check_problem(file: Path) -> tuple[str, ...]:
 
         load_arm(problem.robot)
         if problem.release is not None:
-            from micah_plan.robot.along_release import with_open_gripper
+            from micah_plan.robot.along_plan import with_open_gripper
 
             load_arm(with_open_gripper(problem))
     return suspicions_of(problem)

@@ -13,8 +13,16 @@ from rich.console import Console
 
 from micah_plan import cli
 from micah_plan.api import stages
-from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, NoSingleJoint, RowPosterior, SegmentCertainty
-from micah_plan.automaton.graph import KinematicEdge, KinematicGraph, Segment
+from micah_plan.automaton.graph import (
+    ActionChannel,
+    EdgeCertainty,
+    KinematicEdge,
+    KinematicGraph,
+    NoSingleJoint,
+    RowPosterior,
+    Segment,
+    SegmentCertainty,
+)
 from micah_plan.automaton.joint import ParameterCovariance, axis_std, radius_std, revolute, rigid
 from micah_plan.automaton.kinematics import forward
 from micah_plan.cli import learning as report

@@ -21,9 +21,9 @@ from micah_plan.automaton.graph import BASE
 from micah_plan.errors import InputError
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.quantities import Progress, quantity
-from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan
 from micah_plan.task.plants import DEFAULT_PLANT
+from micah_plan.task.settings import Deadline
 
 if TYPE_CHECKING:
     from micah_plan.automaton.graph import KinematicEdge, KinematicGraph
@@ -147,9 +147,8 @@ def learn(
         InputError: if the recording cannot be learned from.
     """
     from micah_plan.automaton.build import build_automaton, no_single_joint_error
-    from micah_plan.learn.learn import learn_graph
+    from micah_plan.learn.learn import learn_graph, small_motions
     from micah_plan.learn.parts.relative import relative_to
-    from micah_plan.learn.small_motion import small_motions
     from micah_plan.recording.suspicion import suspicions
 
     begin = time.perf_counter()
@@ -200,10 +199,10 @@ def solve(
     Returns:
         A plan whose outcome says whether it solves the problem; it is never silently worse than it claims.
     """
-    from micah_plan.automaton.certainty import low_probability_warnings
+    from micah_plan.automaton.graph import low_probability_warnings
     from micah_plan.automaton.input_memory import left_out
     from micah_plan.automaton.plausible import never_taken
-    from micah_plan.planning.scene_cuts import unchecked
+    from micah_plan.planning.cuts import unchecked
     from micah_plan.planning.tightening import verified_plan
     from micah_plan.planning.with_arm import planned_with_arm
 

@@ -59,9 +59,18 @@ from typing import Any
 
 import numpy as np
 
-from micah_plan.automaton.certainty import LearnedEdge, LearnedSegment, NoSingleJoint, RowPosterior, SegmentCertainty
 from micah_plan.automaton.check import check_automaton
-from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
+from micah_plan.automaton.graph import (
+    BASE,
+    KinematicEdge,
+    KinematicGraph,
+    LearnedEdge,
+    LearnedSegment,
+    NoSingleJoint,
+    RowPosterior,
+    Segment,
+    SegmentCertainty,
+)
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part, Pin, Reset
 from micah_plan.automaton.joint import KINDS, Joint
 from micah_plan.automaton.region import HalfSpace, Region, above, below, box, input_above, input_below, input_box

@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from micah_plan.arrays import Booleans, Floats
-from micah_plan.automaton.certainty import LearnedEdge
 from micah_plan.automaton.effects.value import Effect, InputMemory
+from micah_plan.automaton.graph import LearnedEdge
 from micah_plan.automaton.joint import Joint, Quaternion, Vector3
 from micah_plan.automaton.region import Interval, Region
 from micah_plan.errors import InputError, shown

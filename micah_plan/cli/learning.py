@@ -36,8 +36,7 @@ from micah_plan.task.plants import DEFAULT_PLANT
 
 if TYPE_CHECKING:
     from micah_plan.api.stages import Learned
-    from micah_plan.automaton.certainty import ActionChannel, Deviation
-    from micah_plan.automaton.graph import KinematicEdge, Segment
+    from micah_plan.automaton.graph import ActionChannel, Deviation, KinematicEdge, Segment
     from micah_plan.automaton.joint import Joint
     from micah_plan.explore.run import Exploration
     from micah_plan.learn.settings import LearnSettings
@@ -288,7 +287,7 @@ def _spread(joint: Joint) -> dict[str, Any]:
 
 
 def _channel(channel: ActionChannel) -> dict[str, Any]:
-    from micah_plan.automaton.certainty import CHANNEL_NAMES
+    from micah_plan.automaton.graph import CHANNEL_NAMES
 
     *turned, gain, delay = _stds(channel.covariance)
     return {

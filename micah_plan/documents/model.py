@@ -13,7 +13,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from micah_plan.automaton.certainty import (
+from micah_plan.automaton.check import checks
+from micah_plan.automaton.effects.registry import form
+from micah_plan.automaton.effects.value import Effect, Since
+from micah_plan.automaton.graph import (
+    BASE,
     CHANNEL_NAMES,
     ActionChannel,
     EdgeCertainty,
@@ -22,10 +26,6 @@ from micah_plan.automaton.certainty import (
     RowPosterior,
     SegmentCertainty,
 )
-from micah_plan.automaton.check import checks
-from micah_plan.automaton.effects.registry import form
-from micah_plan.automaton.effects.value import Effect, Since
-from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Coordinate, HybridAutomaton, Link, Mode
 from micah_plan.automaton.joint import JointKind, ParameterCovariance
 from micah_plan.automaton.region import Region

@@ -7,6 +7,11 @@ Runs of one part that are too short to show its joint, learned together as demon
 
 A run in which the part moves for two rows shows no joint; all of them one after another may. To the learner they are
 one run in which the tracker slips wherever a run begins, which is no changepoint. What is found is cut into runs again.
+
+Whether a part moves enough for its joint to be told: motions hardly larger than what a tracker is assumed to wander.
+
+A slow deviation of the size of the wander is forgiven, so that the error of a tracker is no motion. On an object of a
+centimetre that forgives the motion: a stop, or the bend of a path, passes for wander unless the wander is set smaller.
 """
 
 from __future__ import annotations
@@ -16,10 +21,10 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Booleans, Floats, Ints
-from micah_plan.automaton.certainty import EdgeCertainty, SegmentCertainty
-from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
+from micah_plan.automaton.graph import BASE, EdgeCertainty, KinematicEdge, KinematicGraph, Segment, SegmentCertainty
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import reversed_direction, shifted
 from micah_plan.errors import InputError, shown
@@ -31,8 +36,8 @@ from micah_plan.learn.segmenting.noise_fit import initial_noise
 from micah_plan.learn.segmenting.steps import MOST_SWEEPS, activity_of, is_long, steps_of
 from micah_plan.learn.segments import FittedPiece, configurations, to_segment
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
-from micah_plan.learn.track import PartTrack, find_inliers, part_track
-from micah_plan.quantities import Progress
+from micah_plan.learn.track import PartTrack, bends, extent, find_inliers, part_track, white_std
+from micah_plan.quantities import Progress, quantity
 from micah_plan.recording.value import Recording
 
 # Times [s] of the rows that steps are means of, by part and run.
@@ -293,3 +298,52 @@ def cut_into_runs(
             share = piece.log_evidence * (end - start + 1) / rows
             sliced.append((replace(piece, start=start, end=end, log_evidence=share), place, run))
     return sorted(sliced, key=lambda piece: piece[0].start)
+
+
+_TELLING = 10.0  # wanders; a larger motion shows its joint
+_BLOCKS = 8  # in which rows are averaged to see whether anything moves
+_BEYOND_NOISE = 7.0  # times the noise of these means
+_FEW = 0.02  # share of the rows that do not count
+
+
+def small_motions(recording: Recording, settings: LearnSettings) -> tuple[str, ...]:
+    """One line for each part that moves, but by less than ten times the wander of the settings in all its runs."""
+    warnings = []
+    names = np.array(recording.part)
+    for part in recording.parts:
+        runs = [run for run in recording.runs if np.sum((recording.run == run) & (names == part)) >= FEWEST_ROWS]
+        reaches = [reach for run in runs if (reach := _reach(part_track(recording, run, part))) is not None]
+        if not reaches:
+            continue
+        moved, turned = (max(values) for values in zip(*reaches, strict=True))
+        if moved < _TELLING * settings.position_wander and turned < _TELLING * settings.rotation_wander:
+            warnings.append(_told(part, moved, turned, recording.quaternion is not None, settings))
+    return tuple(warnings)
+
+
+def _told(part: str, moved: float, turned: float, has_orientation: bool, settings: LearnSettings) -> str:
+    sentence = f"moves over {quantity(moved, 'm', digits=2)}"
+    wander = f"LearnSettings.position_wander ({settings.position_wander:g} m)"
+    if has_orientation:
+        sentence += f" and turns by {quantity(turned, 'rad', digits=2)}"
+        wander += f" and rotation_wander ({settings.rotation_wander:g} rad)"
+    return (
+        f"part '{part}' {sentence}, hardly more than a tracker is assumed to wander: its stops and its kind of joint "
+        f"may be missed; if the tracker is better, set {wander} to what it wanders"
+    )
+
+
+def _reach(track: PartTrack) -> tuple[float, float] | None:
+    """How far a part moves [m] and turns [rad]; None if not further than the noise of its rows."""
+    inlier = find_inliers(track)
+    position = track.position[inlier]
+    noise = float(np.sqrt(3) * white_std(bends(position)))
+    blocks = np.array_split(position, min(_BLOCKS, len(position)))
+    apart = extent(np.array([block.mean(axis=0) for block in blocks]))
+    turned = 0.0
+    if track.quaternion is not None:
+        rotation = Rotation.from_quat(track.quaternion[inlier])
+        turned = float(np.quantile((rotation * rotation[0].inv()).magnitude(), 1 - _FEW))
+    if apart < _BEYOND_NOISE * noise / np.sqrt(len(position) / len(blocks)):
+        return None
+    return extent(position, _FEW), turned

@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from micah_plan.arrays import Floats, Ints
-from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, RowPosterior
-from micah_plan.automaton.graph import BASE, KinematicEdge, Segment
+from micah_plan.automaton.graph import BASE, ActionChannel, EdgeCertainty, KinematicEdge, RowPosterior, Segment
 from micah_plan.automaton.joint import Joint
 from micah_plan.errors import InputError, shown
 from micah_plan.learn.actions.channel import with_delayed_actions

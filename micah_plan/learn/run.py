@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 
 from micah_plan.arrays import Booleans
-from micah_plan.automaton.certainty import CHANNEL_NAMES, ActionChannel, EvidenceTrace, RowPosterior, SegmentCertainty
+from micah_plan.automaton.graph import CHANNEL_NAMES, ActionChannel, EvidenceTrace, RowPosterior, SegmentCertainty
 from micah_plan.automaton.joint import Joint, JointKind
 from micah_plan.learn.actions.channel import estimate_channel, with_delayed_actions
 from micah_plan.learn.goodness_of_fit import assess_joints, no_single_joint_of

@@ -32,9 +32,9 @@ from micah_plan.planning.transcription.programme import transcribe
 from micah_plan.planning.transcription.solve import BeliefPath, solve, unmet
 from micah_plan.planning.zero_time_transitions import with_zero_time_transitions
 from micah_plan.quantities import Progress
-from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.plan import Candidate, Finding, Plan, Trajectory
 from micah_plan.task.problem import Problem
+from micah_plan.task.settings import Deadline, TimeLimitError
 
 # Factors on the number of steps of a path, tried in turn: slower inputs, more measurements at a guard.
 _STRETCHES = (1.0, 2.0, 4.0)

@@ -20,10 +20,10 @@ from micah_plan.automaton.input_memory import own_size
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.attempt import Attempt
+from micah_plan.planning.cuts import with_scene
 from micah_plan.planning.limits import Limits, limits_of, motion_per_input, with_input_memory
 from micah_plan.planning.nlp import Solution, Solver
 from micah_plan.planning.pomdp_hd import planned, trajectory_of
-from micah_plan.planning.scene_cuts import with_scene
 from micah_plan.planning.search.mode_search import ModeSequence, SearchResult
 from micah_plan.planning.tightening import verified_plan
 from micah_plan.planning.transcription.corridor import pack
@@ -32,10 +32,10 @@ from micah_plan.planning.transcription.programme import Transcription, transcrib
 from micah_plan.planning.transcription.solve import BeliefPath, blocks_of, path_of, solve
 from micah_plan.planning.verification import verify
 from micah_plan.planning.zero_time_transitions import with_zero_time_transitions
-from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import pre_release_problem
+from micah_plan.task.settings import Deadline
 from micah_plan.task.start import Start
 
 

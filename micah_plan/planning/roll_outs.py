@@ -28,10 +28,10 @@ from micah_plan.planning.limits import (
     without_input_memory,
 )
 from micah_plan.planning.path_constraints import PathRecord
-from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import pre_release_problem
+from micah_plan.task.settings import NEVER, Deadline
 from micah_plan.task.start import draw_states
 
 # With more modes than this only those near a plan are rolled out, so many transitions away.

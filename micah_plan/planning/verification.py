@@ -10,6 +10,7 @@ from scipy.special import ndtri
 
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.planning.cuts import with_scene
 from micah_plan.planning.findings import (
     LOWER_CONFIDENCE,
     MOVE_TARGET,
@@ -19,12 +20,11 @@ from micah_plan.planning.findings import (
 )
 from micah_plan.planning.path_constraints import PathRecord, joined
 from micah_plan.planning.roll_outs import RollOuts, are_in_goal, departure, draw_chances, nearby, roll_out
-from micah_plan.planning.scene_cuts import with_scene
 from micah_plan.quantities import percent, quantity
-from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.plan import Finding, Offer, Plan, Trajectory, least_share, least_trials
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import pre_release_problem
+from micah_plan.task.settings import NEVER, Deadline, TimeLimitError
 
 # Coverage of the interval of the success probability.
 INTERVAL = 0.95

@@ -21,13 +21,12 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.region import HalfSpace, Region
-from micah_plan.planning.cuts import half_space, without
+from micah_plan.planning.cuts import half_space, slides_of, without
 from micah_plan.planning.release import with_release
-from micah_plan.planning.scene_cuts import slides_of
-from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.plan import ArmTrajectory, Finding, Offer, Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import pre_release_problem
+from micah_plan.task.settings import Deadline, TimeLimitError
 
 if TYPE_CHECKING:
     from micah_plan.robot.tool_path import ArmFailure

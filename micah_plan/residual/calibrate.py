@@ -34,7 +34,7 @@ from micah_plan.residual.faulty_runs import faulty_runs
 from micah_plan.residual.fit import CONFIDENCE
 from micah_plan.residual.geometry import DirectFinding, systematic_transverse_error, transverse_rms
 from micah_plan.residual.missing_mode import MissingMode
-from micah_plan.residual.prediction import predict_recording, refused, rmse, rmse_of_coordinates
+from micah_plan.residual.prediction import RunPrediction, predict_recording, refused, rmse, rmse_of_coordinates
 from micah_plan.residual.range_exceeded import RangeExceeded, sections, with_range_ends, with_shifts, without_old_ends
 from micah_plan.residual.search import Candidate, Search
 from micah_plan.residual.simulation import GATES
@@ -156,9 +156,20 @@ class Calibration:
         return tuple(ResidualSize(*of_kind) for of_kind in zip(*sizes, strict=True))
 
     @cached_property
+    def predicted(self) -> tuple[list[RunPrediction], list[RunPrediction]]:
+        """Some of the runs as the model has them before and after; none where one of the two refuses them."""
+        models = self.told, self.automaton
+        if any(refused(model, self.recording) for model in models):
+            return [], []
+        before, after = (_predicted(model, self.recording, _POSE_ROWS) for model in models)
+        return before, after
+
+    @cached_property
     def pose_errors(self) -> tuple[tuple[str, str, ResidualSize, ResidualSize], ...]:
-        """(what, unit, before, after) of positions [m] and orientations [rad], over all rows of some runs."""
-        sizes = [_pose_sizes(model, self.recording, _POSE_ROWS) for model in (self.told, self.automaton)]
+        """(what, unit, before, after) of positions [m] and orientations [rad], over all rows of `predicted`."""
+        sizes = [_pose_sizes(runs) for runs in self.predicted if runs]
+        if not sizes:
+            return ()
         names = ("positions", "m"), ("orientations", "rad")
         return tuple((*name, *both) for name, both in zip(names, zip(*sizes, strict=True), strict=False))
 
@@ -210,7 +221,7 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
         for floors_of_kind in zip(*((trace.floor, trace.rollout_floor) for trace in traces), strict=True)
     ]
     if examination.geometry:
-        before, after = (_pose_sizes(model, recording, MOST_ROWS)[0] for model in (automaton, improved))
+        before, after = (_pose_sizes(_predicted(model, recording, MOST_ROWS))[0] for model in (automaton, improved))
         across, arm = transverse_rms(corrected, measured)
         floors = [float(np.hypot(across, arm * floor)) for floor in floors]
     verdicts: list[Verdict] = [trace.outcome.verdict for trace in traces]
@@ -395,14 +406,18 @@ def _size(traces: Sequence[CoordinateTrace], *, is_final: bool) -> ResidualSize:
     return ResidualSize(one_step, rollout)
 
 
-def _pose_sizes(automaton: HybridAutomaton, recording: Recording, most: int) -> list[ResidualSize]:
-    """Errors of positions [m] and, where they were measured, orientations [rad], over runs of about so many rows."""
+def _predicted(automaton: HybridAutomaton, recording: Recording, most: int) -> list[RunPrediction]:
+    """Predictions of runs of about so many rows."""
     chosen = recording.runs
     if len(recording.time) > most:
         count = max(1, len(chosen) * most // len(recording.time))
         chosen = tuple(chosen[k] for k in np.linspace(0, len(chosen) - 1, count).astype(int).tolist())
     able = [rows for rows in (recording.select(run=run) for run in chosen) if len(np.unique(rows.time)) > 1]
-    runs = [predicted for rows in able for predicted in predict_recording(automaton, rows)]
+    return [predicted for rows in able for predicted in predict_recording(automaton, rows)]
+
+
+def _pose_sizes(runs: Sequence[RunPrediction]) -> list[ResidualSize]:
+    """Errors of positions [m] and, where they were measured, orientations [rad]."""
     kinds = [[run.one_step for run in runs], [run.rollout for run in runs]]
     sizes = [ResidualSize(*(rmse([error.position for error in kind]) for kind in kinds))]
     turns = [[error.rotation for error in kind if error.rotation is not None] for kind in kinds]

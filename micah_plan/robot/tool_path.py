@@ -24,8 +24,8 @@ from micah_plan.robot.arm import Arm
 from micah_plan.robot.clearance import Clearance, ClearanceModel, Pair, PartPoses
 from micah_plan.robot.inverse_kinematics import Reached, next_pose, pose_error, reach_pose
 from micah_plan.robot.sweep import MotionBound, sweep
-from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.plan import ArmTrajectory
+from micah_plan.task.settings import NEVER, Deadline, TimeLimitError
 
 _DIFFERENCE = 1e-4
 _UNLIMITED_HALF_RANGE = np.pi

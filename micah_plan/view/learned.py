@@ -18,8 +18,16 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.arrays import Floats, Ints
-from micah_plan.automaton.certainty import CHANNEL_NAMES, ActionChannel, Deviation, EvidenceTrace
-from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
+from micah_plan.automaton.graph import (
+    BASE,
+    CHANNEL_NAMES,
+    ActionChannel,
+    Deviation,
+    EvidenceTrace,
+    KinematicEdge,
+    KinematicGraph,
+    Segment,
+)
 from micah_plan.automaton.joint import Joint, JointKind, radius
 from micah_plan.automaton.kinematics import inverse
 from micah_plan.quantities import in_degrees, listed, percent, quantity, with_spread

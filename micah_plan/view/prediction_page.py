@@ -20,8 +20,6 @@ from micah_plan.residual.judgement import Floor, Judgement
 from micah_plan.residual.prediction import (
     PredictionError,
     RunPrediction,
-    predict_recording,
-    refused,
     rmse,
     rmse_of_coordinates,
 )
@@ -154,14 +152,11 @@ def _run_words(ghosts: Sequence[_Ghost]) -> tuple[str, ...]:
 def calibration_scene(calibration: Calibration, title: str) -> str | None:
     """The page (HTML) of the measured object with its roll-outs before and after a calibration; None if there are none.
 
-    There are none where the new model refuses the runs.
+    A run is drawn where both models have it in the same parts.
     """
     recording, models = calibration.recording, (calibration.told, calibration.automaton)
-    if any(refused(model, recording) for model in models):
-        return None
     before, after = (
-        {(run.run, float(run.time[0]), len(run.time)): run for run in predict_recording(model, recording)}
-        for model in models
+        {(run.run, float(run.time[0]), len(run.time)): run for run in runs} for runs in calibration.predicted
     )
     both = [(before[key], after[key]) for key in before if key in after]
     worst = sorted(both, key=lambda pair: -rmse([pair[0].rollout.position]))[:_MOST_DRAWN]

@@ -12,9 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from micah_plan.automaton.build import build_automaton, local_models
-from micah_plan.automaton.certainty import EvidenceTrace, RowPosterior, SegmentCertainty
 from micah_plan.automaton.check import check_automaton
-from micah_plan.automaton.graph import KinematicEdge, KinematicGraph
+from micah_plan.automaton.graph import EvidenceTrace, KinematicEdge, KinematicGraph, RowPosterior, SegmentCertainty
 from micah_plan.automaton.hybrid import Pin
 from micah_plan.automaton.joint import prismatic, rigid
 from micah_plan.errors import InputError

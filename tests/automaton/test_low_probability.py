@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from micah_plan.api import stages
-from micah_plan.automaton.certainty import (
+from micah_plan.automaton.graph import (
     EdgeCertainty,
     LearnedEdge,
     LearnedSegment,

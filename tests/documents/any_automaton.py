@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
-from micah_plan.automaton.certainty import (
+from micah_plan.automaton.graph import (
     ActionChannel,
     EdgeCertainty,
     LearnedEdge,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from planted import JOINTS, Noise, moving_then_held, recorded
 
-from micah_plan.automaton.certainty import NoSingleJoint
+from micah_plan.automaton.graph import NoSingleJoint
 from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.kinematics import forward
 from micah_plan.learn.learn import learn_graph

@@ -16,8 +16,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 from scipy.stats import binom
 
-from micah_plan.automaton.certainty import RowPosterior
-from micah_plan.automaton.graph import KinematicEdge
+from micah_plan.automaton.graph import KinematicEdge, RowPosterior
 from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.kinematics import forward
 from micah_plan.learn.learn import METHODS, Method, learn_graph

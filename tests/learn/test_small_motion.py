@@ -9,8 +9,8 @@ import pytest
 from planted import JOINTS, Noise, recorded
 
 from micah_plan.api.stages import learn
+from micah_plan.learn.learn import small_motions
 from micah_plan.learn.settings import LearnSettings
-from micah_plan.learn.small_motion import small_motions
 from micah_plan.recording.read import read_recording
 from micah_plan.recording.value import Recording
 

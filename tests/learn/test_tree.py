@@ -25,8 +25,15 @@ from planted_parts import (
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.build import build_automaton
-from micah_plan.automaton.certainty import EdgeCertainty, NoSingleJoint, SegmentCertainty
-from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
+from micah_plan.automaton.graph import (
+    BASE,
+    EdgeCertainty,
+    KinematicEdge,
+    KinematicGraph,
+    NoSingleJoint,
+    Segment,
+    SegmentCertainty,
+)
 from micah_plan.automaton.joint import prismatic, rigid
 from micah_plan.errors import InputError
 from micah_plan.learn.learn import learn_graph

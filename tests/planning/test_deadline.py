@@ -16,9 +16,9 @@ from micah_plan.api import stages
 from micah_plan.api.stages import solve
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.tightening import verified_plan
-from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
+from micah_plan.task.settings import Deadline
 
 
 def solved_within(ticks: int) -> tuple[Plan, int]:

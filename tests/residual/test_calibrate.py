@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import planted_effects as plants
 import pytest
 
 from micah_plan.errors import InputError
+from micah_plan.residual import calibrate as calibrate_module
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.prediction import predict_recording, rmse
-from micah_plan.view import prediction_page
 from micah_plan.view.calibration_page import calibration_page
 from micah_plan.view.prediction_page import calibration_scene
 
@@ -65,8 +66,11 @@ def test_a_calibration_plays_the_runs_before_and_after_unless_the_new_model_refu
     worst = max(predict_recording(door, recording), key=lambda run: float(np.mean(run.rollout.configuration**2))).run
     assert f"run {worst} after" in scene
     assert re.search(r"door = [\d.]+ rad measured, [\d.]+ rad before, [\d.]+ rad after", scene)
-    monkeypatch.setattr(prediction_page, "refused", lambda model, _: "" if model is door else "a run starts elsewhere")
-    assert calibration_scene(found, "door") is None
+    monkeypatch.setattr(calibrate_module, "refused", lambda model, _: "" if model is door else "a run starts elsewhere")
+    again = replace(found)
+    assert calibration_scene(again, "door") is None
+    assert again.pose_errors == ()
+    assert "explained" in calibration_page(again, "door")
 
 
 @pytest.mark.slow

@@ -35,7 +35,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Booleans, Floats
-from micah_plan.automaton.certainty import ActionChannel
+from micah_plan.automaton.graph import ActionChannel
 from micah_plan.automaton.joint import Joint, axis_basis
 from micah_plan.automaton.kinematics import inverse, jacobian
 from micah_plan.learn.actions.channel_search import Posterior, Quadratic, climb, integrate, scan

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from micah_plan.arrays import Floats
-from micah_plan.automaton.certainty import Deviation
+from micah_plan.automaton.graph import Deviation
 from micah_plan.automaton.joint import IDENTITY, KINDS, Joint, JointKind, twisting
 from micah_plan.automaton.kinematics import reversed_direction, shifted
 from micah_plan.learn.joints.helix_fit import fit_helix
@@ -34,7 +34,6 @@ from micah_plan.learn.joints.joint_arrays import (
     rotation_vector,
     times,
 )
-from micah_plan.learn.joints.joint_frame import seen_by
 from micah_plan.learn.joints.likelihood import (
     UNKNOWN,
     Fit,
@@ -44,6 +43,7 @@ from micah_plan.learn.joints.likelihood import (
     seen_with,
 )
 from micah_plan.learn.joints.linear_fits import linear_fits
+from micah_plan.learn.joints.parametrization import seen_by
 from micah_plan.learn.joints.tracker_noise import ErrorPosterior, Scales, TrackerNoise, noise_of, white_noise
 from micah_plan.learn.settings import LearnSettings
 

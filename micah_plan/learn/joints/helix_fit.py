@@ -25,9 +25,8 @@ from scipy.interpolate import PchipInterpolator
 from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import Joint, ParameterCovariance, screw
 from micah_plan.learn.joints.joint_arrays import rotated, rotation_quaternion
-from micah_plan.learn.joints.joint_frame import cross, frame_of, seen_by
 from micah_plan.learn.joints.likelihood import UNKNOWN, Fit, descended, error_covariance, normal_equations, seen_with
-from micah_plan.learn.joints.parametrization import Chart, chart_of
+from micah_plan.learn.joints.parametrization import Chart, chart_of, cross, frame_of, seen_by
 from micah_plan.learn.joints.tracker_noise import (
     OrnsteinUhlenbeck,
     Scales,

@@ -18,8 +18,7 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import Joint, ParameterCovariance
-from micah_plan.learn.joints.joint_frame import Seen, seen_by
-from micah_plan.learn.joints.parametrization import Chart, chart_of, stepped
+from micah_plan.learn.joints.parametrization import Chart, Seen, chart_of, seen_by, stepped
 from micah_plan.learn.joints.tracker_noise import (
     Contrasts,
     ErrorPosterior,

@@ -42,8 +42,7 @@ from scipy.special import ndtr
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import Joint
-from micah_plan.learn.joints.joint_frame import Seen
-from micah_plan.learn.joints.parametrization import FRAME_NUMBERS
+from micah_plan.learn.joints.parametrization import FRAME_NUMBERS, Seen
 
 _UNLIKELY = 0.05  # of the likeliest correlation time; others add little but time
 

@@ -18,8 +18,7 @@ from scipy.ndimage import median_filter
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
 from micah_plan.arrays import Floats, Ints
-from micah_plan.automaton.certainty import EdgeCertainty, SegmentCertainty
-from micah_plan.automaton.graph import BASE, KinematicEdge, Segment
+from micah_plan.automaton.graph import BASE, EdgeCertainty, KinematicEdge, Segment, SegmentCertainty
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward, inverse, inverse_jacobian
 from micah_plan.errors import InputError, shown

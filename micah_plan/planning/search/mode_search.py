@@ -34,8 +34,8 @@ from micah_plan.planning.search.mode_paths import VertexPath, cheapest_sequences
 from micah_plan.planning.search.path_beliefs import PathBeliefs
 from micah_plan.planning.search.roadmap import JoinedRoadmap, ModeMotion, along, motions_of, roadmap_of
 from micah_plan.planning.search.samples import Samples, sample_modes
-from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.problem import Problem
+from micah_plan.task.settings import NEVER, Deadline, TimeLimitError
 
 # With more modes than this, those near a shortest sequence of transitions are searched first; roadmaps of so many take
 # a second or two.
