@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -37,12 +38,14 @@ class PredictionError:
             orientation was not measured.
         configuration: (K, n) difference [rad or m].
         modes: (K,) the mode that the prediction of each step ended in.
+        poses: (K, l, 7) predicted, in the frames of the parents: position [m] and quaternion (x, y, z, w).
     """
 
     offset: Floats
     turn: Floats | None
     configuration: Floats
     modes: tuple[str, ...]
+    poses: Floats
 
     @property
     def position(self) -> Floats:
@@ -65,6 +68,7 @@ class RunPrediction:
         believed: (K + 1, n) what the controller believed minus what was measured, NaN where it is not told; None if it
             never is. Effects of sensors are taken out, see `tracks`.
         off_joint_error: (K + 1, l, 6) by how much measured poses lie beside the model's joints, see `geometry`.
+        poses: (K + 1, l, 7) measured, as those that are predicted; not turned where orientation was not measured.
     """
 
     run: int
@@ -73,6 +77,7 @@ class RunPrediction:
     v: Floats
     believed: Floats | None
     off_joint_error: Floats
+    poses: Floats
     one_step: PredictionError
     rollout: PredictionError
 
@@ -178,6 +183,7 @@ def _predicted(automaton: HybridAutomaton, tracks: Sequence[Track], progress: Pr
                 off_joint_error=np.stack(
                     [off_joint_error(automaton, measured, k) for k in range(len(automaton.links))], axis=1
                 ),
+                poses=_measured_poses(measured),
                 one_step=_error(automaton, measured, *one_step),
                 rollout=_error(automaton, measured, *rollout),
             )
@@ -306,7 +312,7 @@ def inputs_of(track: Track) -> Floats:
 
 
 def _error(automaton: HybridAutomaton, track: Track, x: Floats, modes: tuple[str, ...]) -> PredictionError:
-    offset = np.zeros((len(x), len(automaton.links), 3))
+    offset, poses = (np.zeros((len(x), len(automaton.links), k)) for k in (3, 7))
     turn = None if track.quaternion is None else np.zeros_like(offset)
     shown, of_mode = _as_measured(automaton, track, x), np.array(modes)
     for mode in dict.fromkeys(modes):
@@ -319,11 +325,44 @@ def _error(automaton: HybridAutomaton, track: Track, x: Floats, modes: tuple[str
                 c = shown[rows_of_kind, link.coordinate]
                 pose = link_motions(automaton)[number].poses(c) if is_path else forward(joint, c)
                 frame, measured = pose.rotation.inv(), rows_of_kind + 1
+                poses[rows_of_kind, number] = np.hstack([pose.translation, pose.rotation.as_quat()])
                 offset[rows_of_kind, number] = frame.apply(pose.translation - track.position[measured, number])
                 if turn is not None and track.quaternion is not None:
                     back = Rotation.from_quat(track.quaternion[measured, number]).inv()
                     turn[rows_of_kind, number] = frame.apply((pose.rotation * back).as_rotvec())
-    return PredictionError(offset, turn, x - track.x[1:], modes)
+    return PredictionError(offset, turn, x - track.x[1:], modes, poses)
+
+
+def _measured_poses(track: Track) -> Floats:
+    """(T, l, 7) positions [m] and quaternions."""
+    unturned = np.broadcast_to([0.0, 0.0, 0.0, 1.0], (*track.position.shape[:2], 4))
+    return np.concatenate([track.position, unturned if track.quaternion is None else track.quaternion], axis=2)
+
+
+def trajectory_errors(runs: Sequence[RunPrediction]) -> tuple[float, float] | None:
+    """APE and RPE of roll-outs as evo has them [m], over all runs and parts; None where evo is not installed.
+
+    Root mean squares of translations: without alignment, and from one row to the next.
+    """
+    try:
+        from evo.core import metrics
+        from evo.core.trajectory import PoseTrajectory3D
+    except ImportError:
+        return None
+    kinds = metrics.APE, partial(metrics.RPE, delta=1, delta_unit=metrics.Unit.frames)
+    squares: tuple[list[float], list[float]] = [], []
+    for run in runs:
+        for number in range(run.poses.shape[1]):
+            pair = tuple(
+                PoseTrajectory3D(poses[:, :3], np.roll(poses[:, 3:], 1, axis=1), run.time)
+                for poses in (run.poses[:, number], np.vstack([run.poses[:1, number], run.rollout.poses[:, number]]))
+            )
+            for kind, of_kind in zip(kinds, squares, strict=True):
+                metric = kind(metrics.PoseRelation.translation_part)
+                metric.process_data(pair)
+                of_kind += (np.asarray(metric.error) ** 2).tolist()
+    absolute, relative = (float(np.sqrt(np.mean(of_kind))) for of_kind in squares)
+    return absolute, relative
 
 
 def _as_measured(automaton: HybridAutomaton, track: Track, x: Floats) -> Floats:

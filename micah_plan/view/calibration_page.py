@@ -11,6 +11,7 @@ from micah_plan.arrays import Floats
 from micah_plan.quantities import count, interval, listed, percent, plain, quantity, with_spread
 from micah_plan.residual.calibrate import Calibration, FoundEffect, began
 from micah_plan.residual.coordinate_data import CoordinateData
+from micah_plan.residual.prediction import trajectory_errors
 from micah_plan.residual.trace import CoordinateTrace
 from micah_plan.residual.verdict import SENTENCES, Verdict
 from micah_plan.view.chart import Chart, Curve, Level, Panel, evenly, widened
@@ -148,6 +149,13 @@ def _poses(calibration: Calibration) -> Table:
     for what, unit, *sizes in calibration.pose_errors:
         rows.append((f"{what}: one step ahead", *(quantity(size.one_step, unit) for size in sizes)))
         rows.append((f"{what}: roll-out from the first row", *(quantity(size.rollout, unit) for size in sizes)))
+    by_evo = [errors for runs in calibration.predicted if runs and (errors := trajectory_errors(runs)) is not None]
+    if len(by_evo) == 2:
+        names = "APE of roll-outs (evo, translation)", "RPE of roll-outs, from row to row (evo, translation)"
+        rows += [
+            (name, *(quantity(error, "m") for error in errors))
+            for name, errors in zip(names, zip(*by_evo, strict=True), strict=True)
+        ]
     return Table((head, "before", "after"), tuple(rows), (1, 2))
 
 

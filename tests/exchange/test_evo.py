@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from micah_plan.documents.model import load_model
 from micah_plan.exchange.convert import convert
 from micah_plan.recording.read import read_recording
+from micah_plan.residual.prediction import predict_recording, trajectory_errors
 
 file_interface = pytest.importorskip("evo.tools.file_interface", reason="needs evo")
 metrics = pytest.importorskip("evo.core.metrics", reason="needs evo")
@@ -31,3 +34,15 @@ def test_evo_reads_what_was_measured(tmp_path: Path, name: str, part: str) -> No
     apart = metrics.APE(metrics.PoseRelation.translation_part)
     apart.process_data((found, file_interface.read_tum_trajectory_file(tmp_path / "again.tum")))
     assert apart.get_statistic(metrics.StatisticsType.max) < 1e-9
+
+
+def test_the_errors_of_roll_outs_are_those_of_evo(repository: Path) -> None:
+    model = load_model(repository / "models" / "microwave.yaml")
+    runs = predict_recording(model, read_recording(DEMONSTRATIONS / "microwave.csv"))
+    found = trajectory_errors(runs)
+    assert found is not None
+    squares = [np.append(run.rollout.position.ravel() ** 2, 0.0) for run in runs]  # the first row is not predicted
+    assert found[0] == pytest.approx(np.sqrt(np.mean(np.concatenate(squares))), rel=1e-6)
+    assert 0.0 < found[1] < found[0]
+    right = [replace(run, rollout=replace(run.rollout, poses=run.poses[1:])) for run in runs]
+    assert trajectory_errors(right) == pytest.approx((0.0, 0.0), abs=1e-9)
