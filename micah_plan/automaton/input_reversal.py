@@ -1,4 +1,4 @@
-"""Turns: transitions across which the same input reverses the motion, so that a plan must cross them in one known step.
+"""Transitions across which the same input reverses the motion, so that a plan must cross them in one known step.
 
 Where an input moves a coordinate forwards in one mode and backwards in the next, a step more with the same input goes
 the wrong way, so a plan must fix the step at which the mode changes. If the coordinate is the one across the boundary,
@@ -37,7 +37,7 @@ class InputReversal:
 
 
 def input_reversal_of(automaton: HybridAutomaton, edge: Edge) -> InputReversal | None:
-    """The turn at an edge; None where the next mode moves on as before, pins the state, or a reset leads elsewhere."""
+    """The reversal at an edge; None where the next mode moves on alike, pins the state, or a reset leads elsewhere."""
     crossed = None if edge.is_self_transition or not edge.reset.is_identity else _way_out(automaton, edge)
     if crossed is None:
         return None
@@ -56,7 +56,7 @@ def input_reversal_of(automaton: HybridAutomaton, edge: Edge) -> InputReversal |
 
 
 def matrix_after(automaton: HybridAutomaton, edge: Edge) -> Floats:
-    """(n, n) how a deviation before an edge continues behind it: through its turn or its reset."""
+    """(n, n) how a deviation before an edge continues behind it: through its reversal or its reset."""
     reversal = input_reversal_of(automaton, edge)
     return edge.reset.matrices(automaton.n, automaton.m)[0] if reversal is None else reversal.A
 
