@@ -30,7 +30,7 @@ from saving import add_json, save_json
 from micah_plan.api.stages import execute, solve
 from micah_plan.documents.plan import StoredPlan, load_plan, write_plan
 from micah_plan.documents.problem import load_problem
-from micah_plan.execution.trials import PlantKind, run_trials
+from micah_plan.execution.trials import run_trials
 from micah_plan.task.problem import Problem
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -79,7 +79,7 @@ def stored(path: Path) -> StoredPlan:
     return load_plan(path)
 
 
-def executed(path: Path, plant: PlantKind, seed: int) -> End:
+def executed(path: Path, plant: str, seed: int) -> End:
     """One execution of a plan file. The RRT's plans are followed as they are, verified or not, and not replanned."""
     problem, plan = stored(path).problem, stored(path).plan
     follow = run_trials if path.stem == "rrt" else execute

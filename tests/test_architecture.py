@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib.util
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -174,6 +175,29 @@ def test_the_tools_of_this_file_see_cycles_hidden_in_functions_but_not_those_of_
 def test_every_imported_module_of_the_package_exists() -> None:
     unknown = {name: targets - _trees().keys() for name, targets in _imports().items()}
     assert {name: targets for name, targets in unknown.items() if targets} == {}
+
+
+def _exists(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError:  # its parent is no package
+        return False
+
+
+def test_benchmarks_and_examples_import_what_is_there(repository: Path) -> None:
+    missing = []
+    for file in sorted((*repository.glob("benchmarks/*.py"), *repository.glob("examples/*.py"))):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "micah_plan":
+                module = importlib.import_module(str(node.module))
+                names = [alias.name for alias in node.names]
+                # A name is one of the module, or a module in it.
+                missing += [
+                    f"{file.name}: {node.module}.{name}"
+                    for name in names
+                    if not hasattr(module, name) and not _exists(f"{node.module}.{name}")
+                ]
+    assert missing == []
 
 
 def test_no_import_cycle() -> None:
