@@ -27,7 +27,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from micah_plan.errors import InputError, MissingDependencyError, located_in, shown
-from micah_plan.files import LARGEST_FILE_BYTES, replace_file
+from micah_plan.files import LARGEST_FILE_BYTES
 from micah_plan.recording.checks import checked, row_and_column
 from micah_plan.recording.value import Recording
 
@@ -301,15 +301,6 @@ _LATEST_S = 2**31 - 1  # the seconds of a stamp are 32 bits
 _JOINT = "joint "
 _OWN = ("pose", "action", "force")  # what stands on the topics of a part
 _INTEGER = re.compile(r"0|-?[1-9]\d{0,17}")
-
-
-def write_mcap(recording: Recording, path: str | Path) -> None:
-    """Write what `mcap_bytes` makes, at once or not at all.
-
-    Raises:
-        InputError: also if the file cannot be written.
-    """
-    replace_file(path, mcap_bytes(recording, path))
 
 
 def mcap_bytes(recording: Recording, path: str | Path) -> bytes:

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 
 from micah_plan.errors import InputError, located_in, shown
-from micah_plan.files import replace_file
 from micah_plan.recording.checks import POSITION, QUATERNION, checked
 from micah_plan.recording.text import UnreadableValue, floats, read_lines
 from micah_plan.recording.value import Recording
@@ -29,15 +28,6 @@ def read_tum(path: str | Path, *, minimum_rows: int = 1) -> Recording:
     """
     with located_in(path):
         return _parsed(read_lines(path), minimum_rows)
-
-
-def write_tum(recording: Recording, path: str | Path) -> None:
-    """Write what `tum_bytes` makes, at once or not at all.
-
-    Raises:
-        InputError: also if the file cannot be written.
-    """
-    replace_file(path, tum_bytes(recording, path))
 
 
 def tum_bytes(recording: Recording, path: str | Path) -> bytes:
