@@ -162,11 +162,11 @@ def calibration_scene(calibration: Calibration, title: str) -> str | None:
     worst = sorted(both, key=lambda pair: -rmse([pair[0].rollout.position]))[:_MOST_DRAWN]
     if not worst:
         return None
-    colors = ((ORANGE, "before"), (BLUE, "after"))
+    colors = ((ORANGE, "before"), (BLUE, "after"))[: 1 if calibration.automaton is calibration.told else 2]
     scene, scale, longest = _scene_of(calibration.told, [run for run, _ in worst])
     entries, handles = [], []
     for order, pair in enumerate(worst):
-        ghosts = [_Ghost(model, run, *color) for model, run, color in zip(models, pair, colors, strict=True)]
+        ghosts = [_Ghost(model, run, *color) for model, run, color in zip(models, pair, colors, strict=False)]
         entry, points = _draw_run(scene, recording, ghosts, order, scale)
         entries.append(entry)
         handles += points
@@ -177,8 +177,7 @@ def calibration_scene(calibration: Calibration, title: str) -> str | None:
         camera=camera(scene, np.concatenate(handles)),
         legend=[
             LegendEntry(INK, "the object as it was measured, in its own colours"),
-            LegendEntry(ORANGE, "roll-out before the calibration"),
-            LegendEntry(BLUE, "roll-out after it"),
+            *(LegendEntry(color, f"roll-out {name} the calibration") for color, name in colors),
             *ground_legend(spacing),
         ],
         timeline=Timeline(longest * scale + _REST_S),

@@ -30,6 +30,10 @@ def test_nothing_is_found_where_the_model_is_right(door) -> None:
     assert found.after == found.before
     assert found.before.one_step == pytest.approx(found.noise_floor, rel=0.15)
     assert "nothing to find" in found.experiment
+    scene = calibration_scene(found, "door")
+    assert scene is not None
+    assert "rad before" in scene
+    assert "rad after" not in scene, "there is one model"
 
 
 def test_a_gain_is_named_sized_and_added(door) -> None:
