@@ -165,8 +165,8 @@ def _print_predicted(summary: dict[str, Any], html: Path | None) -> None:
     for k, (name, text) in enumerate((("one_step", "one step"), ("rollout", "roll-out"))):
         floor, sizes = summary["noise_floor"][name], [(c[f"{name}_rmse"], c["unit"]) for c in coordinates]
         shown.add_row(text, *_amounts(summary[name], sizes))
-        floors = [(c["noise_floor"][k], c["unit"]) for c in coordinates]
-        shown.add_row("  noise alone", *(_amounts(floor, floors) if floor else ("unknown",) * (2 + len(coordinates))))
+        if floor:
+            shown.add_row("  noise alone", *_amounts(floor, [(c["noise_floor"][k], c["unit"]) for c in coordinates]))
     out.print(shown)
     out.print(summary["whiteness"]["verdict"])
     if "estimate" in summary:

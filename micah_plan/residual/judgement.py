@@ -73,10 +73,10 @@ def judge(automaton: HybridAutomaton, recording: Recording, runs: Sequence[RunPr
     changes = tuple(change for run in runs for change in _changes(run))
     errors = [[run.one_step.configuration[:, i] for run in runs] for i in range(automaton.n)]
     correlation = max(map(_correlation, errors), key=abs)
-    examination = examined(automaton, recording)
-    one_step, rollout = _floors(automaton, runs, examination.searches)
     if sum(len(run.v) for run in runs) < FEWEST_ROWS:
         return Judgement(None, None, None, "too few rows to tell errors from noise", (), correlation, changes)
+    examination = examined(automaton, recording)
+    one_step, rollout = _floors(automaton, runs, examination.searches)
     sentence = _sentence(examination, () if examination.is_noise else _faulty(automaton, runs))
     sentence = f"{told_of_late(examination.late)}. {sentence}" if examination.late else sentence
     follows = tuple(
@@ -138,7 +138,8 @@ def _floors(
 ) -> tuple[Floor | None, Floor | None]:
     """Floors of one step and of the roll-out; None where not every coordinate has an input of its own.
 
-    Along the joints they are those of the searches. Errors across a joint are those of its measured poses in both.
+    Along the joints they are those of the searches, as `calibrate` has them. Across a joint errors are those of its
+    measured poses, in both.
     """
     of_coordinate = {search.data.coordinate: search for search in searches}
     if not all(coordinate.name in of_coordinate for coordinate in automaton.coordinates):
@@ -149,21 +150,18 @@ def _floors(
     along = np.array([steps, rolled])
     position = _with_across(automaton, runs, along, 3, [run.one_step.offset for run in runs])
     turns = [run.one_step.turn for run in runs if run.one_step.turn is not None]
-    rotation = _with_across(automaton, runs, along, 0, turns) if len(turns) == len(runs) else None
-    if position is None:
-        return None, None
+    is_turned = len(turns) == len(runs)
+    rotation = _with_across(automaton, runs, along, 0, turns).tolist() if is_turned else (None, None)
     one_step, rollout = (
-        Floor(float(place), turn, float(np.sqrt(np.mean(own**2))), tuple(own.tolist()))
-        for place, turn, own in zip(
-            position, (None, None) if rotation is None else rotation.tolist(), along, strict=True
-        )
+        Floor(float(place), turn, float(np.sqrt(np.mean(sizes**2))), tuple(sizes.tolist()))
+        for place, turn, sizes in zip(position, rotation, along, strict=True)
     )
     return one_step, rollout
 
 
 def _with_across(
     automaton: HybridAutomaton, runs: Sequence[RunPrediction], along: Floats, first: int, errors: Sequence[Floats]
-) -> Floats | None:
+) -> Floats:
     """(2,) floors of a vector error of every link, given those along the joints (2, n).
 
     Args:
@@ -174,21 +172,12 @@ def _with_across(
     every = np.concatenate(list(errors))
     for number, link in enumerate(automaton.links):
         i = link.coordinate
-        circumstances = _circumstances(runs, i)
-        test, test_along = (
-            whiteness_test(values, circumstances)
-            for values in (
-                every[:, number],
-                np.concatenate([run.one_step.configuration[:, i] for run in runs])[:, None],
-            )
-        )
-        if test is None or test_along is None:
-            return None
+        test = whiteness_test(every[:, number], _circumstances(runs, i))
         x = np.concatenate([run.x[1:, i] for run in runs])
         j = link_motions(automaton)[number].tangents(x)[:, first : first + 3]
-        lever2 = float(np.mean((j**2).sum(axis=1)))
-        across2 = max(float((test.floor**2).sum()) - lever2 * float(test_along.floor[0]) ** 2, 0.0)
-        totals.append(across2 + lever2 * along[:, i] ** 2)
+        along2 = float(np.mean((j**2).sum(axis=1))) * along[:, i] ** 2
+        whole2 = 0.0 if test is None else float((test.floor**2).sum())
+        totals.append(max(whole2 - along2[0], 0.0) + along2)
     return np.asarray(np.sqrt(np.mean(totals, axis=0)))
 
 

@@ -208,7 +208,7 @@ def motion_charts(calibration: Calibration) -> list[Chart]:
     """One chart for each of some runs: coordinates as measured and predicted before and after, and commands."""
     first, *others = ({chart.x_label: chart for chart in _motion(trace)} for trace in calibration.traces)
     # Where coordinates were not measured in the same runs, the first one is shown.
-    together = [run for run in first if all(run in other for other in others)]
+    together = [run for run in first if all(run in charts for charts in others)]
     others = others if together else []
     return [
         replace(first[run], panels=tuple(panel for of in (first, *others) for panel in of[run].panels))

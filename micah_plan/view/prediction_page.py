@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -89,7 +90,7 @@ def prediction_page(
     return render_scene(page, scene)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Ghost:
     """The roll-out of a run by a model, drawn in a colour."""
 
@@ -98,11 +99,12 @@ class _Ghost:
     color: str
     name: str = "predicted"
 
-    @property
+    @cached_property
     def modes(self) -> tuple[str, ...]:
+        """(K + 1,) of the configurations."""
         return (self.run.rollout.modes[0], *self.run.rollout.modes)
 
-    @property
+    @cached_property
     def x(self) -> Floats:
         """(K + 1, n) configurations, the first as it was measured."""
         return np.vstack([self.run.x[:1], self.run.x[1:] + self.run.rollout.configuration])
@@ -198,16 +200,16 @@ def _scene_of(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> tupl
 
 def _readouts(ghosts: Sequence[_Ghost], scale: float) -> tuple[tuple[float, tuple[str, ...]], ...]:
     """What is measured and predicted at each keyframe, by the player's clock [s]."""
-    found, run, paths = [], ghosts[0].run, [ghost.x for ghost in ghosts]
+    readouts, run = [], ghosts[0].run
     for row in evenly(len(run.time), _MOST_KEYFRAMES).tolist():
         when = quantity(float(run.time[row]), "s")
         lines = [f"run {run.run} after {when}, {', '.join(f'{ghost.name} {ghost.modes[row]}' for ghost in ghosts)}"]
         for i, c in enumerate(ghosts[0].automaton.coordinates):
-            values = [("measured", run.x[row, i]), *((g.name, x[row, i]) for g, x in zip(ghosts, paths, strict=True))]
-            told = (f"{quantity(float(value), c.unit, degrees=False)} {name}" for name, value in values)
-            lines.append(f"{c.name} = {', '.join(told)}")
-        found.append((float(run.time[row] * scale), tuple(lines)))
-    return tuple(found)
+            values = [("measured", run.x[row, i]), *((ghost.name, ghost.x[row, i]) for ghost in ghosts)]
+            words = (f"{quantity(float(value), c.unit, degrees=False)} {name}" for name, value in values)
+            lines.append(f"{c.name} = {', '.join(words)}")
+        readouts.append((float(run.time[row] * scale), tuple(lines)))
+    return tuple(readouts)
 
 
 def _sizes(automaton: HybridAutomaton, sizes: Sequence[float]) -> str:
@@ -226,8 +228,8 @@ def _facts(automaton: HybridAutomaton, runs: Sequence[RunPrediction], judged: Ju
     )
     for name, errors, floor in rows:
         facts.append((name, _sizes(automaton, rmse_of_coordinates(errors))))
-        noise = "unknown" if floor is None else _sizes(automaton, floor.coordinates)
-        facts.append(("… noise alone would leave", noise))
+        if floor is not None:
+            facts.append(("… noise alone would leave", _sizes(automaton, floor.coordinates)))
     return facts
 
 

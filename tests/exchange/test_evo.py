@@ -39,10 +39,10 @@ def test_evo_reads_what_was_measured(tmp_path: Path, name: str, part: str) -> No
 def test_the_errors_of_roll_outs_are_those_of_evo(repository: Path) -> None:
     model = load_model(repository / "models" / "microwave.yaml")
     runs = predict_recording(model, read_recording(DEMONSTRATIONS / "microwave.csv"))
-    found = trajectory_errors(runs)
-    assert found is not None
+    errors = trajectory_errors(runs)
+    assert errors is not None
     squares = [np.append(run.rollout.position.ravel() ** 2, 0.0) for run in runs]  # the first row is not predicted
-    assert found[0] == pytest.approx(np.sqrt(np.mean(np.concatenate(squares))), rel=1e-6)
-    assert 0.0 < found[1] < found[0]
+    assert errors[0] == pytest.approx(np.sqrt(np.mean(np.concatenate(squares))), rel=1e-6)
+    assert 0.0 < errors[1] < errors[0]
     right = [replace(run, rollout=replace(run.rollout, poses=run.poses[1:])) for run in runs]
     assert trajectory_errors(right) == pytest.approx((0.0, 0.0), abs=1e-9)

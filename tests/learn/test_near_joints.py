@@ -102,3 +102,18 @@ def test_a_stream_goes_on_after_rows_that_no_joint_holds() -> None:
         now = slice(start, start + 100)
         learner.push(rows.time[now], rows.position[now])
     assert learner.segments()[-1].end == len(rows) - 1
+
+
+@pytest.mark.parametrize(("height", "halves"), [(0.1, 1.5), (0.08, 2.0)])
+def test_a_wave_that_two_hinges_follow_closely_is_no_chain_of_them_and_two_arcs_are(
+    height: float, halves: float
+) -> None:
+    along = np.linspace(0.0, 0.6, 80)
+    wave = np.stack([height * np.sin(np.pi * halves * along / 0.6), along, 0 * along], axis=1)
+    assert kinds(seen(wave, None, 0.001)) == ["none"]
+    # As high and as long, without a corner between: what tells them is how closely two hinges follow.
+    angle = np.linspace(-1.2, 1.2, 40)
+    radius = 0.3 / (2 * np.sin(1.2))
+    arc = radius * np.stack([np.cos(angle) - np.cos(1.2), np.sin(angle) + np.sin(1.2), 0 * angle], axis=1)
+    arcs = np.concatenate([arc, arc[-1] + arc[1:] * [-1.0, 1.0, 1.0]])
+    assert kinds(seen(arcs, None, 0.001)) == ["revolute", "revolute"]

@@ -49,7 +49,7 @@ from micah_plan.learn.track import PartTrack
 
 _MOST_ROUNDS = 3  # of segments, joints and noise in turn
 _TIGHTENED = 2  # rounds of noise and joints
-_MOST_PROPOSALS = 4  # that are settled
+_MOST_PROPOSALS = 3  # that are settled
 _GRAINS = 16  # places that are told apart when proposals are compared
 _CONVERGED = 0.2  # nats
 
