@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.special import bdtrc
 
 from micah_plan.arrays import Booleans, Floats, Ints, white_std
 from micah_plan.recording.value import Recording
@@ -41,6 +42,7 @@ _MOST_PIECES = 64
 """One after another that are looked over: more strays in a row are no strays."""
 
 _MIRACLE = 1e-3
+_ROUND_OFF = 1e-9  # of positions [m] and quaternions
 _ORDERS = (2, 3, 4, 5, 6)
 _FEWEST = 8
 """Rows: differences of the highest order need as many."""
@@ -203,14 +205,31 @@ def _repeated(position: Floats, quaternion: Floats | None) -> Booleans:
     values = position if quaternion is None else np.hstack([position, quaternion])
     same = np.zeros(len(values), dtype=bool)
     same[1:] = (values[1:] == values[:-1]).all(axis=1)
-    fresh = values[~same]
-    if not same.any() or len(fresh) < _FEWEST:
+    if not same.any() or len(values) - same.sum() < _FEWEST:
         return np.zeros(len(values), dtype=bool)
-    chance = float(np.prod([_chance_of_equal(column) for column in fresh.T]))
+    vectors = [position[~same]] if quaternion is None else [position[~same], quaternion[~same]]
+    chance = float(np.prod([_chance_of_equal(vector) for vector in vectors]))
     return same if chance < _MIRACLE else np.zeros(len(values), dtype=bool)
 
 
-def _chance_of_equal(column: Floats) -> float:
+def _chance_of_equal(vector: Floats) -> float:
+    """Probability that readings (n, k) of the same place are equal, none of which is a reading that is held.
+
+    By the grid and the noise of each column. Columns may lie on no grid though the tracker reads on one, as angles that
+    became quaternions, and positions in another frame. Then readings are equal where the rest of the pose is not, or
+    change by the same again after they changed by something else, and by noise this would be a miracle.
+    """
+    chance = float(np.prod([_chance_on_grid(column) for column in vector.T]))
+    steps = np.round(np.diff(vector, axis=0) / _ROUND_OFF)
+    n, alone = len(steps), int((steps == 0).all(axis=1).sum())
+    # A recording that was interpolated goes on by the same for a while.
+    steps = steps[np.append(True, (steps[1:] != steps[:-1]).any(axis=1))]
+    again = len(steps) - len(np.unique(steps, axis=0))
+    is_miracle = min(bdtrc(alone - 1, n, chance), bdtrc(again - 1, n * (n - 1) // 2, chance)) < _MIRACLE
+    return 1.0 if is_miracle else chance
+
+
+def _chance_on_grid(column: Floats) -> float:
     """Probability that two readings (n,) of the same value are equal: the grid that they lie on over their noise.
 
     Noise is what differences of every order show; what only the lower ones show is motion.

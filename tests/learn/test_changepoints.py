@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planted import JOINTS, moving_then_held, recorded
+from planted import JOINTS, Noise, moving_then_held, recorded
 
 from micah_plan.automaton.joint import rigid
 from micah_plan.errors import InputError
 from micah_plan.learn.joints.joint_arrays import arrays_of
+from micah_plan.learn.learn import learn_graph
 from micah_plan.learn.segmenting.changepoints import LengthPrior, best_segmentation, most_probable_spans
 from micah_plan.learn.segmenting.evidence import EvidenceTable, segment_sums, tabulated
 from micah_plan.learn.segmenting.noise_fit import initial_noise
@@ -116,6 +117,20 @@ def test_a_changepoint_is_not_refined_where_no_row_counts_on_one_of_its_sides(co
     refined = refine_changepoint(joints, 40, 4.0, (0, 80), track, inlier, LearnSettings())
     assert refined.row == 40 if inlier.sum() < 80 else abs(refined.row - 40) <= 2
     assert len(refined.rows) == 1 if inlier.sum() < 80 else len(refined.rows) > 1
+
+
+@pytest.mark.parametrize("grid", [0.0005, 0.004])
+def test_the_first_row_of_a_stop_is_as_open_as_readings_on_a_grid_leave_it(grid: float) -> None:
+    """A slide of 1 mm per row is read to 4 mm: rows in between say nothing new. Read finer, it is known to a few."""
+    configuration, intervals = moving_then_held("prismatic", 400, 200), []
+    for seed in range(8):
+        recording = recorded(
+            [(JOINTS["prismatic"], configuration)], np.random.default_rng(seed), Noise(position=3e-4, rotation=1e-3)
+        )
+        (edge,) = learn_graph(replace(recording, position=grid * np.round(recording.position / grid))).edges
+        intervals.append(edge.segments[1].certainty.start.interval())
+    assert sum(low <= 400 and high >= 399 for low, high in intervals) >= 7
+    assert max(high - low for low, high in intervals) < 15
 
 
 def test_a_rest_elsewhere_does_not_explain_a_row_by_the_row_before_it() -> None:

@@ -98,6 +98,30 @@ def quantised(recording, grid):
     return Recording(recording.time, np.round(recording.position / grid) * grid, recording.quaternion)
 
 
+def with_turns_on_a_grid(recording, degrees=2.0, turn=(0.0, 0.0, 0.0)):
+    """Read to 4 mm and to some degrees, and written as quaternions, which then lie on no grid."""
+    read = Rotation.from_quat(recording.quaternion).as_euler("xyz", degrees=True)
+    turns = Rotation.from_euler("xyz", degrees * np.round(read / degrees), degrees=True)
+    frame = Rotation.from_rotvec(turn)
+    place = frame.apply(np.array(quantised(recording, 0.004).position))
+    return Recording(recording.time, place, (frame * turns).as_quat(), recording.action)
+
+
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.3, -0.5, 0.2)])
+def test_readings_to_whole_degrees_at_rest_are_measurements_and_those_of_a_lost_tracker_are_not(turn) -> None:
+    recording = swing(np.concatenate([angles(), np.full(60, 1.2)]), noise=4e-4)
+    coarse = with_turns_on_a_grid(recording, turn=turn)
+    equal = (coarse.position[1:] == coarse.position[:-1]).all(axis=1)
+    equal &= (coarse.quaternion[1:] == coarse.quaternion[:-1]).all(axis=1)
+    assert equal[125:].sum() > 20
+    assert continuity_of(coarse).is_measured.all()
+    # Positions on the same grid, but turns to all digits: those do not stay by themselves.
+    held = np.arange(180)
+    held[61:80] = 60
+    lost_for_a_while = Recording(recording.time, coarse.position[held], recording.quaternion[held])
+    assert left_out(lost_for_a_while) == [(61, 79)]
+
+
 @pytest.mark.parametrize(
     "recording",
     [

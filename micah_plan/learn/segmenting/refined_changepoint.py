@@ -31,8 +31,9 @@ class RefinedChangepoint:
     Attributes:
         row: first row of the later segment, in the track.
         rows: (k,) rows at which it may be.
-        log_probability: (k,) of each, unnormalised. Not tempered: that joints are not ideal speaks against another
-            joint, but not for another row when both joints are known.
+        log_probability: (k,) of each, unnormalised. Not tempered as evidence for joints is: that these are not ideal
+            speaks against another joint, but not for another row when both joints are known. A row counts by how often
+            a reading is a new one, since rows that are read on a grid repeat its error.
     """
 
     row: int
@@ -99,13 +100,23 @@ def _scores(
 ) -> Floats:
     """(k,) ln probability of the steps that begin at `starts`, with the changepoint at each of them."""
     steps = averaged(track, inlier, np.append(starts, end))
-    n = len(starts)
-    share = n * len(track) / max(end - int(starts[0]), 1) / n
-    scaled = replace(settings, wander_durations=settings.wander_durations * share)
+    longer = len(track) / max(end - int(starts[0]), 1)
+    scaled = replace(settings, wander_durations=settings.wander_durations * longer)
     later = starts >= row
     hypotheses = Hypotheses(joints, np.stack([~later, later]))
     pool = pool_of(hypotheses, steps, initial_noise(steps, scaled))
     (noise,) = fit_noise_to_residuals([(pool, later.astype(np.int64))], scaled)
     earlier, later_on = tabulated(hypotheses, steps, noise, settings.rest, 1.0, begun=True).sums
     before = np.concatenate([[0.0], earlier[0, :-1]])
-    return np.asarray(before + later_on[:, -1])
+    sides = [slice(int(starts[0]), row), slice(row, end)]
+    vectors = [track.position]
+    if track.quaternion is not None and joints.turning.any():  # turns tell nothing of how far a slide came
+        vectors.append(track.quaternion)
+    share = max(_new_readings(vector[side]) for vector in vectors for side in sides)
+    return np.asarray(share * (before + later_on[:, -1]))
+
+
+def _new_readings(vector: Floats) -> float:
+    """Share of the rows (n, k) that differ from the row before, at least one of them."""
+    changes = (vector[1:] != vector[:-1]).any(axis=1)
+    return float((changes.sum() + 1) / (len(changes) + 1))
