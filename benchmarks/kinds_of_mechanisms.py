@@ -44,9 +44,8 @@ def two_stage_hinge(rng: np.random.Generator) -> Simulated:
     there = c <= stop
     parts = [first.poses(c[there]), second.poses(c[~there] - stop)]
     row = int(there.sum()) - 1
-    truth = EdgeTruth(
-        (("revolute", "revolute"),), BASE, (as_value(first), as_value(second)), (row,), (max(8.0, 0.05 * rows),)
-    )
+    answers = ("revolute", "revolute"), ("none",)  # that no single joint holds it is true as well
+    truth = EdgeTruth(answers, BASE, (as_value(first), as_value(second)), (row,), (max(8.0, 0.05 * rows),))
     return _told(*(np.concatenate(two) for two in zip(*parts, strict=True)), between(_NOISE, rng), rng, truth)
 
 

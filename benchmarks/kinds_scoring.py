@@ -71,7 +71,7 @@ def judged(graph: KinematicGraph, truth: Simulated) -> Judged:
         tree=tree,
         sure=min(probability(segment) for edge in graph.edges for segment in edge.segments),
         count=counts[0] if len(counts) == 1 else None,
-        counted=len(graph.edges[0].segments) in {len(answer) for answer in only.answers},
+        counted=len(graph.edges[0].segments) in ({len(a) for a in only.answers if a != ("none",)} or {1}),
         starts=tuple(starts),
         covered=tuple(covered),
     )

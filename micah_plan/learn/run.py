@@ -27,7 +27,9 @@ from micah_plan.learn.segmenting.noise import MeasurementNoise
 from micah_plan.learn.segmenting.posterior import (
     ChangepointPosterior,
     kind_probabilities,
+    other_mechanism,
     posterior_of,
+    with_another_changepoint,
     without_changepoints,
 )
 from micah_plan.learn.segmenting.refined_changepoint import RefinedChangepoint, refine_changepoint
@@ -149,6 +151,9 @@ def with_joints(segmented_run: SegmentedRun, settings: LearnSettings, rng: np.ra
         kind_probabilities(segmented, p.hypothesis, settings.kinds, against, piece.lack_of_fit)
         for p, piece in zip(pieces, fitted, strict=True)
     ]
+    if no_single_joint is None:  # or another axis takes over somewhere
+        another = max(other_mechanism(piece.lack_of_fit) for piece in fitted)
+        posterior = with_another_changepoint(posterior, another)
     if fit is not None and fit.path is not None:
         fitted = [FittedPiece(0, len(track) - 1, fit.path, np.zeros(3), None, fit.log_evidence)]
         (shares,) = kinds

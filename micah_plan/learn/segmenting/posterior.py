@@ -50,6 +50,14 @@ def without_changepoints(posterior: ChangepointPosterior, probability: float) ->
     return replace(posterior, counts=counts, changepoint=(1 - probability) * posterior.changepoint)
 
 
+def with_another_changepoint(posterior: ChangepointPosterior, probability: float) -> ChangepointPosterior:
+    """The posterior, where with some probability there is one changepoint more, at any row."""
+    counts = (1 - probability) * np.append(posterior.counts, 0.0) + probability * np.append(0.0, posterior.counts)
+    changepoint = posterior.changepoint.copy()
+    changepoint[1:] += probability / max(len(changepoint) - 1, 1)
+    return replace(posterior, counts=counts, changepoint=changepoint)
+
+
 def changepoint_posterior(worth: Floats, apart: Floats, prior: LengthPrior, changepoints: int) -> ChangepointPosterior:
     """Sum over segmentations with up to a few more changepoints than the most probable one.
 
@@ -243,6 +251,10 @@ def kind_probabilities(
         advancing = float(expit(lack_of_fit.screw_log_odds - RARE_SCREW))
         share[hinge_or_screw] = share[hinge_or_screw].sum() * np.array([1 - advancing, advancing])
     share = share / share.sum() / (1 + np.exp(min(free / LOG_ODDS_OVERSTATED, 700.0)))
-    if lack_of_fit.deviation is not None:
-        share = share * (1 - OTHER_MECHANISM * lack_of_fit.deviation.probability)
+    share = share * (1 - other_mechanism(lack_of_fit))
     return tuple((kind, float(value)) for kind, value in zip(kinds, share, strict=True))
+
+
+def other_mechanism(lack_of_fit: LackOfFit) -> float:
+    """Probability that a part which leaves its joint is on a mechanism of more than one axis."""
+    return 0.0 if lack_of_fit.deviation is None else OTHER_MECHANISM * lack_of_fit.deviation.probability
