@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from unseen_objects import Case, Device, Hand, Piece, Thing, World, late, loose, second_order, slow, stick_slip
+from unseen_objects import Case, Device, Hand, Piece, Thing, World, changed, late, loose, second_order, slow, stick_slip
 
 Rng = np.random.Generator
 
@@ -92,6 +92,11 @@ def pushed(
 
 def simple(rule: Callable[[float, int], float]) -> Device:
     return lambda: rule
+
+
+def _within(rng: Rng) -> tuple[int, int]:
+    """A run of eight, the last two left out, and a row of it, not near its ends."""
+    return int(rng.integers(6)), int(rng.integers(15, 46))
 
 
 def _weak(rng: Rng, thing: Thing, step: float) -> Device:
@@ -179,6 +184,18 @@ KINDS: dict[str, Made] = {
     ),
     "gain since half-way": plain(
         drawer, actuated(lambda r, t, s: simple(lambda u, run: 0.7 * u if run >= 4 else u)), "gain", runs=8
+    ),
+    "gain since within a run": plain(
+        door, actuated(lambda r, t, s: changed(_within(r), lambda u: 0.75 * u)), "gain", runs=8
+    ),
+    "bias since within a run": plain(
+        drawer, actuated(lambda r, t, s: changed(_within(r), lambda u: u - 0.2 * s)), "bias", runs=8
+    ),
+    "dead zone since within a run": plain(
+        drawer,
+        actuated(lambda r, t, s: changed(_within(r), lambda u: float(np.sign(u) * max(abs(u) - 0.3 * s, 0.0)))),
+        "dead_zone",
+        runs=8,
     ),
     "bias": plain(drawer, pushed(lambda r, t, s: lambda c, u, run: 0.25 * s), "bias|gravity"),
     "saturation": plain(

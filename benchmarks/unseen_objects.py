@@ -235,12 +235,12 @@ def scaled(case: Case, seed: int) -> Case:
     return replace(case, hand=replace(case.hand, noise=float(np.sqrt(np.mean(felt**2))) / case.size))
 
 
-def recorded(case: Case, seed: int) -> Recording:
-    """A recording of the case."""
+def recorded(case: Case, seed: int, runs_before: int = 0) -> Recording:
+    """A recording of the case, made after so many runs."""
     rng = np.random.default_rng([seed, 3])
     hand, columns = case.hand, {name: [] for name in ("time", "position", "quaternion", "action", "run")}
     for number in range(hand.runs):
-        run = _simulated(case, hand, number, np.random.default_rng([seed, 5, number]))
+        run = _simulated(case, hand, runs_before + number, np.random.default_rng([seed, 5, number]))
         z, u, t = (np.array(values) for values in (run.z, run.u, run.t))
         z = z + _noise(hand, len(z), rng)
         path = case.world.beside or case.thing.pose
@@ -322,6 +322,16 @@ def _simulated(case: Case, hand: Hand, number: int, rng: np.random.Generator) ->
         if goes is None and not hand.one_way and rng.random() < 0.1:
             believed = c
     return run
+
+
+def changed(since: tuple[int, int], after: Callable[[float], float]) -> Device:
+    """What is asked for, and from a run and a row in it on what that became."""
+
+    def made() -> Callable[[float, int], float]:
+        row = iter(range(1_000_000))
+        return lambda u, run: after(u) if (run, next(row)) >= since else u
+
+    return made
 
 
 def late(steps: int) -> Device:

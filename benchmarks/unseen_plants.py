@@ -4,7 +4,7 @@
 
 A kind is right if every effect of the plant is named (first, or as what would do as well), or, where the plant has
 something that no effect of the library is, if the verdict is `partly` or `unexplained`. `false` counts the answers that
-are `explained` and not right. The roll-out is that of another recording of the same plant, over whole runs: its root
+are `explained` and not right. The roll-out is that of a later recording of the same plant, over whole runs: its root
 mean square error with the new model over that with the old one (median over seeds, and the worst). Controls are right
 if nothing is found. The kinds are in `unseen_kinds.py`, the plants in `unseen_objects.py`.
 """
@@ -47,13 +47,13 @@ def answered(work: tuple[str, int]) -> Answer:
     name, seed = work
     case = control(seed) if name == "control" else KINDS[name](np.random.default_rng([seed, sum(map(ord, name))]))
     case = scaled(case, seed)
-    recording, fresh = recorded(case, seed), recorded(case, seed + 1_000_000)
+    recording, later = recorded(case, seed), recorded(case, seed + 1_000_000, case.hand.runs)
     model = case.thing.model(case.hand.noise)
     label = f"control: {case.kind}" if name == "control" else name
     try:
         noise = judge(model, recording, predict_recording(model, recording)).is_noise
         found = calibrate(model, recording)
-        before, after = (rolled(one, fresh) for one in (model, found.automaton))
+        before, after = (rolled(one, later) for one in (model, found.automaton))
     except (InputError, ValueError, FloatingPointError) as problem:
         return Answer(label, seed, "refused", str(problem)[:90], False, None, np.nan, np.nan)
     effects = found.effects

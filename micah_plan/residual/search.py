@@ -30,6 +30,7 @@ from micah_plan.residual.fit import (
     optimise,
     process_share,
 )
+from micah_plan.residual.likelihood import log_density
 from micah_plan.residual.residual_test import LAGS, Circumstances, ResidualTest, lagged, whiteness_test
 from micah_plan.residual.simulation import GATES, Kind, Model, Term, columns, simulate
 
@@ -226,6 +227,28 @@ class Search:
         std = np.sqrt(np.diag(covariance))
         return tuple(names), np.asarray(covariance / np.outer(std, std))
 
+    def begins(self, scored: Scored) -> tuple[float, float]:
+        """The place in the recording, and the time in every run, since when the last part of a model acts most likely.
+
+        Rows before are as likely as without it, those after it as with it (Hinkley, Biometrika 1970). That something
+        changed between two runs is as likely beforehand as that it did within one.
+        """
+        problem, data = self.problem(scored.parts), self.data
+        always_and_never = np.repeat(scored.fit.parameters, 2, axis=0)
+        always_and_never[:, -GATES:] = [[-np.inf, -np.inf], [np.inf, -np.inf]]
+        share, scale = process_share(np.repeat(scored.fit.share, 2)), np.repeat(scored.fit.scale, 2)
+        density = log_density(simulate(data, problem.model, always_and_never, share), scale, problem.freedom)
+        # A step starts in the row before the one whose likelihood tells.
+        starts = data.counted_starts
+        gain = np.roll(density[0] - density[1], -1, axis=1)[starts]
+        run = np.broadcast_to(data.run[:, None], starts.shape)[starts]
+        first = np.flatnonzero(
+            np.isin(data.order[starts], [data.order[starts][run == k].min() for k in np.unique(run)])
+        )
+        prior = np.zeros(len(run))
+        prior[first] = np.log(len(run) / len(first))
+        return _most_gained_since(data.order[starts], gain, prior), _most_gained_since(data.time[starts], gain)
+
     def intervals(self, scored: Scored) -> Floats:
         """(k, 3) interval and median of each free parameter, in the order of the parts; see `fit.intervals`."""
         correlation = self._correlations(scored)[0][0]
@@ -364,6 +387,14 @@ class Search:
         return (self.data, self.freedom) if best is None else best[1:]
 
 
+def _most_gained_since(at: Floats, gain: Floats, prior: float | Floats = 0.0) -> float:
+    """From which of the values (n,) on the gains (n,) add up to most, with a log prior of each value."""
+    order = np.argsort(-at, kind="stable")
+    last = np.append(np.diff(at[order]) < 0.0, True)
+    total = np.cumsum(gain[order]) + np.broadcast_to(prior, at.shape)[order]
+    return float(at[order][last][np.argmax(total[last])])
+
+
 def steady_variance(q: float, r: float) -> float:
     """The variance before a measurement, in the long run, of a sum of steps of variance q measured with variance r.
 
@@ -387,6 +418,7 @@ def _away(data: CoordinateData, place: Floats) -> Floats:
 def gated(part: Candidate, since_order: Sequence[float], since_time: Sequence[float]) -> Candidate:
     """A candidate that starts from its fitted parameters and acts only since a place or a time, one start for each."""
     starts = np.repeat(part.starts[:1], len(since_order) + len(since_time), axis=0)
+    starts[:, -GATES:] = NEVER_GATED
     starts[: len(since_order), -GATES] = since_order
     starts[len(since_order) :, -GATES + 1] = since_time
     return replace(part, starts=starts)

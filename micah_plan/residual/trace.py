@@ -36,7 +36,7 @@ from itertools import combinations
 
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.effects.registry import form
 from micah_plan.quantities import Progress
 from micah_plan.residual.coordinate_data import CoordinateData
@@ -345,8 +345,8 @@ def _is_tied(best: Scored, rival: Scored) -> bool:
 
 # Evidence [nats] that an effect must have: odds of 3000 to 1, more than what two dozen candidates take to be safe.
 LEAST_EVIDENCE = 8.0
-# ... of which so much outside of the segment that gains most, by so many times what other segments lose (as a root of
-# squares), and so much per row (1 % of the innovations' std).
+# ... of which so much outside of the run that gains most (of the only run: the segment), by so many times what others
+# lose (as a root of squares), and so much per row (1 % of the innovations' std).
 _ELSEWHERE = 4.0
 
 _PER_ROW = 0.01
@@ -358,6 +358,7 @@ TIE = 3.0
 _SHORTER = 0.999
 _NOT_LONGER = 1.02
 _WIDE = 3
+_BEGINNINGS = 2
 _TRIED = 5
 
 
@@ -384,7 +385,7 @@ def grow(search: Search, library: Sequence[Candidate], singles: Sequence[Scored]
     if plain is not None and improves(search, plain, nominal) and search.residual_is_white(plain):
         # Then neither a second effect nor one that acts only in places or since some time can gain anything.
         return Growth(plain, tuple(singles))
-    promising = [single for single in ranked(singles)[:_WIDE] if single.over(nominal)[0] > LEAST_EVIDENCE]
+    promising = _promising(search, singles)
     options = [*singles, *(variant for single in promising for variant in _variants(search, single, nominal))]
     first, blocked = _first(search, options)
     if first is not None and search.residual_is_white(first):
@@ -397,6 +398,19 @@ def grow(search: Search, library: Sequence[Candidate], singles: Sequence[Scored]
         if is_worth(pair, base, search.data) and improves(search, pair, nominal):
             return Growth(_without_idle(search, pair, base), tuple(options), blocked)
     return Growth(base, tuple(options), blocked)
+
+
+def _promising(search: Search, singles: Sequence[Scored]) -> list[Scored]:
+    """Those that predict best from some segment on."""
+    gains = [(_gain_since(single, search.nominal, search.data), single) for single in singles]
+    best = sorted(gains, key=lambda pair: -pair[0])[:_WIDE]
+    return [single for gain, single in best if gain > LEAST_EVIDENCE]
+
+
+def _gain_since(better: Scored, base: Scored, data: CoordinateData) -> float:
+    """By how much a model predicts better from some segment on [nats]: what began there predicts earlier ones badly."""
+    latest_first = np.argsort(-data.order[:, 0])
+    return float(np.cumsum((better.density - base.density)[latest_first]).max())
 
 
 def _first(search: Search, options: Sequence[Scored]) -> tuple[Scored | None, Scored | None]:
@@ -460,7 +474,7 @@ def _without_idle(search: Search, pair: Scored, base: Scored) -> Scored:
 
 def _variants(search: Search, model: Scored, base: Scored) -> list[Scored]:
     """The last effect of a model only in one mode, or only since some time, where that predicts clearly better."""
-    if model.over(base)[0] < LEAST_EVIDENCE:
+    if _gain_since(model, base, search.data) < LEAST_EVIDENCE:
         return []
     data, last, before = search.data, model.parts[-1], model.parts[:-1]
     variants = []
@@ -471,10 +485,12 @@ def _variants(search: Search, model: Scored, base: Scored) -> list[Scored]:
             term = Term(last.term.form, (data.modes[k],))
             variants.append(search.score((*before, replace(last, term=term))))
     if last.term.form.layer != "guard":
-        duration = float(data.time[data.counted].max())
-        places = [float(q) for q in np.linspace(0.1, 0.9, 9)]
-        times = [share * duration for share in (0.2, 0.35, 0.5, 0.65, 0.8)]
-        variants.append(search.score((*before, gated(last, places, times))))
+        began = [model]
+        # Fitted to what came after, it tells better when that was.
+        for _ in range(_BEGINNINGS):
+            place, time = search.begins(began[-1])
+            began.append(search.score((*before, gated(began[-1].parts[-1], [place], [time]))))
+        variants += began[1:]
     return [variant for variant in variants if variant.over(model)[0] > _VARIANT_EVIDENCE]
 
 
@@ -493,13 +509,24 @@ def _simplest(options: Sequence[Scored], base: Scored) -> Scored | None:
 
 
 def is_worth(better: Scored, base: Scored, data: CoordinateData) -> bool:
-    """Whether held-out rows are predicted so much better that it is no chance, and not in a single segment alone."""
-    gains = better.density - base.density
+    """Whether held-out rows are predicted so much better that it is no chance, and not in a single run alone."""
+    gains, acts = better.density - base.density, _acts(better.parts, data)
     gain = float(gains.sum())
     if better.squared >= base.squared or gain <= max(LEAST_EVIDENCE, _PER_ROW * int(data.counted.sum())):
         return False
     losses = float(np.sqrt((np.minimum(gains, 0.0) ** 2).sum()))
-    return gain > _ERRORS * losses and gain - float(gains.max()) > _ELSEWHERE
+    runs, of_run = np.unique(data.run, return_inverse=True)
+    if len(runs) > 1:  # rows of one run share what is particular to it
+        gains, acts = np.asarray(np.bincount(of_run, gains)), np.bincount(of_run, acts) > 0
+    # What is explained in one run makes the noise of all smaller, which shows where nothing acts.
+    gained = np.maximum(gains[acts] - (float(np.mean(gains[~acts])) if not acts.all() else 0.0), 0.0)
+    return gain > _ERRORS * losses and float(gained.sum() - gained.max(initial=0.0)) > _ELSEWHERE
+
+
+def _acts(parts: Sequence[Candidate], data: CoordinateData) -> Booleans:
+    """(S,) segments in which any of the parts acts."""
+    since = min((float(part.starts[0, -GATES]) for part in parts), default=-np.inf)
+    return np.asarray((data.counted_starts & (data.order >= since)).any(axis=1))
 
 
 def improves(search: Search, better: Scored, base: Scored) -> bool:

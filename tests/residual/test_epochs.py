@@ -52,6 +52,39 @@ def test_the_written_model_is_as_good_as_is_said_on_its_own_recording(found, dro
     assert rolled(always, dropped) > 2.0 * rolled(written, dropped)
 
 
+def weaker_from(first_run: int, row: int, *, in_each: bool = False):
+    def moves(c, u, k, memory):
+        began = k >= row if in_each else (memory["run"], k) >= (first_run, row)
+        return c + (0.75 if began else 1.0) * u
+
+    return moves
+
+
+@pytest.mark.parametrize(("run", "row"), [(4, 25), pytest.param(0, 30, marks=pytest.mark.slow)])
+def test_what_began_within_a_run_is_dated_to_a_few_rows(door, run, row) -> None:
+    recording = plants.door_recording(plants.runs_of(weaker_from(run, row), 8, 50, 3))
+    found = calibrate(door, recording)
+    (effect,) = found.effects
+    assert (found.verdict, effect.effect.name, effect.effect.since.run) == ("explained", "gain", run + 1)
+    assert dict(effect.effect.parameters)["gain"] == pytest.approx(0.75, abs=0.02)
+    times = recording.select(run=run + 1).time
+    assert np.abs(effect.effect.since.time - (times - times[0])[row]) <= 4.0 * (times[1] - times[0])
+
+
+def test_what_begins_anew_in_each_run_is_dated_in_all(door) -> None:
+    recording = plants.door_recording(plants.runs_of(weaker_from(0, 20, in_each=True), 6, 50, 3))
+    (effect,) = calibrate(door, recording).effects
+    times = recording.select(run=1).time
+    assert effect.effect.since.run is None
+    assert np.abs(effect.effect.since.time - (times - times[0])[20]) <= 3.0 * (times[1] - times[0])
+
+
+def test_what_began_within_the_last_run_no_other_run_bears_out(door) -> None:
+    found = calibrate(door, plants.door_recording(plants.runs_of(weaker_from(7, 20), 8, 50, 3)))
+    assert found.verdict in ("unexplained", "partly")
+    assert not any(effect.is_added for effect in found.effects)
+
+
 def test_nothing_is_left_to_find_with_the_written_model(found, dropped) -> None:
     again = calibrate(found.automaton, dropped)
     assert again.verdict == "none"

@@ -18,11 +18,13 @@ class _Scored:
     """Held-out densities of stretches, as `growth` compares them."""
 
     def __init__(self, density, squared=1.0):
-        self.density, self.squared = np.array(density, dtype=float), squared
+        self.density, self.squared, self.parts = np.array(density, dtype=float), squared, ()
 
 
 class _CoordinateData:
-    counted = np.ones((5, 10), dtype=bool)
+    counted = counted_starts = np.ones((5, 10), dtype=bool)
+    run = np.arange(5)
+    order = np.linspace(0.0, 1.0, 50).reshape(5, 10)
 
 
 @pytest.mark.parametrize(
