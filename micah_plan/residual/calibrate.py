@@ -64,7 +64,8 @@ class FoundEffect:
         derived: (name, value) of parameters in other units: times in s of those in steps.
         sentence, source: of its form.
         experiment: what would tell it from those it is tied with; empty if there are none.
-        is_added: whether the new automaton has it; not if it helps single steps but makes the roll-out worse.
+        is_added: whether the new automaton has it; not if it may as well come from earlier commands, if one of few runs
+            contradicts it, or if the automaton would refuse the recording.
     """
 
     effect: Effect

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Literal
 
 import numpy as np
 from scipy.special import chdtrc
@@ -33,8 +32,6 @@ from micah_plan.residual.fit import (
 from micah_plan.residual.likelihood import log_density
 from micah_plan.residual.residual_test import LAGS, Circumstances, ResidualTest, lagged, whiteness_test
 from micah_plan.residual.simulation import GATES, Kind, Model, Term, columns, simulate
-
-Errors = Kind | Literal["whole"]  # of steps, of roll-outs of segments, and of whole runs
 
 FOLDS = 5
 _ROUNDS = 12
@@ -172,14 +169,9 @@ class Search:
         """(S, T) std of an innovation over that of all rows that count: what makes innovations equally precise."""
         return _spread(self.problem(scored.parts), scored.fit)
 
-    def squares(self, scored: Scored, kind: Errors) -> float:
-        """Sum of squared errors, held out: of steps each by its row's precision under the model as it is.
-
-        The precision of one step says nothing of a roll-out: weighted by it, rows at rest would decide.
-        """
-        if kind == "whole":
-            return float(np.sum(self.rollout_errors(scored) ** 2))
-        return float(np.sum((self.errors(scored, kind) / (self._spread if kind == "one_step" else 1.0)) ** 2))
+    def one_step_squares(self, scored: Scored) -> float:
+        """Sum of squared one-step errors, held out, each by its row's precision under the model as it is."""
+        return float(np.sum((self.errors(scored, "one_step") / self._spread) ** 2))
 
     def noise_floor(self, scored: Scored) -> float:
         """Root mean square of a one-step error that noise alone would leave, if this model were true.

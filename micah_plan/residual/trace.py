@@ -7,9 +7,8 @@ much is left that no effect of the library explains (Akaike's predictive argumen
 
 Forward selection of effects: the best one, one that acts in places or since some time only, or two together.
 
-A model may take in an effect if it predicts held-out rows better by more than chance, and not in a single segment
-alone; if plain one-step errors get smaller too; and if the roll-out does not get worse: what helps each single step but
-adds up to a larger error hides that something else is missing as well.
+A model may take in an effect if it predicts held-out rows better by more than chance, and not in a single run alone,
+and if plain one-step errors get smaller too.
 
 What a command means: a displacement from wherever the part is, or a place that the part goes after.
 
@@ -46,7 +45,6 @@ from micah_plan.residual.residual_test import ResidualTest
 from micah_plan.residual.search import (
     UNNAMED,
     Candidate,
-    Errors,
     Scored,
     Search,
     candidates,
@@ -77,8 +75,8 @@ class Finding:
         interval: (size, 2) at `fit.CONFIDENCE`; low = high for those that were not fitted.
         evidence: what predictions lose without it [nats].
         tied: names of other effects that would do as well in its place.
-        is_added: whether the model takes it in; not if it helps single steps but makes the roll-out worse, nor if it
-            may as well come from earlier commands.
+        is_added: whether the model takes it in; not if it may as well come from earlier commands, nor if one of few
+            runs contradicts it.
     """
 
     part: Candidate
@@ -146,24 +144,22 @@ def trace(search: Search, progress: Progress | None = None) -> CoordinateTrace:
     progress_told(f"{data.coordinate}: what remains", 0.9)
     is_enough = not modes and not closest and search.residual_is_white(chosen)
     remaining = chosen if is_enough else loose if chosen is search.nominal else _smoothed(search, chosen)
-    named = chosen if chosen.parts or growth.blocked is None else growth.blocked
-    findings = _findings(search, nominal, named, growth.alternatives)
+    findings = _findings(search, nominal, chosen, growth.alternatives)
     # Commands that are places make a model of their own, which runs bear out or not as they do effects on top of it.
-    base = nominal if named is search.nominal else search.nominal
+    base = nominal if chosen is search.nominal else search.nominal
     remaining_tests, is_worth_it = search.left_by(chosen), is_worth(remaining, chosen, data)
     facts = Facts(
-        effects=len(named.parts),
+        effects=len(chosen.parts),
         modes=len(modes),
         is_open=any(may_remember(data, finding) for finding in findings),
-        is_blocked=named is not chosen,
-        is_contradicted=_is_contradicted(search, named, base),
+        is_contradicted=_is_contradicted(search, chosen, base),
         is_single=_is_single(data),
-        smooth=_fraction_left(nominal, named, [loose, remaining]) if is_worth_it and not modes else 0.0,
+        smooth=_fraction_left(nominal, chosen, [loose, remaining]) if is_worth_it and not modes else 0.0,
         is_left=remaining_tests is not None and remaining_tests.is_more,
         is_corrected=any(effect.name == UNNAMED for effect in data.effects),
     )
     final = remaining if is_worth_it and shortens(search, remaining, chosen) else chosen
-    models = list({id(model): model for model in (final, chosen, named)}.values())
+    models = list({id(model): model for model in (final, chosen)}.values())
     floor, number = min((search.noise_floor(model), number) for number, model in enumerate(models))
     return CoordinateTrace(
         data=data,
@@ -248,8 +244,7 @@ def _explored(search: Search, progress: Progress) -> tuple[tuple[Scored, ...], G
     place = followed(search, 1 if is_done and not search.data.is_outside else len(_STARTS))
     # Displacements that the part carries out in any way that is smooth: few one-way runs look as if they were places.
     loose = _smoothed(search, search.nominal)
-    rivals = [growth.chosen, loose, *((growth.blocked,) if growth.blocked is not None else ())]
-    best, before = ranked(rivals)[0], search.nominal
+    best, before = ranked([growth.chosen, loose])[0], search.nominal
     are_places, is_open = means_places(search, place, best), may_mean_places(search, place, best)
     if are_places or is_open:
         search.nominal = place
@@ -354,9 +349,8 @@ _PER_ROW = 0.01
 _VARIANT_EVIDENCE = 8.0
 # Candidates within this of the best are as good as it [nats].
 TIE = 3.0
-# What one-step and roll-out errors may be of those before.
+# What one-step errors may be of those before.
 _SHORTER = 0.999
-_NOT_LONGER = 1.02
 _WIDE = 3
 _BEGINNINGS = 2
 _TRIED = 5
@@ -369,13 +363,10 @@ class Growth:
     Attributes:
         chosen: the best model that effects can make; the nominal one if none is worth it.
         alternatives: the models of one effect that it competed with.
-        blocked: the best model that predicts single steps better but makes the roll-out longer, if nothing else did
-            better; it was not chosen.
     """
 
     chosen: Scored
     alternatives: tuple[Scored, ...]
-    blocked: Scored | None = None
 
 
 def grow(search: Search, library: Sequence[Candidate], singles: Sequence[Scored], progress: Progress) -> Growth:
@@ -387,17 +378,15 @@ def grow(search: Search, library: Sequence[Candidate], singles: Sequence[Scored]
         return Growth(plain, tuple(singles))
     promising = _promising(search, singles)
     options = [*singles, *(variant for single in promising for variant in _variants(search, single, nominal))]
-    first, blocked = _first(search, options)
-    if first is not None and search.residual_is_white(first):
-        return Growth(first, tuple(options))
-    if first is None and blocked is None:
+    first = _first(search, options)
+    if first is None:
         return Growth(nominal, tuple(options))
-    heads = [*promising, *(model for model in (first, blocked) if model is not None)]
-    base = first or nominal
-    for pair in _pairs(search, library, heads, base, progress):
-        if is_worth(pair, base, search.data) and improves(search, pair, nominal):
-            return Growth(_without_idle(search, pair, base), tuple(options), blocked)
-    return Growth(base, tuple(options), blocked)
+    if search.residual_is_white(first):
+        return Growth(first, tuple(options))
+    for pair in _pairs(search, library, [*promising, first], first, progress):
+        if is_worth(pair, first, search.data) and improves(search, pair, nominal):
+            return Growth(_without_idle(search, pair, first), tuple(options))
+    return Growth(first, tuple(options))
 
 
 def _promising(search: Search, singles: Sequence[Scored]) -> list[Scored]:
@@ -413,17 +402,14 @@ def _gain_since(better: Scored, base: Scored, data: CoordinateData) -> float:
     return float(np.cumsum((better.density - base.density)[latest_first]).max())
 
 
-def _first(search: Search, options: Sequence[Scored]) -> tuple[Scored | None, Scored | None]:
-    """The plainest of the best single effects that may be taken in, and the best that only helps single steps."""
-    blocked, remaining = None, list(options)
+def _first(search: Search, options: Sequence[Scored]) -> Scored | None:
+    """The plainest of the best single effects that may be taken in."""
+    remaining = list(options)
     while (first := _simplest(remaining, search.nominal)) is not None and is_worth(first, search.nominal, search.data):
-        if improves(search, first, search.nominal):
-            return first, blocked
-        steps, before = (search.squares(model, "one_step") for model in (first, search.nominal))
-        if blocked is None and steps < _SHORTER * before:
-            blocked = first
+        if shortens(search, first, search.nominal):
+            return first
         remaining = [option for option in remaining if option is not first]
-    return None, blocked
+    return None
 
 
 def _pairs(
@@ -530,17 +516,13 @@ def _acts(parts: Sequence[Candidate], data: CoordinateData) -> Booleans:
 
 
 def improves(search: Search, better: Scored, base: Scored) -> bool:
-    """Whether a model is worth it and one-step errors get smaller too, without making the roll-out longer."""
-    if better is base or not is_worth(better, base, search.data):
-        return False
-    return shortens(search, better, base)
+    """Whether a model is worth it and one-step errors get smaller too."""
+    return is_worth(better, base, search.data) and shortens(search, better, base)
 
 
 def shortens(search: Search, better: Scored, base: Scored) -> bool:
-    """Whether held-out one-step errors get smaller and roll-out errors, of segments and of whole runs, no larger."""
-    kinds: tuple[Errors, ...] = ("one_step", "rollout", "whole")
-    steps, *rolls = ([search.squares(model, kind) for model in (better, base)] for kind in kinds)
-    return steps[0] < _SHORTER * steps[1] and all(roll[0] <= _NOT_LONGER**2 * roll[1] for roll in rolls)
+    """Whether held-out one-step errors get smaller."""
+    return search.one_step_squares(better) < _SHORTER * search.one_step_squares(base)
 
 
 FOLLOW = "follow"
@@ -577,7 +559,7 @@ def means_places(search: Search, place: Scored, displaced: Scored, nominal: Scor
         nominal: the model without either; None: that of the search.
     """
     if search.data.is_outside:
-        rolled, displaced_squares = (search.squares(model, "whole") for model in (place, displaced))
+        rolled, displaced_squares = (float(np.sum(search.rollout_errors(model) ** 2)) for model in (place, displaced))
         return rolled < displaced_squares
     if not is_worth(place, nominal or search.nominal, search.data):
         return False

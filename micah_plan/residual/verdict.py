@@ -27,7 +27,6 @@ class Facts:
     Attributes:
         effects: how many have a name; modes: how many the automaton lacks.
         is_open: whether an effect may come from this command or from earlier ones.
-        is_blocked: whether the effects help single steps and make whole roll-outs longer.
         is_contradicted: whether one of few runs is predicted no better by effects fitted to the others.
         is_single: whether there is one run of few motions alone, which no other run can confirm.
         smooth: share of the explainable residual that a correction without a name takes out on top; 0: none.
@@ -38,7 +37,6 @@ class Facts:
     effects: int
     modes: int
     is_open: bool
-    is_blocked: bool
     smooth: float
     is_left: bool
     is_corrected: bool = False
@@ -48,7 +46,7 @@ class Facts:
     @property
     def is_kept_out(self) -> bool:
         """Whether a wrong guess would do more harm than the model as it is."""
-        return self.is_open or self.is_blocked or self.is_contradicted
+        return self.is_open or self.is_contradicted
 
 
 @dataclass(frozen=True)
@@ -79,12 +77,6 @@ OUTCOMES: tuple[Outcome, ...] = (
         "partly",
         "with runs like these the effect may as well come from earlier commands",
         lambda f: f.is_open,
-    ),
-    Outcome(
-        "steps_only",
-        "partly",
-        "single steps get better but the roll-out worse, so something else is missing as well",
-        lambda f: f.is_blocked,
     ),
     Outcome(
         "more",
