@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import count, pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -328,7 +328,7 @@ def changed(since: tuple[int, int], after: Callable[[float], float]) -> Device:
     """What is asked for, and from a run and a row in it on what that became."""
 
     def made() -> Callable[[float, int], float]:
-        row = iter(range(1_000_000))
+        row = count()
         return lambda u, run: after(u) if (run, next(row)) >= since else u
 
     return made

@@ -313,9 +313,8 @@ def _findings(search: Search, nominal: Scored, chosen: Scored, alternatives: Seq
         evidence = chosen.over(without)[0]
         tied: tuple[str, ...] = ()
         if number == len(search.nominal.parts) == len(chosen.parts) - 1:
-            rivals = {
-                alternative.names[-1]: alternative for alternative in alternatives if alternative.names[-1] != part.name
-            }
+            best_last = ranked(alternatives)[::-1]  # of those of one name
+            rivals = {rival.names[-1]: rival for rival in best_last if rival.names[-1] != part.name}
             able = [(name, alternative) for name, alternative in rivals.items() if _is_tied(chosen, alternative)]
             # What would do the same as a tied one was not tried, but is tied as well.
             alike = [name for _, alternative in able for name in indistinguishable(alternative.parts[-1], search.data)]
@@ -352,8 +351,9 @@ TIE = 3.0
 # What one-step errors may be of those before.
 _SHORTER = 0.999
 _WIDE = 3
-_BEGINNINGS = 2
 _TRIED = 5
+# Rounds of when an effect began, and of its parameters since then.
+_BEGINNINGS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -496,7 +496,8 @@ def _simplest(options: Sequence[Scored], base: Scored) -> Scored | None:
 
 def is_worth(better: Scored, base: Scored, data: CoordinateData) -> bool:
     """Whether held-out rows are predicted so much better that it is no chance, and not in a single run alone."""
-    gains, acts = better.density - base.density, _acts(better.parts, data)
+    added = [part for part in better.parts if part.name not in base.names]
+    gains, acts = better.density - base.density, _acts(added, data)
     gain = float(gains.sum())
     if better.squared >= base.squared or gain <= max(LEAST_EVIDENCE, _PER_ROW * int(data.counted.sum())):
         return False
@@ -510,7 +511,7 @@ def is_worth(better: Scored, base: Scored, data: CoordinateData) -> bool:
 
 
 def _acts(parts: Sequence[Candidate], data: CoordinateData) -> Booleans:
-    """(S,) segments in which any of the parts acts."""
+    """(S,) segments in which any of the parts acts; all without parts."""
     since = min((float(part.starts[0, -GATES]) for part in parts), default=-np.inf)
     return np.asarray((data.counted_starts & (data.order >= since)).any(axis=1))
 

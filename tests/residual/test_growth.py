@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import planted_effects as plants
 import pytest
 
 from micah_plan.automaton.build import build_automaton
+from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import prismatic
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.search import Candidate
+from micah_plan.residual.simulation import Term
 from micah_plan.residual.trace import is_worth
 
 
@@ -18,7 +23,8 @@ class _Scored:
     """Held-out densities of stretches, as `growth` compares them."""
 
     def __init__(self, density, squared=1.0):
-        self.density, self.squared, self.parts = np.array(density, dtype=float), squared, ()
+        self.density, self.squared = np.array(density, dtype=float), squared
+        self.parts, self.names = (), ()
 
 
 class _CoordinateData:
@@ -39,6 +45,28 @@ class _CoordinateData:
 )
 def test_evidence_must_come_from_more_than_one_run_and_not_be_lost_in_others(gains, expected) -> None:
     assert is_worth(_Scored(gains, squared=0.5), _Scored(np.zeros(5)), _CoordinateData()) is expected
+
+
+@pytest.mark.parametrize(
+    ("since", "gains", "expected"),
+    [
+        (-np.inf, [4.0, 4.0, 4.0, 4.0, 65.0], True),
+        (0.85, [4.0, 4.0, 4.0, 4.0, 65.0], False),  # what it explains makes the noise of all runs smaller
+        (0.85, [4.0, 4.0, 4.0, 4.0, 9.0], False),
+        (0.5, [4.0, 4.0, 20.0, 20.0, 20.0], True),
+        (0.75, [4.0, 4.0, 4.0, 4.5, 65.0], False),  # the end of one run, and the last
+    ],
+)
+def test_what_acts_in_one_run_alone_is_not_borne_out_by_others(since, gains, expected) -> None:
+    begun = Candidate(Term(form("gain")), np.array([[0.8, since, -np.inf]]), (0,), np.ones(1))
+    better = _Scored(gains, squared=0.5)
+    better.parts, better.names = (begun,), ("gain",)
+    assert is_worth(better, _Scored(np.zeros(5)), _CoordinateData()) is expected
+    # With another effect that acts always in both, it is this one that must be borne out.
+    always = replace(begun, term=Term(form("delay")), starts=np.array([[1.0, -np.inf, -np.inf]]))
+    before = _Scored(np.zeros(5))
+    better.parts, better.names, before.parts, before.names = (always, begun), ("delay", "gain"), (always,), ("delay",)
+    assert is_worth(better, before, _CoordinateData()) is expected
 
 
 def drawer_with_two_effects(seed):
