@@ -313,8 +313,8 @@ def _findings(search: Search, nominal: Scored, chosen: Scored, alternatives: Seq
         evidence = chosen.over(without)[0]
         tied: tuple[str, ...] = ()
         if number == len(search.nominal.parts) == len(chosen.parts) - 1:
-            best_last = ranked(alternatives)[::-1]  # of those of one name
-            rivals = {rival.names[-1]: rival for rival in best_last if rival.names[-1] != part.name}
+            names = dict.fromkeys(rival.names[-1] for rival in alternatives if rival.names[-1] != part.name)
+            rivals = {name: ranked([rival for rival in alternatives if rival.names[-1] == name])[0] for name in names}
             able = [(name, alternative) for name, alternative in rivals.items() if _is_tied(chosen, alternative)]
             # What would do the same as a tied one was not tried, but is tied as well.
             alike = [name for _, alternative in able for name in indistinguishable(alternative.parts[-1], search.data)]
