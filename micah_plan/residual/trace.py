@@ -496,8 +496,7 @@ def _simplest(options: Sequence[Scored], base: Scored) -> Scored | None:
 
 def is_worth(better: Scored, base: Scored, data: CoordinateData) -> bool:
     """Whether held-out rows are predicted so much better that it is no chance, and not in a single run alone."""
-    added = [part for part in better.parts if part.name not in base.names]
-    gains, acts = better.density - base.density, _acts(added, data)
+    gains, acts = better.density - base.density, _acts(better.parts, data)
     gain = float(gains.sum())
     if better.squared >= base.squared or gain <= max(LEAST_EVIDENCE, _PER_ROW * int(data.counted.sum())):
         return False

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import planted_effects as plants
 import pytest
@@ -24,7 +22,7 @@ class _Scored:
 
     def __init__(self, density, squared=1.0):
         self.density, self.squared = np.array(density, dtype=float), squared
-        self.parts, self.names = (), ()
+        self.parts = ()
 
 
 class _CoordinateData:
@@ -60,13 +58,8 @@ def test_evidence_must_come_from_more_than_one_run_and_not_be_lost_in_others(gai
 def test_what_acts_in_one_run_alone_is_not_borne_out_by_others(since, gains, expected) -> None:
     begun = Candidate(Term(form("gain")), np.array([[0.8, since, -np.inf]]), (0,), np.ones(1))
     better = _Scored(gains, squared=0.5)
-    better.parts, better.names = (begun,), ("gain",)
+    better.parts = (begun,)
     assert is_worth(better, _Scored(np.zeros(5)), _CoordinateData()) is expected
-    # With another effect that acts always in both, it is this one that must be borne out.
-    always = replace(begun, term=Term(form("delay")), starts=np.array([[1.0, -np.inf, -np.inf]]))
-    before = _Scored(np.zeros(5))
-    better.parts, better.names, before.parts, before.names = (always, begun), ("delay", "gain"), (always,), ("delay",)
-    assert is_worth(better, before, _CoordinateData()) is expected
 
 
 def drawer_with_two_effects(seed):
