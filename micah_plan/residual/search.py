@@ -234,10 +234,7 @@ class Search:
         starts = data.counted_starts
         gain = np.roll(density[0] - density[1], -1, axis=1)[starts]
         run = np.broadcast_to(data.run[:, None], starts.shape)[starts]
-        first = np.flatnonzero(
-            np.isin(data.order[starts], [data.order[starts][run == k].min() for k in np.unique(run)])
-        )
-        prior = np.zeros(len(run))
+        prior, first = np.zeros(len(run)), np.unique(run, return_index=True)[1]
         prior[first] = np.log(len(run) / len(first))
         return _most_gained_since(data.order[starts], gain, prior), _most_gained_since(data.time[starts], gain)
 
