@@ -94,9 +94,9 @@ def simple(rule: Callable[[float, int], float]) -> Device:
     return lambda: rule
 
 
-def _within(rng: Rng) -> tuple[int, int]:
-    """A run of eight, the last two left out, and a row of it, not near its ends."""
-    return int(rng.integers(6)), int(rng.integers(15, 46))
+def _within(rng: Rng, *runs: int) -> tuple[int, int]:
+    """A run of some, of eight without the last two, and a row of it, not near its ends."""
+    return int(rng.choice(runs or range(6))), int(rng.integers(15, 46))
 
 
 def _weak(rng: Rng, thing: Thing, step: float) -> Device:
@@ -196,6 +196,23 @@ KINDS: dict[str, Made] = {
         actuated(lambda r, t, s: changed(_within(r), lambda u: float(np.sign(u) * max(abs(u) - 0.3 * s, 0.0)))),
         "dead_zone",
         runs=8,
+    ),
+    "gain, weaker since within a run": plain(
+        door, actuated(lambda r, t, s: changed(_within(r, 4, 5, 6), lambda u: 0.7 * u, 0.8)), "gain + gain", runs=8
+    ),
+    "gain, dead zone since within a run": plain(
+        drawer,
+        actuated(
+            lambda r, t, s: changed(_within(r, 4, 5, 6), lambda u: float(np.sign(u) * max(abs(u) - 0.3 * s, 0.0)), 0.8)
+        ),
+        "gain + dead_zone",
+        runs=8,
+    ),
+    "gain, bias in the last run (?)": plain(
+        door, actuated(lambda r, t, s: changed((7, 0), lambda u: u - 0.25 * s, 0.8)), "?", runs=8
+    ),
+    "wears (?)": plain(
+        drawer, actuated(lambda r, t, s: simple(lambda u, run: u * (1.0 - 0.06 * max(run - 1, 0)))), "?", runs=8
     ),
     "bias": plain(drawer, pushed(lambda r, t, s: lambda c, u, run: 0.25 * s), "bias|gravity"),
     "saturation": plain(

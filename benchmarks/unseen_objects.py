@@ -324,12 +324,12 @@ def _simulated(case: Case, hand: Hand, number: int, rng: np.random.Generator) ->
     return run
 
 
-def changed(since: tuple[int, int], after: Callable[[float], float]) -> Device:
-    """What is asked for, and from a run and a row in it on what that became."""
+def changed(since: tuple[int, int], after: Callable[[float], float], share: float = 1.0) -> Device:
+    """A share of what is asked for, and from a run and a row in it on what that became."""
 
     def made() -> Callable[[float, int], float]:
         row = count()
-        return lambda u, run: after(u) if (run, next(row)) >= since else u
+        return lambda u, run: after(share * u) if (run, next(row)) >= since else share * u
 
     return made
 

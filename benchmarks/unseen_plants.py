@@ -64,7 +64,10 @@ def answered(work: tuple[str, int]) -> Answer:
         most = len(case.truth) + (case.thing.told is not None)
         is_right = all(any(own & one for own in said) for one in case.truth) and len(names) <= most
     else:
-        is_right = found.verdict == "none" if case.is_known else found.verdict in ("partly", "unexplained")
+        # The end of a half that the model was not told is no false alarm.
+        is_right = found.verdict == "none" or (case.thing.told is not None and set(names) <= {"guard_shift", "limit"})
+        if not case.is_known:
+            is_right = found.verdict in ("partly", "unexplained")
     if not case.truth and not case.is_known and noise:
         is_right = False
     modes = [str(mode) for one in found.traces for mode in one.missing_modes]

@@ -38,7 +38,7 @@ from micah_plan.residual.prediction import RunPrediction, predict_recording, ref
 from micah_plan.residual.range_exceeded import RangeExceeded, sections, with_range_ends, with_shifts, without_old_ends
 from micah_plan.residual.search import Candidate, Search
 from micah_plan.residual.simulation import GATES
-from micah_plan.residual.trace import LEAST_EVIDENCE, CoordinateTrace, Finding, may_remember, trace
+from micah_plan.residual.trace import A_LINE, LEAST_EVIDENCE, CoordinateTrace, Finding, may_remember, trace
 from micah_plan.residual.verdict import Verdict, overall
 
 FEWEST_ROWS = 8
@@ -188,10 +188,15 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
         )
     calibration = _calibrated(automaton, recording, progress)
     faulty = faulty_runs(calibration.traces)
-    aside = [run.run for run in faulty if not run.is_lasting]
-    if aside:
-        calibration = _calibrated(automaton, recording.rows(~np.isin(recording.run, aside)), progress)
-    return replace(calibration, notes=(*(run.advice for run in faulty), *calibration.notes))
+    if faulty:
+        usual = recording.rows(~np.isin(recording.run, [run.run for run in faulty]))
+        calibration = calibrate(automaton, usual, progress)
+    verdicts: list[Verdict] = ["unexplained" for run in faulty if run.is_lasting]
+    return replace(
+        calibration,
+        verdict=overall([calibration.verdict, *verdicts]),
+        notes=(*(run.advice for run in faulty), *calibration.notes),
+    )
 
 
 def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Progress | None) -> Calibration:
@@ -209,12 +214,9 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
     effects.sort(key=lambda effect: -effect.evidence)
     to_add = [dated(effect, recording) for effect in with_shifts(_to_add(traces), exceeded)]
     improved, refusing = _written(corrected, exceeded, to_add, recording)
-    kept_out = {(effect.name, effect.coordinate, effect.modes) for effect in refusing}
+    kept_out = [_identity(effect) for effect in refusing]
     effects = [
-        replace(effect, is_added=False)
-        if (effect.effect.name, effect.effect.coordinate, effect.effect.modes) in kept_out
-        else effect
-        for effect in effects
+        replace(effect, is_added=False) if _identity(effect.effect) in kept_out else effect for effect in effects
     ]
     before, after = _size(traces, is_final=False), _size(traces, is_final=True)
     floors = [
@@ -251,6 +253,12 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
         told=automaton,
         recording=recording,
     )
+
+
+def _identity(effect: Effect) -> tuple[object, ...]:
+    """What tells an effect from the others, whatever its parameters are."""
+    since = effect.since and (effect.since.run, effect.since.time)
+    return effect.name, effect.coordinate, effect.modes, since
 
 
 def _written(
@@ -390,13 +398,18 @@ def _since(data: CoordinateData, values: Floats) -> Since | None:
 def _to_add(traces: Sequence[CoordinateTrace]) -> list[Effect]:
     effects = []
     for traced in traces:
-        by_name = {finding.part.name: finding for finding in traced.findings}
+        by_part = {_acting(finding.part): finding for finding in traced.findings}
         for part in traced.final.parts:
-            finding = by_name.get(part.name)
+            finding = by_part.get(_acting(part))
             # With a correction on top the parameters are those that were fitted together with it.
             part_kept = finding.part if finding is not None and traced.final is traced.chosen else part
             effects.append(effect_of(traced.data, part_kept, None if finding is None else finding.interval))
     return effects
+
+
+def _acting(part: Candidate) -> tuple[str, tuple[float, ...]]:
+    """What an effect is, and since when it acts."""
+    return part.name, tuple(part.starts[0, -GATES:].tolist())
 
 
 def _size(traces: Sequence[CoordinateTrace], *, is_final: bool) -> ResidualSize:
@@ -449,10 +462,6 @@ def _next_experiment(effects: Sequence[FoundEffect], traces: Sequence[Coordinate
     return experiment_for_nothing(data.rows, high - low, data.unit)
 
 
-# A piece between changepoints is a line in the command.
-_AS_FOUND = ("gain", "bias")
-
-
 def with_missing_modes(
     automaton: HybridAutomaton, traces: tuple[CoordinateTrace, ...], measured: Sequence[Track]
 ) -> tuple[HybridAutomaton, tuple[CoordinateTrace, ...]]:
@@ -479,7 +488,7 @@ def _is_clear(old: CoordinateTrace, new: CoordinateTrace) -> bool:
     if not old.missing_modes:
         return True
     parts = new.chosen.parts
-    is_inside = bool(parts) and all(part.term.modes and part.name in _AS_FOUND for part in parts)
+    is_inside = bool(parts) and all(part.term.modes and part.name in A_LINE for part in parts)
     return is_inside and not new.missing_modes and new.final.density.sum() > old.final.density.sum() - LEAST_EVIDENCE
 
 

@@ -1,7 +1,8 @@
 """Runs that are unlike the others: something was in the way, the tracker was lost, or a hand slipped.
 
 What a single run shows no other run can confirm. Left in, it makes the noise of all runs look larger and hides what
-they have in common; so it is set aside, and told. Runs that all come last are no faults: there something changed.
+they have in common; so it is set aside, and told. Runs that all come last may be no faults: there something changed,
+and no effect that began there explains what.
 
 Source: the F test of two variances, the run's against that of the run in the middle.
 """
@@ -16,6 +17,7 @@ from scipy.special import fdtrc
 
 from micah_plan.arrays import Floats
 from micah_plan.quantities import quantity
+from micah_plan.residual.search import Scored
 from micah_plan.residual.trace import ENOUGH_INDEPENDENT, CoordinateTrace
 
 _MOST_SHARE = 0.25  # of the runs: more of them are no exception
@@ -28,7 +30,7 @@ class FaultyRun:
     """A run and its error of one step against that of the others [rad or m].
 
     Attributes:
-        is_lasting: whether all runs after it are like it; then it is no fault, and was not set aside.
+        is_lasting: whether all runs after it are like it; then it is no fault, but something may have changed.
     """
 
     run: int
@@ -46,7 +48,7 @@ class FaultyRun:
     def advice(self) -> str:
         """The same, and what was done or is to be done about it."""
         if self.is_lasting:
-            return f"{self}; no run after it is like those before: record more runs to see whether it stays so"
+            return f"{self}; it was left out. Something may have changed: record more runs like it to tell what"
         return f"{self}; it was left out: was something in the way, or the tracker lost?"
 
 
@@ -57,13 +59,27 @@ def faulty_runs(traces: Sequence[CoordinateTrace]) -> tuple[FaultyRun, ...]:
         if trace.outcome.verdict in ("none", "explained"):
             continue
         data, runs = trace.data, np.unique(trace.data.run)
-        errors = trace.search.errors(trace.chosen, "one_step")
-        by_run = [errors[data.run == run][data.counted[data.run == run]] for run in runs]
+        tried = [_errors_by_run(trace, model) for model in (trace.chosen, *trace.alternatives)]
+        by_run = min(tried, key=_usual)
         for faulty in unlike_others(runs.tolist(), by_run, data.coordinate, data.unit):
             before = worst.get(faulty.run)
             if before is None or faulty.error / faulty.usual > before.error / before.usual:
                 worst[faulty.run] = faulty
     return tuple(worst[run] for run in sorted(worst))
+
+
+def _errors_by_run(trace: CoordinateTrace, model: Scored) -> list[Floats]:
+    """Errors of one step of each run [rad or m]."""
+    data, errors = trace.data, trace.search.errors(model, "one_step")
+    return [errors[data.run == run][data.counted[data.run == run]] for run in np.unique(data.run)]
+
+
+def _usual(errors: Sequence[Floats]) -> float:
+    """Mean square of the run in the middle: a model that fits most runs best leaves least of it, whatever few runs do.
+
+    Source: Rousseeuw, "Least median of squares regression", JASA 1984.
+    """
+    return float(np.median([float(np.mean(run**2)) for run in errors if len(run)] or [0.0]))
 
 
 def unlike_others(runs: Sequence[int], errors: Sequence[Floats], coordinate: str, unit: str) -> list[FaultyRun]:
@@ -72,7 +88,7 @@ def unlike_others(runs: Sequence[int], errors: Sequence[Floats], coordinate: str
         return []
     rows = np.array([len(run) for run in errors])
     squares = np.array([float(np.mean(run**2)) if len(run) else 0.0 for run in errors])
-    usual = float(np.median(squares[rows > 0])) if rows.any() else 0.0
+    usual = _usual(errors)
     if usual <= 0.0:
         return []
     ratio = squares / usual

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats, Ints
+from micah_plan.automaton.build import DIGITS
 from micah_plan.automaton.effects.add import is_possible
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
@@ -34,10 +35,10 @@ _FOLDS = 4
 _FEWEST_ROWS = 20
 # Weight of orientation against position at which the angle is read from orientation alone [m/rad].
 _BY_ORIENTATION = 1e3
-# Degrees of the curves that poses may lie beside a joint by (a high one says nothing of places that it has not seen);
-# scatter of exact data.
+# Degrees of the curves that poses may lie beside a joint by (a high one says nothing of places that it has not seen).
 _DEGREES = (0, 1, 3, 5)
-_EXACT = 1e-7
+# What the digits of a model leave of exact data.
+_EXACT = 10.0**-DIGITS
 # Standard errors by which poses lie beside a joint for sure.
 _SURELY = 4.0
 
@@ -185,9 +186,9 @@ def off_joint_error_of(coordinate: str, places: Sequence[Floats], away: Sequence
         if evidence > max(_LEAST_EVIDENCE, _PER_ROW * len(c)) and residual < _MOST_LEFT:
             total += evidence
             fitted[:, k] = curves @ _regression(rows, curves, np.ones(len(c), dtype=bool))[0]
-    if not total:
-        return None
     sizes = np.sqrt((fitted**2).reshape(-1, 2, 3).sum(axis=2).mean(axis=0))
+    if sizes.max() < _EXACT:
+        return None
     return OffJointError(coordinate, float(sizes[0]), float(sizes[1]), total)
 
 

@@ -61,6 +61,7 @@ class Scored:
         parts: its candidates; the starts of each are what was fitted to all segments, (1, size).
         fit: to all segments; folds: (K fits) to all but one fold's.
         density: (S,) log predictive density of each segment, held out [nats].
+        without_last: (S,) the same without what the last part does, all else being equal; with it without parts.
         squared: sum of squared innovations, held out, each by its precision under the model as it is.
         is_idle: whether it fits hardly better than a simpler model; folds and density are then that one's.
     """
@@ -69,6 +70,7 @@ class Scored:
     fit: Fit
     folds: Fit
     density: Floats
+    without_last: Floats
     squared: float
     is_idle: bool = False
 
@@ -134,7 +136,8 @@ class Search:
         kept = first.best(_KEPT_STARTS)
         fit = optimise(problem, kept.parameters, kept.share, self._all(len(kept.loss)), _ROUNDS).best()
         if base is not None and float(base.fit.loss[0] - fit.loss[0]) < _HOPELESS:
-            return Scored(self._fitted(parts, fit), fit, base.folds, base.density, base.squared, is_idle=True)
+            fitted = self._fitted(parts, fit)
+            return Scored(fitted, fit, base.folds, base.density, base.density, base.squared, is_idle=True)
         # Once more from other shares of noise: what is process and what measurement noise has several optima.
         again = np.repeat(fit.parameters, len(_START_SHARES) + 1, axis=0)
         shares = np.array([float(fit.share[0]), *_START_SHARES])
@@ -339,7 +342,13 @@ class Search:
         density, errors = held_out(problem, folds)
         rows = np.arange(len(self.fold))
         squared = float(((errors[self.fold, rows] / self._spread) ** 2).sum())
-        return Scored(self._fitted(parts, fit), fit, folds, density[self.fold, rows], squared)
+        without = density
+        if parts:
+            size = parts[-1].term.size
+            fewer = replace(folds, parameters=folds.parameters[:, :-size])
+            without = held_out(replace(problem, model=problem.model[:-1]), fewer)[0]
+        held_density, without = density[self.fold, rows], without[self.fold, rows]
+        return Scored(self._fitted(parts, fit), fit, folds, held_density, without, squared)
 
     def density_by_run(self, scored: Scored) -> Floats:
         """(R,) log predictive density of each run, by parameters fitted to the other runs alone [nats]."""
@@ -405,11 +414,10 @@ def _away(data: CoordinateData, place: Floats) -> Floats:
 
 
 def gated(part: Candidate, since_order: Sequence[float], since_time: Sequence[float]) -> Candidate:
-    """A candidate that starts from its fitted parameters and acts only since a place or a time, one start for each."""
-    starts = np.repeat(part.starts[:1], len(since_order) + len(since_time), axis=0)
-    starts[:, -GATES:] = NEVER_GATED
-    starts[: len(since_order), -GATES] = since_order
-    starts[len(since_order) :, -GATES + 1] = since_time
+    """A candidate that acts only since a place or a time, each of its starts since each of them."""
+    gates = [(order, NEVER_GATED[1]) for order in since_order] + [(NEVER_GATED[0], time) for time in since_time]
+    starts = np.repeat(part.starts, len(gates), axis=0)
+    starts[:, -GATES:] = np.tile(gates, (len(part.starts), 1))
     return replace(part, starts=starts)
 
 

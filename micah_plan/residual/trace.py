@@ -35,7 +35,7 @@ from itertools import combinations
 
 import numpy as np
 
-from micah_plan.arrays import Booleans, Floats
+from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.registry import form
 from micah_plan.quantities import Progress
 from micah_plan.residual.coordinate_data import CoordinateData
@@ -135,7 +135,8 @@ def trace(search: Search, progress: Progress | None = None) -> CoordinateTrace:
     is_quiet = search.residual_is_white(nominal)
     singles, growth = ((), Growth(nominal, ())) if is_quiet else _explored(search, progress_told)
     loose = nominal if is_quiet else _smoothed(search, search.nominal)
-    modes = () if search.residual_is_white(growth.chosen) else _modes(search, growth.chosen, loose)
+    others = (growth.chosen, loose, *growth.alternatives)
+    modes = () if search.residual_is_white(growth.chosen) else _modes(search, others)
     closest = () if modes else _imitated(search, growth.chosen, loose)
     if modes or closest:
         # Effects that act everywhere only imitate what a mode of its own, or something without a name, does.
@@ -154,6 +155,7 @@ def trace(search: Search, progress: Progress | None = None) -> CoordinateTrace:
         is_open=any(may_remember(data, finding) for finding in findings),
         is_contradicted=_is_contradicted(search, chosen, base),
         is_single=_is_single(data),
+        is_changing=len({gate for part in chosen.parts if np.isfinite(gate := float(part.starts[0, -GATES]))}) > 1,
         smooth=_fraction_left(nominal, chosen, [loose, remaining]) if is_worth_it and not modes else 0.0,
         is_left=remaining_tests is not None and remaining_tests.is_more,
         is_corrected=any(effect.name == UNNAMED for effect in data.effects),
@@ -211,24 +213,25 @@ def _ranking(nominal: Scored, models: Sequence[Scored]) -> tuple[tuple[str, floa
     return tuple(sorted([(model.names[-1], *model.over(nominal)) for model in models], key=lambda row: -row[1]))
 
 
-def _modes(search: Search, chosen: Scored, loose: Scored) -> tuple[MissingMode, ...]:
-    """Modes that the automaton lacks. An idle correction predicts as the model without it, which is a rival anyway."""
-    rivals = [search.innovations(model) for model in (chosen, loose) if not model.is_idle]
+def _modes(search: Search, others: Sequence[Scored]) -> tuple[MissingMode, ...]:
+    """Modes that the automaton lacks, if other models predict no better: all, where one run is unlike the others."""
     nominal = search.nominal
+    # An idle model predicts as the one without it, which is a rival anyway.
+    rivals = [search.innovations(model) for model in others if not model.is_idle]
     return missing_modes(search.data, search.innovations(nominal), search.fold, rivals, search.spread(nominal))
 
 
 def _imitated(search: Search, chosen: Scored, loose: Scored) -> tuple[str, ...]:
     """Names of effects that only imitate what a correction without a name does; none if they do more than that.
 
-    One is the plainer of the two: only evidence as for an effect speaks against it. Two together must have that
-    evidence themselves: nearly any smooth curve is a sum of two effects.
+    One is the plainer of the two: only a correction that is worth it speaks against it. Two together must be worth it
+    themselves: nearly any smooth curve is a sum of two effects.
     """
     if chosen is search.nominal or not chosen.parts or loose.is_idle:
         return ()
-    least = -LEAST_EVIDENCE if len(chosen.parts) == 1 else LEAST_EVIDENCE
-    is_outdone = chosen.over(loose)[0] < least and shortens(search, loose, search.nominal)
-    return chosen.names if is_outdone else ()
+    is_one, data = len(chosen.parts) == 1, search.data
+    is_outdone = is_worth(loose, chosen, data) if is_one else not is_worth(chosen, loose, data)
+    return chosen.names if is_outdone and shortens(search, loose, search.nominal) else ()
 
 
 def _explored(search: Search, progress: Progress) -> tuple[tuple[Scored, ...], Growth]:
@@ -342,7 +345,6 @@ LEAST_EVIDENCE = 8.0
 # ... of which so much outside of the run that gains most (of the only run: the segment), by so many times what others
 # lose (as a root of squares), and so much per row (1 % of the innovations' std).
 _ELSEWHERE = 4.0
-
 _PER_ROW = 0.01
 # A more complicated variant (only in a mode, only since a time) must gain this much over the plain one [nats].
 _VARIANT_EVIDENCE = 8.0
@@ -352,6 +354,8 @@ TIE = 3.0
 _SHORTER = 0.999
 _WIDE = 3
 _TRIED = 5
+# Effects that make a line in the command.
+A_LINE = ("gain", "bias")
 # Rounds of when an effect began, and of its parameters since then.
 _BEGINNINGS = 2
 
@@ -372,7 +376,7 @@ class Growth:
 def grow(search: Search, library: Sequence[Candidate], singles: Sequence[Scored], progress: Progress) -> Growth:
     """Choose among models of one and two effects, and variants of the best."""
     nominal = search.nominal
-    plain = _simplest(singles, nominal)
+    plain = _simplest(singles, nominal, search.data)
     if plain is not None and improves(search, plain, nominal) and search.residual_is_white(plain):
         # Then neither a second effect nor one that acts only in places or since some time can gain anything.
         return Growth(plain, tuple(singles))
@@ -383,7 +387,7 @@ def grow(search: Search, library: Sequence[Candidate], singles: Sequence[Scored]
         return Growth(nominal, tuple(options))
     if search.residual_is_white(first):
         return Growth(first, tuple(options))
-    for pair in _pairs(search, library, [*promising, first], first, progress):
+    for pair in _pairs(search, library, [*promising, first], progress):
         if is_worth(pair, first, search.data) and improves(search, pair, nominal):
             return Growth(_without_idle(search, pair, first), tuple(options))
     return Growth(first, tuple(options))
@@ -404,35 +408,57 @@ def _gain_since(better: Scored, base: Scored, data: CoordinateData) -> float:
 
 def _first(search: Search, options: Sequence[Scored]) -> Scored | None:
     """The plainest of the best single effects that may be taken in."""
-    remaining = list(options)
-    while (first := _simplest(remaining, search.nominal)) is not None and is_worth(first, search.nominal, search.data):
+    remaining, data = list(options), search.data
+    while (first := _simplest(remaining, search.nominal, data)) is not None and is_worth(first, search.nominal, data):
         if shortens(search, first, search.nominal):
             return first
         remaining = [option for option in remaining if option is not first]
     return None
 
 
-def _pairs(
-    search: Search, library: Sequence[Candidate], heads: Sequence[Scored], base: Scored, progress: Progress
-) -> list[Scored]:
-    """Models of two effects, best first."""
-    grown: list[Scored] = []
+def _pairs(search: Search, library: Sequence[Candidate], heads: Sequence[Scored], progress: Progress) -> list[Scored]:
+    """Models of two effects, best first; the second acts always, or since something changed on top of the first."""
+    grown: list[tuple[float, Scored, Scored]] = []
     kept = list({head.names[-1]: head for head in heads}.values())
     for number, head in enumerate(kept):
         rest = [c for c in library if c.name not in head.names]
+        changed = _changed_at(search, head, library)
+        if changed is not None:
+            rest += [gated(c, [changed], []) for c in library if c.term.form.layer != "guard"]
         share = 0.5 + 0.4 * number / len(kept)
-        grown += scored_all(search, head, rest, progress, share, share + 0.4 / len(kept))
-    grown = [model for model in grown if not model.is_idle]
-    grown += [variant for model in ranked(grown)[:2] for variant in _variants(search, model, base)]
-    return _simplest_first(grown)[:_TRIED]
+        pairs = scored_all(search, head, rest, progress, share, share + 0.4 / len(kept))
+        gained = head.over(search.nominal)[0]
+        grown += [(gained + _gain_since(pair, head, search.data), head, pair) for pair in pairs if not pair.is_idle]
+    most = sorted(grown, key=lambda gain_of_pair: -gain_of_pair[0])[:_WIDE]
+    variants = [variant for _, head, pair in most for variant in _variants(search, pair, head)]
+    return _simplest_first([*(pair for _, _, pair in grown), *variants], search.data)[:_TRIED]
 
 
-def _simplest_first(options: Sequence[Scored]) -> list[Scored]:
-    """Best first, but of those that are as good as the best the plainest effects first."""
+def _changed_at(search: Search, model: Scored, library: Sequence[Candidate]) -> float | None:
+    """Since which place in the recording a model misses something on top of its last effect; None if it does not.
+
+    That shows as the same effect once more, or as a line in the command.
+    """
+    order, last = search.data.order[search.data.counted_starts], model.parts[-1]
+    place, best = float(np.median(order[order >= last.starts[0, -GATES]])), model
+    more = [candidate for candidate in library if candidate.name in (last.name, *A_LINE)]
+    for _ in range(_BEGINNINGS):
+        again = [search.score((*model.parts, gated(candidate, [place], [])), model) for candidate in more]
+        best = min(again, key=lambda changed: float(changed.fit.loss[0]), default=model)
+        place = search.begins(best)[0]
+    has_changed = place > order.min() and _gain_since(best, model, search.data) > _VARIANT_EVIDENCE
+    return place if has_changed else None
+
+
+def _simplest_first(options: Sequence[Scored], data: CoordinateData) -> list[Scored]:
+    """Best first, but of those that are as good as the best, but for one run, the plainest effects first."""
     order = ranked(options)
-    close = [model for model in order if order[0].over(model)[0] <= TIE]
+    best = order[:1]
+    close = [
+        m for m in order if best[0].over(m)[0] <= TIE or _elsewhere(best[0].density - m.density, data) <= _ELSEWHERE
+    ]
     plainest = sorted(close, key=lambda model: sum(part.term.form.complexity_rank for part in model.parts))
-    return [*plainest, *order[len(close) :]]
+    return [*plainest, *(model for model in order if model not in close)]
 
 
 def scored_all(
@@ -485,34 +511,36 @@ def ranked(scored: Sequence[Scored]) -> list[Scored]:
     return sorted(scored, key=lambda model: -float(model.density.sum()))
 
 
-def _simplest(options: Sequence[Scored], base: Scored) -> Scored | None:
+def _simplest(options: Sequence[Scored], base: Scored, data: CoordinateData) -> Scored | None:
     """The best; of those that are as good, the one with the plainest last effect."""
     # Likelihood alone could be bought by calling a few rows noise.
     options = [option for option in options if option.squared < base.squared]
     if not options:
         return None
-    return _simplest_first(options)[0]
+    return _simplest_first(options, data)[0]
 
 
 def is_worth(better: Scored, base: Scored, data: CoordinateData) -> bool:
     """Whether held-out rows are predicted so much better that it is no chance, and not in a single run alone."""
-    gains, acts = better.density - base.density, _acts(better.parts, data)
+    gains = better.density - base.density
     gain = float(gains.sum())
     if better.squared >= base.squared or gain <= max(LEAST_EVIDENCE, _PER_ROW * int(data.counted.sum())):
         return False
     losses = float(np.sqrt((np.minimum(gains, 0.0) ** 2).sum()))
+    if gain <= _ERRORS * losses or _elsewhere(gains, data) <= _ELSEWHERE:
+        return False
+    # What began in one run makes the noise of all smaller, which is no evidence from those before.
+    has_begun = bool(better.parts) and np.isfinite(better.parts[-1].starts[0, -GATES])
+    return not has_begun or _elsewhere(better.density - better.without_last, data) > _ELSEWHERE
+
+
+def _elsewhere(gains: Floats, data: CoordinateData) -> float:
+    """What segments (S,) gain outside of the run (of the only one: the segment) that gains most [nats]."""
     runs, of_run = np.unique(data.run, return_inverse=True)
     if len(runs) > 1:  # rows of one run share what is particular to it
-        gains, acts = np.asarray(np.bincount(of_run, gains)), np.bincount(of_run, acts) > 0
-    # What is explained in one run makes the noise of all smaller, which shows where nothing acts.
-    gained = np.maximum(gains[acts] - (float(np.mean(gains[~acts])) if not acts.all() else 0.0), 0.0)
-    return gain > _ERRORS * losses and float(gained.sum() - gained.max(initial=0.0)) > _ELSEWHERE
-
-
-def _acts(parts: Sequence[Candidate], data: CoordinateData) -> Booleans:
-    """(S,) segments in which any of the parts acts; all without parts."""
-    since = min((float(part.starts[0, -GATES]) for part in parts), default=-np.inf)
-    return np.asarray((data.counted_starts & (data.order >= since)).any(axis=1))
+        gains = np.asarray(np.bincount(of_run, gains))
+    gained = np.maximum(gains, 0.0)
+    return float(gained.sum() - gained.max(initial=0.0))
 
 
 def improves(search: Search, better: Scored, base: Scored) -> bool:
@@ -564,7 +592,10 @@ def means_places(search: Search, place: Scored, displaced: Scored, nominal: Scor
     if not is_worth(place, nominal or search.nominal, search.data):
         return False
     gain, regular = place.over(displaced)[0], _regularity(search.data)
-    if gain + _HEARD * min(regular, 0.0) > LEAST_EVIDENCE:
+    if (
+        gain + _HEARD * min(regular, 0.0) > LEAST_EVIDENCE
+        and _elsewhere(place.density - displaced.density, search.data) > _ELSEWHERE
+    ):
         return True
     return gain > -LEAST_EVIDENCE and regular > LEAST_EVIDENCE
 

@@ -29,6 +29,7 @@ class Facts:
         is_open: whether an effect may come from this command or from earlier ones.
         is_contradicted: whether one of few runs is predicted no better by effects fitted to the others.
         is_single: whether there is one run of few motions alone, which no other run can confirm.
+        is_changing: whether effects began at different times: what changed twice may be changing still.
         smooth: share of the explainable residual that a correction without a name takes out on top; 0: none.
         is_left: whether innovations are no noise: they follow commands, places, time or earlier innovations.
         is_corrected: whether the model came with a correction without a name.
@@ -42,6 +43,7 @@ class Facts:
     is_corrected: bool = False
     is_contradicted: bool = False
     is_single: bool = False
+    is_changing: bool = False
 
     @property
     def is_kept_out(self) -> bool:
@@ -95,6 +97,12 @@ OUTCOMES: tuple[Outcome, ...] = (
         "partly",
         "one run of a few motions shows it, and no other run can confirm it",
         lambda f: f.effects > 0 and f.is_single,
+    ),
+    Outcome(
+        "changing",
+        "partly",
+        "it changed more than once on the way, by steps or little by little, so it may go on changing",
+        lambda f: f.is_changing,
     ),
     Outcome("named", "explained", "the effects leave noise alone", lambda f: f.effects > 0),
     Outcome("nothing", "none", "the model leaves noise alone", lambda _: True),

@@ -85,6 +85,35 @@ def test_what_began_within_the_last_run_no_other_run_bears_out(door) -> None:
     assert not any(effect.is_added for effect in found.effects)
 
 
+def worn_since(*changes):
+    """A gain of 0.8, and of 0.7 of that from each of some (run, row) on."""
+
+    def moves(c, u, k, memory):
+        return c + 0.8 * 0.7 ** sum((memory["run"], k) >= since for since in changes) * u
+
+    return moves
+
+
+def test_an_effect_that_changes_is_the_same_effect_once_more(door) -> None:
+    recording = plants.door_recording(plants.runs_of(worn_since((4, 20)), 8, 50, 3))
+    found = calibrate(door, recording)
+    always, later = sorted((e.effect for e in found.effects), key=lambda effect: effect.since is not None)
+    assert found.verdict == "explained"
+    assert (always.name, always.since, later.name, later.since.run) == ("gain", None, "gain", 5)
+    assert (always.values[0], later.values[0]) == pytest.approx((0.8, 0.7), abs=0.02)
+    assert len(found.automaton.effects) == 2
+    assert rolled(found.automaton, recording) == pytest.approx(found.after.rollout, rel=0.2)
+    now = plants.door_recording(plants.runs_of(worn_since((0, 0)), 6, 50, 1))
+    assert rolled(found.automaton, now) < 0.2 * rolled(door, now)
+
+
+@pytest.mark.slow
+def test_what_changed_twice_may_go_on_changing(door) -> None:
+    recording = plants.door_recording(plants.runs_of(worn_since((2, 20), (5, 10)), 8, 50, 3))
+    found = calibrate(door, recording)
+    assert found.verdict == "partly"
+
+
 def test_nothing_is_left_to_find_with_the_written_model(found, dropped) -> None:
     again = calibrate(found.automaton, dropped)
     assert again.verdict == "none"
