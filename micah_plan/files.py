@@ -1,7 +1,8 @@
 """Whole files in and out: bounded reads with clear errors, writes that replace a file at once or not at all, and paths
 that a file names, which must not lead out of its folder.
 
-The files that a command will write, checked before it works: their kinds, and that they destroy nothing.
+**Files to be written.** The files that a command will write, checked before it works: their kinds, and that they
+destroy nothing.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ The rule:
 
 Files keep full precision and SI units, and so do numbers that a message asks somebody to write into a file.
 
-What is said while work goes on and of what came out: progress, and values that print as a few lines.
+**Progress.** What is printed while work goes on; and values that print as a few lines.
 """
 
 from __future__ import annotations

@@ -156,7 +156,7 @@ def error_lines(calibration: Calibration) -> list[str]:
             for floor in (coordinate_error.noise_floor, coordinate_error.rollout_floor)
         )
         lines.append(f"  noise     {' (one step), '.join(floors)} (roll-out)")
-    if calibration.automaton is calibration.told or not calibration.written:
+    if calibration.automaton is calibration.nominal or not calibration.written:
         return lines
     for coordinate, size in zip(calibration.automaton.coordinates, calibration.written, strict=True):
         sizes = (quantity(error, coordinate.unit) for error in (size.one_step, size.rollout))

@@ -7,7 +7,8 @@ and transitions keep them. Which half-spaces depend on them is for the caller to
 An automaton over (x, e) stands for one automaton over x for each value of e: `fix_augmented_state` is
 that for given values.
 
-Thresholds that are known only so well: what the true object's may be, and where they are as a part of the state.
+**Uncertain thresholds.** Thresholds that are known only so well: what the true object's may be, and where they are as a
+part of the state.
 
 An object has one threshold per boundary, the same at every passage and for both ways through it; `Edge.threshold_std`
 says how well the model knows it. So a boundary moves as a whole: in all guards and invariants that it bounds, and with

@@ -25,14 +25,15 @@ to another part, such as a handle on a door, adds no local model to the product:
 parent, through a rigid joint. Neighbours are connected both ways, so every mode of the product can be reached from
 every other. `Init` is left to the task, as there.
 
-Numbers of an automaton with as many digits as they are worth, rounded once, when it is made of what was learned.
+**Digits.** Numbers of an automaton with as many digits as they are worth, rounded once, when it is made of what was
+learned.
 
 Six significant digits are a thousandth of the standard deviation that the best tracker leaves of a joint. Rounding
 keeps the order of numbers and what is equal, so guards still end where ranges and pins do. Unit vectors have ten
 decimals, as a length other than 1 would scale all motion. What files say is then what the model is: `load_model`
 returns the very same values.
 
-From an edge's segments in time to its local models along the configuration: M^k and Dom(M^k).
+**Local models.** From an edge's segments in time to its local models along the configuration: M^k and Dom(M^k).
 
 Source: MICAH, section IV-B. The paper takes the segments of one sweep as they come; a recording may also stop on the
 way, return, or pass through a region several times, and all these segments show the same models. Rules:

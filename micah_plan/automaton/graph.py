@@ -2,7 +2,7 @@
 
 Source: MICAH, section IV-A, the set of tuples (τ^(k-1), τ^k, M^k, θ^k) per edge and its configurational changepoints.
 
-How sure learning is: posteriors over changepoints and models, the action channel, and where no joint fits.
+**Probabilities of learning.** Posteriors over changepoints and models, the action channel, and where no joint fits.
 
 Joints keep their own covariances (`joint.ParameterCovariance`), transitions the spread of their thresholds
 (`hybrid.Edge.threshold_std`); here is the rest, and what of it a model keeps (`LearnedEdge`).

@@ -5,7 +5,7 @@ Source: MICAH, sections III-C and IV-B; Lygeros, Sastry and Tomlin, "Hybrid syst
 What an automaton made by hand can get wrong in sizes is said when it is made, by the names of its elements. Values can
 still disagree with each other; `check.check_automaton` says where.
 
-How precisely a configuration is measured, where that depends on the mode and on the place.
+**Observation noise.** How precisely a configuration is measured, where that depends on the mode and on the place.
 
 A mode may sense some coordinates in its own way (a hand that touches a wall knows how far it is from it), and a sensor
 may be good near one place only: the std of a measurement then grows with the distance from a "light".

@@ -1,6 +1,6 @@
 """Half-spaces on (x, u) and their intersections: the one set type for guards, invariants and admissible inputs.
 
-Whether anything satisfies all of some half-spaces.
+**Feasibility.** Whether anything satisfies all of some half-spaces.
 """
 
 from __future__ import annotations

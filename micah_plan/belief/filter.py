@@ -7,7 +7,7 @@ belief it is given.
 Sources: Jain and Niekum, "Efficient hierarchical robot motion planning under uncertainty and hybrid dynamics", CoRL
 2018; Blom and Bar-Shalom, "The interacting multiple model algorithm", 1988, for the mixing.
 
-A belief that is lost: what is measured cannot be what it says, so the state is where it is measured, in any mode.
+**A lost belief.** What is measured cannot be what it says, so the state is where it is measured, in any mode.
 
 Beside the automaton's modes stands one more hypothesis, as improbable as what filters drop: something happened that the
 model does not know, and nothing is left of what was believed. Then the state lies anywhere that the modes allow, and
@@ -15,7 +15,7 @@ the measurement is all that is known of it.
 
 Source: Thrun, Burgard and Fox, Probabilistic Robotics, 2005, section 8.3.5 (recovering from failures by augmentation).
 
-Moment matching: what the shares of a belief that came to the same mode become, one Gaussian with their moments.
+**Moment matching.** The shares of a belief that came to the same mode become one Gaussian with their moments.
 
 Source: Blom and Bar-Shalom, "The interacting multiple model algorithm", IEEE Transactions on Automatic Control 1988.
 """

@@ -9,7 +9,7 @@ is m0 <= 0 and m1 > 0: a state that is outside and comes inside. Only two direct
 about their means m0 = s0 ζ0 and m1 = k ζ0 + t ζ1. In the plane of (ζ0, ζ1) what crosses is a wedge, whose moments are
 known in closed form. Where those lose digits, quadrature over ζ0 with closed forms over ζ1 replaces them.
 
-Moments of a standard Gaussian in the plane over half-planes and wedges, in closed form, many at once.
+**In the plane.** Moments of a standard Gaussian in the plane over half-planes and wedges, in closed form, many at once.
 
 Moments are arrays whose first index says of what: 1, x, y, xx, xy, yy (`MASS` to `YY`), not normalised. A wedge lies on
 the left of an upright line, above a line that crosses it.

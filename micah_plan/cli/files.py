@@ -1,8 +1,8 @@
 """`micah-plan new`, `convert` and `schema`: template files, files in other formats, and the schemas of ours.
 
-`micah-plan demo`: the whole road on one object that the project ships, in a folder of its own.
+**`micah-plan demo`.** The whole road on one object that the project ships, in a folder of its own.
 
-`micah-plan check`, `diff` and `doctor`: whether files and the installation can be used, and how models differ.
+**`micah-plan check`, `diff` and `doctor`.** Whether files and the installation can be used, and how models differ.
 """
 
 from __future__ import annotations

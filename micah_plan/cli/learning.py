@@ -1,6 +1,6 @@
 """`micah-plan learn`: from a recording to a model.
 
-`micah-plan explore`: from the first touch to a model.
+**`micah-plan explore`.** From the first touch to a model.
 """
 
 from __future__ import annotations

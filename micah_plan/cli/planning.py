@@ -1,6 +1,7 @@
 """`micah-plan solve`, `explain` and `execute`: from a problem to a plan and to its runs.
 
-A user's machine, named on the command line: ``FILE.py:CLASS``, or a name that an installed package registered.
+**Plants.** The machine of a user is named on the command line: ``FILE.py:CLASS``, or a name that an installed package
+registered.
 
 This is the only place that loads code which is not the package's. It is above everything that reads files, so no
 problem, sweep or plan can have code loaded.

@@ -1,6 +1,6 @@
 """Experiment files, which `micah-plan calibrate --experiment` writes and `micah-plan execute` carries out.
 
-Scene files (`problems/explore_handle.yaml`): a hand that holds a handle of which nothing else is known.
+**Scene files** (`problems/explore_handle.yaml`): a hand that holds a handle of which nothing else is known.
 """
 
 from __future__ import annotations

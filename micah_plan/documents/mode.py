@@ -1,6 +1,6 @@
 """Modes and the transitions between them: the entries `modes` and `transitions` of a model file.
 
-Process and observation noise: the entry `noise` of models and problems.
+**Process and observation noise.** The entry `noise` of models and problems.
 """
 
 from __future__ import annotations

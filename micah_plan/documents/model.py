@@ -1,6 +1,6 @@
 """Model files (`models/*.yaml`): a hybrid automaton, read and written as exactly what it was.
 
-How sure learning was: the entries `learned` of a model file.
+**Probabilities of learning.** The entries `learned` of a model file.
 """
 
 from __future__ import annotations

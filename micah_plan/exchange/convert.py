@@ -1,6 +1,6 @@
 """From one file to another: what is in it, in the format that the other's ending names.
 
-Plans become a ``trajectory_msgs/JointTrajectory``, as JSON or in an MCAP file.
+**Plans.** Plans become a ``trajectory_msgs/JointTrajectory``, as JSON or in an MCAP file.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ MuJoCo has no screw: it is a hinge and a slide that an equality joins. Joints ar
 comes to rest, and there is no gravity: the base frame of a learned model is seldom level.
 Source: MuJoCo documentation, "XML reference".
 
-Models from MJCF, compiled by MuJoCo itself: one mode, whose coordinates stop at the limits of the joints.
+**Reading.** Models from MJCF, compiled by MuJoCo itself: one mode, whose coordinates stop at the limits of the joints.
 
 A body with joints is a part; bodies without are fixed to the one around them. Coordinates have the names of the joints,
 in MuJoCo's own coordinates, and an equality of joints ties one coordinate to the other. A site called ``PART_handle``,

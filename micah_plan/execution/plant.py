@@ -3,7 +3,7 @@
 A plant is a machine with an object: a robot, a simulation, the model itself. It need not know the true state. One that
 does is a referee; only scores and logs may ask it.
 
-A simulated pose tracker: white noise on every sample and, optionally, an error that wanders slowly.
+**Tracker.** A simulated pose tracker: white noise on every sample and, optionally, an error that wanders slowly.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ friction explains, the handle did not go there.
 
 Chains are compared by their evidence: Laplace's approximation, each under the noise of the tracker that it leaves.
 
-Which joints: chains of slides and hinges for the same rows, and how probable their kinds are.
+**Joints.** Chains of slides and hinges for the same rows, and how probable their kinds are.
 """
 
 from __future__ import annotations

@@ -5,12 +5,12 @@ what should have moved and did not is ruled out. Once the handle moves it is led
 all that was seen, two centimetres ahead of what friction takes. If it stops, the same belief says where to push next:
 harder, elsewhere, where another joint may begin, or back, since it may have been ajar.
 
-The next push: the largest probability of a motion per force.
+**The next push.** The largest probability of a motion per force.
 
 A step costs some newtons whatever it pushes with, so weak pushes in many directions come first, and stronger ones when
 the weak ones have been in vain: what they ruled out is no longer worth a push.
 
-What would make the handle move: one belief over directions, thresholds and friction of the side force.
+**The belief.** What would make the handle move: one belief over directions, thresholds and friction of the side force.
 
 A hypothesis says: the handle can go along t (and not back), once the pull along t exceeds a threshold τ (dry friction,
 or a latch on top of it) by more than μ times the force across; or it is fast. Every push tells, the ones without motion

@@ -3,7 +3,7 @@
 A tracker may be out (no pose, a late answer, or the same pose to the last digit), leap once, or see the handle
 elsewhere for good: then the grip has slipped on it, or the hand is off it.
 
-Whether the grip has slipped on the handle: a test of likelihood ratios over looks of the tracker.
+**Slips.** Whether the grip has slipped on the handle: a test of likelihood ratios over looks of the tracker.
 
 A slip is a sudden and lasting offset between where the odometer says that the handle is and where the tracker sees it;
 a leap is an offset of one look. Each hypothesis, that nothing happened or that the grip slipped just before a certain

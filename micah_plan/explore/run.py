@@ -1,6 +1,6 @@
 """An exploration from the first touch to its end, and its result as a value.
 
-The handover: the chain of joints that an exploration found, as a hybrid automaton that plans at once.
+**The handover.** The chain of joints that an exploration found, as a hybrid automaton that plans at once.
 
 Segments of the way become local models along one coordinate, as those of a demonstration do. A latch is a rigid model
 where the handle was found, left by a pull. Dry friction is a dead zone of the commands: a hand that is a spring loses

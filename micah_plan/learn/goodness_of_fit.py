@@ -3,7 +3,7 @@
 Real joints and trackers deviate from what models say of them. Where an answer misses its rows further than that, the
 part may move freely, or along a path that no joint of a constant twist follows.
 
-Paths: what explains rows that no single joint does, if the part came along the same curve again.
+**Paths.** What explains rows that no single joint does, if the part came along the same curve again.
 
 A path is free motion in the order of its poses along a curve, instead of in the order of time: what a row is told from
 are the rows next to it on the curve, of whichever pass. So it wins where the curve was passed more than once and agrees

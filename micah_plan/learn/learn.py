@@ -3,7 +3,7 @@
 Sources: MICAH, section IV-A (Act-CHAMP); Niekum et al., "Online Bayesian changepoint detection for articulated motion
 models", ICRA 2015 (CHAMP).
 
-Runs of one part that are too short to show its joint, learned together as demonstrations of one object.
+**Short runs.** Runs of one part that are too short to show its joint, learned together as demonstrations of one object.
 
 A run in which the part moves for two rows shows no joint; all of them one after another may. To the learner they are
 one run in which the tracker slips wherever a run begins, which is no changepoint. What is found is cut into runs again.

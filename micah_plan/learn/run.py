@@ -1,6 +1,6 @@
 """Learning from one run of one part: its segments, with joints fitted to all rows, and how sure they are.
 
-Learning from a run whose actions came through a channel: in another frame, scaled, early or late.
+**Action channels.** Learning from a run whose actions came through a channel: in another frame, scaled, early or late.
 
 Frame and gain are part of the evidence, where a step model with any of them may explain the motion. A delay is not: it
 is estimated from what was learned without it, and where it matters the run is learned again with the actions moved to

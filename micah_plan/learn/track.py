@@ -1,6 +1,7 @@
 """The track of one part in one run, prepared for learning: continuous orientation, actions in the part's frame.
 
-How far points lie apart and how rough a path of rows is, in any dimension and in no preferred axes.
+**Spread and roughness.** How far points lie apart and how rough a path of rows is, in any dimension and in no preferred
+axes.
 """
 
 from __future__ import annotations

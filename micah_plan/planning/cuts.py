@@ -4,7 +4,7 @@ A search finds the shortest path through each sequence of modes. Where the belie
 or an arm cannot take the hand there, that place is cut out, and a search finds the next path, around it. All paths
 compete: a detour is taken where it costs less than what may fail.
 
-What stands around an object that nobody's hand carries: its parts keep clear of the bodies of the scene.
+**Scenes.** What stands around an object that nobody's hand carries: its parts keep clear of the bodies of the scene.
 
 Of a part that only slides, whatever the others do, the states in which the box around it meets the box around a body
 are an intersection of half-spaces, like any guard: p(c) = p₀ + J c is affine, and two boxes along the axes of one of

@@ -1,12 +1,12 @@
 """Limits of a problem: the largest step of each input and the range of each coordinate.
 
-A problem whose model remembers inputs: with the memory in its state, and without.
+**Memories of inputs.** A problem whose model remembers inputs: with the memory in its state, and without.
 
 Goals, starts and pages refer to the model's own coordinates x. Planner, feedback and filter work on (x, m), see
 `automaton.input_memory`; a start is at rest. The search for mode sequences needs x only: how far the inputs of a mode
 lead does not depend on when they arrive.
 
-What a planner raises where it finds nothing; `attempt` makes a plan without a trajectory of it.
+**Failure.** The error that a planner raises where it finds nothing; `attempt` makes a plan without a trajectory of it.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@ states.
 
 A step counts where it ends: one that ends with a transition, behind it.
 
-What a plan costs: one formula for planning, optimisation and comparison.
+**The cost of a plan.** One formula for planning, optimisation and comparison.
 
     weight_effort · Σ |u / max_step|²                                                    over all steps
       + Σ_i (weight_goal · (μ_i - target_i)² + weight_covariance · P_ii) / tolerance_i²  at the last knot

@@ -1,6 +1,6 @@
 """Planning anew during an execution: from the current belief, if possible through the modes that remain of the plan.
 
-What is left of a plan, optimised again and again from the beliefs of an execution.
+**Receding horizon.** What is left of a plan, optimised again and again from the beliefs of an execution.
 
 The plan's programme is built once. Variables of past steps are fixed by their bounds, their rows are released; the
 state of the knot where the plan is left is the belief there. The solver starts from the plan and its multipliers.

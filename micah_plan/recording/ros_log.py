@@ -8,7 +8,7 @@ frame, transforms are composed at the stamps of the part's own. Actions and forc
 columns ``joint NAME``, each row with the last message until its time; so do ``Float64``, ``Int64`` and ``String`` on
 ``/PART/COLUMN``.
 
-Where frames are in one another over time: a log's transforms composed into the poses of parts in one frame.
+**Frames.** Where frames are in one another over time: a log's transforms composed into the poses of parts in one frame.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ Rules, each of them with what it cannot see:
   so; but a screw, or a part that moves freely, can look like that, so it is only said. A part that does not turn, or
   only about what remains its axis, does not show it.
 
-What is told of rows that are no measurements of one continuous motion, see `continuity`.
+**Jumps.** What is printed of rows that are no measurements of one continuous motion, see `continuity`.
 """
 
 from __future__ import annotations

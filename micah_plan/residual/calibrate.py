@@ -1,10 +1,10 @@
 """Measured against predicted, what the model lacks, and the model with it: the result of a calibration as one value.
 
-A missing mode taken into the automaton: the mode that it lies in is cut, and the search made again in the halves.
+**Missing modes.** The mode that it lies in is cut, and the search made again in the halves.
 
-The next experiment worth making: what would tell apart effects that a recording cannot.
+**The next experiment.** What would tell apart effects that a recording cannot.
 
-What can and cannot be concluded from a calibration, one sentence each.
+**Notes.** What can and cannot be concluded from a calibration, one sentence each.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class Calibration:
         traces: per coordinate.
         notes: what can and cannot be concluded, one sentence each.
         experiment: the next one worth making.
-        told, recording: what was calibrated, without runs that were set aside.
+        nominal, recording: what was calibrated, without runs that were set aside.
     """
 
     automaton: HybridAutomaton
@@ -127,7 +127,7 @@ class Calibration:
     traces: tuple[CoordinateTrace, ...]
     notes: tuple[str, ...]
     experiment: str
-    told: HybridAutomaton
+    nominal: HybridAutomaton
     recording: Recording
 
     @property
@@ -159,7 +159,7 @@ class Calibration:
     @cached_property
     def predicted(self) -> tuple[list[RunPrediction], list[RunPrediction]]:
         """Some of the runs as the model has them before and after; none where one of the two refuses them."""
-        models = self.told, self.automaton
+        models = self.nominal, self.automaton
         if any(refused(model, self.recording) for model in models):
             return [], []
         before, after = (_predicted(model, self.recording, _POSE_ROWS) for model in models)
@@ -243,14 +243,14 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
         notes=(
             *notes_on(traces),
             *(f"{name}: no effect has that name" for name in examination.off_joint_error),
-            *(_told_of_since(item.effect) for item in effects if item.effect.since is not None and item.is_added),
+            *(_note_on_since(item.effect) for item in effects if item.effect.since is not None and item.is_added),
             *(f"{effect.name} of {effect.coordinate} was not added: {reason}" for effect, reason in refusing.items()),
             *([f"predict refuses these runs: {why}"] if (why := refused(improved, recording)) else []),
-            *told_of_rows(exceeded, measured, examination.late),
-            *told_of_beliefs(corrected, examination.as_read, measured),
+            *notes_on_rows(exceeded, measured, examination.late),
+            *notes_on_beliefs(corrected, examination.as_read, measured),
         ),
         experiment=_next_experiment(effects, traces),
-        told=automaton,
+        nominal=automaton,
         recording=recording,
     )
 
@@ -280,7 +280,7 @@ def _written(
     return made(kept), refusing
 
 
-def _told_of_since(effect: Effect) -> str:
+def _note_on_since(effect: Effect) -> str:
     return (
         f"{effect.name} of {effect.coordinate} began {began(effect.since)}: in this recording predict has it from "
         "there on; later recordings, plans and executions always have it"
@@ -481,7 +481,7 @@ def with_missing_modes(
     again = tuple(trace(Search(data)) for data in coordinate_data_of(split, tuple(measured)))
     if not all(_is_clear(old, new) for old, new in zip(traces, again, strict=True)):
         return automaton, traces
-    return split, tuple(_told(split, old, new) for old, new in zip(traces, again, strict=True))
+    return split, tuple(_with_names_of_modes(split, old, new) for old, new in zip(traces, again, strict=True))
 
 
 def _is_clear(old: CoordinateTrace, new: CoordinateTrace) -> bool:
@@ -492,7 +492,7 @@ def _is_clear(old: CoordinateTrace, new: CoordinateTrace) -> bool:
     return is_inside and not new.missing_modes and new.final.density.sum() > old.final.density.sum() - LEAST_EVIDENCE
 
 
-def _told(split: HybridAutomaton, old: CoordinateTrace, new: CoordinateTrace) -> CoordinateTrace:
+def _with_names_of_modes(split: HybridAutomaton, old: CoordinateTrace, new: CoordinateTrace) -> CoordinateTrace:
     modes = tuple(
         replace(missing_mode, modes=_inside(split, old.data.index, missing_mode)) for missing_mode in old.missing_modes
     )
@@ -553,7 +553,7 @@ _SAME_UNIT = 0.1
 _AT_BOUND = 1e-3
 
 
-def told_of_beliefs(corrected: HybridAutomaton, before: Sequence[Track], after: Sequence[Track]) -> list[str]:
+def notes_on_beliefs(corrected: HybridAutomaton, before: Sequence[Track], after: Sequence[Track]) -> list[str]:
     """By how much the controller's belief was beside what was measured, where effects of its sensor change that."""
     if not any(track.is_outside for track in after):
         return []
@@ -572,7 +572,7 @@ def told_of_beliefs(corrected: HybridAutomaton, before: Sequence[Track], after: 
     return notes
 
 
-def told_of_late(late: int) -> str:
+def note_on_late_actions(late: int) -> str:
     """That actions are stored in later rows than those that they move."""
     rows = count(late, "row")
     return (
@@ -581,13 +581,13 @@ def told_of_late(late: int) -> str:
     )
 
 
-def told_of_rows(exceeded: Sequence[RangeExceeded], measured: Sequence[Track], late: int) -> list[str]:
+def notes_on_rows(exceeded: Sequence[RangeExceeded], measured: Sequence[Track], late: int) -> list[str]:
     """What rows lie beyond the range, that others are missing or no measurements, and where actions were stored."""
     missing = sum(len(sections(track.time)) - 1 for track in measured)
     gaps = f"{count(missing, 'gap')} in t: what was commanded there is missing, so no step over them counts"
     unseen = sum(int((~track.is_measured).sum()) for track in measured)
     repeated = f"{count(unseen, 'row')} repeat a pose or lie where the part cannot get: they are no measurements"
-    notes = [*([told_of_late(late)] if late else []), *map(str, exceeded)]
+    notes = [*([note_on_late_actions(late)] if late else []), *map(str, exceeded)]
     return [*notes, *([gaps] if missing else []), *([repeated] if unseen else [])]
 
 

@@ -1,6 +1,7 @@
 """Recorded runs cut into segments of one coordinate each: what the identification of effects works on.
 
-Where the motion of one coordinate ends in each measured row: what the other coordinates, and the mode, allow.
+**Ends of each row.** Where the motion of one coordinate ends in each measured row: what the other coordinates, and the
+mode, allow.
 
 A drawer behind a door goes nowhere while the door is shut, and the door does not shut while the drawer is out. The ends
 are where the automaton's own step leads a coordinate that is pushed too far. Whether another coordinate is in the way

@@ -5,7 +5,8 @@ controller depend on what it measured, so errors from one measured row to the ne
 loop, even if nothing is missing. Innovations depend on nothing before them if the model is right (Kailath, Sayed and
 Hassibi, "Linear Estimation", ch. 9).
 
-What the controller read against what was measured: effects of its sensor, from the pose that it believed at rest.
+**The sensor.** What the controller read against what was measured: effects of its sensor, from the pose that it
+believed at rest.
 
 While the part moves a belief may run ahead of the part or behind it. Where both rest it shows what the sensor makes of
 the configuration, if something else measured the part: its readings x and beliefs e then differ by x = k e + o + r t.

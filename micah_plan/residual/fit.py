@@ -6,7 +6,7 @@ or plateaus (thresholds). The share of process noise is searched along with the 
 Sources: Ljung, System Identification, 2nd ed., ch. 7 and 10 (prediction error method, Gauss-Newton); Kolda, Lewis and
 Torczon, SIAM Review 2003 (compass search).
 
-Intervals of fitted parameters from the likelihood itself: its profile over each one, read as a distribution.
+**Intervals** of fitted parameters come from the likelihood itself: its profile over each one, read as a distribution.
 
 The likelihood of a threshold is a staircase: between two commands of the recording nothing changes, and past the next
 one a row is on the wrong side. No slope says how far that may go, and twice the loss is not chi-squared there. But with

@@ -11,7 +11,7 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.link_motion import link_motions
 from micah_plan.recording.value import Recording
-from micah_plan.residual.calibrate import told_of_late
+from micah_plan.residual.calibrate import note_on_late_actions
 from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.faulty_runs import FaultyRun, unlike_others
 from micah_plan.residual.prediction import RunPrediction
@@ -78,7 +78,7 @@ def judge(automaton: HybridAutomaton, recording: Recording, runs: Sequence[RunPr
     examination = examined(automaton, recording)
     one_step, rollout = _floors(automaton, runs, examination.searches)
     sentence = _sentence(examination, () if examination.is_noise else _faulty(automaton, runs))
-    sentence = f"{told_of_late(examination.late)}. {sentence}" if examination.late else sentence
+    sentence = f"{note_on_late_actions(examination.late)}. {sentence}" if examination.late else sentence
     follows = tuple(
         (search.data.coordinate, *follow) for search, test in examination.left if test for follow in test.follows
     )

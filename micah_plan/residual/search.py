@@ -1,6 +1,6 @@
 """Models of one coordinate compared by what they predict of rows that they were not fitted to.
 
-The forms of effects as candidates in a coordinate's data, where each form says that its search begins.
+**Candidates.** The forms of effects as candidates in a coordinate's data, where each form says that its search begins.
 """
 
 from __future__ import annotations

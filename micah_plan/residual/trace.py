@@ -5,12 +5,12 @@ than chance over segments allows, and by enough per row to matter. What a smooth
 much is left that no effect of the library explains (Akaike's predictive argument, by cross-validation: Stone, JRSS B
 1974).
 
-Forward selection of effects: the best one, one that acts in places or since some time only, or two together.
+**Forward selection.** The best one, one that acts in places or since some time only, or two together.
 
 A model may take in an effect if it predicts held-out rows better by more than chance, and not in a single run alone,
 and if plain one-step errors get smaller too.
 
-What a command means: a displacement from wherever the part is, or a place that the part goes after.
+**The meaning of a command.** A displacement from wherever the part is, or a place that the part goes after.
 
 A log's action is the same in both: the place relative to the measured pose. But a displacement says nothing of where
 the part is, and a place does: what the part missed before, it makes up for. Both are compared by what they predict of
@@ -133,19 +133,19 @@ def trace(search: Search, progress: Progress | None = None) -> CoordinateTrace:
     """Find what a coordinate's model lacks; where it leaves noise alone, nothing is sought."""
     progress_told, data, nominal = progress or _silent, search.data, search.nominal
     is_quiet = search.residual_is_white(nominal)
-    singles, growth = ((), Growth(nominal, ())) if is_quiet else _explored(search, progress_told)
+    singles, selection = ((), Selection(nominal, ())) if is_quiet else _explored(search, progress_told)
     loose = nominal if is_quiet else _smoothed(search, search.nominal)
-    others = (growth.chosen, loose, *growth.alternatives)
-    modes = () if search.residual_is_white(growth.chosen) else _modes(search, others)
-    closest = () if modes else _imitated(search, growth.chosen, loose)
+    others = (selection.chosen, loose, *selection.alternatives)
+    modes = () if search.residual_is_white(selection.chosen) else _modes(search, others)
+    closest = () if modes else _imitated(search, selection.chosen, loose)
     if modes or closest:
         # Effects that act everywhere only imitate what a mode of its own, or something without a name, does.
-        growth = Growth(search.nominal, growth.alternatives)
-    chosen = growth.chosen
+        selection = Selection(search.nominal, selection.alternatives)
+    chosen = selection.chosen
     progress_told(f"{data.coordinate}: what remains", 0.9)
     is_enough = not modes and not closest and search.residual_is_white(chosen)
     remaining = chosen if is_enough else loose if chosen is search.nominal else _smoothed(search, chosen)
-    findings = _findings(search, nominal, chosen, growth.alternatives)
+    findings = _findings(search, nominal, chosen, selection.alternatives)
     # Commands that are places make a model of their own, which runs bear out or not as they do effects on top of it.
     base = nominal if chosen is search.nominal else search.nominal
     remaining_tests, is_worth_it = search.left_by(chosen), is_worth(remaining, chosen, data)
@@ -179,7 +179,7 @@ def trace(search: Search, progress: Progress | None = None) -> CoordinateTrace:
         floor=floor,
         rollout_floor=search.rollout_floor(models[number], floor),
         closest=closest,
-        alternatives=growth.alternatives,
+        alternatives=selection.alternatives,
     )
 
 
@@ -234,35 +234,37 @@ def _imitated(search: Search, chosen: Scored, loose: Scored) -> tuple[str, ...]:
     return chosen.names if is_outdone and shortens(search, loose, search.nominal) else ()
 
 
-def _explored(search: Search, progress: Progress) -> tuple[tuple[Scored, ...], Growth]:
+def _explored(search: Search, progress: Progress) -> tuple[tuple[Scored, ...], Selection]:
     """All single effects, and what was chosen; first of all whether commands are places, which is then nominal."""
     library = candidates(search.data)
     for_places = [candidate for candidate in library if candidate.name not in CONTAINED]
     if search.leads_to_places(search.nominal):
-        return _grown(search, for_places, progress)
-    singles, growth = _grown(search, library, progress)
+        return _selected(search, for_places, progress)
+    singles, selection = _selected(search, library, progress)
     progress(f"{search.data.coordinate}: {FOLLOW}", 0.5)
     # Where displacements leave noise alone, places can only be tied with them, and then the plainest forms are.
-    is_done = search.residual_is_white(growth.chosen) and _regularity(search.data) <= LEAST_EVIDENCE
+    is_done = search.residual_is_white(selection.chosen) and _regularity(search.data) <= LEAST_EVIDENCE
     place = followed(search, 1 if is_done and not search.data.is_outside else len(_STARTS))
     # Displacements that the part carries out in any way that is smooth: few one-way runs look as if they were places.
     loose = _smoothed(search, search.nominal)
-    best, before = ranked([growth.chosen, loose])[0], search.nominal
+    best, before = ranked([selection.chosen, loose])[0], search.nominal
     are_places, is_open = means_places(search, place, best), may_mean_places(search, place, best)
     if are_places or is_open:
         search.nominal = place
-        more, grown = _grown(search, for_places, progress)
-        if are_places or means_places(search, grown.chosen, best, before):
-            return (*singles, place, *more), grown
+        more, selected = _selected(search, for_places, progress)
+        if are_places or means_places(search, selected.chosen, best, before):
+            return (*singles, place, *more), selected
         search.nominal = before
     # Where neither is ahead, places are tied with what was found.
-    return singles, replace(growth, alternatives=(*growth.alternatives, place))
+    return singles, replace(selection, alternatives=(*selection.alternatives, place))
 
 
-def _grown(search: Search, library: Sequence[Candidate], progress: Progress) -> tuple[tuple[Scored, ...], Growth]:
+def _selected(search: Search, library: Sequence[Candidate], progress: Progress) -> tuple[tuple[Scored, ...], Selection]:
     """All single effects on top of the nominal model, and what was chosen among them and those of two."""
     singles = scored_all(search, search.nominal, library, progress, 0.05, 0.5)
-    return tuple(singles), grow(search, library, [single for single in singles if not single.is_idle], progress)
+    return tuple(singles), select_forward(
+        search, library, [single for single in singles if not single.is_idle], progress
+    )
 
 
 def may_remember(data: CoordinateData, finding: Finding) -> bool:
@@ -361,7 +363,7 @@ _BEGINNINGS = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Growth:
+class Selection:
     """What was chosen.
 
     Attributes:
@@ -373,24 +375,26 @@ class Growth:
     alternatives: tuple[Scored, ...]
 
 
-def grow(search: Search, library: Sequence[Candidate], singles: Sequence[Scored], progress: Progress) -> Growth:
+def select_forward(
+    search: Search, library: Sequence[Candidate], singles: Sequence[Scored], progress: Progress
+) -> Selection:
     """Choose among models of one and two effects, and variants of the best."""
     nominal = search.nominal
     plain = _simplest(singles, nominal, search.data)
     if plain is not None and improves(search, plain, nominal) and search.residual_is_white(plain):
         # Then neither a second effect nor one that acts only in places or since some time can gain anything.
-        return Growth(plain, tuple(singles))
+        return Selection(plain, tuple(singles))
     promising = _promising(search, singles)
     options = [*singles, *(variant for single in promising for variant in _variants(search, single, nominal))]
     first = _first(search, options)
     if first is None:
-        return Growth(nominal, tuple(options))
+        return Selection(nominal, tuple(options))
     if search.residual_is_white(first):
-        return Growth(first, tuple(options))
+        return Selection(first, tuple(options))
     for pair in _pairs(search, library, [*promising, first], progress):
         if is_worth(pair, first, search.data) and improves(search, pair, nominal):
-            return Growth(_without_idle(search, pair, first), tuple(options))
-    return Growth(first, tuple(options))
+            return Selection(_without_idle(search, pair, first), tuple(options))
+    return Selection(first, tuple(options))
 
 
 def _promising(search: Search, singles: Sequence[Scored]) -> list[Scored]:
@@ -418,7 +422,7 @@ def _first(search: Search, options: Sequence[Scored]) -> Scored | None:
 
 def _pairs(search: Search, library: Sequence[Candidate], heads: Sequence[Scored], progress: Progress) -> list[Scored]:
     """Models of two effects, best first; the second acts always, or since something changed on top of the first."""
-    grown: list[tuple[float, Scored, Scored]] = []
+    selected: list[tuple[float, Scored, Scored]] = []
     kept = list({head.names[-1]: head for head in heads}.values())
     for number, head in enumerate(kept):
         rest = [c for c in library if c.name not in head.names]
@@ -428,10 +432,10 @@ def _pairs(search: Search, library: Sequence[Candidate], heads: Sequence[Scored]
         share = 0.5 + 0.4 * number / len(kept)
         pairs = scored_all(search, head, rest, progress, share, share + 0.4 / len(kept))
         gained = head.over(search.nominal)[0]
-        grown += [(gained + _gain_since(pair, head, search.data), head, pair) for pair in pairs if not pair.is_idle]
-    most = sorted(grown, key=lambda gain_of_pair: -gain_of_pair[0])[:_WIDE]
+        selected += [(gained + _gain_since(pair, head, search.data), head, pair) for pair in pairs if not pair.is_idle]
+    most = sorted(selected, key=lambda gain_of_pair: -gain_of_pair[0])[:_WIDE]
     variants = [variant for _, head, pair in most for variant in _variants(search, pair, head)]
-    return _simplest_first([*(pair for _, _, pair in grown), *variants], search.data)[:_TRIED]
+    return _simplest_first([*(pair for _, _, pair in selected), *variants], search.data)[:_TRIED]
 
 
 def _changed_at(search: Search, model: Scored, library: Sequence[Candidate]) -> float | None:

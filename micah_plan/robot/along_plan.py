@@ -1,6 +1,6 @@
 """The arm along a plan: which pose of the tool each knot asks for, and the joints that take it there.
 
-The arm as it lets go: down with the object until it stands, and away from it with the gripper open.
+**Release.** The arm goes down with the object until it stands, and away from it with the gripper open.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A robot's description -> the arm: `load_arm`, and `describe_robot` for a file on its own.
 
-An MJCF file, compiled by MuJoCo itself, as a model and solids of Pinocchio.
+**MJCF.** An MJCF file, compiled by MuJoCo itself, as a model and solids of Pinocchio.
 
 MJCF has many ways to say one thing: orientations as quaternions, axes and angles or Euler angles in a chosen order,
 classes of defaults, degrees for hinges but not for slides, frames within frames, reference positions. Only MuJoCo's own

@@ -5,7 +5,7 @@ next pose, and within the null space downhill in `posture_cost` (Liégeois, "Aut
 configuration and behavior of multibody mechanisms", IEEE T-SMC 1977). Each step between knots is then checked as it
 will be driven, straight in the joints: limits, jumps, singularities, and clearance all along the way.
 
-Which postures are good: far from joint limits, singularities and obstacles.
+**Postures.** Which postures are good: far from joint limits, singularities and obstacles.
 """
 
 from __future__ import annotations

@@ -10,9 +10,9 @@ mode pins it at a value is one piece of information (N(value, std²)), counted o
 shrink the belief without end. Entering through a guard on the coordinate itself, the pin replaces the belief: where
 the state was before says nothing of where exactly it is pinned.
 
-The operations that forms of effects are written with, for CasADi expressions.
+**Operations.** The operations that forms of effects are written with, for CasADi expressions.
 
-Forward kinematics of a chain of joints as a CasADi function.
+**Forward kinematics** of a chain of joints, as a CasADi function.
 """
 
 from __future__ import annotations

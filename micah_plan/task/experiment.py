@@ -1,6 +1,6 @@
 """An experiment: motions in open loop whose record is to tell apart what a model may lack.
 
-What an exploration is asked to do: open what is in the hand, within limits.
+**The request.** What an exploration is asked to do: open what is in the hand, within limits.
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
 """The plan: an outcome with a sentence, and if it is a success all that executing and viewing it needs.
 
-With how many successes among roll-outs a plan is accepted: where it is verified, and where a plan file is read.
+**Acceptance.** With how many successes among roll-outs a plan is accepted: where it is verified, and where a plan file
+is read.
 
-Whether a plan that says it is solved can be the solution of its problem: what its numbers alone contradict.
+**Contradictions.** Whether a plan that says it is solved can be the solution of its problem: what its numbers alone
+contradict.
 
 A file may have been written by anything, so a digest that fits says little. Nothing is simulated here: a share of
 successes below the confidence, a last state that is not where the plan says, a step that the model does not make.

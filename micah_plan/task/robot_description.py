@@ -1,6 +1,6 @@
 """The arm of a problem and what it holds, as values; `micah_plan.robot` makes a robot of them.
 
-Robots by name, from the package example-robot-data (extra `robots`), which brings their files and meshes.
+**Robots by name** come from the package example-robot-data (extra `robots`), which brings their files and meshes.
 """
 
 from __future__ import annotations

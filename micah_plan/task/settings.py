@@ -1,6 +1,6 @@
 """Settings of the planner, with defaults that serve ordinary problems.
 
-Time: when planning must end, which every stage asks now and then, and how long its stages took.
+**Time.** When planning must end, which every stage asks now and then, and how long its stages took.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """The templates by kind, and how they come into a folder.
 
-The demonstrations, models and problems that the project ships: in the installed package, or in the checkout.
+**What is shipped.** The demonstrations, models and problems that the project ships: in the installed package, or in the
+checkout.
 """
 
 from __future__ import annotations

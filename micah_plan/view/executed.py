@@ -1,6 +1,6 @@
 """Executed runs beside the plan that they follow: where each was at every step, where it left it, how it ended.
 
-Executed runs on the page of their plan: a ghost of each, its track, its entry in the list; what is said of all.
+**Executed runs on the page of their plan.** A ghost of each, its track, its entry in the list; what is said of all.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 Source: Page, Biometrika 1954, for cumulated evidence that a floor keeps ready to rise (`EvidenceLine`).
 
-What learning found and how sure it is, in words: sentences for pages and figures, and the labels of their charts.
+**In words.** What learning found and how sure it is, in words: sentences for pages and figures, and the labels of their
+charts.
 """
 
 from __future__ import annotations

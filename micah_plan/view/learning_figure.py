@@ -3,7 +3,7 @@ configuration, the evidence for each model and the posterior of the changepoints
 
 Sizes are in inches: panels have fixed places, so that every block looks the same whatever it shows.
 
-The panels of the learning figure: the track in 3-D, and what was learned over the rows, with its probabilities.
+**The panels of the learning figure.** The track in 3-D, and what was learned over the rows, with its probabilities.
 """
 
 from __future__ import annotations

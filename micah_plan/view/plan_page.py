@@ -1,6 +1,6 @@
 """The page of a plan: the object along the belief's mean, with the belief around its handle; or why there is none.
 
-What surrounds an object on a page: the bodies of its scene, and the arm that holds it.
+**Surroundings.** The bodies of its scene, and the arm that holds it.
 """
 
 from __future__ import annotations

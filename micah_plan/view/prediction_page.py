@@ -1,6 +1,6 @@
 """The page of a prediction: the object as it was measured beside where one model has it, or two, run by run.
 
-The figure of measured and predicted motion: one axes per coordinate and run, over the time of the run.
+**The figure of measured and predicted motion.** One axes per coordinate and run, over the time of the run.
 """
 
 from __future__ import annotations
@@ -156,7 +156,7 @@ def calibration_scene(calibration: Calibration, title: str) -> str | None:
 
     A run is drawn where both models have it in the same parts.
     """
-    recording, models = calibration.recording, (calibration.told, calibration.automaton)
+    recording, models = calibration.recording, (calibration.nominal, calibration.automaton)
     before, after = (
         {(run.run, float(run.time[0]), len(run.time)): run for run in runs} for runs in calibration.predicted
     )
@@ -164,15 +164,15 @@ def calibration_scene(calibration: Calibration, title: str) -> str | None:
     worst = sorted(both, key=lambda pair: -rmse([pair[0].rollout.position]))[:_MOST_DRAWN]
     if not worst:
         return None
-    colors = ((ORANGE, "before"), (BLUE, "after"))[: 1 if calibration.automaton is calibration.told else 2]
-    scene, scale, longest = _scene_of(calibration.told, [run for run, _ in worst])
+    colors = ((ORANGE, "before"), (BLUE, "after"))[: 1 if calibration.automaton is calibration.nominal else 2]
+    scene, scale, longest = _scene_of(calibration.nominal, [run for run, _ in worst])
     entries, handles = [], []
     for order, pair in enumerate(worst):
         ghosts = [_Ghost(model, run, *color) for model, run, color in zip(models, pair, colors, strict=False)]
         entry, points = _draw_run(scene, recording, ghosts, order, scale)
         entries.append(entry)
         handles += points
-    spacing = draw_ground_and_frame(scene, object_size(calibration.told))
+    spacing = draw_ground_and_frame(scene, object_size(calibration.nominal))
     page = ScenePage(
         title=title,
         kind="measured against two models",

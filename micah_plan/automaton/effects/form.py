@@ -10,7 +10,8 @@ form changes one of them and leaves the others as they are. What moves guards or
 itself, once, when the effect is added (`rebuilt`). A form also says where calibration begins to fit it, how plain it is
 beside others, and what would tell it from them: all that there is of an effect is in one class.
 
-What a recording shows of one coordinate, and where a form says that fitting should begin on it.
+**What fitting begins with.** What a recording shows of one coordinate, and where a form says that fitting should begin
+on it.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ While a hand carries an object, the grip is no question: the object is a part of
 a second time with the object free and the fingers on motors. It takes over where everything is, the fingers close until
 they press on the object, then they open, not quite at once, and what the object does is physics.
 
-Incidents while a held object moves: collisions, and loose bodies knocked over.
+**Incidents** while a held object moves: collisions, and loose bodies knocked over.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The plant reads the model's geometry, but none of its dynamics: what moves, sticks, latches or springs back is physics.
 
-Guides: how a part moves along a path in MuJoCo, which knows hinges and slides only.
+**Guides.** How a part moves along a path in MuJoCo, which knows hinges and slides only.
 
 A runner slides as far as the configuration says. The part has three slides and three hinges, and each is tied to the
 runner by a polynomial, one set of them for every stretch between knots of the path; as the runner goes from one stretch

@@ -9,13 +9,14 @@ the last row are unknown: steps that they would govern count as moving freely. N
 than what the random walk takes up, makes the gain too small, as in every regression. A gain that varies along
 the motion is not in the model: where all actions point along the joint, it passes for a turned frame.
 
-The steps of a joint's configuration and what was commanded for them: the linear part of the action channel.
+**The linear part.** The steps of a joint's configuration and what was commanded for them: the linear part of the action
+channel.
 
 A step between two measured rows is c' - c = g J⁻¹(c) R ΔA + w + v' - v, with ΔA the command given meanwhile, w a random
 walk and v the white noise of a row. So the steps of a piece have a tridiagonal covariance (the innovations form of a
 scalar Kalman filter), and the model is linear in the nine numbers of g R.
 
-Actions that were given relative to a measured pose, turned to where the part really was.
+**Relative actions.** Actions that were given relative to a measured pose, turned to where the part really was.
 
 A controller that steps on from what it measures points its command along the motion at the *measured* configuration,
 which differs from the true one by the tracker's noise. The noise of a measured step is then known from the direction

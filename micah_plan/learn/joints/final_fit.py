@@ -4,11 +4,13 @@ MLESAC finds the rows to believe (random minimal sets, the closed form and the g
 outliers); generalized least squares on SE(3) under the noise that they leave finds the joint. Whether a hinge
 advances as it turns is told here, by all rows: a wander of the tracker that is assumed hides a thread of a millimetre.
 
-Joints through the fewest rows that fix one, many at once: the random starts of a robust fit (MLESAC).
+**Minimal samples.** Joints through the fewest rows that fix one, many at once: the random starts of a robust fit
+(MLESAC).
 
 Two poses fix any of the motions, for their relative displacement is one screw (Chasles); three positions fix a circle.
 
-The mixture of MLESAC over many hypotheses at once: inliers of a spread to be found, and uniform outliers.
+**The mixture.** The mixture of MLESAC over many hypotheses at once: inliers of a spread to be found, and uniform
+outliers.
 
 Sources: Torr and Zisserman, "MLESAC", CVIU 2000; MICAH, the mixture (1 - γ) N + γ U with p(γ) ∝ exp(-w γ).
 """

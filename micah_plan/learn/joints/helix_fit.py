@@ -5,7 +5,7 @@ likelihood of the lead angle is wide and has several peaks, and each of these, t
 itself. So the other numbers are fitted at each of many angles, and these are compared with the noise integrated out:
 what is wander to one is motion to another. The answer is the median angle; its covariance holds all the others.
 
-A screw as positions show it: the frame of its path at one point, the path's curvature, and its lead angle.
+**A screw as positions show it.** The frame of its path at one point, the path's curvature, and its lead angle.
 
 A piece of a helix shows its tangent, its curvature and its torsion one after the other, each less clearly than the one
 before. Axis, centre and pitch are made of all of these. In the frame of the path only one number is hard to tell: the

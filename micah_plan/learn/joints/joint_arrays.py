@@ -1,11 +1,11 @@
 """Many joints as arrays: h joints of any kinds, one row each, so that a pool is compared, moved and fitted at once.
 
-Many joints compared with all rows of a track at once, in plain arrays.
+**Residuals.** Many joints compared with all rows of a track at once, in plain arrays.
 
 The same closed forms as automaton.kinematics (MICAH, section II-B), over (h, n) arrays instead of SciPy's transforms:
 a pool of joints against a few hundred rows is then a handful of array operations.
 
-Products of quaternions (scalar last) over arrays of any shape, without SciPy's objects.
+**Quaternions.** Their products (scalar last) over arrays of any shape, without SciPy's objects.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Generalized least squares over error contrasts, by Gauss-Newton with Levenberg's damping. The covariance
 is that of this estimator under the whole posterior of the noise (a sandwich), not only under the likeliest noise.
 
-Damped steps of Gauss and Newton, for every fit of one joint to all of its rows.
+**Gauss-Newton.** Damped steps of Gauss and Newton, for every fit of one joint to all of its rows.
 
 Source: Nocedal and Wright, Numerical Optimization, 2006, section 10.3 (Levenberg and Marquardt).
 """

@@ -1,6 +1,6 @@
 """Noise of a tracker's poses, white and wandering, and its posterior given what a fit of a joint leaves.
 
-Error contrasts: what rows say of a joint where their own configurations cannot reach.
+**Error contrasts.** What rows say of a joint where their own configurations cannot reach.
 
 Each row has a configuration of its own, which is estimated with the joint. Combinations of a row's errors that no
 change of its configuration can alter ("error contrasts") are free of it, so their likelihood is that of the joint
@@ -24,7 +24,7 @@ The precision of an Ornstein-Uhlenbeck process sampled at any times is tridiagon
 costs O(n). Scales come from the restricted likelihood (Patterson and Thompson, 1971), which pays for the parameters.
 Their posterior over a grid is kept: what the data cannot tell of the wander then widens the covariance of a fit.
 
-Covariances whose stds cover: 1.96 of them hold 95 % of errors that are a mixture of normal distributions.
+**Covariances whose stds cover.** 1.96 of them hold 95 % of errors that are a mixture of normal distributions.
 
 A rare component of large errors would widen intervals made of the mixture's variance beyond all that ever occurs.
 """

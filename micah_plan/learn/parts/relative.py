@@ -2,7 +2,7 @@
 
 Source: MICAH, section IV-A: Δ_ij = x_i ⊖ x_j is all that matters for the edge between i and j.
 
-Where a part was, as the edge to its parent says it: less noisy than what was measured of it.
+**Refined poses.** Where a part was, as the edge to its parent says it: less noisy than what was measured of it.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ rigid is not asked where the two move far relative to each other.
 
 The edges returned are learned from measured poses, as a later observer measures them.
 
-The spanning arborescence of greatest weight: which parent each node has, so that the sum is greatest.
+**The spanning arborescence of greatest weight.** Which parent each node has, so that the sum is greatest.
 
 Source: Edmonds, "Optimum branchings", 1967. SciPy's spanning trees are of undirected graphs.
 

@@ -13,7 +13,7 @@ joint to another at a pose that both have.
 
 Source: MICAH, ln L ≈ ln p(y | M, θ̂, a) - k/2 ln(t - s).
 
-What a joint costs: how much narrower than their prior the rows make its parameters (Laplace's approximation).
+**The price of a joint.** How much narrower than their prior the rows make its parameters (Laplace's approximation).
 
 ln p(y | M) ≈ ln p(y | θ_fit) - 1/2 ln det(I + Σ₀ F), with the parameters' prior covariance Σ₀ and Fisher information F.
 The term k/2 ln n of MICAH's ln L is its limit for many rows, but leaves out by how much one row tells: with wide priors

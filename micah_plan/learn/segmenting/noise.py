@@ -6,7 +6,7 @@ before it is normal around a linear prediction (Levinson, Durbin), so that likel
 the innovations, is correlated between channels (errors of rotation and position are tied by a lever arm, and a tracker
 may have axes of its own) and has Student's tails.
 
-How far a likelihood is to be trusted: the power that it counts with.
+**The power of a likelihood.** With which power it counts, by how far it is to be trusted.
 
 No hinge is ideal and no tracker errs as a noise model says. Where noise is far below such misfits, rows claim
 more than they know, and the smallest systematic deviation, recorded long enough, would become a second joint. Where
@@ -14,7 +14,7 @@ noise is far above them, misfits do not show, and a row tells what the noise mod
 
 Source: Miller and Dunson, "Robust Bayesian inference via coarsening", JASA 2019.
 
-Sums of probabilities by their logarithms.
+**Log sums.** Sums of probabilities by their logarithms.
 """
 
 from __future__ import annotations

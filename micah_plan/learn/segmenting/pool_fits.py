@@ -1,6 +1,6 @@
 """Joints of maximum likelihood under the noise of a track, many at once: Gauss-Newton on the rows' innovations.
 
-Small symmetric systems, many at once, without the overhead of the general pseudo-inverse.
+**Linear systems.** Small symmetric systems, many at once, without the overhead of the general pseudo-inverse.
 """
 
 from __future__ import annotations

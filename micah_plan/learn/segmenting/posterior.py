@@ -3,7 +3,7 @@
 Source: Fearnhead and Liu, JRSS B 2007; the sums run over all segmentations where the MAP recursion takes the best one.
 Two neighbouring segments never have the same joint: that is one segment.
 
-What is said of an answer: how many changepoints it has, which kind of joint each segment has, how sure that is.
+**The report.** How many changepoints it has, which kind of joint each segment has, how sure that is.
 """
 
 from __future__ import annotations

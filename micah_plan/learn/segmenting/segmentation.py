@@ -1,19 +1,20 @@
 """Segmenting one track: the pool of joints, the most probable changepoints and the noise, until they agree.
 
-An answer: the segments of a track, the joints that they refer to, and the noise under which they were found.
+**The answer.** The segments of a track, the joints that they refer to, and the noise under which they were found.
 
-Choosing segments from a table of evidence when a joint is paid for once, however often a part returns to it.
+**The choice of segments** from a table of evidence when a joint is paid for once, however often a part returns to it.
 
 The recursion over changepoints lets every segment pay for its own joint. Here a few joints are chosen first, at a cost,
 and the recursion runs with them alone: joints are dropped while that pays, and one joint with rests is always tried.
 
-A part that its joint moves and that is held for a while: joints and their channel, learned from the other rows.
+**Rests.** Of a part that its joint moves and that is held for a while: joints and their channel, learned from the other
+rows.
 
 What the actions say of a joint is fitted to all rows that it explains. If rows at which the part was pushed against a
 stop are among them, the actions seem to say little, and so the stop is not seen. Here the rests that there may be are
 taken for granted, and the channel is learned from the rows beside them.
 
-And rests in the end: how many changepoints there may be depends on rests that the most probable answer lacks.
+**The number of changepoints.** How many there may be depends on rests that the most probable answer lacks.
 """
 
 from __future__ import annotations

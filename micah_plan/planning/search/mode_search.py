@@ -5,7 +5,7 @@
 3. take the cheapest mode sequences through all of it                     `mode_paths`
 4. look for detours that localise, and rank by length and uncertainty     `localising`, `path_beliefs`
 
-Paths that localise: a detour costs steps, but may leave a belief narrow enough for the goal.
+**Localising paths.** A detour costs steps, but may leave a belief narrow enough for the goal.
 
 The cheapest path makes no detour. So paths are also routed through any one vertex of the roadmaps (a wall to touch, a
 place in the light), then through a second one, and compared by cost and remaining uncertainty. With v vertices a round

@@ -8,7 +8,7 @@ the mean μ: with a = ∂g/∂x and b = ∂g/∂u there,
 where Σ is the covariance of estimate and input together in closed loop: real measurements move the estimate, and the
 feedback moves the input with it.
 
-How a belief is laid out in a transcription: the mean, then the factor's entries that can ever be other than zero.
+**The layout of a belief in a transcription.** The mean, then the factor's entries that can ever be other than zero.
 
 Coordinates that start independent and that no reset mixes stay independent, so most factors are far from full: with 12
 drawers a knot has 24 numbers, not 90.

@@ -13,7 +13,7 @@ a'mean - c >= k sqrt(||L'a||² + a'Λa + σ²), where Λ is the spread of the es
   probability of it costs as much as missing the goal by its tolerance does;
 - what is moved while the guard may have been passed already, and is lost then: at a cost (`lost_motion`).
 
-What a plan moves too late: motion that only the mode before a guard makes, where the guard may hold already.
+**Late motion.** Motion that only the mode before a guard makes, where the guard may hold already.
 
 A transition happens when its guard holds, not at the knot that a plan has for it. A phase that moves on across its
 guard, or comes close to it for several steps, has changed its mode by then with some probability. What a step moves and
