@@ -170,10 +170,13 @@ def error_lines(calibration: Calibration) -> list[str]:
 
 
 def effect_line(effect: FoundEffect) -> str:
-    """An effect with its parameters, its evidence, and what would do as well."""
+    """An effect with its parameters, its evidence, since when it acts, and what would do as well."""
+    from micah_plan.residual.calibrate import began
+
     pairs = zip(effect.effect.parameters, effect.units, strict=True)
     values = ", ".join(f"{name} {quantity(value, unit)}" for (name, value), unit in pairs)
     added = "" if effect.is_added else "; not added"
+    added += f"; began {began(effect.effect.since)}" if effect.effect.since else ""
     others = f"; or instead {', '.join(effect.tied)}" if effect.tied else ""
     return (
         f"{effect.effect.name} of {effect.effect.coordinate}: {values} ({plain(effect.evidence)} nats{added}{others})"

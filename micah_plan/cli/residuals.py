@@ -339,6 +339,8 @@ def _print_calibrated(
     summary: dict[str, Any], errors: Sequence[str], changes: Sequence[Difference], files: tuple[Path, ...]
 ) -> None:
     """Verdict, effects and errors of a calibration."""
+    from micah_plan.automaton.effects.value import Since
+    from micah_plan.residual.calibrate import began
     from micah_plan.residual.verdict import SENTENCES
 
     out.print(f"{summary['verdict']}: {SENTENCES[summary['verdict']]}")
@@ -347,7 +349,9 @@ def _print_calibrated(
         for effect in summary["effects"]:
             units = effect["units"]
             values = [f"{name} {quantity(value, units[name])}" for name, value in effect["parameters"].items()]
+            since = effect["since"]
             name = f"{effect['name']} ({effect['coordinate']})" + ("" if effect["is_added"] else ", not added")
+            name += f", began {began(Since(since['time_s'], since['run']))}" if since else ""
             shown.add_row(name, ", ".join(values), plain(effect["evidence"]), ", ".join(effect["tied_with"]))
         out.print(shown)
     print_lines(errors)

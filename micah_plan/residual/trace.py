@@ -39,7 +39,7 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.registry import form
 from micah_plan.quantities import Progress
 from micah_plan.residual.coordinate_data import CoordinateData
-from micah_plan.residual.likelihood import SMALLEST_SCALE, robust_log_density
+from micah_plan.residual.likelihood import SMALLEST_SCALE, robust_log_density, student_t_log_density
 from micah_plan.residual.missing_mode import MissingMode, missing_modes
 from micah_plan.residual.residual_test import ResidualTest
 from micah_plan.residual.search import (
@@ -62,6 +62,8 @@ _SLACK = 0.5
 ENOUGH_INDEPENDENT = 5
 # A motion is one from end to end of at least this share of where the part was.
 _A_MOTION = 0.2
+# The last runs, as a share of all.
+_LATEST_SHARE = 0.25
 # Steps that a smooth function of the configuration needs at least.
 _ROWS_FOR_SMOOTH = 60
 
@@ -149,18 +151,19 @@ def trace(search: Search, progress: Progress | None = None) -> CoordinateTrace:
     # Commands that are places make a model of their own, which runs bear out or not as they do effects on top of it.
     base = nominal if chosen is search.nominal else search.nominal
     remaining_tests, is_worth_it = search.left_by(chosen), is_worth(remaining, chosen, data)
+    final = remaining if is_worth_it and shortens(search, remaining, chosen) else chosen
     facts = Facts(
         effects=len(chosen.parts),
         modes=len(modes),
         is_open=any(may_remember(data, finding) for finding in findings),
         is_contradicted=_is_contradicted(search, chosen, base),
+        is_over=_is_over(search, final, base),
         is_single=_is_single(data),
         is_changing=len({gate for part in chosen.parts if np.isfinite(gate := float(part.starts[0, -GATES]))}) > 1,
         smooth=_fraction_left(nominal, chosen, [loose, remaining]) if is_worth_it and not modes else 0.0,
         is_left=remaining_tests is not None and remaining_tests.is_more,
         is_corrected=any(effect.name == UNNAMED for effect in data.effects),
     )
-    final = remaining if is_worth_it and shortens(search, remaining, chosen) else chosen
     models = list({id(model): model for model in (final, chosen)}.values())
     floor, number = min((search.noise_floor(model), number) for number, model in enumerate(models))
     return CoordinateTrace(
@@ -168,7 +171,7 @@ def trace(search: Search, progress: Progress | None = None) -> CoordinateTrace:
         search=search,
         nominal=nominal,
         chosen=chosen,
-        final=base if facts.is_contradicted else search.nominal if facts.is_open else final,
+        final=base if facts.is_contradicted or facts.is_over else search.nominal if facts.is_open else final,
         findings=tuple(replace(finding, is_added=not facts.is_kept_out) for finding in findings),
         ranking=() if is_quiet else _ranking(nominal, [*singles, loose]),
         missing_modes=modes,
@@ -192,6 +195,21 @@ def _is_contradicted(search: Search, named: Scored, base: Scored) -> bool:
     if named is base or not 1 < runs < ENOUGH_INDEPENDENT:
         return False
     return bool(np.any(search.density_by_run(named) <= search.density_by_run(base)))
+
+
+def _is_over(search: Search, named: Scored, base: Scored) -> bool:
+    """Whether the last runs are clearly predicted better without effects or a correction: what was so is so no more.
+
+    Both at one scale, that of the model with them: else what it explains of earlier runs counts in the last.
+    """
+    data, runs = search.data, np.unique(search.data.run)
+    if named is base or len(runs) == 1:
+        return False
+    latest = np.isin(data.run, runs[-max(1, round(_LATEST_SHARE * len(runs))) :])[:, None] & data.counted
+    errors = [search.innovations(model) / search.spread(model) for model in (named, base)]
+    scale = float(np.sqrt(np.mean(errors[0][data.counted] ** 2)))
+    with_it, without = (float(student_t_log_density(e[latest] / scale, search.freedom).sum()) for e in errors)
+    return with_it - without < -LEAST_EVIDENCE
 
 
 def _is_single(data: CoordinateData) -> bool:
@@ -384,8 +402,10 @@ def select_forward(
     if plain is not None and improves(search, plain, nominal) and search.residual_is_white(plain):
         # Then neither a second effect nor one that acts only in places or since some time can gain anything.
         return Selection(plain, tuple(singles))
+    begun = scored_all(search, nominal, _since_a_change(search, nominal, library), progress, 0.5, 0.5)
+    later = [single for single in begun if not single.is_idle]
     promising = _promising(search, singles)
-    options = [*singles, *(variant for single in promising for variant in _variants(search, single, nominal))]
+    options = [*singles, *later, *(variant for single in promising for variant in _variants(search, single, nominal))]
     first = _first(search, options)
     if first is None:
         return Selection(nominal, tuple(options))
@@ -425,10 +445,9 @@ def _pairs(search: Search, library: Sequence[Candidate], heads: Sequence[Scored]
     selected: list[tuple[float, Scored, Scored]] = []
     kept = list({head.names[-1]: head for head in heads}.values())
     for number, head in enumerate(kept):
-        rest = [c for c in library if c.name not in head.names]
-        changed = _changed_at(search, head, library)
-        if changed is not None:
-            rest += [gated(c, [changed], []) for c in library if c.term.form.layer != "guard"]
+        last = head.parts[-1]
+        rest = [c for c in library if c.name not in head.names or (c.name == last.name and _begins_later(last))]
+        rest += _since_a_change(search, head, library)
         share = 0.5 + 0.4 * number / len(kept)
         pairs = scored_all(search, head, rest, progress, share, share + 0.4 / len(kept))
         gained = head.over(search.nominal)[0]
@@ -438,20 +457,27 @@ def _pairs(search: Search, library: Sequence[Candidate], heads: Sequence[Scored]
     return _simplest_first([*(pair for _, _, pair in selected), *variants], search.data)[:_TRIED]
 
 
-def _changed_at(search: Search, model: Scored, library: Sequence[Candidate]) -> float | None:
-    """Since which place in the recording a model misses something on top of its last effect; None if it does not.
+def _since_a_change(search: Search, model: Scored, library: Sequence[Candidate]) -> list[Candidate]:
+    """The library from where on a model misses something; none if it does not.
 
-    That shows as the same effect once more, or as a line in the command.
+    That shows as its last effect once more, or as a line in the command.
     """
-    order, last = search.data.order[search.data.counted_starts], model.parts[-1]
-    place, best = float(np.median(order[order >= last.starts[0, -GATES]])), model
-    more = [candidate for candidate in library if candidate.name in (last.name, *A_LINE)]
-    for _ in range(_BEGINNINGS):
+    order, last = search.data.order[search.data.counted_starts], model.parts[-1:]
+    since = max((float(part.starts[0, -GATES]) for part in last), default=-np.inf)
+    place, best = float(np.median(order[order >= since])), model
+    more = [candidate for candidate in library if candidate.name in (*(part.name for part in last), *A_LINE)]
+    for _ in range(_BEGINNINGS if more else 0):
         again = [search.score((*model.parts, gated(candidate, [place], [])), model) for candidate in more]
-        best = min(again, key=lambda changed: float(changed.fit.loss[0]), default=model)
+        best = min(again, key=lambda changed: float(changed.fit.loss[0]))
         place = search.begins(best)[0]
-    has_changed = place > order.min() and _gain_since(best, model, search.data) > _VARIANT_EVIDENCE
-    return place if has_changed else None
+    if place <= order.min() or _gain_since(best, model, search.data) <= _VARIANT_EVIDENCE:
+        return []
+    return [gated(candidate, [place], []) for candidate in library if candidate.term.form.layer != "guard"]
+
+
+def _begins_later(part: Candidate) -> bool:
+    """Whether a part acts since some place in the recording only."""
+    return bool(np.isfinite(part.starts[0, -GATES]))
 
 
 def _simplest_first(options: Sequence[Scored], data: CoordinateData) -> list[Scored]:
@@ -534,7 +560,7 @@ def is_worth(better: Scored, base: Scored, data: CoordinateData) -> bool:
     if gain <= _ERRORS * losses or _elsewhere(gains, data) <= _ELSEWHERE:
         return False
     # What began in one run makes the noise of all smaller, which is no evidence from those before.
-    has_begun = bool(better.parts) and np.isfinite(better.parts[-1].starts[0, -GATES])
+    has_begun = any(map(_begins_later, better.parts[-1:]))
     return not has_begun or _elsewhere(better.density - better.without_last, data) > _ELSEWHERE
 
 

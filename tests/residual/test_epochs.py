@@ -108,10 +108,37 @@ def test_an_effect_that_changes_is_the_same_effect_once_more(door) -> None:
 
 
 @pytest.mark.slow
+def test_what_turns_round_shows_in_no_mean(door) -> None:
+    def moves(c, u, _, memory):
+        return c + u + (0.012 if memory["run"] < 4 else -0.012)
+
+    found = calibrate(door, plants.door_recording(plants.runs_of(moves, 8, 50, 3)))
+    always, later = sorted((e.effect for e in found.effects), key=lambda effect: effect.since is not None)
+    assert (found.verdict, always.name, later.name, later.since.run) == ("explained", "bias", "bias", 5)
+    assert (always.values[0], later.values[0]) == pytest.approx((0.012, -0.024), abs=0.002)
+
+
+@pytest.mark.slow
 def test_what_changed_twice_may_go_on_changing(door) -> None:
     recording = plants.door_recording(plants.runs_of(worn_since((2, 20), (5, 10)), 8, 50, 3))
     found = calibrate(door, recording)
     assert found.verdict == "partly"
+
+
+@pytest.mark.parametrize(
+    ("share_of_run", "is_added"),
+    [
+        (lambda run: 1.0 - 0.5 * np.exp(-run / 2.0), False),  # it warms up
+        pytest.param(lambda run: 1.0 - 0.05 * run, True, marks=pytest.mark.slow),  # it wears
+    ],
+)
+def test_what_is_over_in_the_last_runs_is_not_added(door, share_of_run, is_added) -> None:
+    def moves(c, u, _, memory):
+        return c + share_of_run(memory["run"]) * u
+
+    found = calibrate(door, plants.door_recording(plants.runs_of(moves, 10, 50, 3)))
+    assert found.verdict in ("partly", "unexplained")
+    assert bool(found.automaton.effects) is is_added
 
 
 def test_nothing_is_left_to_find_with_the_written_model(found, dropped) -> None:
