@@ -145,25 +145,29 @@ class Calibration:
         )
 
     @cached_property
+    def _runs(self) -> tuple[RunPrediction, ...]:
+        """All runs as the new model has them; none where it refuses one."""
+        return () if refused(self.automaton, self.recording) else predict_recording(self.automaton, self.recording)
+
+    @cached_property
     def written(self) -> tuple[ResidualSize, ...]:
         """Errors of each coordinate with the new model on all of its recording [rad or m], as `predict` has them.
 
         `after` is of rows that the parameters were not fitted to. Empty where `predict` refuses these runs.
         """
-        if refused(self.automaton, self.recording):
+        if not self._runs:
             return ()
-        runs = predict_recording(self.automaton, self.recording)
-        sizes = (rmse_of_coordinates([getattr(run, name) for run in runs]) for name in ("one_step", "rollout"))
+        sizes = (rmse_of_coordinates([getattr(run, name) for run in self._runs]) for name in ("one_step", "rollout"))
         return tuple(ResidualSize(*of_kind) for of_kind in zip(*sizes, strict=True))
 
     @cached_property
     def predicted(self) -> tuple[list[RunPrediction], list[RunPrediction]]:
         """Some of the runs as the model has them before and after; none where one of the two refuses them."""
-        models = self.nominal, self.automaton
-        if any(refused(model, self.recording) for model in models):
+        if not self._runs or refused(self.nominal, self.recording):
             return [], []
-        before, after = (_predicted(model, self.recording, _POSE_ROWS) for model in models)
-        return before, after
+        chosen = _spread_runs(self.recording, _POSE_ROWS)
+        before = predict_recording(self.nominal, self.recording, runs=chosen)
+        return list(before), [run for run in self._runs if run.run in chosen]
 
     @cached_property
     def pose_errors(self) -> tuple[tuple[str, str, ResidualSize, ResidualSize], ...]:
@@ -224,7 +228,10 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
         for floors_of_kind in zip(*((trace.floor, trace.rollout_floor) for trace in traces), strict=True)
     ]
     if examination.geometry:
-        before, after = (_pose_sizes(_predicted(model, recording, MOST_ROWS))[0] for model in (automaton, improved))
+        spread = _spread_runs(recording, MOST_ROWS)
+        before, after = (
+            _pose_sizes(predict_recording(model, recording, runs=spread))[0] for model in (automaton, improved)
+        )
         across, arm = transverse_rms(corrected, measured)
         floors = [float(np.hypot(across, arm * floor)) for floor in floors]
     verdicts: list[Verdict] = [trace.outcome.verdict for trace in traces]
@@ -420,14 +427,11 @@ def _size(traces: Sequence[CoordinateTrace], *, is_final: bool) -> ResidualSize:
     return ResidualSize(one_step, rollout)
 
 
-def _predicted(automaton: HybridAutomaton, recording: Recording, most: int) -> list[RunPrediction]:
-    """Predictions of runs of about so many rows."""
-    chosen = recording.runs
-    if len(recording.time) > most:
-        count = max(1, len(chosen) * most // len(recording.time))
-        chosen = tuple(chosen[k] for k in np.linspace(0, len(chosen) - 1, count).astype(int).tolist())
-    able = [rows for rows in (recording.select(run=run) for run in chosen) if len(np.unique(rows.time)) > 1]
-    return [predicted for rows in able for predicted in predict_recording(automaton, rows)]
+def _spread_runs(recording: Recording, most: int) -> tuple[int, ...]:
+    """Numbers of runs of two rows and more, all or as many evenly over the recording as have about so many rows."""
+    able = tuple(run for run in recording.runs if len(np.unique(recording.time[recording.index(run=run)])) > 1)
+    count = max(1, min(len(able), len(able) * most // max(len(recording.time), 1)))
+    return tuple(able[k] for k in np.linspace(0, len(able) - 1, count).astype(int).tolist())
 
 
 def _pose_sizes(runs: Sequence[RunPrediction]) -> list[ResidualSize]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -83,7 +83,10 @@ class RunPrediction:
 
 
 def predict_recording(
-    automaton: HybridAutomaton, recording: Recording, progress: Progress | None = None
+    automaton: HybridAutomaton,
+    recording: Recording,
+    progress: Progress | None = None,
+    runs: Collection[int] | None = None,
 ) -> tuple[RunPrediction, ...]:
     """Predict every run of a recording with at least two rows.
 
@@ -100,6 +103,7 @@ def predict_recording(
         automaton: the model.
         recording: with actions.
         progress: called with a message and the fraction done.
+        runs: numbers of those to predict, as a part of the recording; None: all.
 
     Raises:
         InputError: if the recording has no actions, parts that the model does not know, no run of two rows, or a run
@@ -110,10 +114,11 @@ def predict_recording(
             "expected actions, found no columns ax, ay, az",
             remedy="record the commanded displacements to predict motion",
         )
-    predicted, groups = list[tuple[Place, RunPrediction]](), _usable(automaton, recording)
-    for reaching, parts in groups:
-        runs = _predicted(reaching, [track for _, track in parts], progress or (lambda *_: None))
-        predicted += zip([place for place, _ in parts], runs, strict=True)
+    predicted = list[tuple[Place, RunPrediction]]()
+    for reaching, every in _usable(automaton, recording):
+        parts = [(place, track) for place, track in every if runs is None or track.run in runs]
+        made = _predicted(reaching, [track for _, track in parts], progress or (lambda *_: None)) if parts else []
+        predicted += zip([place for place, _ in parts], made, strict=True)
     if not predicted:
         raise InputError("expected a run of at least 2 rows, found none", remedy="record a longer run")
     return tuple(run for _, run in sorted(predicted, key=lambda pair: pair[0]))

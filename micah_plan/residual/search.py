@@ -207,7 +207,12 @@ class Search:
         From the slopes of the innovations, each in units of its std; the priors count as they do in the fit.
         """
         problem, k = self.problem(scored.parts), len(self.problem(scored.parts).free)
-        names = [f"{part.term.form.parameters[j].name} of {part.name}" for part in scored.parts for j in part.free]
+        labels = [part.name if np.isneginf(part.starts[0, -GATES]) else f"{part.name}, later" for part in scored.parts]
+        names = [
+            f"{part.term.form.parameters[j].name} of {label}"
+            for part, label in zip(scored.parts, labels, strict=True)
+            for j in part.free
+        ]
         if not k:
             return (), np.zeros((0, 0))
         rows = np.repeat(scored.fit.parameters, 2 * k, axis=0)

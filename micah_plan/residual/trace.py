@@ -483,9 +483,8 @@ def _begins_later(part: Candidate) -> bool:
 def _simplest_first(options: Sequence[Scored], data: CoordinateData) -> list[Scored]:
     """Best first, but of those that are as good as the best, but for one run, the plainest effects first."""
     order = ranked(options)
-    best = order[:1]
     close = [
-        m for m in order if best[0].over(m)[0] <= TIE or _elsewhere(best[0].density - m.density, data) <= _ELSEWHERE
+        m for m in order if order[0].over(m)[0] <= TIE or _elsewhere(order[0].density - m.density, data) <= _ELSEWHERE
     ]
     plainest = sorted(close, key=lambda model: sum(part.term.form.complexity_rank for part in model.parts))
     return [*plainest, *(model for model in order if model not in close)]

@@ -85,6 +85,21 @@ def test_what_began_within_the_last_run_no_other_run_bears_out(door) -> None:
     assert not any(effect.is_added for effect in found.effects)
 
 
+def test_errors_of_poses_have_it_from_there_on(found, dropped) -> None:
+    _, _, before, after = found.pose_errors[0]
+    runs = predict_recording(found.automaton, dropped)
+    assert after.rollout == pytest.approx(rmse([run.rollout.position for run in runs]))
+    assert after.rollout < 0.5 * before.rollout
+
+
+def test_some_runs_are_predicted_as_a_part_of_their_recording(found, dropped) -> None:
+    several = predict_recording(found.automaton, dropped, runs=(3, 7))
+    of_all = [run for run in predict_recording(found.automaton, dropped) if run.run in (3, 7)]
+    assert [run.run for run in several] == [3, 7]
+    for one, same in zip(several, of_all, strict=True):
+        np.testing.assert_allclose(one.rollout.configuration, same.rollout.configuration, atol=1e-12)
+
+
 def worn_since(*changes):
     """A gain of 0.8, and of 0.7 of that from each of some (run, row) on."""
 
