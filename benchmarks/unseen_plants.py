@@ -2,7 +2,7 @@
 
     python -m benchmarks unseen_plants [--seeds 2] [--first-seed 0] [--kinds bias ...] [--controls 25] [--list]
 
-A kind is right if every effect of the plant is named (first, or as what would do as well), or, where the plant has
+A kind is right if every effect of the plant is named (by itself, or as what would do as well), or, where the plant has
 something that no effect of the library is, if the verdict is `partly` or `unexplained`. `false` counts the answers that
 are `explained` and not right. The roll-out is that of a later recording of the same plant, over whole runs: its root
 mean square error with the new model over that with the old one (median over seeds, and the worst). Controls are right
@@ -62,12 +62,11 @@ def answered(work: tuple[str, int]) -> Answer:
         said = [{one.effect.name, *one.tied} for one in effects]
         # Where a demonstration saw half of the range, the end of the other half may be told as well.
         most = len(case.truth) + (case.thing.told is not None)
-        is_right = all(any(own & one for own in said) for one in case.truth) and len(names) <= most
+        is_right = all(any(own & one for own in said) for one in case.truth) and len(case.truth) <= len(names) <= most
     else:
         # The end of a half that the model was not told is no false alarm.
-        is_right = found.verdict == "none" or (case.thing.told is not None and set(names) <= {"guard_shift", "limit"})
-        if not case.is_known:
-            is_right = found.verdict in ("partly", "unexplained")
+        is_end = case.thing.told is not None and bool(names) and set(names) <= {"guard_shift", "limit"}
+        is_right = found.verdict == "none" or is_end if case.is_known else found.verdict in ("partly", "unexplained")
     if not case.truth and not case.is_known and noise:
         is_right = False
     modes = [str(mode) for one in found.traces for mode in one.missing_modes]

@@ -414,9 +414,9 @@ def _to_add(traces: Sequence[CoordinateTrace]) -> list[Effect]:
     return effects
 
 
-def _acting(part: Candidate) -> tuple[str, tuple[float, ...]]:
-    """What an effect is, and since when it acts."""
-    return part.name, tuple(part.starts[0, -GATES:].tolist())
+def _acting(part: Candidate) -> tuple[object, ...]:
+    """What an effect is, where and since when it acts."""
+    return part.name, part.term.modes, *part.starts[0, -GATES:].tolist()
 
 
 def _size(traces: Sequence[CoordinateTrace], *, is_final: bool) -> ResidualSize:
