@@ -15,7 +15,7 @@ from dataclasses import replace
 from zlib import crc32
 
 import numpy as np
-from calibration import FREE, free_recording
+from free_motions import FREE, free_recording
 from kinds_of_mechanisms import bottle_cap, four_bar_lid, tilting_slide, two_stage_hinge, wave
 from kinds_of_one_part import ROWS, EdgeTruth, Kind, Simulated, as_value, between
 from kinds_plant import RATE, Floats, random_joint, tracker_noise

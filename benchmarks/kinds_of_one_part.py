@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from channel import TrueChannel
 from kinds_plant import (
     RATE,
     Floats,
@@ -23,6 +22,7 @@ from kinds_plant import (
     written_actions,
 )
 from scipy.spatial.transform import Rotation
+from true_channel import TrueChannel
 
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.joint import Joint, prismatic, revolute, screw

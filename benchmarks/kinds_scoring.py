@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from channel import QUANTILE, misses
 from fit_coverage import errors
 from kinds_of_one_part import EdgeTruth, Simulated
+from true_channel import QUANTILE, misses
 
 from micah_plan.automaton.graph import KinematicEdge, KinematicGraph, Segment
 

@@ -12,9 +12,9 @@ is calibrated, it is what is observed. `executed` is the share in closed loop wi
 on the nominal plant; it may exceed the others, because it goes on until the goal is believed reached. `at stop` is the
 mean probability of the goal that these executions believed in when they stopped.
 
-With `--users N` a second table compares POMDP-HD with three programmes that a user would write (`user_code`) on N true
-objects each, POMCP on a tenth of them: `open loop`, `filter`, `POMCP`, and beside them the plan followed as it is
-(`plan`) and executed with new plans where it fails (`executed`).
+With `--users N` a second table compares POMDP-HD with two programmes that a user would write (`user_code`) on N true
+objects each, `open loop` and `filter`; beside them the plan followed as it is (`plan`) and executed with new plans
+where it fails (`executed`).
 
 Times are seconds of the processor, so that they do not depend on what else the machine does; for the same reason the
 planners get more wall-clock time than they need. Jobs are processes; each solves a small problem first, so that loading
@@ -34,7 +34,6 @@ from time import process_time
 import baseline_direct
 import baseline_rrt
 import numpy as np
-from grid_search import searched
 from processor_clock import time_by_processor
 from saving import add_json, save_json
 from user_code import Reader, chances_for, filtered, open_loop, share_in_goal
@@ -56,8 +55,6 @@ ROOT = Path(__file__).resolve().parent.parent
 PLANNERS = {"pomdp-hd": None, "direct": baseline_direct.plan, "rrt": baseline_rrt.plan}
 # Added to the seed for the observed roll-outs, so that none of the plan's own are counted again.
 FRESH = 10_000
-# Walks down the tree of POMCP before each step.
-SIMULATIONS = 500
 # Of solving [s]: far more than is needed.
 TIME_LIMIT_S = 3600.0
 
@@ -141,7 +138,6 @@ class UserRow:
     problem: str
     open_loop: float
     filter: float
-    pomcp: float
     plan: float | None
     executed: float | None
 
@@ -153,7 +149,6 @@ def measure_users(path: Path, trials: int, seed: int) -> UserRow | None:
     if not reader.can_move():
         return None
     chances = chances_for(reader, trials, FRESH + seed)
-    few = chances_for(reader, max(1, trials // 10), FRESH + seed)
     plan = solve(problem, seed=seed, advise=False)
     found = None
     if plan.trajectory is not None:
@@ -163,7 +158,6 @@ def measure_users(path: Path, trials: int, seed: int) -> UserRow | None:
         problem=path.stem,
         open_loop=share_in_goal(problem, *open_loop(reader, chances)),
         filter=share_in_goal(problem, *filtered(reader, chances)),
-        pomcp=share_in_goal(problem, *searched(reader, few, SIMULATIONS, seed)),
         plan=found,
         executed=executed_success(problem, plan, trials, FRESH + seed)[0],
     )
@@ -171,9 +165,9 @@ def measure_users(path: Path, trials: int, seed: int) -> UserRow | None:
 
 def user_table(rows: Sequence[UserRow]) -> str:
     """One line per problem."""
-    lines = [f"{'problem':22} {'open loop':>9} {'filter':>9} {'POMCP':>9} {'plan':>9} {'executed':>9}"]
+    lines = [f"{'problem':22} {'open loop':>9} {'filter':>9} {'plan':>9} {'executed':>9}"]
     for row in rows:
-        shares = (row.open_loop, row.filter, row.pomcp, row.plan, row.executed)
+        shares = (row.open_loop, row.filter, row.plan, row.executed)
         lines.append(f"{row.problem:22} " + " ".join(_text(share, 9, 3) for share in shares))
     return "\n".join(lines)
 

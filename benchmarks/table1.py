@@ -18,19 +18,24 @@ Measured demonstrations are read from ../shared/data/demonstrations (or $MICAH_D
 from __future__ import annotations
 
 import argparse
+import os
 import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
-from learn_demonstrations import DATA, table
 from saving import add_json, save_json
 from simulated_demonstrations import HANDLINGS, OBJECTS, Demonstration, Handling, Object, demonstration
 from table1_scoring import EPSILON, Limits, Score, limits, score
 
+from micah_plan.automaton.graph import Segment
+from micah_plan.automaton.joint import radius
 from micah_plan.learn.learn import METHODS, Method, learn_graph
+from micah_plan.recording.read import read_recording
 
+DATA = Path(os.environ.get("MICAH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 # Table I of the paper: correct of 20; changepoint error; errors of axis (1 - |cos|), centre [m] and radius [m].
 PAPER: dict[tuple[Object, Handling, Method], tuple[int, str, str, str, str]] = {
     ("microwave", "with grasp", "champ"): (20, "0.001 ± 0.001", "0.02 ± 0.01", "0.046 ± 0.024", "0.027 ± 0.024"),
@@ -143,6 +148,32 @@ def header() -> str:
     return ROW.format(*names, "centre [m]", "radius [m]", "seconds")
 
 
+def joint_in_words(segment: Segment) -> str:
+    """One segment in a few words: its joint and where its axis is."""
+    joint = segment.joint
+    if joint.kind == "rigid":
+        return f"rigid at {joint.fixed_at:.3f}"
+    text = f"{joint.kind} axis ({', '.join(f'{v:+.2f}' for v in joint.axis)})"
+    return text if joint.kind == "prismatic" else f"{text} radius {radius(joint):.3f} m"
+
+
+def print_measured(files: list[Path], seeds: int) -> None:
+    """A row per measured demonstration and method."""
+    print(f"{'file':<28}{'method':<11}{'kinds (how often)':<44}{'changepoints':<16}first seed")
+    for path in files:
+        recording = read_recording(path)
+        for method in METHODS:
+            if method == "act-champ" and not recording.has_actions:
+                continue
+            results = [learn_graph(recording, method=method, seed=seed).edges[0].segments for seed in range(seeds)]
+            kinds = Counter(" > ".join(s.joint.kind for s in segments) for segments in results)
+            rows = Counter(str([s.start for s in segments[1:]]) for segments in results)
+            found = ", ".join(f"{name} ({count}/{seeds})" for name, count in kinds.most_common())
+            where = ", ".join(row for row, _ in rows.most_common(2))
+            joints = "; ".join(map(joint_in_words, results[0]))
+            print(f"{path.stem:<28}{method:<11}{found:<44}{where:<16}{joints}", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--demonstrations", type=int, default=20, help="per case")
@@ -168,7 +199,7 @@ def main() -> None:
     files = sorted((DATA / "demonstrations").glob("*.csv"))
     if options.seeds > 0 and files:
         print(f"\nmeasured demonstrations, {options.seeds} seeds")
-        table(files, options.seeds)
+        print_measured(files, options.seeds)
     elif options.seeds > 0:
         print(f"\nmeasured demonstrations are not at {DATA}; set MICAH_DATA to where they are")
 

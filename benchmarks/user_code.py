@@ -1,10 +1,8 @@
-"""What a user would write instead of a planner: three short programmes, run on the same true objects as its plans.
+"""What a user would write instead of a planner: two short programmes, run on the same true objects as its plans.
 
 `open loop` is a deterministic plan (CasADi and IPOPT) over x⁺ = x + B u from the start's mean to the goal, carried out
 as it is. `filter` is a Kalman filter, and every step pushes its estimate towards the goal, as far as a step reaches.
-Where the goal is latched, both aim two steps past the latch, as a person does who shuts a door. `POMCP` (Silver and
-Veness, "Monte-Carlo planning in large POMDPs", NIPS 2010) searches a tree of actions and observations from an exact
-Bayes filter over cells of a grid; it knows all modes, guards and noise, and may stop where it likes: `grid_search`.
+Where the goal is latched, both aim two steps past the latch, as a person does who shuts a door.
 
 B is that of the mode whose inputs move most. None of them plans through modes that move differently.
 """
@@ -24,7 +22,7 @@ from micah_plan.planning.limits import limits_of
 from micah_plan.planning.roll_outs import Chances, measurement_std
 from micah_plan.task.problem import Problem
 
-# Steps that a filter or a search may take more than the straight way needs.
+# Steps that a filter may take more than the straight way needs.
 SPARE_STEPS = 20
 # How far past a latch is pushed, in steps.
 PAST = 2.0

@@ -246,10 +246,10 @@ def test_every_benchmark_is_listed_with_what_it_measures_and_is_on_the_page_of_e
 
 
 def test_a_benchmark_is_run_by_its_name() -> None:
-    assert "usage: belief.py" in benchmark("belief", "--help").stdout
-    unknown = benchmark("beleif")
+    assert "usage: cycles.py" in benchmark("cycles", "--help").stdout
+    unknown = benchmark("cylces")
     assert (unknown.returncode, unknown.stdout) == (2, "")
-    assert unknown.stderr == "no benchmark is called 'beleif'; did you mean belief?\n"
+    assert unknown.stderr == "no benchmark is called 'cylces'; did you mean cycles?\n"
 
 
 def test_generated_pages_link_to_places_of_their_own(generated: dict[str, str]) -> None:

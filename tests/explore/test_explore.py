@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from explore_plants import HandlePlant as Simulated
+from explore_plants import Stage, Thing, drawn, track_of
 
 from micah_plan.automaton.check import check_automaton
 from micah_plan.documents.experiment import load_scene
@@ -22,11 +23,6 @@ from micah_plan.explore.record import Slips
 from micah_plan.explore.run import Exploration, explore
 from micah_plan.task.experiment import Scene
 from micah_plan.view.exploration_page import exploration_page
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-
-from explore_plants import HandlePlant as Simulated
-from explore_plants import Stage, Thing, drawn, track_of
 
 X, Y = (1.0, 0.0, 0.0), (0.0, -1.0, 0.0)
 DRAWER = Thing("drawer", (Stage(0.4, Y),))

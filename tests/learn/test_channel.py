@@ -1,12 +1,12 @@
 """The action channel: planted frames, gains and delays are found, with spreads that hold the truth."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from planted_channel import CASES, Case, believed_angle, planted
 from scipy.spatial.transform import Rotation
+from true_channel import misses
 
 from micah_plan.automaton.joint import prismatic, revolute, rigid
 from micah_plan.automaton.kinematics import forward, inverse_jacobian
@@ -22,19 +22,6 @@ from micah_plan.learn.actions.channel_search import Quadratic, climb, integrate
 from micah_plan.learn.joints.joint_arrays import rotation_matrix, rotation_quaternion, times
 from micah_plan.learn.track import PartTrack
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-
-
-@pytest.fixture(scope="module")
-def script():
-    sys.path.insert(0, str(BENCHMARKS))
-    try:
-        import channel
-
-        yield channel
-    finally:
-        sys.path.remove(str(BENCHMARKS))
-
 
 def estimated(truth, track=None):
     track = track or truth.track
@@ -47,16 +34,16 @@ def with_motion_as_actions(truth):
     return replace(truth.track, action=truth.track.rotation.inv().apply(step))
 
 
-def steps_and_command(script, case, seed=0):
-    truth = script.planted(case, np.random.default_rng(seed))
+def steps_and_command(case, seed=0):
+    truth = planted(case, np.random.default_rng(seed))
     everything = np.ones(len(truth.track), dtype=bool)
     pieces = [(0, 70), (71, len(truth.track) - 1)]
     return steps_of(truth.joint, pieces, truth.track, everything, truth.white_std**2, None), command_of(truth.track)
 
 
-def test_ideal_actions_are_the_identity_channel(script):
+def test_ideal_actions_are_the_identity_channel():
     for kind in ("prismatic", "revolute"):
-        truth = script.planted(script.Case(kind, arc=1.0, noise=1e-5), np.random.default_rng(1))
+        truth = planted(Case(kind, arc=1.0, noise=1e-5), np.random.default_rng(1))
         found = estimated(truth, with_motion_as_actions(truth))
         assert found.gain == pytest.approx(1.0, abs=0.03)
         assert np.linalg.norm(found.frame_rotation) < 0.2
@@ -86,17 +73,17 @@ def test_directions_that_follow_the_noise_are_no_turned_frame():
 
 
 @pytest.mark.parametrize("kind", ["prismatic", "revolute"])
-def test_a_reversed_frame_is_a_rotation_not_a_negative_gain(script, kind):
-    truth = script.planted(script.Case(kind, arc=1.2, noise=3e-4), np.random.default_rng(4), np.pi - 0.05)
+def test_a_reversed_frame_is_a_rotation_not_a_negative_gain(kind):
+    truth = planted(Case(kind, arc=1.2, noise=3e-4), np.random.default_rng(4), np.pi - 0.05)
     found = estimated(truth)
     assert found.gain == pytest.approx(truth.gain, rel=0.25)
-    error = script.misses(truth, found)
+    error = misses(truth, found)
     assert error["angle error"] < 3 * error["angle std"]
     assert np.linalg.norm(found.frame_rotation) > 1.5
 
 
-def test_what_a_prismatic_joint_cannot_tell_keeps_its_prior_spread(script):
-    truth = script.planted(script.Case("prismatic", across=2.0, noise=3e-4), np.random.default_rng(2), 0.3)
+def test_what_a_prismatic_joint_cannot_tell_keeps_its_prior_spread():
+    truth = planted(Case("prismatic", across=2.0, noise=3e-4), np.random.default_rng(2), 0.3)
     covariance = np.array(estimated(truth).covariance)[:3, :3]
     axis = np.array(truth.joint.axis)
     values, vectors = np.linalg.eigh(covariance)
@@ -124,8 +111,8 @@ def test_errors_of_actions_do_not_look_like_a_delay_of_half_a_row():
     assert held >= 14
 
 
-def test_the_unit_of_time_only_scales_the_delay(script):
-    truth = script.planted(script.Case("revolute"), np.random.default_rng(3))
+def test_the_unit_of_time_only_scales_the_delay():
+    truth = planted(Case("revolute"), np.random.default_rng(3))
     seconds, other = estimated(truth), estimated(truth, replace(truth.track, time=60.0 * truth.track.time + 5.0))
     assert other.delay == pytest.approx(60.0 * seconds.delay, rel=1e-6)
     assert other.gain == pytest.approx(seconds.gain, rel=1e-6)
@@ -135,9 +122,9 @@ def test_the_unit_of_time_only_scales_the_delay(script):
     assert np.allclose(other.covariance, expected, rtol=1e-4, atol=1e-9)
 
 
-def test_sampling_more_often_changes_little(script):
+def test_sampling_more_often_changes_little():
     slow, fast = (
-        script.planted(script.Case("prismatic", rows=r, rate=0.12 * r, across=1.0), np.random.default_rng(7), 1.0)
+        planted(Case("prismatic", rows=r, rate=0.12 * r, across=1.0), np.random.default_rng(7), 1.0)
         for r in (150, 1200)
     )
     for truth in (slow, fast):
@@ -147,8 +134,8 @@ def test_sampling_more_often_changes_little(script):
         assert abs(found.delay - truth.delay) < 3 * stds[4]
 
 
-def test_without_a_reason_there_is_no_channel(script):
-    truth = script.planted(script.Case("prismatic"), np.random.default_rng(5))
+def test_without_a_reason_there_is_no_channel():
+    truth = planted(Case("prismatic"), np.random.default_rng(5))
     n = len(truth.track)
     still = replace(truth.track, position=np.tile(truth.joint.position, (n, 1)))
     assert estimated(truth) is not None
@@ -159,18 +146,18 @@ def test_without_a_reason_there_is_no_channel(script):
     assert estimate_channel(rigid((0, 0, 0)), [(0, n - 1)], truth.track, truth.white_std) is None
 
 
-def test_unrelated_actions_seldom_make_a_channel(script):
+def test_unrelated_actions_seldom_make_a_channel():
     found = 0
     for trial in range(20):
         rng = np.random.default_rng([8, trial])
-        truth = script.planted(script.Case("prismatic"), rng)
+        truth = planted(Case("prismatic"), rng)
         action = 0.003 * rng.standard_normal((len(truth.track), 3))
         found += estimated(truth, replace(truth.track, action=action)) is not None
     assert found <= 2
 
 
-def test_rows_that_do_not_count_do_no_harm(script):
-    truth = script.planted(script.Case("prismatic", across=1.0), np.random.default_rng(6))
+def test_rows_that_do_not_count_do_no_harm():
+    truth = planted(Case("prismatic", across=1.0), np.random.default_rng(6))
     wrong = np.random.default_rng(0).random(len(truth.track)) < 0.1
     position = truth.track.position + wrong[:, None] * 0.4
     spoiled = replace(truth.track, position=position)
@@ -181,25 +168,25 @@ def test_rows_that_do_not_count_do_no_harm(script):
 
 
 @pytest.mark.parametrize("kind", ["prismatic", "revolute"])
-def test_without_a_row_that_counts_there_is_no_channel(script, kind):
-    truth = script.planted(script.Case(kind), np.random.default_rng(6))
+def test_without_a_row_that_counts_there_is_no_channel(kind):
+    truth = planted(Case(kind), np.random.default_rng(6))
     none = np.zeros(len(truth.track), dtype=bool)
     assert estimate_channel(truth.joint, [(0, 20)], truth.track, truth.white_std, none) is None
 
 
-def test_predictors_are_the_inverse_jacobian_of_turned_actions(script):
-    steps, command = steps_and_command(script, script.Case("revolute"))
+def test_predictors_are_the_inverse_jacobian_of_turned_actions():
+    steps, command = steps_and_command(Case("revolute"))
     rotation, gain, delay = Rotation.from_rotvec([0.3, -0.8, 0.5]), 0.7, 0.013
     given = command.at(steps.end - delay) - command.at(steps.start - delay)
     predicted = steps.predictors(command, np.array([delay]))[0].T @ (gain * rotation.as_matrix().ravel())
     assert np.allclose(predicted, gain * np.sum(steps.leverage * rotation.apply(given), axis=1))
-    joint = script.planted(script.Case("revolute"), np.random.default_rng(0)).joint
+    joint = planted(Case("revolute"), np.random.default_rng(0)).joint
     at_zero = inverse_jacobian(joint, np.zeros(3), np.eye(3))
     assert np.allclose(steps.leverage[0], at_zero, atol=0.1 * np.abs(at_zero).max())
 
 
-def test_the_covariance_of_steps_is_that_of_the_model(script):
-    steps, _ = steps_and_command(script, script.Case("prismatic"))
+def test_the_covariance_of_steps_is_that_of_the_model():
+    steps, _ = steps_and_command(Case("prismatic"))
     walk, white, m = 0.02, 3e-6, len(steps)
     noise = noise_of(steps, steps.size, np.zeros(m), walk, white)
     dense = np.diag(walk * (steps.end - steps.start) + 2 * white)
@@ -213,8 +200,8 @@ def test_the_covariance_of_steps_is_that_of_the_model(script):
     assert noise.log_density == pytest.approx(density + prior, rel=1e-6)
 
 
-def test_noise_is_found_again(script):
-    steps, _ = steps_and_command(script, script.Case("prismatic", rows=2000, rate=240.0))
+def test_noise_is_found_again():
+    steps, _ = steps_and_command(Case("prismatic", rows=2000, rate=240.0))
     rng = np.random.default_rng(3)
     span = steps.end - steps.start
     error = np.concatenate([1e-3 * rng.standard_normal(len(steps)), [0.0]])
@@ -247,8 +234,8 @@ def test_a_sharp_posterior_is_normal_with_its_information():
     assert np.allclose(posterior.square, covariance, atol=0.15 * np.diag(covariance).max())
 
 
-def test_delayed_actions_move_the_command_in_time(script):
-    truth = script.planted(script.Case("prismatic", uneven=True), np.random.default_rng(2))
+def test_delayed_actions_move_the_command_in_time():
+    truth = planted(Case("prismatic", uneven=True), np.random.default_rng(2))
     later = with_delayed_actions(truth.track, 0.3)
     before, after = command_of(truth.track), command_of(later)
     share = 0.3 / truth.track.duration
@@ -261,30 +248,30 @@ def test_delayed_actions_move_the_command_in_time(script):
     assert remaining.gain == pytest.approx(found.gain, rel=0.1)
 
 
-def covered(script, trials):
+def covered(trials):
     """Shares of intervals that hold the truth over all cases, and how many channels were found."""
     counts = {"all": [], "gain": [], "delay": []}
-    for number, case in enumerate(script.CASES):
+    for number, case in enumerate(CASES):
         for trial in range(trials):
             rng = np.random.default_rng([11, number, trial])
-            truth = script.planted(case, rng, script.believed_angle(rng))
+            truth = planted(case, rng, believed_angle(rng))
             found = estimated(truth)
             if found is not None:
-                result = script.misses(truth, found)
+                result = misses(truth, found)
                 for name, values in counts.items():
                     values.append(result[name])
     return {name: float(np.mean(values)) for name, values in counts.items()}, len(counts["gain"])
 
 
-def test_intervals_hold_the_truth(script):
-    shares, found = covered(script, 6)
+def test_intervals_hold_the_truth():
+    shares, found = covered(6)
     assert found >= 66
     assert min(shares.values()) > 0.82
 
 
 @pytest.mark.evidence
-def test_intervals_hold_the_truth_often_enough(script):
-    shares, found = covered(script, 40)
+def test_intervals_hold_the_truth_often_enough():
+    shares, found = covered(40)
     assert found >= 450
     for name in ("gain", "delay"):
         assert 0.90 <= shares[name] <= 0.985, name

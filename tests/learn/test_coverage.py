@@ -2,27 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
-from pathlib import Path
-from types import ModuleType
-
 import numpy as np
 import pytest
+from fit_coverage import Case, covered
 from scipy.stats import binom
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 RARELY = 1e-4  # chance that a sound interval fails a bound below
-
-
-@pytest.fixture(scope="module")
-def coverage() -> ModuleType:
-    """The benchmark's module, without leaving its folder on the path."""
-    sys.path.insert(0, str(BENCHMARKS))
-    try:
-        return importlib.import_module("fit_coverage")
-    finally:
-        sys.path.remove(str(BENCHMARKS))
 
 
 def least_hits(trials: int, share: float) -> int:
@@ -31,8 +16,8 @@ def least_hits(trials: int, share: float) -> int:
 
 
 @pytest.mark.parametrize("wander", [0.0, 1.5])
-def test_intervals_of_a_door_hold_the_truth(coverage: ModuleType, wander: float) -> None:
-    found = coverage.covered(coverage.Case("revolute", rows=60, wander=wander), 60)
+def test_intervals_of_a_door_hold_the_truth(wander: float) -> None:
+    found = covered(Case("revolute", rows=60, wander=wander), 60)
     assert (found.share * 60 >= least_hits(60, 0.93) - 0.5).all()
     # Intervals that always hold would be too wide by far.
     assert (found.claimed < 2.2 * found.real).all()
@@ -42,12 +27,12 @@ def test_intervals_of_a_door_hold_the_truth(coverage: ModuleType, wander: float)
 @pytest.mark.parametrize("wander", [0.0, 1.5])
 @pytest.mark.parametrize("has_orientation", [True, False])
 @pytest.mark.parametrize("kind", ["rigid", "prismatic", "revolute", "screw"])
-def test_coverage_is_what_it_says(coverage: ModuleType, kind: str, has_orientation: bool, wander: float) -> None:
+def test_coverage_is_what_it_says(kind: str, has_orientation: bool, wander: float) -> None:
     hidden = kind == "screw" and not has_orientation
     trials = 100 if hidden else 300
     # A short piece of a helix looks like a piece of a circle: positions alone need more of it.
     arc = 2.4 if hidden else 0.9
-    found = coverage.covered(coverage.Case(kind, has_orientation, 100, arc, 0.2, wander), trials)
+    found = covered(Case(kind, has_orientation, 100, arc, 0.2, wander), trials)
     assert (found.share * trials >= least_hits(trials, 0.93) - 0.5).all()
     # Parameters share their errors, so their mean is bounded as a single one of them is.
     spread = 3 * np.sqrt(0.95 * 0.05 / trials)
@@ -57,18 +42,18 @@ def test_coverage_is_what_it_says(coverage: ModuleType, kind: str, has_orientati
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("wander", [0.0, 1.5])
-def test_a_screw_that_positions_hardly_tell_says_so(coverage: ModuleType, wander: float) -> None:
+def test_a_screw_that_positions_hardly_tell_says_so(wander: float) -> None:
     """On 17 degrees its pitch is open: 70 of 100 and fewer intervals of the likeliest screw held it."""
     trials = 60
-    found = coverage.covered(coverage.Case("screw", False, 100, 0.3, 0.4, wander), trials)
+    found = covered(Case("screw", False, 100, 0.3, 0.4, wander), trials)
     assert found.share.mean() > 0.95 - 3 * np.sqrt(0.95 * 0.05 / trials)
     assert (found.share * trials >= least_hits(trials, 0.93) - 0.5).all()
 
 
 @pytest.mark.evidence
-def test_slow_wander_ends_what_intervals_can_promise(coverage: ModuleType) -> None:
-    fast = coverage.covered(coverage.Case("revolute", rows=150, wander=1.5, memory=5.0), 150)
-    slow = coverage.covered(coverage.Case("revolute", rows=150, wander=1.5, memory=150.0), 150)
+def test_slow_wander_ends_what_intervals_can_promise() -> None:
+    fast = covered(Case("revolute", rows=150, wander=1.5, memory=5.0), 150)
+    slow = covered(Case("revolute", rows=150, wander=1.5, memory=150.0), 150)
     assert fast.share.mean() > 0.93
     # A wander that takes as long as the recording is, to any fit, another joint.
     assert slow.share.mean() < fast.share.mean()

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
 from dataclasses import replace
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
+from free_motions import FREE, free_recording, joint_recording
 from planted import JOINTS, Noise, moving_then_held, recorded
 
 from micah_plan.automaton.graph import NoSingleJoint
@@ -20,28 +17,15 @@ from micah_plan.recording.read import read_recording
 from micah_plan.recording.value import Recording
 from micah_plan.view.learned import deviation_notes
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-MOTIONS = ("plane", "turning plane", "ball", "sliding door on a hinge", "deforming path", "free hand")
-
-
-@pytest.fixture(scope="module")
-def calibration() -> ModuleType:
-    """The benchmark's module, without leaving its folder on the path."""
-    sys.path.insert(0, str(BENCHMARKS))
-    try:
-        return importlib.import_module("calibration")
-    finally:
-        sys.path.remove(str(BENCHMARKS))
-
 
 def no_single_joint(recording: Recording) -> NoSingleJoint | None:
     segments = learn_graph(recording).edges[0].segments
     return next((s.certainty.no_single_joint for s in segments if s.certainty.no_single_joint is not None), None)
 
 
-@pytest.mark.parametrize("motion", MOTIONS)
-def test_free_motion_fits_no_single_joint(calibration: ModuleType, motion: str) -> None:
-    recording = calibration.free_recording(motion, 0, orientation=True)
+@pytest.mark.parametrize("motion", FREE)
+def test_free_motion_fits_no_single_joint(motion: str) -> None:
+    recording = free_recording(motion, 0, orientation=True)
     reason = no_single_joint(recording)
     assert reason is not None
     # The numbers say by how much: far more than the noise, and no more than the part moved at all.
@@ -54,9 +38,9 @@ def test_free_motion_fits_no_single_joint(calibration: ModuleType, motion: str) 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("orientation", [True, False])
-@pytest.mark.parametrize("motion", MOTIONS)
-def test_free_motion_is_hardly_ever_taken_for_a_joint(calibration: ModuleType, motion: str, orientation: bool) -> None:
-    found = [no_single_joint(calibration.free_recording(motion, seed, orientation)) for seed in range(6)]
+@pytest.mark.parametrize("motion", FREE)
+def test_free_motion_is_hardly_ever_taken_for_a_joint(motion: str, orientation: bool) -> None:
+    found = [no_single_joint(free_recording(motion, seed, orientation)) for seed in range(6)]
     # Positions alone: a plane in which a hand moves nearly straight is nearly a drawer. A door that slides as it turns
     # looks like two hinges, one after the other.
     close = (motion == "plane" and not orientation) or motion == "sliding door on a hinge"
@@ -64,8 +48,8 @@ def test_free_motion_is_hardly_ever_taken_for_a_joint(calibration: ModuleType, m
 
 
 @pytest.mark.parametrize("kind", list(JOINTS))
-def test_a_joint_under_a_realistic_tracker_is_no_free_motion(calibration: ModuleType, kind: str) -> None:
-    assert no_single_joint(calibration.joint_recording(kind, 0, wander=2.5, memory=15.0)) is None
+def test_a_joint_under_a_realistic_tracker_is_no_free_motion(kind: str) -> None:
+    assert no_single_joint(joint_recording(kind, 0, wander=2.5, memory=15.0)) is None
 
 
 @pytest.mark.parametrize(
@@ -77,10 +61,10 @@ def test_a_joint_under_a_realistic_tracker_is_no_free_motion(calibration: Module
     ],
 )
 @pytest.mark.parametrize("kind", list(JOINTS))
-def test_trackers_raise_no_false_alarm(calibration: ModuleType, kind: str, memory: float) -> None:
+def test_trackers_raise_no_false_alarm(kind: str, memory: float) -> None:
     for seed in range(5):
         for wander in (1.0, 2.5):
-            assert no_single_joint(calibration.joint_recording(kind, seed, wander, memory)) is None
+            assert no_single_joint(joint_recording(kind, seed, wander, memory)) is None
 
 
 @pytest.mark.parametrize("kind", list(JOINTS))

@@ -2,31 +2,17 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from kinds_catalogue import simulated
 from planted import JOINTS, TRAVEL, Noise, moving_then_held, recorded
 
 from micah_plan.learn.learn import learn_graph
 from micah_plan.recording.value import Recording
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 MOVING = 70
 NOISES = [Noise(0.001, 0.006), Noise(1e-5, 1e-4)]
 KINDS = ["prismatic", "revolute"]
-
-
-@pytest.fixture(scope="module")
-def simulated():
-    sys.path.insert(0, str(BENCHMARKS))
-    try:
-        import kinds_catalogue
-
-        yield kinds_catalogue.simulated
-    finally:
-        sys.path.remove(str(BENCHMARKS))
 
 
 def acted(kind: str, before: np.ndarray, after: np.ndarray, noise: Noise, seed: int = 0) -> Recording:
@@ -77,7 +63,7 @@ def test_a_hand_that_first_goes_the_other_way_has_not_pushed_in_vain(kind: str, 
         pytest.param("wander-locked-first", marks=pytest.mark.evidence),
     ],
 )
-def test_hands_whose_direction_wanders_do_not_wait_while_they_push(name: str, simulated) -> None:
+def test_hands_whose_direction_wanders_do_not_wait_while_they_push(name: str) -> None:
     """Where actions predicted no steps, they excused any push in vain."""
     found = [simulated(name, seed) for seed in range(600, 618)]
     right = sum(kinds(one.recording) in [list(answer) for answer in one.edges["part"].answers] for one in found)

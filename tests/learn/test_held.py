@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import ModuleType
 
+import cycles
 import numpy as np
 import pytest
 
@@ -53,7 +53,7 @@ def test_a_slip_of_the_tracker_is_no_rest() -> None:
 
 @pytest.mark.parametrize("number", [1, 2, 3])
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
-def test_a_part_opened_and_shut_several_times_has_a_stop_each_time(kind: str, number: int, cycles: ModuleType) -> None:
+def test_a_part_opened_and_shut_several_times_has_a_stop_each_time(kind: str, number: int) -> None:
     one = cycles.counted(kind, number, cycles.Variant(), 40 + number)
     assert (one.found, one.many) == (one.stops, 0), one.answer
     assert one.stops == 2 * number
@@ -67,7 +67,7 @@ def test_a_part_opened_and_shut_several_times_has_a_stop_each_time(kind: str, nu
         pytest.param("prismatic", 12, "late by 2 rows", 0, marks=pytest.mark.slow),
     ],
 )
-def test_a_long_run_has_its_stops_too(kind: str, number: int, variant: str, missed: int, cycles: ModuleType) -> None:
+def test_a_long_run_has_its_stops_too(kind: str, number: int, variant: str, missed: int) -> None:
     """How often something happens does not matter: a long run is learned in windows that show its joint each."""
     count = cycles.counted(kind, number, cycles.VARIANTS[variant], 12)
     assert count.stops == 2 * number
@@ -78,9 +78,7 @@ def test_a_long_run_has_its_stops_too(kind: str, number: int, variant: str, miss
 
 @pytest.mark.parametrize("columns", ["poses", "positions"])
 @pytest.mark.parametrize(("kind", "number", "seed"), [("revolute", 1, 40), ("revolute", 3, 42), ("prismatic", 2, 41)])
-def test_the_model_has_the_stops_that_were_learned(
-    kind: str, number: int, seed: int, columns: str, cycles: ModuleType
-) -> None:
+def test_the_model_has_the_stops_that_were_learned(kind: str, number: int, seed: int, columns: str) -> None:
     """Where a motion ends is known to a row, so its joint reaches a little beyond the rest."""
     recording, _ = cycles.recording_of(kind, number, cycles.Variant(), seed)
     recording = recording if columns == "poses" else replace(recording, quaternion=None)
@@ -94,9 +92,7 @@ def test_the_model_has_the_stops_that_were_learned(
 
 @pytest.mark.parametrize("alone", [(1000, 0, 0), (0, 1000, 0), (0, 0, 1000), (300, 300, 300)])
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
-def test_however_long_a_part_is_left_alone_its_stops_are_the_same(
-    kind: str, alone: tuple[int, int, int], cycles: ModuleType
-) -> None:
+def test_however_long_a_part_is_left_alone_its_stops_are_the_same(kind: str, alone: tuple[int, int, int]) -> None:
     """A tracker is switched on long before a motion: rests take no steps from it."""
     count = cycles.counted(kind, 1, cycles.Variant(alone=alone), 4)
     assert (count.found, count.stops, count.many) == (2, 2, 0), count.answer
@@ -107,13 +103,13 @@ def test_however_long_a_part_is_left_alone_its_stops_are_the_same(
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
-def test_a_part_opened_slowly_and_shut_quickly_has_its_stops(kind: str, cycles: ModuleType) -> None:
+def test_a_part_opened_slowly_and_shut_quickly_has_its_stops(kind: str) -> None:
     count = cycles.counted(kind, 1, cycles.Variant(slow=6), 5)
     assert (count.found, count.many) == (2, 0), count.answer
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
-def test_a_step_in_which_a_part_is_caught_or_let_go_need_not_be_led(kind: str, cycles: ModuleType) -> None:
+def test_a_step_in_which_a_part_is_caught_or_let_go_need_not_be_led(kind: str) -> None:
     """A few large steps there and many small ones back: each rest begins and ends within one of the large ones."""
     count = cycles.counted(kind, 3, cycles.VARIANTS["opened 8 times slower"], 50)
     assert (count.found, count.stops, count.many) == (6, 6, 0), count.answer
@@ -123,13 +119,13 @@ def test_a_step_in_which_a_part_is_caught_or_let_go_need_not_be_led(kind: str, c
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
-def test_a_push_that_is_slower_than_the_motion_tells_a_stop_too(kind: str, cycles: ModuleType) -> None:
+def test_a_push_that_is_slower_than_the_motion_tells_a_stop_too(kind: str) -> None:
     """A hand slows down where it meets an end: how far it asks for counts, not how fast."""
     count = cycles.counted(kind, 1, cycles.VARIANTS["pushed a fifth as fast"], 5)
     assert (count.found, count.many) == (2, 0), count.answer
 
 
-def test_a_push_of_many_rows_is_one_stop(cycles: ModuleType) -> None:
+def test_a_push_of_many_rows_is_one_stop() -> None:
     recording, (stop, shut) = cycles.recording_of("prismatic", 1, cycles.Variant(), 5)
     at, more = stop + 5, 600
     index = np.concatenate([np.arange(at), np.full(more, at), np.arange(at, len(recording))])
@@ -144,32 +140,32 @@ def test_a_push_of_many_rows_is_one_stop(cycles: ModuleType) -> None:
 
 
 @pytest.mark.slow
-def test_a_long_rest_before_many_motions_hides_none(cycles: ModuleType) -> None:
+def test_a_long_rest_before_many_motions_hides_none() -> None:
     count = cycles.counted("revolute", 6, cycles.VARIANTS["1,000 rows before"], 30)
     assert (count.found, count.many) == (12, 0), count.answer
 
 
-def test_nothing_but_rest_is_a_rest(cycles: ModuleType) -> None:
+def test_nothing_but_rest_is_a_rest() -> None:
     recording, _ = cycles.recording_of("revolute", 1, cycles.VARIANTS["1,000 rows before"], 30)
     assert [s.joint.kind for s in learn_graph(recording.rows(np.arange(1000))).edges[0].segments] == ["rigid"]
 
 
 @pytest.mark.slow
-def test_a_row_between_a_rest_and_a_motion_is_no_rest_elsewhere(cycles: ModuleType) -> None:
+def test_a_row_between_a_rest_and_a_motion_is_no_rest_elsewhere() -> None:
     """A drawer's step on the way out lay on the pose of the other end, as far as a tracker's drift may say it."""
     count = cycles.counted("prismatic", 5, cycles.VARIANTS["plain"], 1)
     assert count.found == count.stops, count.answer
     assert not count.wrong
 
 
-def test_a_part_that_is_moved_many_times_and_never_pushed_has_no_stop(cycles: ModuleType) -> None:
+def test_a_part_that_is_moved_many_times_and_never_pushed_has_no_stop() -> None:
     recording, _ = cycles.recording_of("revolute", 6, cycles.VARIANTS["not pushed"], 3)
     (edge,) = learn_graph(recording).edges
     assert [segment.joint.kind for segment in edge.segments] == ["revolute"]
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
-def test_a_part_moved_there_and_back_between_its_ends_has_none(kind: str, cycles: ModuleType) -> None:
+def test_a_part_moved_there_and_back_between_its_ends_has_none(kind: str) -> None:
     recording, stops = cycles.recording_of(kind, 2, cycles.VARIANTS["not pushed"], 5)
     assert stops == []
     (edge,) = learn_graph(recording).edges

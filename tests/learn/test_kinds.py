@@ -1,41 +1,23 @@
-"""The kinds of motion that learning is judged by do what their truth says, and the changes are what they are called."""
-
-import sys
-from pathlib import Path
+"""The kinds of motion that learning is judged by do what their truth says."""
 
 import numpy as np
 import pytest
+from kinds_catalogue import KINDS, simulated
 from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.kinematics import forward, inverse
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
-
-@pytest.fixture(scope="module")
-def scripts():
-    sys.path.insert(0, str(BENCHMARKS))
-    try:
-        import kinds_catalogue
-        import kinds_changed
-
-        yield kinds_catalogue, kinds_changed
-    finally:
-        sys.path.remove(str(BENCHMARKS))
-
-
-def test_a_seed_gives_the_same_recording_and_another_one_another(scripts):
-    catalogue, _ = scripts
-    assert len(catalogue.KINDS) >= 25
-    for name in catalogue.KINDS:
-        first, again, other = (catalogue.simulated(name, seed).recording.digest() for seed in (4, 4, 5))
+def test_a_seed_gives_the_same_recording_and_another_one_another():
+    assert len(KINDS) >= 25
+    for name in KINDS:
+        first, again, other = (simulated(name, seed).recording.digest() for seed in (4, 4, 5))
         assert first == again != other
 
 
-def test_recordings_are_as_long_as_the_kinds_say_and_the_truth_fits_them(scripts):
-    catalogue, _ = scripts
-    for name in catalogue.KINDS:
-        one = catalogue.simulated(name, 7)
+def test_recordings_are_as_long_as_the_kinds_say_and_the_truth_fits_them():
+    for name in KINDS:
+        one = simulated(name, 7)
         rows = len(one.recording) // len(one.recording.parts)
         assert 75 <= rows <= 301, name
         for truth in one.edges.values():
@@ -44,10 +26,9 @@ def test_recordings_are_as_long_as_the_kinds_say_and_the_truth_fits_them(scripts
 
 
 @pytest.mark.parametrize("name", ["left-open-ideal", "locked-first-ideal"])
-def test_ideal_poses_lie_on_the_joint_and_move_as_commanded(scripts, name):
-    catalogue, _ = scripts
+def test_ideal_poses_lie_on_the_joint_and_move_as_commanded(name):
     for seed in range(4):
-        one = catalogue.simulated(name, seed)
+        one = simulated(name, seed)
         recording, truth = one.recording, one.edges["part"]
         joint = truth.joints[-1]
         c = inverse(joint, recording.position, Rotation.from_quat(recording.quaternion))
@@ -59,27 +40,3 @@ def test_ideal_poses_lie_on_the_joint_and_move_as_commanded(scripts, name):
         assert (along[moving] > 0).all()
         assert not moving[:row].any()
         assert np.abs(recording.action[:row]).sum() > 0 or row == 0
-
-
-def test_changes_are_undone_by_their_inverses(scripts):
-    catalogue, changed = scripts
-    for name in ("stop", "parts-actions", "stop-positions"):
-        recording = catalogue.simulated(name, 1).recording
-        back = changed.mirrored(changed.mirrored(recording))
-        turn = Rotation.from_rotvec([0.3, -2.0, 1.0])
-        same = changed.turned(changed.turned(recording, turn), turn.inv())
-        for part in recording.parts:
-            own, twice, turned = (one.select(part=part) for one in (recording, back, same))
-            for other in (twice, turned):
-                np.testing.assert_allclose(other.time, own.time, atol=1e-9)
-                np.testing.assert_allclose(other.position, own.position, atol=1e-12)
-                np.testing.assert_allclose(other.action, own.action, atol=1e-12)
-
-
-def test_every_second_row_keeps_what_was_commanded(scripts):
-    catalogue, changed = scripts
-    recording = catalogue.simulated("slide", 2).recording
-    fewer = changed.every_second(recording)
-    assert len(fewer) == (len(recording) + 1) // 2
-    last = np.searchsorted(recording.time, fewer.time[-1])
-    np.testing.assert_allclose(np.nansum(fewer.action[:-1], axis=0), recording.action[:last].sum(axis=0), atol=1e-9)

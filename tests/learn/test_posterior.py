@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
 import itertools
-import sys
 from dataclasses import replace
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -38,7 +34,6 @@ from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import part_track
 from micah_plan.recording.value import Recording
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 RECORDINGS = 100
 RARELY = 1e-4
 
@@ -58,16 +53,6 @@ def drawn(seed: int) -> tuple[str, int | None, KinematicEdge, KinematicEdge]:
     recording = recorded([(JOINTS[kind], c)], rng, Noise(0.001, 0.006), commanded=[asked])
     edges = [learn_graph(recording, method=method).edges[0] for method in METHODS]
     return kind, moving if held else None, edges[0], edges[1]
-
-
-@pytest.fixture(scope="module")
-def reliability() -> ModuleType:
-    """The benchmark's module, without leaving its folder on the path."""
-    sys.path.insert(0, str(BENCHMARKS))
-    try:
-        return importlib.import_module("reliability")
-    finally:
-        sys.path.remove(str(BENCHMARKS))
 
 
 @pytest.fixture(scope="module")
@@ -167,23 +152,6 @@ def test_a_stop_that_the_answer_has_not_is_counted_all_the_same() -> None:
         recording = recorded([(JOINTS["prismatic"], moving_then_held("prismatic", 70, held))], np.random.default_rng(3))
         none.append(learn_graph(recording, method="champ").edges[0].certainty.changepoint_counts[0][0])
     assert none[0] > 0.9 > none[1] > 0.5 > none[2]
-
-
-@pytest.mark.evidence
-@pytest.mark.parametrize("orientation", [True, False])
-def test_of_what_is_said_of_counts_so_much_is_true(reliability: ModuleType, orientation: bool) -> None:
-    """Short and noisy motions, every second one of which stops; other seeds than those that constants come from."""
-    said = [
-        (probability, true)
-        for trial in range(500_000, 500_000 + 100)
-        for question, probability, true in reliability.said(reliability.drawn(trial, orientation))
-        if question == "changepoints"
-    ]
-    probability, true = (np.array(column, dtype=float) for column in zip(*said, strict=True))
-    for low, high in ((0.0, 0.1), (0.1, 0.4), (0.4, 0.8), (0.8, 1.01)):
-        inside = (probability >= low) & (probability < high)
-        spread = np.sqrt((probability * (1 - probability))[inside].sum())
-        assert abs((true - probability)[inside].sum()) < 3 * spread + 0.05 * inside.sum()
 
 
 def enumerated(table: EvidenceTable, cost, apart, prior: LengthPrior, most: int) -> tuple[np.ndarray, np.ndarray]:

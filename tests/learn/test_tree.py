@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from itertools import product
-from types import ModuleType
 
+import cycles
 import numpy as np
 import pytest
 from planted_parts import (
@@ -402,7 +402,7 @@ def test_parents_of_a_child_are_compared_on_as_many_steps() -> None:
 
 
 @pytest.mark.parametrize(("seed", "pushed"), [(4, True), (14, True), (4, False)])
-def test_parts_that_are_moved_one_after_the_other_have_their_stops(seed: int, pushed: bool, cycles: ModuleType) -> None:
+def test_parts_that_are_moved_one_after_the_other_have_their_stops(seed: int, pushed: bool) -> None:
     """Each rests while the other is moved, and both before: a part's rest takes no steps from its motion."""
     alone = {"revolute": (200, 0, 130), "prismatic": (330, 0, 0)}
     made = {

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from many_doors import cabinet_problem
 from planning_examples import DOOR_SHUT, door_automaton, door_problem, drawer_problem, planar_problem, with_settings
 
 from micah_plan.api.stages import solve
@@ -170,10 +169,8 @@ def test_planning_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.slow
-def test_twelve_dimensions_and_64_modes_are_solved(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
-    script = importlib.import_module("planning_growth")
-    problem = script.cabinet_problem(doors=6, drawers=6, opened=12, steps=10)
+def test_twelve_dimensions_and_64_modes_are_solved() -> None:
+    problem = cabinet_problem(doors=6, drawers=6, opened=12, steps=10)
     assert (problem.automaton.n, len(problem.automaton.modes)) == (12, 64)
     found = solve(problem)
     assert found.outcome == "solved"

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from many_doors import cabinet_problem
 from planning_examples import DOOR_SHUT, door_automaton, door_problem, drawer_problem, planar_problem
 from scipy.stats import binom, binomtest, norm
 
@@ -159,13 +158,7 @@ def test_in_turns_the_answer_is_the_same_with_fewer_roll_outs() -> None:
 @pytest.fixture(scope="module")
 def many_doors() -> Problem:
     """Six doors that latch: 64 modes."""
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-    try:
-        import planning_growth
-
-        return planning_growth.cabinet_problem(6, 0, 1, 6)
-    finally:
-        sys.path.pop(0)
+    return cabinet_problem(6, 0, 1, 6)
 
 
 @pytest.mark.parametrize("near", [1, 2])

@@ -1,25 +1,15 @@
-"""Which random states lead a roadmap through narrow corridors between bodies: uniform ones, bridges, or on the faces.
-
-    python -m benchmarks corridors [--seeds 6] [--samples 16 32 64 128]
-
-A point in two or three dimensions goes through plates with a window each, at alternating sides, all of it turned; to
-touch a plate is a mode change, as the collisions of held objects are. `faces` is what the planner does: its states of
-the mode, those on the faces of guards among them. The others get as many states: uniform outside of the plates, or half
-of them by the bridge test (Hsu et al., ICRA 2003): free middles between two states inside of plates. Counted is how
-often the planner's roadmap over them joins start and goal.
-"""
+"""A point that goes through plates with a window each, at alternating sides, all of it turned."""
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.sparse.csgraph import connected_components
 
+from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import HalfSpace, Region, box
@@ -33,13 +23,7 @@ from micah_plan.task.problem import Problem
 from micah_plan.task.settings import PlannerSettings
 from micah_plan.task.start import Start
 
-Floats = NDArray[np.float64]
-
-# (dimensions, plates, width of the windows and distance of the plates [m])
-SCENES = ((2, 2, 0.03), (2, 2, 0.01), (2, 4, 0.01), (3, 1, 0.05), (3, 2, 0.03), (3, 4, 0.03))
 ROOM, THICKNESS, ASIDE, TURN = 0.5, 0.08, 0.2, 0.35
-# Bridges are as long as these powers of ten times the room's width, and so many are tried for each state wanted.
-LENGTHS, TRIED = (-3.0, -0.5), 200
 
 
 def corridor(n: int, plates: int, width: float) -> Problem:
@@ -87,50 +71,18 @@ def _plate(turn: Floats, begin: float, centre: Floats, width: float) -> list[tup
     return pieces
 
 
-def counts(problem: Problem, samples: int, seeds: int) -> tuple[int, Counter[str]]:
-    """How many states the planner's roadmap has, and how often as many of each kind join start and goal."""
+def joined(problem: Problem, samples: int, seeds: int) -> Counter[str]:
+    """How often the planner's states on faces of plates join start and goal, and how often as many uniform ones do."""
     problem = replace(problem, settings=replace(problem.settings, samples_per_mode=samples))
     limits, found = limits_of(problem), Counter[str]()
     motion, leaves = motions_of(problem, limits)["free"], leaves_of(problem.automaton.mode("free"), limits)
+    ends = np.array([problem.start.mean, [value for _, value, _ in problem.goal.target]])
     for seed in range(seeds):
         faces = sample_modes(problem, limits, "free", np.random.default_rng(seed)).points["free"]
         rng, states = np.random.default_rng(seed), mode_states(problem.automaton.mode("free"), limits)
-        ends = np.array([problem.start.mean, [value for _, value, _ in problem.goal.target]])
         uniform = states.sample(rng, 4 * len(faces))
         uniform = uniform[~inside_any(obstacles_on_state(problem.automaton, "free"), uniform)][: len(faces)]
-        bridges = bridge_states(problem, rng, len(faces) // 2)
-        mixed = np.vstack([bridges, uniform[len(bridges) :]])
-        for kind, points in (("uniform", uniform), ("bridges", mixed), ("faces", faces)):
+        for kind, points in (("uniform", uniform), ("faces", faces)):
             parts = connected_components(roadmap_of(np.vstack([ends, points]), leaves, motion))[1]
             found[kind] += int(parts[0] == parts[1])
-    return len(faces), found
-
-
-def bridge_states(problem: Problem, rng: np.random.Generator, count: int) -> Floats:
-    """(at most count, n) free middles of bridges between two states inside of plates or out of the room."""
-    plates, n = obstacles_on_state(problem.automaton, "free"), problem.automaton.n
-    ends = rng.uniform(-ROOM, ROOM, (TRIED * count, n))
-    ends = ends[inside_any(plates, ends)]
-    others = ends + 2 * ROOM * 10.0 ** rng.uniform(*LENGTHS, (len(ends), 1)) * rng.standard_normal(ends.shape)
-    middles = (ends + others) / 2
-    blocked = inside_any(plates, others) | (np.abs(others) > ROOM).any(axis=1)
-    free = ~inside_any(plates, middles) & (np.abs(middles) <= ROOM).all(axis=1)
-    return np.asarray(middles[blocked & free][:count])
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description="States that lead through narrow corridors.")
-    parser.add_argument("--seeds", type=int, default=6)
-    parser.add_argument("--samples", type=int, nargs="*", default=[16, 32, 64, 128], help="samples_per_mode")
-    options = parser.parse_args()
-    print(f"{'scene':36} {'samples_per_mode':>16} {'states':>6} {'uniform':>8} {'bridges':>8} {'faces':>6}")
-    for n, plates, width in SCENES:
-        for samples in options.samples:
-            states, found = counts(corridor(n, plates, width), samples, options.seeds)
-            scene = f"{n} dimensions, {plates} plates, {1e3 * width:.0f} mm"
-            columns = " ".join(f"{found[kind]:{size}}" for kind, size in (("uniform", 8), ("bridges", 8), ("faces", 6)))
-            print(f"{scene:36} {samples:16} {states:6} {columns}", flush=True)
-
-
-if __name__ == "__main__":
-    main()
+    return found
