@@ -18,7 +18,6 @@ from pathlib import Path
 
 import numpy as np
 
-from micah_plan.api import stages
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.documents.model import load_model
 from micah_plan.documents.problem import load_problem
@@ -27,6 +26,7 @@ from micah_plan.execution.log import concatenated
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.standing import StandingPlant
 from micah_plan.execution.plant import Command, Measurement, Truth
+from micah_plan.planning.solver import solve
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.task.goal import Goal
@@ -191,14 +191,14 @@ def main(seeds: int = 20, first: int = 0, *names: str) -> None:
     for name, problem in problems().items():
         if names and name not in names:
             continue
-        nominal, rounds, verdicts = stages.solve(problem), [], Counter[str]()
+        nominal, rounds, verdicts = solve(problem), [], Counter[str]()
         print(f"{name}: {'seed':>4} {'what acts':14} {'before':>8} {'after':>8}  reached     calibration")
         for seed in range(first, first + seeds):
             plant = Tampered(problem, seed)
             before = executed(problem, nominal, plant, range(100 * seed, 100 * seed + TRIALS))
             found = calibrate(problem.automaton, before.recording)
             improved = replace(problem, automaton=found.automaton)
-            plan = stages.solve(improved)
+            plan = solve(improved)
             again = range(100 * seed + 50, 100 * seed + 50 + TRIALS)
             # Without a new plan one goes on with the old one.
             planned = plan.outcome == "solved"

@@ -19,14 +19,15 @@ from pathlib import Path
 import numpy as np
 from explore_plants import LATCHED, MOVING, HandlePlant, Thing, drawn
 
-from micah_plan.api.stages import execute, solve
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.documents.model import model_text
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.handle import HandlePlant as Checked
 from micah_plan.execution.log import concatenated
 from micah_plan.execution.plant import Measurement
+from micah_plan.execution.trials import execute_plan
 from micah_plan.explore.run import explore
+from micah_plan.planning.solver import solve
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.prediction import predict_recording
@@ -102,7 +103,7 @@ class Handover:
         if plan.trajectory is None:
             self.said = f"no plan to {goal:.0%}"
             return None
-        statistics = execute(problem, plan, plant=self.plant, seed=self.seed)
+        statistics = execute_plan(problem, plan, plant=self.plant, seed=self.seed)
         result = statistics.results[0]
         self.said = "" if result.success else f"to {goal:.0%}: {result.reason}"
         self.runs += 1

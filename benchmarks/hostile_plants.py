@@ -17,11 +17,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from micah_plan.api import stages
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import MicahError
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.plant import Command, Measurement
+from micah_plan.execution.trials import execute_plan
+from micah_plan.planning.solver import solve
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
 
@@ -112,7 +113,7 @@ def counted(problem: Problem, plan: Plan, kind: str, seeds: int) -> str:
     for seed in range(seeds):
         plant = Hostile(problem, kind, at=2 + seed % 8)
         try:
-            (result,) = stages.execute(problem, plan, plant=plant, seed=seed).results
+            (result,) = execute_plan(problem, plan, plant=plant, seed=seed).results
         except MicahError:
             ends["refused"] += 1
             continue
@@ -137,7 +138,7 @@ def main() -> None:
     given = parser.parse_args()
     for path in given.problems:
         problem = load_problem(path)
-        plan = stages.solve(problem)
+        plan = solve(problem)
         print(f"\n{path.stem}: a plan of {len(plan.trajectory.inputs)} steps")
         print(f"{'':<15}{'success':>9}{'failed':>9}{'refused':>9}{'false':>9}{'missed':>9}{'steps':>8}{'largest':>10}")
         for kind in given.kinds:

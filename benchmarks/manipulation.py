@@ -26,13 +26,13 @@ sys.path.insert(0, str(ROOT / "examples"))
 from objects import DOOR_OPEN, drawer, microwave  # noqa: E402
 from saving import add_json, save_json  # noqa: E402
 
-from micah_plan.api.stages import solve  # noqa: E402
 from micah_plan.automaton.hybrid import HybridAutomaton, Noise  # noqa: E402
 from micah_plan.documents.model import load_model  # noqa: E402
 from micah_plan.execution.mujoco.parameters import PhysicalParameters  # noqa: E402
 from micah_plan.execution.mujoco.standing import StandingPlant  # noqa: E402
 from micah_plan.execution.trials import run_trials  # noqa: E402
 from micah_plan.planning.replanning import replan  # noqa: E402
+from micah_plan.planning.solver import solve  # noqa: E402
 from micah_plan.task.goal import Goal  # noqa: E402
 from micah_plan.task.problem import Problem  # noqa: E402
 from micah_plan.task.settings import PlannerSettings  # noqa: E402

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from micah_plan.api import stages
+from micah_plan.api.learning import learn
 from micah_plan.automaton.build import build_automaton
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.hybrid import HybridAutomaton
@@ -155,7 +155,7 @@ def main() -> None:
         print(row(path.stem, calibrate(model_of(path.stem, recording), recording)), flush=True)
     for path in sorted((data / "demonstrations").glob("*.csv")):
         recording = read_recording(path)
-        if recording.has_actions and (model := stages.learn(recording).automaton) is not None:
+        if recording.has_actions and (model := learn(recording).automaton) is not None:
             print(row(path.stem, calibrate(model, recording)), flush=True)
     print()
     print_halves(sorted((data / "executions").rglob("*.csv")))

@@ -11,9 +11,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from micah_plan.api import stages
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
+from micah_plan.exchange.load import load_recording
+from micah_plan.execution.trials import execute_plan
+from micah_plan.planning.solver import solve
 from micah_plan.recording.read import write_recording
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
@@ -27,11 +29,11 @@ FOLDER = Path(__file__).resolve().parents[1] / "problems"
 def recorded(problem: Problem, file: Path | None, trials: int, seed: int) -> Recording | str:
     """Runs of the problem's plan; why there are none."""
     if file is not None and file.exists():
-        return stages.read(file)
-    plan = stages.solve(problem, seed=seed, advise=False)
+        return load_recording(file)
+    plan = solve(problem, seed=seed, advise=False)
     if plan.outcome != "solved":
         return plan.reason
-    recording = stages.execute(problem, plan, trials=trials, seed=seed).recording
+    recording = execute_plan(problem, plan, trials=trials, seed=seed).recording
     if file is not None:
         write_recording(recording, file)
     return recording

@@ -38,15 +38,16 @@ from processor_clock import time_by_processor
 from saving import add_json, save_json
 from user_code import Reader, chances_for, filtered, open_loop, share_in_goal
 
-from micah_plan.api.stages import execute, solve
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.documents.kind import kind_of
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.closed_loop import goal_probability
+from micah_plan.execution.trials import execute_plan
 from micah_plan.planning.findings import explain
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.path_constraints import cost_of
 from micah_plan.planning.roll_outs import RollOuts, are_in_goal, draw_chances, roll_out
+from micah_plan.planning.solver import solve
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import pre_release_problem
@@ -191,7 +192,7 @@ def executed_success(problem: Problem, plan: Plan, trials: int, seed: int) -> tu
     """Share of closed-loop executions on the nominal plant that end in the goal, and what they believe it to be."""
     if trials < 1 or plan.outcome != "solved":
         return None, None
-    found = execute(problem, plan, trials=trials, seed=seed)
+    found = execute_plan(problem, plan, trials=trials, seed=seed)
     return found.successes / trials, float(np.mean([result.confidence for result in found.results]))
 
 

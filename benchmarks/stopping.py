@@ -17,11 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
-from micah_plan.api.stages import solve
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.trials import TrialStatistics, run_trials
 from micah_plan.planning.replanning import replan
+from micah_plan.planning.solver import solve
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import Start
 

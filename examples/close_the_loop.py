@@ -11,9 +11,9 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from micah_plan.api import stages
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.trials import TrialStatistics, run_trials
+from micah_plan.planning.solver import solve
 from micah_plan.quantities import quantity, with_spread
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.task.plan import Plan
@@ -38,7 +38,7 @@ def report(name: str, problem: Problem, statistics: TrialStatistics) -> None:
 
 def main(name: str = "drawer_open", trials: int = 8) -> None:
     problem = load_problem(PROBLEMS / f"{name}.yaml")
-    first = executed(problem, stages.solve(problem), trials)
+    first = executed(problem, solve(problem), trials)
     report("nominal model", problem, first)
     found = calibrate(problem.automaton, first.recording)
     print(f"calibration: {found.verdict}")
@@ -47,7 +47,7 @@ def main(name: str = "drawer_open", trials: int = 8) -> None:
         values = ", ".join(f"{key} {quantity(value, unit)}" for (key, value), unit in pairs)
         print(f"  {effect.effect.name}: {values}" + (f" (or {', '.join(effect.tied)})" if effect.tied else ""))
     improved = replace(problem, automaton=found.automaton)
-    report("calibrated model", improved, executed(improved, stages.solve(improved), trials))
+    report("calibrated model", improved, executed(improved, solve(improved), trials))
 
 
 if __name__ == "__main__":

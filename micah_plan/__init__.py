@@ -17,15 +17,15 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from micah_plan.api.functions import calibrate as calibrate
-    from micah_plan.api.functions import execute as execute
-    from micah_plan.api.functions import explore as explore
-    from micah_plan.api.functions import learn as learn
-    from micah_plan.api.functions import load as load
-    from micah_plan.api.functions import predict as predict
-    from micah_plan.api.functions import save as save
-    from micah_plan.api.functions import show as show
-    from micah_plan.api.functions import solve as solve
+    from micah_plan.api.calibration import calibrate as calibrate
+    from micah_plan.api.calibration import predict as predict
+    from micah_plan.api.files import load as load
+    from micah_plan.api.files import save as save
+    from micah_plan.api.files import show as show
+    from micah_plan.api.learning import explore as explore
+    from micah_plan.api.learning import learn as learn
+    from micah_plan.api.planning import execute as execute
+    from micah_plan.api.planning import solve as solve
     from micah_plan.automaton.hybrid import HybridAutomaton as HybridAutomaton
     from micah_plan.errors import InputError as InputError
     from micah_plan.recording.value import Recording as Recording
@@ -36,9 +36,10 @@ _PLACES = {
     "HybridAutomaton": "automaton.hybrid",
     "InputError": "errors",
     "Recording": "recording.value",
-    **dict.fromkeys(
-        ("calibrate", "execute", "explore", "learn", "load", "predict", "save", "show", "solve"), "api.functions"
-    ),
+    **dict.fromkeys(("calibrate", "predict"), "api.calibration"),
+    **dict.fromkeys(("execute", "solve"), "api.planning"),
+    **dict.fromkeys(("explore", "learn"), "api.learning"),
+    **dict.fromkeys(("load", "save", "show"), "api.files"),
 }
 __all__ = ["__version__", *sorted(_PLACES)]
 _PACKAGES = ("explore", "learn")  # subpackages with the names of functions
@@ -72,7 +73,8 @@ class _Verb(ModuleType):
 
     @property
     def _function(self) -> Any:
-        return getattr(import_module(f"{__name__}.api.functions"), self.__name__.rpartition(".")[2])
+        name = self.__name__.rpartition(".")[2]
+        return getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
 
 
 class _Package(ModuleType):

@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from html import escape
 
 LARGEST = 1e6
@@ -193,6 +194,29 @@ class Summarised(ABC):
 
     def _repr_html_(self) -> str:
         return f"<pre>{escape(self.summary())}</pre>"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Texts in named columns.
+
+    Attributes:
+        rows: a text for each column; it may have two lines, which are one where there is room.
+        title: what stands above; empty: nothing.
+        firm: names of columns that are never folded.
+    """
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    title: str = ""
+    firm: tuple[str, ...] = ()
+
+    def lines(self) -> list[str]:
+        """The table as plain text, each row on one line."""
+        cells = [[" ".join(text.split("\n")) for text in row] for row in (self.columns, *self.rows)]
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        texts = ["  ".join(f"{text:{width}}" for text, width in zip(row, widths, strict=True)) for row in cells]
+        return [*([self.title] if self.title else []), *(f"  {text}".rstrip() for text in texts)]
 
 
 def aligned(title: str, rows: dict[str, str]) -> str:

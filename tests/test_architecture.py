@@ -80,7 +80,7 @@ LIGHT = (
     "task",
     "documents",
     "learn",
-    "api.stages",
+    "api",
 )
 
 

@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from micah_plan import cli
-from micah_plan.api import stages
+from micah_plan.api import inputs
 from micah_plan.recording.read import read_recording
 
 
@@ -384,7 +384,7 @@ def stopped(monkeypatch, capsys):
         def fail(*_, **__):
             raise raised
 
-        monkeypatch.setattr(stages, "read", fail)
+        monkeypatch.setattr(inputs, "demonstration_of", fail)
         monkeypatch.setattr(sys, "argv", ["micah-plan", "learn", "x.csv", "-o", os.devnull + ".yaml", "--json"])
         monkeypatch.setattr(sys, "excepthook", sys.excepthook)  # typer puts its own there
         with pytest.raises(expected) as caught:

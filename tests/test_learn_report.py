@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from micah_plan import cli
-from micah_plan.api import stages
+from micah_plan.api.learning import LearningResult, segment_row
 from micah_plan.automaton.graph import (
     ActionChannel,
     EdgeCertainty,
@@ -119,10 +119,10 @@ def test_several_parts_say_it_per_edge(repository):
     (edge,) = sure_graph().edges
     other = replace(edge, child="drawer", certainty=None)
     recording = read_recording(repository / DEMONSTRATION)
-    result = stages.Learned(recording, KinematicGraph((edge, other)), None, 0.1)
-    found = report.learned(result, 0)
+    result = LearningResult(recording, KinematicGraph((edge, other)), None, 0.1)
+    found = result.json()
     assert found["tree_probability"] is None
-    assert report.learned(replace(result, graph=replace(result.graph, probability=0.8)), 0)["tree_probability"] == 0.8
+    assert replace(result, graph=replace(result.graph, probability=0.8)).json()["tree_probability"] == 0.8
     first, second = found["edges"]
     assert first["action_channel"]["gain"] == 0.94
     assert second["action_channel"] is second["changepoint_counts"] is None
@@ -242,7 +242,7 @@ def test_wide_numbers_wrap_no_names(run):
 def test_the_table_says_where_a_part_turned_around(ends, reached, way) -> None:
     moving = sure_graph().edges[0].segments[0]
     there = replace(moving, configuration_start=ends[0], configuration_end=ends[1], configuration_range=reached)
-    assert report.segment_row(there)[2] == way
+    assert segment_row(there)[2] == way
 
 
 def test_axis_and_radius_have_their_spread() -> None:
@@ -252,7 +252,7 @@ def test_axis_and_radius_have_their_spread() -> None:
     door = replace(revolute((0, 0, 1), (0, 0, 0), (0.3, 0, 0)), covariance=covariance)
     assert axis_std(door) == pytest.approx(0.02)
     assert radius_std(door) == pytest.approx(0.005)
-    row = report.segment_row(replace(sure_graph().edges[0].segments[0], joint=door))
+    row = segment_row(replace(sure_graph().edges[0].segments[0], joint=door))
     assert row[3] == "0.00 0.00 1.00\n± 1.1°"
     assert row[4] == "300 mm\n± 5 mm"
 

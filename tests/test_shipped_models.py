@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from micah_plan.api import stages
+from micah_plan.api.learning import learn
 from micah_plan.documents.kind import kind_of
 from micah_plan.documents.model import load_model
 from micah_plan.documents.parts import load_parts
 from micah_plan.documents.problem import load_problem
+from micah_plan.exchange.load import load_recording
+from micah_plan.execution.trials import execute_plan
+from micah_plan.planning.solver import solve
 
 OBJECTS = ("microwave", "drawer", "cabinet", "stapler", "box")
 FOLDER = Path(__file__).resolve().parents[1] / "problems"
@@ -33,8 +36,8 @@ def thresholds(automaton):
 @pytest.mark.parametrize("name", OBJECTS)
 def test_a_shipped_model_is_learned_from_the_shipped_demonstration(repository, name):
     shipped = load_model(repository / "models" / f"{name}.yaml")
-    recording = stages.read(repository / "examples" / "demonstrations" / f"{name}.csv")
-    learned = stages.learn(recording, parts=load_parts(repository / "models" / "parts" / f"{name}.yaml")).automaton
+    recording = load_recording(repository / "examples" / "demonstrations" / f"{name}.csv")
+    learned = learn(recording, parts=load_parts(repository / "models" / "parts" / f"{name}.yaml")).automaton
     assert shipped.provenance["recording"] == recording.digest()
     assert learned.parts == shipped.parts
     assert [mode.name for mode in learned.modes] == [mode.name for mode in shipped.modes]
@@ -92,11 +95,11 @@ def test_the_learned_cabinet_is_the_true_cabinet(repository):
 def test_a_shipped_problem_is_solved_and_its_plan_holds_in_the_model_and_in_physics(repository, name):
     pytest.importorskip("mujoco", reason="plans are executed in MuJoCo (extra 'sim')")
     problem = load_problem(repository / "problems" / name)
-    plan = stages.solve(problem)
+    plan = solve(problem)
     assert plan.outcome == "solved", plan.reason
     if name not in WITHOUT_PHYSICS:
-        physics = stages.execute(problem, plan, plant="mujoco", trials=5)
+        physics = execute_plan(problem, plan, plant="mujoco", trials=5)
         assert physics.successes == 5, physics.failures
-    nominal = stages.execute(problem, plan, trials=20)
+    nominal = execute_plan(problem, plan, trials=20)
     # As often as the confidence lets expect: a right plan fails here once in two hundred.
     assert nominal.successes >= binom.ppf(0.005, 20, problem.settings.confidence), nominal.failures

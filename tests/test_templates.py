@@ -13,7 +13,6 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from micah_plan.api import stages
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.checking import check_file
 from micah_plan.cli.console import title_of
@@ -22,6 +21,7 @@ from micah_plan.documents.problem import load_problem
 from micah_plan.documents.sweep import load_sweep
 from micah_plan.documents.yaml_lines import read_yaml
 from micah_plan.errors import InputError
+from micah_plan.planning.solver import solve
 from micah_plan.sweep.run import run_sweep
 from micah_plan.symbolic.form_check import check_form
 from micah_plan.templates.effect import SpeedDrag
@@ -34,7 +34,7 @@ from micah_plan.templates.write import write_template
 )
 def test_the_problem_solves_as_it_is(tmp_path: Path, kind: str, modes: tuple[str, ...], has_arm: bool) -> None:
     write_template(kind, tmp_path / "mine")  # type: ignore[arg-type]
-    plan = stages.solve(load_problem(tmp_path / "mine" / "problem.yaml"))
+    plan = solve(load_problem(tmp_path / "mine" / "problem.yaml"))
     assert plan.outcome == "solved"
     assert tuple(dict.fromkeys(plan.mode_sequence)) == modes
     assert (plan.arm is not None) is has_arm
@@ -57,7 +57,7 @@ def test_what_the_comment_on_the_guard_says_is_so(tmp_path: Path) -> None:
 
     def pull(release: str) -> tuple[str, float]:
         model.write_text(re.sub(r"input drawer > [\d.]+", f"input drawer > {release}", model.read_text()))
-        plan = stages.solve(load_problem(tmp_path / "problem.yaml"))
+        plan = solve(load_problem(tmp_path / "problem.yaml"))
         return plan.outcome, 0.0 if plan.trajectory is None else float(plan.trajectory.inputs.max())
 
     assert pull("0.02")[0] == "solved"
@@ -110,7 +110,7 @@ def test_the_command_writes_and_never_overwrites(tmp_path: Path) -> None:
 def test_a_problem_for_a_learned_model_solves_as_it_is(tmp_path: Path, repository: Path, name: str) -> None:
     written = write_template("problem", tmp_path / "mine", model=repository / "models" / f"{name}.yaml")
     assert [check_file(path).faults for path in written if path.suffix == ".yaml"] == [(), ()]
-    assert stages.solve(load_problem(written[0])).outcome == "solved"
+    assert solve(load_problem(written[0])).outcome == "solved"
 
 
 @pytest.mark.parametrize(

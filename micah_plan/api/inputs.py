@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import fields, replace
 from pathlib import Path
 from types import ModuleType
@@ -10,18 +11,17 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from micah_plan.api.results import CalibrationResult, ExplorationResult, LearningResult, PlanningResult, RunsResult
+from micah_plan.api.result import Result
 from micah_plan.automaton.check import check_automaton
 from micah_plan.automaton.hybrid import HybridAutomaton, Part
 from micah_plan.errors import InputError, choices, located_in, shown
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
+from micah_plan.quantities import quantity
 from micah_plan.recording.checks import checked
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.value import Recording
-from micah_plan.task.experiment import Experiment
 from micah_plan.task.problem import Problem
 from micah_plan.task.settings import PlannerSettings
-from micah_plan.task.sweep import Sweep
 
 
 class DataFrame(Protocol):
@@ -36,56 +36,18 @@ class DataFrame(Protocol):
 
 
 Source = str | Path
-Measured = Source | Recording | RunsResult | LearningResult | DataFrame | Mapping[str, Any] | Sequence["Measured"]
+Measured = Source | Recording | Result | DataFrame | Mapping[str, Any] | Sequence["Measured"]
 """A recording, or what has one: a path, a value, a table with the columns of a recording CSV, arrays by the names of a
 recording's attributes, executed runs, what was learned; or several, whose runs are joined."""
-Learnt = LearningResult | ExplorationResult | CalibrationResult
-Modelled = Source | Mapping[str, Any] | HybridAutomaton | Learnt | PlanningResult | Problem
+Modelled = Source | Mapping[str, Any] | HybridAutomaton | Result | Problem
 """A model, or what has one: a path of a model, problem or plan, data with the keys of a model file, values, results."""
+Problematic = Source | Problem | HybridAutomaton | Result
+"""A problem, or what has one; a model, or what has one, stands for that of moving it most of its way."""
 
 
-Loaded = Recording | HybridAutomaton | Problem | PlanningResult | Sweep | Experiment | tuple[Part, ...]
-"""What files hold."""
-
-
-def load(source: Source | DataFrame | Mapping[str, Any], **conventions: Any) -> Loaded:
-    """What a file holds, whatever its kind: a recording, model, problem, plan, sweep, experiment or shapes of parts.
-
-    Args:
-        source: the file; a table with the columns of a recording CSV; or data with the keys of a model file, which is
-            how a model is made by hand, with names.
-        **conventions: of a recording, how it is meant (`Conventions`), as in ``columns={"t": "Time", "x": "TX"},
-            length="mm", up="y"``.
-
-    Raises:
-        InputError: if it cannot be used; one line says where, what was expected and found, and what to do.
-    """
-    if isinstance(source, Mapping) and not is_table(source) and "columns" not in conventions:
-        return automaton_of(source)
-    if not isinstance(source, Source):
-        return recording_of(source, conventions=conventions_of(conventions))
-    from micah_plan.documents.kind import kind_of
-
-    kind = kind_of(source)
-    if kind == "recording":
-        return recording_of(source, conventions=conventions_of(conventions))
-    if conventions:
-        raise InputError(f"a {kind} has no conventions", source=source, remedy="leave them out")
-    if kind == "problem":
-        return problem_of(source)
-    if kind == "plan":
-        return plan_of(source)
-    if kind == "parts":
-        return parts_of(source)
-    if kind == "sweep":
-        from micah_plan.documents.sweep import load_sweep
-
-        return load_sweep(source)
-    if kind == "experiment":
-        from micah_plan.documents.experiment import load_experiment
-
-        return load_experiment(source)
-    return automaton_of(source)
+def located(source: object) -> AbstractContextManager[None]:
+    """A block whose errors of input name the file, if the source is one."""
+    return located_in(source) if isinstance(source, Source) else nullcontext()
 
 
 def conventions_of(values: Mapping[str, Any]) -> Conventions | None:
@@ -111,8 +73,8 @@ def recording_of(source: Measured, *, minimum_rows: int = 1, conventions: Conven
 
     if isinstance(source, Source):
         return load_recording(source, minimum_rows=minimum_rows, conventions=conventions)
-    if isinstance(source, RunsResult | LearningResult):
-        return source.recording
+    if isinstance(source, Result) and hasattr(source, "recording"):
+        return checked(source.recording, minimum_rows=minimum_rows)
     if is_table(source) or isinstance(source, Mapping):
         return checked(_of_table(source, conventions), minimum_rows=minimum_rows)
     if isinstance(source, list | tuple) and source:
@@ -169,7 +131,7 @@ def joined(recordings: Sequence[Recording]) -> Recording:
     return checked(concatenated(numbered))
 
 
-def demonstration_of(source: Measured) -> Recording:
+def demonstration_of(source: Measured, conventions: Conventions | None = None) -> Recording:
     """A recording of as many rows as learning needs; a file whose units look wrong must say what they are.
 
     Raises:
@@ -177,7 +139,7 @@ def demonstration_of(source: Measured) -> Recording:
     """
     from micah_plan.recording.suspicion import require_conventions
 
-    recording = recording_of(source, minimum_rows=FEWEST_ROWS)
+    recording = recording_of(source, minimum_rows=FEWEST_ROWS, conventions=conventions)
     if isinstance(source, Source):
         with located_in(source):
             require_conventions(recording)
@@ -196,9 +158,7 @@ def automaton_of(source: Modelled) -> HybridAutomaton:
         from micah_plan.documents.model import model_of
 
         return model_of(source)
-    if isinstance(source, PlanningResult):
-        return source.problem.automaton
-    if isinstance(source, Problem | Learnt):
+    if isinstance(source, Problem | Result) and hasattr(source, "automaton"):
         if source.automaton is None:
             raise InputError(f"nothing was learned: {getattr(source, 'reason', '')}")
         return source.automaton
@@ -220,47 +180,70 @@ def _read_automaton(path: Source) -> HybridAutomaton:
     return load_plan(path).automaton if kind == "plan" else load_model(path)
 
 
-def problem_of(source: Source | Problem | Learnt | PlanningResult, model: Modelled | None = None) -> Problem:
-    """A problem, with another model if one is given; of a model alone, or what learned one, that of moving it most of
-    its way.
+def problem_of(source: Problematic, model: Modelled | None = None) -> Problem:
+    """A problem, with another model if one is given; of a model alone, or what has one, that of moving it most of its
+    way.
 
     Raises:
         InputError: if it cannot be used, or the model has other coordinates.
     """
-    from micah_plan.api import stages
-    from micah_plan.documents.problem import load_problem
-    from micah_plan.templates.first_problem import problem_for
+    return problem_and_notes(source, model)[0]
 
-    automaton = None if model is None else automaton_of(model)
-    if isinstance(source, Learnt | HybridAutomaton) and automaton is None:
-        return problem_for(automaton_of(source))
+
+def problem_and_notes(source: Problematic, model: Modelled | None = None) -> tuple[Problem, tuple[str, ...]]:
+    """The problem as of `problem_of`, and what to know of it, one line each."""
     if isinstance(source, Source):
-        return stages.read_problem(source)[0] if automaton is None else load_problem(source, model=automaton)
-    problem = source.problem if isinstance(source, PlanningResult) else source
+        return _read_problem(source, model)
+    automaton = None if model is None else automaton_of(model)
+    problem = getattr(source, "problem", source) if isinstance(source, Result) else source
+    if isinstance(problem, HybridAutomaton | Result) and automaton is None:
+        from micah_plan.templates.first_problem import problem_for
+
+        return problem_for(automaton_of(problem)), ()
     if not isinstance(problem, Problem):
         raise _other("a problem", source, "give the path of one, or what load returns for it")
     if automaton is None:
-        return problem
-    own = problem.automaton
-    if problem.hold is not None or (own.coordinates, own.inputs) != (automaton.coordinates, automaton.inputs):
+        return problem, ()
+    nominal = problem.automaton
+    if problem.hold is not None or (nominal.coordinates, nominal.inputs) != (automaton.coordinates, automaton.inputs):
         raise InputError(
-            f"the problem is about {', '.join(own.coordinate_names)}, the model has "
+            f"the problem is about {', '.join(nominal.coordinate_names)}, the model has "
             f"{', '.join(automaton.coordinate_names)}",
             remedy="give the problem's file together with the model",
         )
-    return replace(problem, automaton=automaton)
+    return replace(problem, automaton=automaton), ()
 
 
-def plan_of(source: Source | PlanningResult) -> PlanningResult:
-    """A plan with its problem."""
-    if isinstance(source, Source):
-        from micah_plan.documents.plan import load_plan
+def _read_problem(path: Source, model: Modelled | None) -> tuple[Problem, tuple[str, ...]]:
+    """A problem from its file; of the file of a model that which `micah-plan new problem` writes for it."""
+    from micah_plan.checking import suspicions_of
+    from micah_plan.documents.kind import kind_of
+    from micah_plan.documents.model import load_model
+    from micah_plan.documents.problem import load_problem
+    from micah_plan.templates.first_problem import problem_for
 
-        stored = load_plan(source)
-        return PlanningResult(stored.plan, stored.problem)
-    if not isinstance(source, PlanningResult):
-        raise _other("a plan", source, "give the path of one, or what solve returns")
-    return source
+    if kind_of(path) == "model":
+        if model is not None:
+            remedy = "give a problem, or leave out the model"
+            raise InputError("a model is solved as it is", source=path, remedy=remedy)
+        problem = problem_for(load_model(path), str(path))
+        return problem, (_of_model(problem),)
+    if isinstance(model, Source):  # whose file is named in the plan
+        problem = load_problem(path, {"model": str(Path(model).resolve())})
+    else:
+        problem = load_problem(path, model=None if model is None else automaton_of(model))
+    return problem, suspicions_of(problem)
+
+
+def _of_model(problem: Problem) -> str:
+    """What is asked where only a model is given."""
+    aims = []
+    for i, value, _ in problem.goal.target:
+        coordinate = problem.automaton.coordinates[i]
+        begin, end = (quantity(float(number), coordinate.unit) for number in (problem.start.mean[i], value))
+        aims.append(f"{coordinate.name} from {begin} to {end}")
+    asked = f"no problem is given, so the model is moved most of its way: {', '.join(aims)}"
+    return f"{asked}; `micah-plan new problem FOLDER --model MODEL` writes a problem to edit"
 
 
 def parts_of(source: Source | Sequence[Part]) -> tuple[Part, ...]:

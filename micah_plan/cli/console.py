@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,9 +13,13 @@ from rich.console import Console
 from rich.text import Text
 
 from micah_plan.errors import MicahError, printable
+from micah_plan.files import replace_files
+from micah_plan.quantities import Table
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from rich.table import Table as RichTable
+
+    from micah_plan.api.result import Result
 
 
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
@@ -81,12 +85,55 @@ def print_warnings(warnings: Iterable[str]) -> None:
         err.print(f"warning: {warning}", style="yellow")
 
 
-def table(*columns: str, **style: Any) -> Table:
+def table(*columns: str, **style: Any) -> RichTable:
     """An empty table as all commands print them: as wide as the terminal, where what is longer goes on below."""
     from rich.box import SIMPLE
-    from rich.table import Column, Table
+    from rich.table import Column
+    from rich.table import Table as RichTable
 
-    return Table(*(Column(name, overflow="fold") for name in columns), box=SIMPLE, **style)
+    return RichTable(*(Column(name, overflow="fold") for name in columns), box=SIMPLE, **style)
+
+
+def drawn(result: Result, title: str, html: Path | None, figure: Path | None = None) -> dict[Path, bytes]:
+    """Contents of the page and of the figure of a result, of those that are asked for."""
+    contents = dict[Path, bytes]()
+    if html is not None:
+        contents[html] = result.page(title).encode()
+    if figure is not None:
+        from micah_plan.view.figures import png
+
+        contents[figure] = png(result.plot())
+    return contents
+
+
+def write_and_print(
+    result: Result, contents: Mapping[Path, bytes], as_json: bool, more: Mapping[str, Any] | None = None
+) -> None:
+    """Write the files of a result, all together, and print it: what to be careful with on stderr, the rest on stdout.
+
+    Args:
+        more: further keys of the JSON object.
+    """
+    print_warnings(result.cautions)
+    replace_files(contents)
+    if as_json:
+        print(json.dumps(result.json() | dict(more or {}), allow_nan=False))
+        return
+    for item in result.report():
+        out.print(_as_wide_as_the_terminal(item) if isinstance(item, Table) else item)
+    print_files(contents)
+
+
+def _as_wide_as_the_terminal(value: Table) -> RichTable:
+    """A table whose cells of two lines are one where the terminal is wide enough."""
+    line = " " if out.width >= max(map(len, value.lines())) + 3 * len(value.columns) else "\n"
+    shown = table(*(name.replace("\n", line) for name in value.columns), padding=(0, 1, 0, 0), title_justify="left")
+    shown.title = value.title or None
+    for name in value.firm:
+        shown.columns[value.columns.index(name)].no_wrap = True
+    for row in value.rows:
+        shown.add_row(*(cell.replace("\n", line) for cell in row))
+    return shown
 
 
 def print_lines(lines: Iterable[str]) -> None:

@@ -110,7 +110,8 @@ def _kind_of(file: Path) -> str:
 
 
 def _page_of(file: Path, runs: Path | None, progress: Callable[[str, float], None]) -> str:
-    from micah_plan.api import stages
+    from micah_plan.api.learning import is_long_enough, learn
+    from micah_plan.exchange.load import load_recording
 
     kind = _kind_of(file)
     if kind == "model":
@@ -123,14 +124,13 @@ def _page_of(file: Path, runs: Path | None, progress: Callable[[str, float], Non
         from micah_plan.view.plan_page import plan_page
 
         stored = load_plan(file)
-        executed = None if runs is None else stages.read(runs)
+        executed = None if runs is None else load_recording(runs)
         with nullcontext() if runs is None else located_in(runs):
             return plan_page(stored.plan, stored.problem, title=title_of(file), executed=executed)
     from micah_plan.view.recording_page import recording_page
 
-    recording = stages.read(file)
-    if not stages.is_long_enough(recording):  # the track alone is still worth seeing
+    recording = load_recording(file)
+    if not is_long_enough(recording):  # the track alone is still worth seeing
         return recording_page(recording, None, title=title_of(file))
     with located_in(file):
-        graph = stages.learn(recording, progress=progress).graph
-    return recording_page(recording, graph, title=title_of(file))
+        return learn(recording, progress=progress).page(title_of(file))

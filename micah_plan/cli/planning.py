@@ -23,32 +23,28 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from micah_plan.api.formatting import plan_lines, runs_lines
 from micah_plan.cli.console import (
     NO_RESULT,
     Interrupted,
     JsonFlag,
     OutputPath,
     Seed,
-    out,
-    print_files,
+    drawn,
     print_lines,
     print_summary,
     print_warnings,
     progress_bar,
     title_of,
+    write_and_print,
 )
 from micah_plan.errors import InputError, MicahError, shown
 from micah_plan.files import FIGURE, PAGE, PLAN, RUNS, Output, check_outputs
-from micah_plan.quantities import LARGEST, duration
+from micah_plan.quantities import LARGEST
 from micah_plan.task.plants import BUILT_IN, DEFAULT_PLANT, SENTENCES
 
 if TYPE_CHECKING:
-    from micah_plan.documents.plan import StoredPlan
     from micah_plan.execution.plant import PlantMaker
-    from micah_plan.execution.trials import TrialStatistics
     from micah_plan.recording.value import Recording
-    from micah_plan.task.plan import ArmTrajectory, Plan
     from micah_plan.task.problem import Problem
 
 
@@ -64,79 +60,21 @@ def solve(
     as_json: JsonFlag = False,
 ) -> None:
     """Plan in belief space; exit code 1 if there is no plan."""
-    from micah_plan.api import stages
+    from micah_plan.api.planning import solve as solved
     from micah_plan.documents.plan import check_timings, plan_text, timings_path, timings_text
-    from micah_plan.files import replace_files
 
     outputs = [Output("-o", output, PLAN), Output("--html", html, PAGE), Output("--figure", figure, FIGURE)]
     outputs += [Output("the times of -o", timings_path(output), PLAN)] if output.suffix else []
     check_outputs((problem, model), outputs)  # which end otherwise than what a problem names
     check_timings(output)
-    overrides = {} if model is None else {"model": str(model.resolve())}
-    asked, notes = stages.read_problem(problem, overrides)
     with progress_bar(as_json) as progress:
-        plan = stages.solve(asked, seed=seed, progress=progress)
-    print_warnings((*notes, *plan.warnings))
-    contents = {output: plan_text(plan, asked).encode(), timings_path(output): timings_text(plan).encode()}
-    if html is not None:
-        from micah_plan.view.plan_page import plan_page
-
-        contents[html] = plan_page(plan, asked, title=title_of(problem)).encode()
-    if figure is not None and plan.trajectory is not None:
-        from micah_plan.view.figures import belief_figure, png
-
-        contents[figure] = png(belief_figure(asked, plan))
-    replace_files(contents)
-    written = (output, html, figure if plan.trajectory is not None else None)
-    print_summary(as_json, _solved(plan), lambda: _print_solved(plan, asked, written))
-    if plan.outcome != "solved":
+        result = solved(problem, model=model, seed=seed, progress=progress)
+    contents = {output: plan_text(result.plan, result.problem).encode()}
+    contents[timings_path(output)] = timings_text(result.plan).encode()
+    contents |= drawn(result, title_of(problem), html, None if result.plan.trajectory is None else figure)
+    write_and_print(result, contents, as_json)
+    if not result.success:
         raise typer.Exit(NO_RESULT)
-
-
-def _solved(plan: Plan) -> dict[str, Any]:
-    """Keys of `solve`."""
-    return {
-        "outcome": plan.outcome,
-        "reason": plan.reason,
-        "modes": plan.mode_sequence,
-        "cost": plan.cost,
-        "goal_error": plan.goal_error,
-        "goal_std": plan.goal_std,
-        "success_probability": plan.success_probability,
-        "success_interval": plan.success_interval,
-        "verification_trials": plan.verification_trials,
-        "findings": [asdict(finding) for finding in plan.findings],
-        "warnings": plan.warnings,
-        "arm": None if plan.arm is None else _arm(plan.arm),
-        "seconds": plan.timings,
-        "seed": plan.seed,
-    }
-
-
-def _arm(arm: ArmTrajectory) -> dict[str, Any]:
-    return {
-        "least_clearance": arm.least_clearance,
-        "closest_pair": arm.closest_pair,
-        "closest_knot": arm.closest_knot,
-        "least_manipulability": float(arm.manipulability.min()),
-        "deviation": arm.deviation,
-        "limit_margin": arm.limit_margin,
-        "limit_joint": arm.limit_joint,
-    }
-
-
-def _print_solved(plan: Plan, problem: Problem, files: tuple[Path | None, ...]) -> None:
-    """Outcome and figures of a plan; of one that failed, what stands in the way."""
-    solved = plan.outcome == "solved"
-    out.print(f"{plan.outcome}: {plan.reason}", style="green" if solved else "yellow")
-    if not solved:
-        from micah_plan.planning.findings import explain as explanation_of
-
-        print_lines(explanation_of(problem, plan).lines[1:])
-    print_lines(plan_lines(plan, problem))
-    named = ", ".join(f"{stage} {duration(seconds)}" for stage, seconds in plan.timings.items())
-    out.print(f"  time         {named}")
-    print_files(files)
 
 
 def explain(
@@ -178,10 +116,10 @@ def execute(
     With a plant of your own, give --plant FILE.py:CLASS: the class is called with the problem and has reset, apply and
     close. Exit code 1 if the machine cannot be reset, 2 if its code fails; a failed trial is a result, exit code 0.
     """
-    from micah_plan.api import stages
+    from micah_plan.api.planning import PlanningResult
+    from micah_plan.api.planning import execute as executed
     from micah_plan.documents.kind import kind_of
     from micah_plan.documents.plan import load_plan, require_executable
-    from micah_plan.files import replace_files
     from micah_plan.recording.read import recording_bytes
 
     outputs = Output("-o", output, RUNS), Output("--figure", figure, FIGURE), Output("--html", html, PAGE)
@@ -191,20 +129,16 @@ def execute(
         _refuse(others, plan)
         _carry_out(plan, output, plant, trials, seed, as_json)
         return
-    stored, trials = load_plan(plan), trials or 1
+    stored = load_plan(plan)
     require_executable(stored)
-    machine, problem = named_plant(plant), starting_at(stored.problem, start or ())
+    planned, machine = PlanningResult(stored.plan, stored.problem), named_plant(plant)
+    begun = starts_of(stored.problem, start or ())
     print_warnings(stored.plan.warnings)
-    begin = time.perf_counter()
     with _kept_logs(output) as logs, progress_bar(as_json) as progress:
-        run = partial(stages.execute, problem, stored.plan, plant=machine, trials=trials, seed=seed)
-        statistics = run(replan_every=replan_every, progress=progress, keep=logs.append)
-    drawn = _drawn_runs(stored, statistics, title_of(plan), figure, html)
-    replace_files({output: recording_bytes(statistics.recording, output), **drawn})
-    summary, unit = _executed(statistics, time.perf_counter() - begin), stored.problem.goal_unit
-    print_summary(
-        as_json, summary, lambda: _print_executed(runs_lines(statistics, unit, trials), (output, figure, html))
-    )
+        run = partial(executed, planned, plant=machine, trials=trials or 1, seed=seed, start=begun)
+        result = run(replan_every=replan_every, progress=progress, keep=logs.append)
+    contents = {output: recording_bytes(result.recording, output)} | drawn(result, title_of(plan), html, figure)
+    write_and_print(result, contents, as_json)
 
 
 def _refuse(options: Mapping[str, object], experiment: Path) -> None:
@@ -233,34 +167,16 @@ def _carry_out(file: Path, output: Path, plant: str, repetitions: int | None, se
         "seconds": time.perf_counter() - begin,
     }
     lines = [f"{len(log.runs)} runs carried out, {len(failed)} broken off", *(f"  run {n}: {why}" for n, why in failed)]
-    print_summary(as_json, summary, lambda: _print_executed(lines, (output,)))
+    print_summary(as_json, summary, lambda: print_lines((*lines, f"wrote {output}")))
 
 
-def _drawn_runs(
-    stored: StoredPlan, statistics: TrialStatistics, title: str, figure: Path | None, html: Path | None
-) -> dict[Path, bytes]:
-    """Contents of the files that show runs beside their plan."""
-    contents = dict[Path, bytes]()
-    if figure is not None:
-        from micah_plan.view.figures import belief_figure, png
-
-        contents[figure] = png(belief_figure(stored.problem, stored.plan, statistics.recording))
-    if html is not None:
-        from micah_plan.view.plan_page import plan_page
-
-        runs, failures = statistics.recording, dict(statistics.failures)
-        page = plan_page(stored.plan, stored.problem, title=title, executed=runs, failures=failures)
-        contents[html] = page.encode()
-    return contents
-
-
-def starting_at(problem: Problem, entries: Sequence[str]) -> Problem:
-    """The problem with true starts, each as NAME=VALUE.
+def starts_of(problem: Problem, entries: Sequence[str]) -> dict[str, float]:
+    """True starts by coordinate, each written as NAME=VALUE.
 
     Raises:
         InputError: for another form, a coordinate that there is not, or a value that is no number.
     """
-    names, values = [coordinate.name for coordinate in problem.automaton.coordinates], dict(problem.start.true)
+    names, values = problem.automaton.coordinate_names, dict[str, float]()
     for entry in entries:
         name, _, text = entry.partition("=")
         if name not in names:
@@ -271,26 +187,8 @@ def starting_at(problem: Problem, entries: Sequence[str]) -> Problem:
             value = math.nan
         if not abs(value) <= LARGEST:
             raise InputError(f"--start {name}: expected a number, found {shown(text)}", remedy="write NAME=VALUE")
-        values[names.index(name)] = value
-    return replace(problem, start=replace(problem.start, true=tuple(values.items())))
-
-
-def _executed(statistics: TrialStatistics, seconds: float) -> dict[str, Any]:
-    """Keys of `execute`. `believed`: the truth is unknown, so successes and errors are what the belief says."""
-    return {
-        "trials": statistics.trials,
-        "successes": statistics.successes,
-        "believed": statistics.believed,
-        "final_error": asdict(statistics.final_error),
-        **({} if statistics.released is None else {"released": statistics.released}),
-        "failures": [{"trial": trial, "reason": reason} for trial, reason in statistics.failures],
-        "seconds": seconds,
-    }
-
-
-def _print_executed(lines: Sequence[str], files: tuple[Path | None, ...]) -> None:
-    print_lines(lines)
-    print_files(files)
+        values[name] = value
+    return values
 
 
 @contextmanager

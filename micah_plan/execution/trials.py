@@ -125,6 +125,43 @@ def run_trials(
     return summarise(results)
 
 
+def execute_plan(
+    problem: Problem,
+    plan: Plan,
+    *,
+    plant: str | PlantMaker | Plant = DEFAULT_PLANT,
+    trials: int = 1,
+    seed: int = 0,
+    replan_every: int | None = None,
+    progress: Progress | None = None,
+    keep: Keep | None = None,
+) -> TrialStatistics:
+    """Execute a plan in closed loop, with the belief filter, feedback and replanning, over seeded trials.
+
+    Args:
+        plant, keep: as of `run_trials`: a name, a class that is called with the problem, or a plant.
+        replan_every: steps after which the rest of the plan is optimised again from the belief, 0: never; None: as the
+            problem's settings say.
+
+    Raises: as `run_trials`.
+    """
+    from micah_plan.planning.replanning import RecedingHorizon, replan
+
+    if replan_every is not None:
+        problem = replace(problem, settings=replace(problem.settings, replan_every=replan_every))
+    return run_trials(
+        problem,
+        plan,
+        plant=plant,
+        trials=trials,
+        seed=seed,
+        replan=replan,
+        continuation=RecedingHorizon,
+        progress=progress,
+        keep=keep,
+    )
+
+
 def _opened(problem: Problem, plant: str | PlantMaker | Plant) -> AbstractContextManager[CheckedPlant]:
     """A plant, checked; one that is made here is closed at the end."""
     parts = [link.child for link in problem.automaton.links]

@@ -9,10 +9,11 @@ from math import isfinite
 from pathlib import Path
 from time import perf_counter
 
-from micah_plan.api import stages
 from micah_plan.documents.problem import ProblemReader
 from micah_plan.errors import InputError, MicahError, MissingDependencyError
+from micah_plan.execution.trials import execute_plan
 from micah_plan.files import read_bytes
+from micah_plan.planning.solver import solve
 from micah_plan.sweep.result import CaseResult, CaseRun, Outcome
 from micah_plan.task.plan import Plan
 from micah_plan.task.sweep import Case
@@ -72,12 +73,12 @@ def _solved(case: Case, seconds: dict[str, float]) -> CaseResult:
             raise WorkerFilesError(f"{said}; let workers see the same files, and give the command again")
     seconds["load"] = perf_counter() - begin
     begin = perf_counter()
-    plan = stages.solve(problem, seed=case.seed, advise=False)
+    plan = solve(problem, seed=case.seed, advise=False)
     seconds["solve"] = perf_counter() - begin
     if plan.outcome != "solved" or not case.trials:
         return _planned(plan)
     begin = perf_counter()
-    statistics = stages.execute(problem, plan, plant=case.plant, trials=case.trials, seed=case.seed)
+    statistics = execute_plan(problem, plan, plant=case.plant, trials=case.trials, seed=case.seed)
     seconds["execute"] = perf_counter() - begin
     return replace(
         _planned(plan),

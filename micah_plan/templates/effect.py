@@ -1,7 +1,7 @@
 """An effect of your own: a bearing that drags the more, the faster the part is moved.
 
 Run it as it is: `python effect.py` checks the form, and shows a drawer with and without it. To have it in
-calibration, predictions and plans, import this file before you call `micah_plan.api.stages`: `register` does the rest.
+calibration, predictions and plans, import this file before you call any of `micah_plan`: `register` does the rest.
 """
 
 from __future__ import annotations

@@ -28,7 +28,9 @@ from micah_plan import (
     show,
     solve,
 )
-from micah_plan.api.results import LearningResult, Page, PlanningResult, RunsResult
+from micah_plan.api.learning import LearningResult
+from micah_plan.api.planning import PlanningResult, RunsResult
+from micah_plan.api.result import Page
 from micah_plan.documents.model import load_model, model_data
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.task.problem import Problem
@@ -238,7 +240,7 @@ def test_quaternions_that_are_no_orientations_are_said_and_not_guessed() -> None
 
 def test_the_package_has_functions_whatever_was_imported_before() -> None:
     code = (
-        "import micah_plan.learn.settings, micah_plan.api.stages; from micah_plan import learn; "
+        "import micah_plan.learn.settings, micah_plan.api.planning; from micah_plan import learn; "
         "import micah_plan; assert callable(learn) and micah_plan.learn is learn; "
         "from micah_plan.learn.settings import LearnSettings; print(LearnSettings().draws, *dir(micah_plan))"
     )

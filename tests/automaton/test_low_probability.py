@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from micah_plan.api import stages
 from micah_plan.automaton.graph import (
     EdgeCertainty,
     LearnedEdge,
@@ -15,6 +14,7 @@ from micah_plan.automaton.graph import (
     low_probability_warnings,
 )
 from micah_plan.documents.problem import load_problem
+from micah_plan.planning.solver import solve
 
 
 def edge(hinge: float, one_stop: float = 0.98) -> LearnedEdge:
@@ -54,8 +54,8 @@ def test_a_plan_on_a_doubtful_model_warns(repository) -> None:
         replace(one, certainty=SegmentCertainty(None, ((one.kind, 0.5), ("screw", 0.45)))) for one in own.segments
     )
     doubtful = replace(problem, automaton=replace(problem.automaton, learned=(replace(own, segments=unsure),)))
-    assert stages.solve(problem).warnings == ()
-    plan = stages.solve(doubtful)
+    assert solve(problem).warnings == ()
+    plan = solve(doubtful)
     assert plan.outcome == "solved"
     assert len(plan.warnings) == len(unsure)
     assert "only 50 % sure" in plan.warnings[0]

@@ -24,10 +24,11 @@ def test_rounding_twice_changes_nothing_and_keeps_boundaries_in_order(repository
 
 
 def test_nothing_moves_by_more_than_its_last_digit(repository) -> None:
-    from micah_plan.api import stages
+    from micah_plan.api.learning import learn
+    from micah_plan.exchange.load import load_recording
 
-    recording = stages.read(repository / "examples" / "demonstrations" / "microwave.csv")
-    learned = stages.learn(recording)
+    recording = load_recording(repository / "examples" / "demonstrations" / "microwave.csv")
+    learned = learn(recording)
     exact = learned.graph.edges[0].segments[0].joint
     ours = build_automaton(learned.graph).modes[0].joints[0]
     assert ours.position == pytest.approx(exact.position, rel=1e-5)

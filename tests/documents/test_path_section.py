@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from attempts import told
 
-from micah_plan.api.stages import solve
 from micah_plan.documents.plan import load_plan, plan_text, write_plan
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
+from micah_plan.planning.solver import solve
 from micah_plan.task.path import PathConstraint, Require, path_function, unregister
 
 ROOT = Path(__file__).resolve().parents[2]

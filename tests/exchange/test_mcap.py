@@ -277,16 +277,16 @@ def _refused_or_read(content: bytes) -> None:
 
 
 def test_a_plan_becomes_a_trajectory_that_another_reader_reads(tmp_path: Path) -> None:
-    from micah_plan.api import stages
     from micah_plan.documents.plan import write_plan
     from micah_plan.documents.problem import load_problem
     from micah_plan.exchange.convert import convert
+    from micah_plan.planning.solver import solve
     from micah_plan.templates.write import write_template
 
     for kind in ("problem", "robot"):
         write_template(kind, tmp_path / kind)  # type: ignore[arg-type]
         problem = load_problem(tmp_path / kind / "problem.yaml")
-        plan = stages.solve(problem)
+        plan = solve(problem)
         write_plan(plan, problem, tmp_path / "plan.json")
         assert convert(tmp_path / "plan.json", tmp_path / "t.mcap") == ("plan", ())
         convert(tmp_path / "plan.json", tmp_path / "t.json")

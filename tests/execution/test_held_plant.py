@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from micah_plan.api.stages import execute, solve
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import configuration
+from micah_plan.execution.trials import execute_plan
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.replanning import replan
+from micah_plan.planning.solver import solve
 
 pytest.importorskip("mujoco", reason="held objects are simulated in MuJoCo (extra 'sim')")
 
@@ -115,6 +116,6 @@ def test_executions_in_physics_succeed_as_often_as_predicted():
     problem = load_problem(PROBLEM)
     found = solve(problem)
     assert found.arm is not None
-    statistics = execute(problem, found, plant="mujoco", trials=15)
+    statistics = execute_plan(problem, found, plant="mujoco", trials=15)
     # At the planned 0.98 fewer than 13 of 15 would happen once in 400 times.
     assert statistics.successes >= 13, statistics.failures

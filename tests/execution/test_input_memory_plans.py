@@ -8,7 +8,6 @@ from functools import partial
 import numpy as np
 import pytest
 
-from micah_plan.api import stages
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.tracks import displacements
@@ -19,9 +18,11 @@ from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.pilot import Replanning
 from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import command
+from micah_plan.execution.trials import execute_plan
 from micah_plan.planning.limits import coasted, limits_of, linear_step, steps_of_memory, with_input_memory
 from micah_plan.planning.replanning import RecedingHorizon, replan
 from micah_plan.planning.roll_outs import draw_chances, roll_out
+from micah_plan.planning.solver import solve
 from micah_plan.view.plan_page import plan_page
 
 EFFECTS = {
@@ -43,7 +44,7 @@ def problem_with(problem, *effects):
 
 @pytest.fixture(scope="module")
 def plans(drawer):
-    return {name: stages.solve(problem_with(drawer, effect)) for name, effect in EFFECTS.items()}
+    return {name: solve(problem_with(drawer, effect)) for name, effect in EFFECTS.items()}
 
 
 @pytest.mark.parametrize("name", EFFECTS)
@@ -73,7 +74,7 @@ def test_a_late_start_is_corrected_by_what_is_not_yet_on_its_way(plans) -> None:
 def test_a_held_door_is_pulled_until_the_pull_arrives(repository, name) -> None:
     problem = load_problem(repository / "problems" / "microwave_open.yaml")
     values = (("steps", 2.0),) if name == "delay" else (("width", 0.1), ("side", 1.0))
-    plan = stages.solve(problem_with(problem, Effect(name, "door", values)))
+    plan = solve(problem_with(problem, Effect(name, "door", values)))
     assert plan.outcome == "solved"
     assert plan.mode_sequence == ("rigid", "revolute")
     assert plan.trajectory.modes.count("rigid") >= 2
@@ -101,7 +102,7 @@ def test_a_linear_step_is_the_step(drawer) -> None:
 
 
 def test_verification_finds_out_a_plan_that_does_not_know_the_delay(drawer, plans) -> None:
-    late, nominal = problem_with(drawer, EFFECTS["delay"]), stages.solve(drawer)
+    late, nominal = problem_with(drawer, EFFECTS["delay"]), solve(drawer)
     ends = {}
     for name, plan in (("nominal", nominal), ("own", plans["delay"])):
         chances = draw_chances(late, plan.trajectory, 100, 0)
@@ -116,7 +117,7 @@ def test_a_plan_with_memory_is_written_read_and_shown(drawer, plans, tmp_path) -
     np.testing.assert_array_equal(stored.plan.trajectory.means, plans["delay"].trajectory.means)
     assert stored.automaton.n == 1
     assert "SOLVED" in plan_page(stored.plan, stored.problem)
-    assert stages.execute(stored.problem, stored.plan, trials=2).successes == 2
+    assert execute_plan(stored.problem, stored.plan, trials=2).successes == 2
 
 
 def test_replanning_knows_what_is_on_its_way(drawer, plans) -> None:
@@ -148,7 +149,7 @@ def settled_error(problem, plan, truth, seed):
 def test_closed_loop_with_the_memory_against_without(drawer, plans, name) -> None:
     noise = replace(drawer.automaton.noise, process_std=(2e-4,))
     truth = with_effect(replace(drawer.automaton, noise=noise), EFFECTS[name])
-    nominal = np.array([settled_error(drawer, stages.solve(drawer), truth, seed) for seed in range(3)])
+    nominal = np.array([settled_error(drawer, solve(drawer), truth, seed) for seed in range(3)])
     late = problem_with(drawer, EFFECTS[name])
     own = np.array([settled_error(late, plans[name], truth, seed) for seed in range(3)])
     assert own[:, 0].max() < 0.01
@@ -161,7 +162,7 @@ def test_closed_loop_with_the_memory_against_without(drawer, plans, name) -> Non
 @pytest.mark.parametrize(("name", "values"), [("sensor_scale", (0.7,)), ("drift", (0.01,))])
 def test_execution_reads_its_sensors_as_the_model_says(drawer, name, values) -> None:
     wrong = problem_with(drawer, Effect(name, "drawer", (("scale" if name == "sensor_scale" else "rate", values[0]),)))
-    plan = stages.solve(drawer)
+    plan = solve(drawer)
     errors = {}
     for key, problem in (("not known", drawer), ("known", wrong)):
         plant = NominalPlant(wrong.automaton, replace(drawer.start, mode="prismatic"))
@@ -185,14 +186,14 @@ def test_no_more_is_commanded_than_a_saturation_lets_through(drawer) -> None:
     weak = problem_with(drawer, Effect("saturation", "drawer", (("largest", 0.013),)))
     assert limits_of(weak).max_step[0] == pytest.approx(0.013, abs=1e-9)
     assert limits_of(problem_with(drawer, Effect("gain", "drawer", (("gain", 0.5),)))).max_step[0] == 0.03
-    plan = stages.solve(weak)
+    plan = solve(weak)
     assert plan.outcome == "solved"
     assert len(plan.trajectory.inputs) > 0.22 / 0.013
 
 
 def test_steps_and_feedback_count_with_what_arrives(drawer) -> None:
     weak = problem_with(drawer, Effect("gain", "drawer", (("gain", 0.5),)))
-    plain, slow = (stages.solve(problem).trajectory for problem in (drawer, weak))
+    plain, slow = (solve(problem).trajectory for problem in (drawer, weak))
     assert len(slow.inputs) > 1.8 * len(plain.inputs)
     assert slow.gains[0, 0, 0] < 1.1 * plain.gains[0, 0, 0] < 0.0
     place, largest = np.zeros(3), np.array([0.03])
@@ -205,6 +206,6 @@ def test_steps_and_feedback_count_with_what_arrives(drawer) -> None:
 
 def test_feedback_counts_with_what_arrives_after_the_last_knot(drawer) -> None:
     """Of a delay of 0.92 steps nearly all of the last input arrives too late to be seen at the end."""
-    plan = stages.solve(problem_with(drawer, Effect("delay", "drawer", (("steps", 0.92),))))
+    plan = solve(problem_with(drawer, Effect("delay", "drawer", (("steps", 0.92),))))
     assert plan.success_probability > 0.97
     assert np.abs(plan.trajectory.gains[:, 0, 0]).max() < 1.5

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from micah_plan.api import stages
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.closed_loop import Episode, execute
 from micah_plan.execution.log import concatenated
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.standing import StandingPlant
 from micah_plan.execution.plant import Command
+from micah_plan.planning.solver import solve
 from micah_plan.residual.calibrate import calibrate
 
 pytest.importorskip("mujoco")
@@ -50,13 +50,13 @@ def executed(problem, plan, seeds):
 @pytest.mark.slow
 def test_a_delay_is_found_and_planned_with(repository) -> None:
     problem = load_problem(repository / "problems" / "drawer_open.yaml")
-    logs, _, before = executed(problem, stages.solve(problem), range(4))
+    logs, _, before = executed(problem, solve(problem), range(4))
     found = calibrate(problem.automaton, logs)
     (effect,) = found.automaton.effects
     assert effect.name == "delay"
     assert effect.values[0] == pytest.approx(LATE, abs=0.2)
     improved = replace(problem, automaton=found.automaton)
-    _, errors, after = executed(improved, stages.solve(improved), range(10, 14))
+    _, errors, after = executed(improved, solve(improved), range(10, 14))
     assert errors.max() < 0.01
     # Who does not know of it is surprised, waits before the goal is believed, and corrects what came too late.
     assert after.mean() < before.mean() - 2

@@ -10,12 +10,12 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from micah_plan.api.stages import solve
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.conformance import check_plant
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.plant import Command, PlantError
 from micah_plan.execution.trials import run_trials
+from micah_plan.planning.solver import solve
 
 
 class Robot:

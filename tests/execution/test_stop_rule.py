@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from micah_plan.api.stages import solve
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.trials import run_trials
+from micah_plan.planning.solver import solve
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 CONFIDENCE = 0.7

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from micah_plan.api.stages import execute, solve
-from micah_plan.cli.planning import starting_at
+from micah_plan.api.planning import PlanningResult, execute
+from micah_plan.cli.planning import starts_of
 from micah_plan.documents.plan import load_plan, write_plan
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.execution.nominal import NominalPlant
+from micah_plan.execution.trials import execute_plan
+from micah_plan.planning.solver import solve
 from micah_plan.task.start import sample_start
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
@@ -38,7 +41,7 @@ def test_the_belief_does_not_know_of_it_and_the_plan_is_the_same() -> None:
     problem, elsewhere = load_problem(LIGHT), load_problem(LIGHT, {"start.true": {"x": 2.5, "y": 0.0}})
     plan = solve(elsewhere, advise=False)
     np.testing.assert_array_equal(plan.trajectory.inputs, solve(problem, advise=False).trajectory.inputs)
-    found = execute(elsewhere, plan, trials=10)
+    found = execute_plan(elsewhere, plan, trials=10)
     assert found.successes >= 8
     assert {row.extra["true_x"][0] for row in (result.recording for result in found.results)} == {"2.5"}
 
@@ -50,8 +53,9 @@ def test_a_plan_file_keeps_it(tmp_path: Path) -> None:
 
 
 def test_the_command_line_adds_to_the_file() -> None:
-    problem = starting_at(load_problem(LIGHT, {"start.true": {"x": 1.0, "y": 1.0}}), ["y=0.5"])
-    assert problem.start.true == ((0, 1.0), (1, 0.5))
+    problem = load_problem(LIGHT, {"start.true": {"x": 1.0, "y": 1.0}})
+    runs = execute(PlanningResult(solve(problem), problem), start=starts_of(problem, ["y=0.5"]))
+    assert runs.planned.problem.start.true == ((0, 1.0), (1, 0.5))
 
 
 @pytest.mark.parametrize(
@@ -60,13 +64,13 @@ def test_the_command_line_adds_to_the_file() -> None:
 )
 def test_other_entries_are_refused(entry: str, words: str) -> None:
     with pytest.raises(InputError, match="--start") as refused:
-        starting_at(load_problem(LIGHT), [entry])
+        starts_of(load_problem(LIGHT), [entry])
     assert words in str(refused.value)
 
 
 def test_a_start_that_no_mode_allows_is_refused() -> None:
     problem = load_problem(PROBLEMS / "drawer_open.yaml")
-    beyond = starting_at(problem, [f"{problem.automaton.coordinates[0].name}=9"])
+    beyond = replace(problem, start=replace(problem.start, true=((0, 9.0),)))
     with pytest.raises(InputError, match="the true start"):
         sample_start(beyond.automaton, beyond.start, np.random.default_rng(0))
 
@@ -76,7 +80,7 @@ def test_a_start_in_another_mode_is_in_that_mode() -> None:
     names = problem.automaton.mode_names
     seen = set()
     for x in np.linspace(-3.0, 3.0, 25):
-        moved = starting_at(problem, [f"{problem.automaton.coordinates[0].name}={x}"])
+        moved = replace(problem, start=replace(problem.start, true=((0, float(x)),)))
         try:
             mode, state = sample_start(moved.automaton, moved.start, np.random.default_rng(0))
         except InputError:

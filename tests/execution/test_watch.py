@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hostile_plants import Hostile
 
-from micah_plan.api import stages
+from micah_plan.api.learning import learn
 from micah_plan.belief.filter import innovations
 from micah_plan.documents.experiment import load_experiment
 from micah_plan.documents.problem import load_problem
@@ -16,7 +16,9 @@ from micah_plan.execution.closed_loop import Episode, TrialResult
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.open_loop import carry_out
 from micah_plan.execution.pose import configuration
+from micah_plan.execution.trials import execute_plan
 from micah_plan.execution.watch import Watch
+from micah_plan.planning.solver import solve
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 LONGEST = 46  # steps that are allowed
@@ -29,7 +31,7 @@ def drawer():
 
 @pytest.fixture(scope="module")
 def plan(drawer):
-    return stages.solve(drawer)
+    return solve(drawer)
 
 
 class Executed:
@@ -37,7 +39,7 @@ class Executed:
 
     def __init__(self, problem, plan, kind: str, seed: int = 0, at: int = 4) -> None:
         self.plant = Hostile(problem, kind, at)
-        (result,) = stages.execute(problem, plan, plant=self.plant, seed=seed).results
+        (result,) = execute_plan(problem, plan, plant=self.plant, seed=seed).results
         self.result: TrialResult = result
         truth = self.plant.plant.truth()
         self.is_there = problem.goal.contains(str(truth.mode), truth.x)
@@ -77,7 +79,7 @@ def test_a_leap_into_the_goal_is_no_success(drawer, plan) -> None:
             return super().told(seen)
 
     plant = LeapsToTheGoal(drawer, "none", 5)
-    (result,) = stages.execute(drawer, plan, plant=plant, seed=0).results
+    (result,) = execute_plan(drawer, plan, plant=plant, seed=0).results
     assert result.success
     assert result.steps > 10
     truth = plant.plant.truth()
@@ -98,7 +100,7 @@ def test_what_leaps_about_until_the_trial_ends_is_no_success_where_it_lands(draw
             return self.start + way * along / np.linalg.norm(along), quaternion
 
     plant = LeapsAbout(drawer, "none", 4)
-    (result,) = stages.execute(drawer, plan, plant=plant, seed=0).results
+    (result,) = execute_plan(drawer, plan, plant=plant, seed=0).results
     assert "in 4 looks in a row" in result.reason
     assert result.steps == 7
     assert result.final_error < 0.01  # believed, at the end
@@ -149,12 +151,12 @@ def test_the_log_of_a_blind_step_repeats_the_pose_and_can_be_learned_from(drawer
     recording = Executed(drawer, plan, "nan once").result.recording
     repeated = [i for i in range(1, len(recording)) if np.array_equal(recording.position[i], recording.position[i - 1])]
     assert repeated == [4]
-    assert stages.learn(recording).automaton is not None
+    assert learn(recording).automaton is not None
 
 
 def test_a_dark_place_is_no_reason_to_wait() -> None:
     problem = load_problem(PROBLEMS / "light_dark.yaml")
-    found = stages.execute(problem, stages.solve(problem), trials=10)
+    found = execute_plan(problem, solve(problem), trials=10)
     assert found.successes == 10
     assert max(result.steps for result in found.results) < 45
 

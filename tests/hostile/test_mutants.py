@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 from shell import exit_code
 
-from micah_plan.api import stages
 from micah_plan.cli.console import BAD_INPUT
 from micah_plan.documents.plan import write_plan
 from micah_plan.documents.problem import load_problem
+from micah_plan.execution.trials import execute_plan
+from micah_plan.planning.solver import solve
 from micah_plan.recording.csv_file import write_csv
 
 NUMBERS = (
@@ -89,9 +90,9 @@ def shipped(tmp_path_factory, repository) -> tuple[Path, tuple[Path, ...]]:
     for name in ("models", "problems", "examples"):
         shutil.copytree(repository / name, folder / name, ignore=shutil.ignore_patterns("__pycache__", "*.py"))
     problem = load_problem(folder / "problems" / "drawer_open.yaml")
-    plan = stages.solve(problem)
+    plan = solve(problem)
     write_plan(plan, problem, folder / "plan.json")
-    recording = stages.execute(problem, plan, trials=1).recording
+    recording = execute_plan(problem, plan, trials=1).recording
     write_csv(recording, folder / "runs.csv")
     files = [path for path in sorted(folder.rglob("*")) if path.suffix in (".yaml", ".csv", ".json", ".urdf")]
     return folder, tuple(path for path in files if path.stat().st_size < 60_000)

@@ -10,7 +10,7 @@ from planted_parts import DOOR, RATE
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import micah_plan
-from micah_plan.api import stages
+from micah_plan.api.learning import learn
 from micah_plan.automaton.kinematics import forward
 from micah_plan.errors import InputError
 from micah_plan.learn.parts.relative import relative_to
@@ -52,7 +52,7 @@ def off_axis(joint) -> float:
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
 def test_that_two_free_bodies_are_joined_is_found_and_the_remedy_told(seed: int) -> None:
     """Which of the two stands on the other is a convention: both move freely."""
-    learned = stages.learn(recorded(pushed_about(0.5, seed), seed))
+    learned = learn(recorded(pushed_about(0.5, seed), seed))
     on_base, joined = sorted(learned.graph.edges, key=lambda edge: edge.parent != "base")
     assert (on_base.parent, joined.parent) == ("base", on_base.child)
     assert on_base.segments[0].no_single_joint is not None
@@ -63,7 +63,7 @@ def test_that_two_free_bodies_are_joined_is_found_and_the_remedy_told(seed: int)
 
 @pytest.mark.parametrize("amount", [0.0, 0.05, 0.5])
 def test_relative_to_the_cart_the_door_has_its_hinge(amount: float) -> None:
-    learned = stages.learn(recorded(pushed_about(amount, 4), 4), base="cart")
+    learned = learn(recorded(pushed_about(amount, 4), 4), base="cart")
     (edge,) = learned.graph.edges
     (segment,) = edge.segments
     assert segment.joint.kind == "revolute"

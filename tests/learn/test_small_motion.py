@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from planted import JOINTS, Noise, recorded
 
-from micah_plan.api.stages import learn
+from micah_plan.api.learning import learn
 from micah_plan.learn.learn import small_motions
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.recording.read import read_recording

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from micah_plan.api.stages import solve
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.documents.problem import load_problem
 from micah_plan.planning.cuts import unchecked, with_scene
 from micah_plan.planning.roll_outs import draw_chances, roll_out
+from micah_plan.planning.solver import solve
 from micah_plan.task.body import Body
 from micah_plan.task.problem import Problem
 

@@ -12,7 +12,6 @@ import pytest
 from baseline_direct import mixture_step, nominal_trajectory
 from planning_examples import DOOR_SHUT, door_problem, drawer_problem, planar_problem, with_settings
 
-from micah_plan.api.stages import solve
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.transition import simulate
@@ -22,6 +21,7 @@ from micah_plan.errors import InputError
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.path_constraints import cost_of
 from micah_plan.planning.pomdp_hd import plan as plan_pomdp_hd
+from micah_plan.planning.solver import solve
 from micah_plan.task.goal import Goal
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import micah_plan
-from micah_plan.api.stages import solve
 from micah_plan.documents.problem import load_problem
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.roll_outs import departure
+from micah_plan.planning.solver import solve
 from micah_plan.planning.verification import verify
 from micah_plan.task.problem import Problem
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from micah_plan.api.stages import solve
 from micah_plan.documents.kind import kind_of
 from micah_plan.documents.problem import load_problem
 from micah_plan.planning.roll_outs import are_in_goal, draw_chances, roll_out
+from micah_plan.planning.solver import solve
 
 FOLDER = Path(__file__).resolve().parents[2] / "problems"
 PROBLEMS = sorted(path for path in FOLDER.glob("*.yaml") if kind_of(path) == "problem")

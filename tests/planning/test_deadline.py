@@ -5,19 +5,16 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from functools import partial
-from time import sleep
 
 import baseline_direct
 import baseline_rrt
 import pytest
 from planning_examples import planar_problem, with_settings
 
-from micah_plan.api import stages
-from micah_plan.api.stages import solve
 from micah_plan.planning.pomdp_hd import plan
+from micah_plan.planning.solver import solve
 from micah_plan.planning.tightening import verified_plan
 from micah_plan.task.plan import Plan
-from micah_plan.task.problem import Problem
 from micah_plan.task.settings import Deadline
 
 
@@ -46,23 +43,6 @@ def test_every_stage_ends_at_the_limit_and_is_named() -> None:
         # Once it is over nothing new begins: the sequences left each ask once or twice.
         assert asked <= limit + 20
     assert named == {"search", "optimisation", "verification"}
-
-
-def test_loading_libraries_is_not_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    left: list[float] = []
-
-    def planner(_: Problem, *, deadline: Deadline, **further: object) -> Plan:
-        assert further.keys() == {"seed", "progress"}
-        left.append(deadline.left_s)
-        return Plan("no_plan", "none")
-
-    def load() -> Callable[..., Plan]:
-        sleep(0.3)
-        return planner
-
-    monkeypatch.setattr(stages, "_pomdp_hd", load)
-    solve(with_settings(planar_problem(), solve_time_limit_s=1.0))
-    assert left[0] > 0.8
 
 
 @pytest.mark.parametrize("planner", [None, baseline_direct.plan, baseline_rrt.plan])

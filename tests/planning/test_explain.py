@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from planning_examples import DOOR_SHUT, door_automaton, door_problem, one_dimensional, planar_problem, with_settings
 
-from micah_plan.api.stages import solve
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.automaton.region import above
 from micah_plan.documents.problem import load_problem
 from micah_plan.planning.findings import explain, finding_of
 from micah_plan.planning.pomdp_hd import plan
+from micah_plan.planning.solver import solve
 from micah_plan.planning.transcription.rows import Row, Shortfall
 from micah_plan.planning.verification import verify
 from micah_plan.quantities import quantity

@@ -21,13 +21,13 @@ from hand_problems import (
 )
 from planning_examples import planar_problem
 
-from micah_plan.api.stages import solve
 from micah_plan.automaton.hybrid import Mode, Pin, Tie
 from micah_plan.automaton.region import Region
 from micah_plan.planning.limits import Limits, limits_of
 from micah_plan.planning.search.leaves import leaves_of
 from micah_plan.planning.search.mode_search import search_modes
 from micah_plan.planning.search.passages import passages
+from micah_plan.planning.solver import solve
 from micah_plan.task.problem import Problem
 
 PROBLEMS: dict[str, tuple[Callable[[], Problem], int]] = {

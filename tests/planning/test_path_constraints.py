@@ -11,7 +11,6 @@ import pytest
 from planning_examples import DOOR_SHUT, door_problem, drawer_problem, planar_problem, with_settings
 from scipy.stats import norm
 
-from micah_plan.api.stages import solve
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.form import Operations
 from micah_plan.automaton.effects.value import Effect
@@ -25,6 +24,7 @@ from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.replanning import RecedingHorizon
 from micah_plan.planning.roll_outs import are_in_goal, draw_chances, roll_out
 from micah_plan.planning.search.mode_search import search_modes
+from micah_plan.planning.solver import solve
 from micah_plan.planning.transcription.corridor import pack, path_rows, path_terms_of
 from micah_plan.planning.transcription.guess import guess
 from micah_plan.planning.verification import verify

@@ -9,10 +9,10 @@ import pytest
 from many_doors import cabinet_problem
 from planning_examples import DOOR_SHUT, door_automaton, door_problem, drawer_problem, planar_problem, with_settings
 
-from micah_plan.api.stages import solve
 from micah_plan.belief.filter import initial_belief
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.replanning import replan
+from micah_plan.planning.solver import solve
 from micah_plan.planning.verification import verify
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem

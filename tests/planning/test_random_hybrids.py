@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_hybrids import CELLS, Grid, is_clearly_reachable, is_clearly_unreachable, random_problem, with_less_noise
 
-from micah_plan.api.stages import solve
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.roll_outs import are_in_goal, departure, draw_chances, roll_out
+from micah_plan.planning.solver import solve
 from micah_plan.task.goal import Goal
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from micah_plan.api.stages import solve
 from micah_plan.documents.plan import load_plan, write_plan
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.planning.release import with_release
+from micah_plan.planning.solver import solve
 from micah_plan.planning.verification import verify
 from micah_plan.task.release import pre_release_problem, rest_of
 from micah_plan.task.settings import NEVER

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from planning_examples import door_problem, drawer_problem, planar_problem, with_settings
 
-from micah_plan.api.stages import solve
 from micah_plan.automaton.hybrid import Edge
 from micah_plan.automaton.region import box
 from micah_plan.documents.problem import load_problem
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.remedies import changed
+from micah_plan.planning.solver import solve
 from micah_plan.planning.tightening import verified_plan
 from micah_plan.planning.verification import verify
 from micah_plan.task.goal import Goal

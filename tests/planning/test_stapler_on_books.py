@@ -128,7 +128,7 @@ def test_a_model_of_the_real_stapler_serves_as_well(tmp_path: Path) -> None:
     data = Path(os.environ.get("MICAH_DATA", ROOT.parent / "shared" / "data")) / "demonstrations" / "stapler.csv"
     if not data.is_file():
         pytest.skip(f"no recording at {data}")
-    from micah_plan.api.stages import learn
+    from micah_plan.api.learning import learn
     from micah_plan.recording.read import read_recording
 
     learned = learn(read_recording(data), seed=0)

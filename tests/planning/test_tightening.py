@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 from planning_examples import DOOR_SHUT, door_automaton, door_problem, planar_problem, with_settings
 
-from micah_plan.api.stages import solve
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.planning.pomdp_hd import plan
+from micah_plan.planning.solver import solve
 from micah_plan.planning.tightening import tightened, verified_plan
 from micah_plan.planning.verification import verify
 from micah_plan.task.plan import Plan

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from micah_plan.api import stages
-from micah_plan.automaton.effects.add import with_learned_channel
+from micah_plan.api.learning import learn
+from micah_plan.automaton.effects.add import for_demonstrations, with_learned_channel
 from micah_plan.documents.model import load_model
 from micah_plan.errors import InputError
 from micah_plan.recording.value import Recording
@@ -33,10 +33,10 @@ def demonstration(seed, reach):
 
 
 def test_another_recording_of_the_same_hand_is_predicted_as_learned() -> None:
-    model = stages.learn(demonstration(0, 1.2)).automaton
+    model = learn(demonstration(0, 1.2)).automaton
     other = demonstration(1, 0.9)
     plain = rmse([run.rollout.configuration for run in predict_recording(model, other)])
-    as_learned = stages.for_demonstrations(model, other)
+    as_learned = for_demonstrations(model, other)
     assert [effect.name for effect in as_learned.effects] == ["frame_rotation", "gain", "delay"]
     channel = rmse([run.rollout.configuration for run in predict_recording(as_learned, other)])
     assert plain > 0.1

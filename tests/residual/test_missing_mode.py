@@ -7,11 +7,11 @@ import planted_effects as plants
 import pytest
 from scipy.signal import lfilter
 
+from micah_plan.api.calibration import CalibrationResult
 from micah_plan.automaton.build import build_automaton
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.tracks import tracks
-from micah_plan.cli.residuals import calibrated
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.coordinate_data import coordinate_data_of
 from micah_plan.residual.missing_mode import missing_modes
@@ -74,9 +74,10 @@ def test_residuals_that_wander_count_as_few_rows(door, seed) -> None:
 
 @pytest.mark.slow
 def test_calibration_writes_it_into_the_automaton(door) -> None:
-    found = calibrate(door, recorded(plants.short_far_out, 5, runs=6))
+    recording = recorded(plants.short_far_out, 5, runs=6)
+    found = calibrate(door, recording)
     (effect,) = found.effects
-    (mode,) = calibrated(found, 0.0)["missing_modes"]
+    (mode,) = CalibrationResult(found, door, recording).json()["missing_modes"]
     assert mode["from"] == pytest.approx(0.6, abs=0.05)
     assert mode["to"] is None
     assert mode["modes"] == [one.name for one in found.automaton.modes[1:]] == list(effect.effect.modes)

@@ -10,7 +10,7 @@ import planted_effects as plants
 import pytest
 from test_noise_of_places import recorded, slide
 
-from micah_plan.cli.residuals import _predicted
+from micah_plan.api.calibration import PredictionResult
 from micah_plan.documents.model import load_model
 from micah_plan.execution.open_loop import carry_out
 from micah_plan.residual.calibrate import calibrate
@@ -31,7 +31,7 @@ def test_errors_of_an_angle_and_a_displacement_are_told_in_their_own_units(repos
     log, _ = carry_out(Experiment(cupboard, (motion,), 1), seed=4)
     runs = predict_recording(cupboard, log)
     judged = judge(cupboard, log, runs)
-    told = _predicted(cupboard, runs, judged)["per_coordinate"]
+    told = PredictionResult(cupboard, log, runs).json()["per_coordinate"]
     assert [(one["name"], one["unit"]) for one in told] == [("door", "rad"), ("jar", "m")]
     for i, one in enumerate(told):
         assert one["one_step_rmse"] == pytest.approx(rmse([run.one_step.configuration[:, i] for run in runs]))

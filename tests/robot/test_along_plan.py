@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from robot_examples import ARM7
 
-from micah_plan.api.stages import solve
 from micah_plan.automaton.kinematics import forward
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.planning import pomdp_hd
 from micah_plan.planning.findings import explain
+from micah_plan.planning.solver import solve
 from micah_plan.planning.tightening import verified_plan
 from micah_plan.robot.along_plan import arm_along, carried_parts, problem_clearance
 from micah_plan.task.plan import ArmTrajectory, Plan
@@ -92,8 +92,8 @@ def test_a_time_limit_in_the_arm_is_named_and_what_was_found_is_kept(problem: Pr
 def test_a_plan_whose_arm_had_no_time_is_not_verified(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     hasty = replace(problem, settings=replace(problem.settings, solve_time_limit_s=1e-9, tightening_rounds=0))
     unchecked = partial(verified_plan, verifier=lambda _problem, plan, *_, **__: plan)
-    monkeypatch.setattr("micah_plan.planning.tightening.verified_plan", unchecked)
-    monkeypatch.setattr("micah_plan.api.stages._pomdp_hd", lambda: whatever_time)
+    monkeypatch.setattr("micah_plan.planning.solver.verified_plan", unchecked)
+    monkeypatch.setattr("micah_plan.planning.solver.pomdp_hd", whatever_time)
     found = solve(hasty)
     assert found.outcome == "not_verified"
     assert found.arm is None

@@ -9,9 +9,9 @@ import pytest
 from robot_examples import arm7
 from scipy.spatial.transform import RigidTransform
 
-from micah_plan.api.stages import solve
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.documents.problem import load_problem
+from micah_plan.planning.solver import solve
 from micah_plan.robot.clearance import clearance_model
 from micah_plan.task.body import Body
 

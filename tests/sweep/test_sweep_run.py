@@ -12,10 +12,11 @@ from typing import Any
 import pytest
 from sweep_examples import ROOT, SMALL, Inline
 
-from micah_plan.api import stages
 from micah_plan.documents.problem import load_problem
 from micah_plan.documents.sweep import sweep_of
 from micah_plan.errors import InputError, MissingDependencyError
+from micah_plan.execution.trials import execute_plan
+from micah_plan.planning.solver import solve
 from micah_plan.sweep import solve_case as worker
 from micah_plan.sweep.run import SweepStoppedError, run_sweep
 from micah_plan.sweep.solve_case import WorkerFilesError, solve_case
@@ -44,8 +45,8 @@ def test_a_row_says_what_solving_and_executing_by_hand_say(undisturbed: tuple[Sw
     row = rows(undisturbed[2])[3]
     overrides = {"start.std.drawer": 0.01, "planner.verification_trials": 40, "confidence": 0.8}
     problem = load_problem(ROOT / "problems" / "drawer_close.yaml", overrides)
-    plan = stages.solve(problem, seed=1)
-    found = stages.execute(problem, plan, trials=1, seed=1)
+    plan = solve(problem, seed=1)
+    found = execute_plan(problem, plan, trials=1, seed=1)
     assert list(row)[:6] == ["case", "problem", *overrides, "seed"]
     assert (row["case"], row["seed"], row["start.std.drawer"], row["outcome"]) == ("3", "1", "0.01", "solved")
     assert row["modes"] == " > ".join(plan.mode_sequence)
@@ -106,14 +107,13 @@ def test_a_finished_sweep_is_not_done_again_and_more_seeds_are_added(
 
 
 def test_failures_are_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    solve = stages.solve
 
     def failing(problem: Any, *, seed: int, advise: bool) -> Any:
         if problem.goal.target[0][1] == 0.1:
             raise ZeroDivisionError("of\nall things")
         return solve(problem, seed=seed, advise=advise)
 
-    monkeypatch.setattr(worker.stages, "solve", failing)
+    monkeypatch.setattr(worker, "solve", failing)
     limits = {"goal.target.drawer.value": [0.05, 9.0, 0.1], "planner.solve_time_limit_s": [1e-6], "confidence": [0.8]}
     run_sweep(small(grid=limits, seeds=1, execute={"trials": 1}), tmp_path / "r.csv", executor=Inline())
     limited, impossible, broken = rows((tmp_path / "r.csv").read_bytes())

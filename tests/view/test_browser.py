@@ -18,7 +18,6 @@ from matplotlib.image import imread
 from view_objects import OPEN_AT, cabinet, door, measured, problem, solved
 
 from micah_plan import execute, solve
-from micah_plan.api import stages
 from micah_plan.documents.problem import load_problem
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.task.plan import Plan
@@ -293,11 +292,11 @@ def test_the_other_pages_draw_without_errors(kind: str, show: Any) -> None:
 @pytest.mark.slow
 def test_pages_of_an_arm_and_of_a_calibration_open_without_errors(show: Any, repository: Path) -> None:
     by_arm = load_problem(repository / "problems" / "microwave_close_by_arm.yaml")
-    page = plan_page(stages.solve(by_arm), by_arm)
+    page = plan_page(solve(by_arm).plan, by_arm)
     assert len(page.encode()) < 2_000_000
     assert 0.01 < share_of_object(show(page, "#t=0.5").pixels()) < 0.6
     drawer = load_problem(repository / "problems" / "drawer_open.yaml")
-    runs = stages.execute(drawer, stages.solve(drawer), trials=4).recording
+    runs = execute(solve(drawer), trials=4).recording
     shown = show(calibration_page(calibrate(drawer.automaton, runs), "drawer"), "")
     scene = shown.page.frame_locator("iframe.scene")
     scene.locator("body.ready").wait_for()

@@ -13,7 +13,7 @@ import pytest
 from view_objects import problem, solved
 
 from micah_plan import execute, predict, solve
-from micah_plan.api.results import PlanningResult, RunsResult
+from micah_plan.api.planning import PlanningResult, RunsResult
 from micah_plan.errors import InputError
 from micah_plan.task.plan import Plan
 from micah_plan.view.executed import ExecutedRun, executed_runs, first_runs, runs_badge

@@ -12,6 +12,7 @@ from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError, shown
+from micah_plan.recording.value import Recording
 
 
 def with_effect(automaton: HybridAutomaton, *effects: Effect) -> HybridAutomaton:
@@ -62,6 +63,16 @@ def _impossible(effect: Effect) -> list[tuple[float, Parameter]]:
         for value, parameter in pairs
         if not (np.isfinite(value) and parameter.lower <= value <= parameter.upper)
     ]
+
+
+def for_demonstrations(automaton: HybridAutomaton, recording: Recording) -> HybridAutomaton:
+    """The model for a recording whose actions were given like those of the demonstration that it was learned from.
+
+    Raises:
+        InputError: if learning found nothing about the actions.
+    """
+    steps = [np.diff(recording.select(run=run, part=recording.parts[0]).time) for run in recording.runs]
+    return with_learned_channel(automaton, float(np.median(np.concatenate(steps))))
 
 
 def with_learned_channel(automaton: HybridAutomaton, period: float) -> HybridAutomaton:

@@ -1,0 +1,102 @@
+"""Files of any kind as values, and values as files and pages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from micah_plan.api import inputs
+from micah_plan.api.inputs import DataFrame, Source
+from micah_plan.api.planning import PlanningResult, plan_of
+from micah_plan.api.result import Page, Result, save_model
+from micah_plan.automaton.hybrid import HybridAutomaton, Part
+from micah_plan.errors import InputError
+from micah_plan.recording.value import Recording
+from micah_plan.task.experiment import Experiment
+from micah_plan.task.problem import Problem
+from micah_plan.task.sweep import Sweep
+
+Loaded = Recording | HybridAutomaton | Problem | PlanningResult | Sweep | Experiment | tuple[Part, ...]
+"""What files hold."""
+
+
+def load(source: Source | DataFrame | Mapping[str, Any], **conventions: Any) -> Loaded:
+    """What a file holds, whatever its kind: a recording, model, problem, plan, sweep, experiment or shapes of parts.
+
+    Args:
+        source: the file; a table with the columns of a recording CSV; or data with the keys of a model file, which is
+            how a model is made by hand, with names.
+        **conventions: of a recording, how it is meant (`Conventions`), as in ``columns={"t": "Time", "x": "TX"},
+            length="mm", up="y"``.
+
+    Raises:
+        InputError: if it cannot be used; one line says where, what was expected and found, and what to do.
+    """
+    if isinstance(source, Mapping) and not inputs.is_table(source) and "columns" not in conventions:
+        return inputs.automaton_of(source)
+    if not isinstance(source, Source):
+        return inputs.recording_of(source, conventions=inputs.conventions_of(conventions))
+    from micah_plan.documents.kind import kind_of
+
+    kind = kind_of(source)
+    if kind == "recording":
+        return inputs.recording_of(source, conventions=inputs.conventions_of(conventions))
+    if conventions:
+        raise InputError(f"a {kind} has no conventions", source=source, remedy="leave them out")
+    if kind == "problem":
+        return inputs.problem_of(source)
+    if kind == "plan":
+        return plan_of(source)
+    if kind == "parts":
+        return inputs.parts_of(source)
+    if kind == "sweep":
+        from micah_plan.documents.sweep import load_sweep
+
+        return load_sweep(source)
+    if kind == "experiment":
+        from micah_plan.documents.experiment import load_experiment
+
+        return load_experiment(source)
+    return inputs.automaton_of(source)
+
+
+def save(value: Any, path: str | Path) -> None:
+    """Write a recording, a model, or what a result is about, at once or not at all.
+
+    Raises:
+        InputError: if the file cannot be written, or there is nothing to write.
+    """
+    from micah_plan.recording.read import write_recording
+
+    if isinstance(value, Result):
+        value.save(path)
+    elif isinstance(value, HybridAutomaton):
+        save_model(value, "", path)
+    elif isinstance(value, Recording):
+        write_recording(value, path)
+    else:
+        raise InputError(f"there is no file for a {type(value).__name__}", remedy="give a recording, model or result")
+
+
+def show(value: Any, path: str | Path | None = None) -> Page:
+    """The page of a recording, a model or a result: opened in the browser, or within a notebook.
+
+    Args:
+        value: what to show.
+        path: where to write the page, and nothing is opened; None: a temporary file.
+
+    Raises:
+        InputError: if there is no page of such a value.
+    """
+    if isinstance(value, Result):
+        return value.show(path)
+    if isinstance(value, Recording):
+        from micah_plan.view.recording_page import recording_page
+
+        return Page(recording_page(value)).opened(path)
+    if isinstance(value, HybridAutomaton):
+        from micah_plan.view.model_page import model_page
+
+        return Page(model_page(value)).opened(path)
+    raise InputError(f"there is no page of a {type(value).__name__}", remedy="give a recording, model or result")

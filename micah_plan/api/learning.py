@@ -1,0 +1,443 @@
+"""`learn`: from a recording to a model, or the reason why there is none.
+
+**`explore`.** From the first touch of a handle to a model.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from micah_plan import __version__
+from micah_plan.api import inputs
+from micah_plan.api.inputs import Measured, Source
+from micah_plan.api.result import SUREST, Result, save_model
+from micah_plan.automaton.graph import BASE, KinematicGraph
+from micah_plan.automaton.hybrid import HybridAutomaton, Part
+from micah_plan.errors import InputError
+from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
+from micah_plan.quantities import Progress, Table, count, duration, in_degrees, percent, plain, quantity, way
+from micah_plan.recording.conventions import Conventions
+from micah_plan.recording.value import Recording
+from micah_plan.task.experiment import Scene
+from micah_plan.task.plants import DEFAULT_PLANT
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from micah_plan.automaton.graph import ActionChannel, Deviation, KinematicEdge, Segment
+    from micah_plan.automaton.joint import Joint
+    from micah_plan.execution.plant import Plant
+    from micah_plan.explore.run import Exploration
+
+Method = Literal["act-champ", "champ"]
+_COLUMNS = ("joint", "rows", "configuration", "axis", "radius", "P(kind)", "start row\n(95 %)")
+_TURNED_BACK = 0.2
+"""Share of its range by which a part goes further than where it begins and ends, from which on that is told."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LearningResult(Result):
+    """What `learn` returns: the segments as measured, the automaton made of them, and how long it took.
+
+    Attributes:
+        recording: what it was learned from.
+        graph: the segments of every part, with their joints.
+        automaton: None if some rows follow no single joint; `graph` says which.
+        seconds: wall-clock time.
+        reason: why there is no automaton and what to do; empty if there is one.
+        warnings: what looks like a mistake in the recording (units, order of columns), or too little, one line each.
+        base: what poses are relative to: the part that was taken for the base, else "base".
+        seed: of everything random.
+    """
+
+    recording: Recording
+    graph: KinematicGraph
+    automaton: HybridAutomaton | None
+    seconds: float
+    reason: str = ""
+    warnings: tuple[str, ...] = ()
+    base: str = BASE
+    seed: int = 0
+
+    @property
+    def success(self) -> bool:
+        """Whether there is an automaton."""
+        return self.automaton is not None
+
+    @property
+    def outcome(self) -> str:
+        """``"learned"`` or ``"no_model"``."""
+        return "learned" if self.success else "no_model"
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """The warnings."""
+        return self.warnings
+
+    def heading(self, edge: KinematicEdge) -> str:
+        """Which part moves relative to which."""
+        return f"{edge.child} relative to {self.base if edge.parent == BASE else edge.parent}"
+
+    def report(self) -> list[str | Table]:
+        """Segments of every part with how sure they are, how actions move it, and the modes made of them."""
+        from micah_plan.view.learned import action_words, deviation_notes
+
+        found: list[str | Table] = []
+        for edge in self.graph.edges:
+            rows = tuple(segment_row(segment) for segment in edge.segments)
+            found.append(Table(_COLUMNS, rows, self.heading(edge), firm=("joint", "rows", "P(kind)")))
+            found += deviation_notes(edge.segments)
+            if edge.certainty is not None and edge.certainty.channel is not None:
+                found.append(f"actions: {action_words(edge.certainty.channel)}")
+        if self.graph.probability is not None:
+            found.append(f"probability of this tree of parts: {percent(min(self.graph.probability, SUREST), 0)}")
+        if self.automaton is None:
+            return [*found, f"no model: {self.reason}"]
+        return [*found, f"learned {count(len(self.automaton.modes), 'mode')} in {duration(self.seconds)}"]
+
+    def json(self) -> dict[str, Any]:
+        """Segments, changepoints and actions of the part, seconds, seed.
+
+        For several parts the first three are in `edges`, and `tree_probability` is that of this tree of parts. What was
+        not estimated is null.
+        """
+        edges = [{"parent": edge.parent, "child": edge.child, **_edge(edge)} for edge in self.graph.edges]
+        tree = {"edges": edges, "tree_probability": self.graph.probability}
+        summary = tree if len(edges) > 1 else _edge(self.graph.edges[0])
+        modes = () if self.automaton is None else self.automaton.mode_names
+        outcome = {"modes": modes, "reason": self.reason, "warnings": self.warnings}
+        return {**summary, **outcome, "seconds": self.seconds, "seed": self.seed}
+
+    def plot(self) -> Figure:
+        """The segmented track, its axes and the evidence over time."""
+        from micah_plan.view.learning_figure import learning_figure
+
+        return learning_figure(self.recording, self.graph)
+
+    def page(self, title: str = "") -> str:
+        """The segmented track in 3-D."""
+        from micah_plan.view.recording_page import recording_page
+
+        return recording_page(self.recording, self.graph, title=title or self.title)
+
+    def save(self, path: str | Path) -> None:
+        """Write the model (YAML)."""
+        save_model(self.automaton, self.reason, path)
+
+
+def learn(
+    recording: Measured,
+    *,
+    method: Method = "act-champ",
+    seed: int = 0,
+    parts: Source | Sequence[Part] = (),
+    settings: LearnSettings | None = None,
+    base: str | None = None,
+    conventions: Conventions | None = None,
+    progress: Progress | None = None,
+    **changes: Any,
+) -> LearningResult:
+    """A hybrid automaton from a recording, or the reason why there is none.
+
+    Args:
+        recording: a path, a recording, or executed runs, of at least `learn.settings.FEWEST_ROWS` rows per run.
+        method: ``"act-champ"`` uses the actions, ``"champ"`` the poses alone.
+        seed: of MLESAC and of the resampling; the same seed gives the same result.
+        parts: shapes and handles of the parts, for drawing and physics: a path or values.
+        settings: None: the defaults, which are meant for every recording.
+        base: a tracked part on which the object stands, as a door on a cart that is pushed: the model is in its frame,
+            and the rows that are returned are those of the other parts.
+        conventions: how the file is meant; None: as it says, or a file beside it.
+        progress: called with a message and the fraction done.
+        **changes: settings by name, e.g. ``kinds=("rigid", "prismatic")``.
+
+    Raises:
+        InputError: if the recording cannot be learned from, or a setting is none.
+    """
+    measured, shapes = inputs.demonstration_of(recording, conventions), inputs.parts_of(parts)
+    chosen = inputs.learn_settings(settings, changes)
+    with inputs.located(recording):
+        return _learned(measured, method, seed, shapes, chosen, base, progress)
+
+
+def is_long_enough(recording: Recording) -> bool:
+    """Whether every run has the rows of each of its parts that `learn` needs."""
+    rows = Counter(zip(recording.run.tolist(), recording.part, strict=True))
+    return min(rows.values(), default=0) >= FEWEST_ROWS
+
+
+def _learned(
+    recording: Recording,
+    method: Method,
+    seed: int,
+    parts: tuple[Part, ...],
+    settings: LearnSettings,
+    base: str | None,
+    progress: Progress | None,
+) -> LearningResult:
+    """Segment the recording, fit its joints and build the automaton."""
+    from micah_plan.automaton.build import build_automaton, no_single_joint_error
+    from micah_plan.learn.learn import learn_graph, small_motions
+    from micah_plan.learn.parts.relative import relative_to
+    from micah_plan.recording.suspicion import suspicions
+
+    begin = time.perf_counter()
+    if base is not None:
+        recording = relative_to(recording, base)
+    graph = learn_graph(recording, method=method, settings=settings, seed=seed, progress=progress)
+    provenance = {"recording": recording.digest(), "method": method, "seed": str(seed), "micah_plan": __version__}
+    if base is not None:
+        provenance["frame"] = f"part {base}"
+    if recording.conventions:
+        provenance["conventions"] = "; ".join(f"{name} {text}" for name, text in recording.conventions.items())
+    _check_names(graph, parts)
+    refusal = no_single_joint_error(graph)
+    warnings = recording.notes + suspicions(recording) + small_motions(recording, settings)
+    automaton = None if refusal is not None else build_automaton(graph, parts=parts, provenance=provenance)
+    reason = "" if refusal is None else str(refusal)
+    seconds = time.perf_counter() - begin
+    return LearningResult(recording, graph, automaton, seconds, reason, warnings, base or BASE, seed)
+
+
+def _check_names(graph: KinematicGraph, parts: Sequence[Part]) -> None:
+    names = {name for edge in graph.edges for name in (edge.parent, edge.child)}
+    for part in parts:
+        if part.name not in names:
+            raise InputError(
+                f"the shapes are of a part '{part.name}', the recording has {', '.join(sorted(names))}",
+                remedy="rename the part in the shapes file",
+            )
+
+
+def _edge(edge: KinematicEdge) -> dict[str, Any]:
+    sure = edge.certainty
+    return {
+        "segments": [_segment(segment) for segment in edge.segments],
+        "changepoints": list(edge.changepoints),
+        "changepoint_counts": None if sure is None else sure.changepoint_counts,
+        "action_channel": None if sure is None or sure.channel is None else _channel(sure.channel),
+    }
+
+
+def _segment(segment: Segment) -> dict[str, Any]:
+    sure, no_single_joint = segment.certainty, segment.no_single_joint
+    start = None if sure is None else sure.start
+    data: dict[str, Any] = {
+        "model": segment.joint.kind,
+        "start": segment.start,
+        "end": segment.end,
+        "run": segment.run,
+        "start_interval": None if start is None else start.interval(),
+    }
+    fitted = {
+        "parameters": _parameters(segment.joint),
+        **_spread(segment.joint),
+        "configuration": [segment.configuration_start, segment.configuration_end],
+        "probability": segment.probability,
+        "probabilities": None if sure is None else dict(sure.kinds),
+        "deviation": None if sure is None or sure.deviation is None else _deviation(sure.deviation),
+    }
+    if no_single_joint is None:
+        return data | fitted
+    misses = {
+        "position_m": no_single_joint.position,
+        "rotation_rad": no_single_joint.rotation,
+        "position_noise_m": no_single_joint.position_noise,
+        "rotation_noise_rad": no_single_joint.rotation_noise,
+        "log_odds": no_single_joint.log_odds,
+    }
+    best = {"model": segment.joint.kind, **fitted}
+    return data | {"model": "none", "parameters": {}, "best": best, "misfit": misses}
+
+
+def _deviation(deviation: Deviation) -> dict[str, Any]:
+    return {"position_m": deviation.position, "rotation_rad": deviation.rotation, "probability": deviation.probability}
+
+
+def _parameters(joint: Joint) -> dict[str, Any]:
+    """Pose at configuration 0; knots, or axis (unit, base frame), center, radius [m], pitch [m/rad] if they apply."""
+    from micah_plan.automaton.joint import radius
+
+    parameters: dict[str, Any] = {"position": joint.position, "orientation": joint.quaternion}
+    if joint.kind == "path":
+        return parameters | {"knots": joint.knots}
+    if joint.moves:
+        parameters["axis"] = joint.axis
+    if joint.turns:
+        parameters |= {"center": joint.center, "radius": float(radius(joint))}
+    if joint.kind == "screw":
+        parameters["pitch"] = joint.pitch
+    return parameters
+
+
+def _spread(joint: Joint) -> dict[str, Any]:
+    """Covariance of a joint's parameters and their standard deviations, by name [rad, m, m/rad]."""
+    if joint.covariance is None:
+        return {"stds": None, "covariance": None}
+    stds = dict(zip(joint.covariance.names, _stds(joint.covariance.matrix), strict=True))
+    return {"stds": stds, "covariance": asdict(joint.covariance)}
+
+
+def _channel(channel: ActionChannel) -> dict[str, Any]:
+    from micah_plan.automaton.graph import CHANNEL_NAMES
+
+    *turned, gain, delay = _stds(channel.covariance)
+    return {
+        **asdict(channel),
+        "stds": {"frame_rotation": turned, "gain": gain, "delay": delay},
+        "covariance": {"names": CHANNEL_NAMES, "matrix": channel.covariance},
+    }
+
+
+def _stds(matrix: Sequence[Sequence[float]]) -> list[float]:
+    return [math.sqrt(max(row[i], 0.0)) for i, row in enumerate(matrix)]
+
+
+def segment_row(segment: Segment) -> tuple[str, ...]:
+    """One line of the table, short enough for 80 columns: kind of joint, rows, way, axis, radius, how sure, start."""
+    from micah_plan.automaton.joint import axis_std, radius, radius_std
+
+    joint, rows, no_single_joint, sure = (
+        segment.joint,
+        f"{segment.start}-{segment.end}",
+        segment.no_single_joint,
+        segment.certainty,
+    )
+    start = ""
+    if sure is not None and sure.start is not None:
+        first, last = sure.start.interval()
+        start = f"{first}" if first == last else f"{first}-{last}"
+    if no_single_joint is not None:
+        return ("none", rows, f"misses by {quantity(no_single_joint.position, 'm')}", "", "", "", start)
+    axis = "" if joint.kind in ("rigid", "path") else " ".join(f"{round(value, 2) + 0.0:.2f}" for value in joint.axis)
+    arm = quantity(radius(joint), "m") if joint.turns else ""
+    if joint.covariance is not None:
+        axis += f"\n± {in_degrees(axis_std(joint), digits=2)}" if axis else ""
+        arm += f"\n± {quantity(radius_std(joint), 'm', digits=2)}" if arm else ""
+    passed = _passed(segment) if joint.moves else plain(segment.configuration_end)
+    probability = segment.probability if sure is None else dict(sure.kinds).get(joint.kind, 0.0)
+    return (joint.kind, rows, passed, axis, arm, percent(min(probability, SUREST), 0), start)
+
+
+def _passed(segment: Segment) -> str:
+    """Where a moving segment begins and ends, and where it turns around if it comes back from further on."""
+
+    ends = [segment.configuration_start, segment.configuration_end]
+    low, high = segment.configuration_range
+    furthest = max((low, high), key=lambda value: min(abs(value - end) for end in ends))
+    turned = min(abs(furthest - end) for end in ends) > _TURNED_BACK * (high - low)
+    stops = [ends[0], furthest, ends[1]] if turned else ends
+    return way(stops, segment.joint.unit)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExplorationResult(Result):
+    """What `explore` returns: what was found by moving, and the model of it if it moved."""
+
+    found: Exploration
+    seed: int = 0
+
+    @property
+    def success(self) -> bool:
+        """Whether the object was opened, or is surely held."""
+        return self.outcome != "gave_up"
+
+    @property
+    def outcome(self) -> str:
+        """``"opened"``, ``"held"`` or ``"gave_up"``."""
+        return self.found.outcome
+
+    @property
+    def reason(self) -> str:
+        """One sentence."""
+        return self.found.reason
+
+    @property
+    def automaton(self) -> HybridAutomaton | None:
+        """The model; None where nothing moved."""
+        return self.found.model
+
+    def report(self) -> list[str | Table]:
+        """What holds the handle, how it was found, and what went wrong on the way."""
+        found = self.found
+        said = {"opened": "opened", "held": "held", "gave_up": "gave up"}[found.outcome]
+        joints = ", then ".join(found.kinds) or "none moved"
+        went, force = quantity(found.travel, "m"), quantity(found.largest_force, "N")
+        return [
+            f"{said}: {found.reason}",
+            f"  joints       {joints} ({percent(min(found.probability, SUREST), 0)} sure)",
+            f"  {count(found.steps, 'step')}, {went} of way, at most {force}",
+            *(f"  note: {note}" for note in found.notes),
+        ]
+
+    def json(self) -> dict[str, Any]:
+        """Outcome, joints with their probability, steps, way and forces."""
+        found = self.found
+        return {
+            "outcome": found.outcome,
+            "steps": found.steps,
+            "max_force_n": found.largest_force,
+            "joints": list(found.kinds),
+            "probability": found.probability,
+            "travel_m": found.travel,
+            "seconds": found.seconds,
+            "reason": found.reason,
+            "notes": list(found.notes),
+            "tried_n": found.tried,
+            "hand_stiffness_n_per_m": 1.0 / found.hand.compliance,
+            "slowest_step_cpu_s": found.thinking,
+            "seed": self.seed,
+        }
+
+    def plot(self) -> Figure:
+        """Forces against their limit, and the probabilities of what holds the handle, over the steps."""
+        from micah_plan.view.exploration_page import exploration_charts
+        from micah_plan.view.figures import chart_figure
+
+        return chart_figure(exploration_charts(self.found))
+
+    def page(self, title: str = "") -> str:
+        """The path of the hand, hypotheses, forces and probabilities."""
+        from micah_plan.view.exploration_page import exploration_page
+
+        return exploration_page(self.found, title=title or self.title)
+
+    def save(self, path: str | Path) -> None:
+        """Write the model (YAML)."""
+        save_model(self.automaton, self.reason, path)
+
+
+def explore(
+    scene: Source | Scene,
+    *,
+    plant: str | Callable[[Any], Plant] = DEFAULT_PLANT,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> ExplorationResult:
+    """Open what a hand holds without a model of it, and learn one.
+
+    Args:
+        scene: a path, or what the hand may do.
+        plant: ``"nominal"`` or ``"mujoco"``, with the object that the scene names; or what makes a plant of the scene.
+        seed: of the plant's start and noise; decisions draw nothing.
+        progress: called with a message and the fraction done.
+
+    Raises:
+        InputError: if there is no such scene or plant, its code fails, or an answer is no usable measurement.
+        PlantError: if the machine cannot be made or reset.
+    """
+    from micah_plan.documents.experiment import load_scene
+    from micah_plan.execution.handle import HandlePlant, make_handle_plant
+    from micah_plan.explore.run import explore as run
+
+    asked = scene if isinstance(scene, Scene) else load_scene(scene)
+    with HandlePlant(make_handle_plant(asked, plant)) as machine:
+        return ExplorationResult(run(asked, machine, np.random.default_rng(seed), progress), seed)

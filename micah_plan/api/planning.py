@@ -1,0 +1,363 @@
+"""`solve`: from a problem to a plan that holds, or to what is in the way.
+
+**`execute`.** From a plan to its runs.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from micah_plan.api import inputs
+from micah_plan.api.inputs import Modelled, Problematic, Source
+from micah_plan.api.result import Result
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.errors import InputError, shown
+from micah_plan.quantities import Progress, Table, count, percent, percent_interval, quantity, with_spread
+from micah_plan.recording.value import Recording
+from micah_plan.task.plan import Plan
+from micah_plan.task.plants import DEFAULT_PLANT
+from micah_plan.task.problem import Problem
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from micah_plan.execution.plant import Plant, PlantMaker
+    from micah_plan.execution.trials import ErrorSummary, Keep, TrialStatistics
+    from micah_plan.task.plan import ArmTrajectory
+
+_MOST_FAILURES = 10
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PlanningResult(Result):
+    """What `solve` returns: the plan and the problem that it is for.
+
+    Attributes:
+        notes: what to know of the problem, one line each.
+    """
+
+    plan: Plan
+    problem: Problem
+    notes: tuple[str, ...] = ()
+
+    @property
+    def success(self) -> bool:
+        """Whether the plan solves the problem."""
+        return self.plan.outcome == "solved"
+
+    @property
+    def outcome(self) -> str:
+        """``"solved"``, ``"no_plan"`` or ``"not_verified"``."""
+        return self.plan.outcome
+
+    @property
+    def reason(self) -> str:
+        """One sentence, with the remedy if it failed."""
+        return self.plan.reason
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """What to know of the problem, and what the plan does not take into account."""
+        return (*self.notes, *self.plan.warnings)
+
+    @property
+    def title(self) -> str:
+        """The name of the problem's file."""
+        return Path(self.problem.source).stem or "Plan"
+
+    @property
+    def automaton(self) -> HybridAutomaton:
+        """The problem's model."""
+        return self.problem.automaton
+
+    @property
+    def mode_sequence(self) -> tuple[str, ...]:
+        """The modes that the plan visits, in order."""
+        return self.plan.mode_sequence
+
+    @property
+    def success_probability(self) -> float | None:
+        """Share of roll-outs that end in the goal; None where nothing was verified."""
+        return self.plan.success_probability
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the plan does not take into account, one line each."""
+        return self.plan.warnings
+
+    def report(self) -> list[str | Table]:
+        """Outcome, modes, distance from the goal and probability of success; of no plan what is in the way."""
+        from micah_plan.planning.findings import explain
+
+        plan, unit = self.plan, self.problem.goal_unit
+        lines: list[str | Table] = [f"{plan.outcome}: {plan.reason}"]
+        lines += [] if self.success else explain(self.problem, plan).lines[1:]
+        if plan.trajectory is not None:
+            lines.append(f"  modes        {' -> '.join(plan.mode_sequence)}")
+            if plan.goal_error is not None and plan.goal_std is not None:
+                distance = f"{quantity(plan.goal_error, unit)} from the target, σ {quantity(plan.goal_std, unit)}"
+                lines.append(f"  at the end   {distance}")
+            if plan.success_probability is not None:
+                share = f"{percent(plan.success_probability)} of {count(plan.verification_trials, 'roll-out')}"
+                pair = plan.success_interval
+                sure = "" if pair is None else f" (95 % interval: {percent_interval(*pair)})"
+                lines.append(f"  success      {share}{sure}")
+        return lines
+
+    def json(self) -> dict[str, Any]:
+        """Outcome, modes, what the goal is missed by, probability of success, findings and times."""
+        plan = self.plan
+        return {
+            "outcome": plan.outcome,
+            "reason": plan.reason,
+            "modes": plan.mode_sequence,
+            "cost": plan.cost,
+            "goal_error": plan.goal_error,
+            "goal_std": plan.goal_std,
+            "success_probability": plan.success_probability,
+            "success_interval": plan.success_interval,
+            "verification_trials": plan.verification_trials,
+            "findings": [asdict(finding) for finding in plan.findings],
+            "warnings": plan.warnings,
+            "arm": None if plan.arm is None else _arm(plan.arm),
+            "seconds": plan.timings,
+            "seed": plan.seed,
+        }
+
+    def plot(self) -> Figure:
+        """The planned belief over the steps.
+
+        Raises:
+            InputError: if there is no trajectory to draw.
+        """
+        from micah_plan.view.figures import belief_figure
+
+        return belief_figure(self.problem, self.plan)
+
+    def page(self, title: str = "") -> str:
+        """The plan in 3-D; without one, start and goal."""
+        from micah_plan.view.plan_page import plan_page
+
+        return plan_page(self.plan, self.problem, title=title or self.title)
+
+    def save(self, path: str | Path) -> None:
+        """Write the plan with its problem (JSON)."""
+        from micah_plan.documents.plan import write_plan
+
+        write_plan(self.plan, self.problem, path)
+
+
+def _arm(arm: ArmTrajectory) -> dict[str, Any]:
+    return {
+        "least_clearance": arm.least_clearance,
+        "closest_pair": arm.closest_pair,
+        "closest_knot": arm.closest_knot,
+        "least_manipulability": float(arm.manipulability.min()),
+        "deviation": arm.deviation,
+        "limit_margin": arm.limit_margin,
+        "limit_joint": arm.limit_joint,
+    }
+
+
+def solve(
+    problem: Problematic,
+    *,
+    model: Modelled | None = None,
+    seed: int = 0,
+    advise: bool = True,
+    planner: Callable[..., Plan] | None = None,
+    progress: Progress | None = None,
+    **changes: Any,
+) -> PlanningResult:
+    """A plan that holds with the problem's confidence, or what is in the way.
+
+    Args:
+        problem: a path, a problem, or an earlier result whose problem is solved again; a model, or what learned one, is
+            moved most of its way.
+        model: to use instead of the problem's: a path, an automaton, or what `learn` or `calibrate` returned.
+        seed: of everything random.
+        advise: whether remedies name numbers, which takes further solutions.
+        planner: another one than POMDP-HD, whose plans are checked alike (`planning.solver.solve`).
+        progress: called with a message and the fraction done.
+        **changes: settings by name, e.g. ``confidence=0.99, max_knots=80``.
+
+    Raises:
+        InputError: if the problem or the model cannot be used, or a setting is none.
+    """
+    from micah_plan.planning.solver import solve as solved
+
+    asked, notes = inputs.problem_and_notes(problem, model)
+    asked = replace(asked, settings=inputs.planner_settings(asked, changes))
+    plan = solved(asked, seed=seed, progress=progress, advise=advise, planner=planner)
+    return PlanningResult(plan, asked, notes)
+
+
+def plan_of(source: object) -> PlanningResult:
+    """A plan with its problem: of a file, or what `solve` returned.
+
+    Raises:
+        InputError: for anything else.
+    """
+    if isinstance(source, Source):
+        from micah_plan.documents.plan import load_plan
+
+        stored = load_plan(source)
+        return PlanningResult(stored.plan, stored.problem)
+    if not isinstance(source, PlanningResult):
+        said = f"expected a plan, found {shown(type(source).__name__)}"
+        raise InputError(said, remedy="give the path of one, or what solve returns")
+    return source
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RunsResult(Result):
+    """What `execute` returns: statistics over the trials, with their recording, and the plan that was executed."""
+
+    statistics: TrialStatistics
+    planned: PlanningResult
+    seconds: float = 0.0
+
+    @property
+    def success(self) -> bool:
+        """Whether every trial reached the goal."""
+        return self.successes == self.trials
+
+    @property
+    def outcome(self) -> str:
+        """``"reached"``, ``"partly"`` or ``"missed"``."""
+        return "reached" if self.success else "partly" if self.successes else "missed"
+
+    @property
+    def reason(self) -> str:
+        """Why trials failed, the first of them."""
+        return f"trial {self.failures[0][0]}: {self.failures[0][1]}" if self.failures else ""
+
+    @property
+    def title(self) -> str:
+        """The name of the problem's file."""
+        return self.planned.title
+
+    @property
+    def trials(self) -> int:
+        """How many there were."""
+        return self.statistics.trials
+
+    @property
+    def successes(self) -> int:
+        """How many reached the goal."""
+        return self.statistics.successes
+
+    @property
+    def failures(self) -> tuple[tuple[int, str], ...]:
+        """(trial, reason) of the others."""
+        return self.statistics.failures
+
+    @property
+    def final_error(self) -> ErrorSummary:
+        """Mean, std and maximum of the error at the end [rad or m]."""
+        return self.statistics.final_error
+
+    @property
+    def recording(self) -> Recording:
+        """All runs, as a recording that `learn`, `predict` and `calibrate` take."""
+        return self.statistics.recording
+
+    def report(self) -> list[str | Table]:
+        """Successes, final errors, and why trials failed."""
+        error, said, whose, unit = self.final_error, "reached the goal", "", self.planned.problem.goal_unit
+        if self.statistics.believed:
+            said, whose = "are believed to have reached the goal (the plant does not know the truth)", " (believed)"
+        spread = with_spread(error.mean, error.std, unit)
+        lines: list[str | Table] = [f"{self.successes} of {self.trials} trials {said}"]
+        if self.statistics.released is not None:
+            released = f"{self.statistics.released} stand in the goal on their own, nothing knocked over"
+            lines.append(f"  let go       {released}")
+        lines.append(f"  final error  {spread}, at most {quantity(error.max, unit)}{whose}")
+        lines += [f"  trial {trial}: {reason}" for trial, reason in self.failures[:_MOST_FAILURES]]
+        hidden = len(self.failures) - _MOST_FAILURES
+        return [*lines, *([f"  and {count(hidden, 'more failure')}"] if hidden > 0 else [])]
+
+    def json(self) -> dict[str, Any]:
+        """Successes, errors and failures. `believed`: the truth is unknown, so they are what the belief says."""
+        released = self.statistics.released
+        return {
+            "trials": self.trials,
+            "successes": self.successes,
+            "believed": self.statistics.believed,
+            "final_error": asdict(self.final_error),
+            **({} if released is None else {"released": released}),
+            "failures": [{"trial": trial, "reason": reason} for trial, reason in self.failures],
+            "seconds": self.seconds,
+        }
+
+    def plot(self) -> Figure:
+        """The planned belief and the runs on top."""
+        from micah_plan.view.figures import belief_figure
+
+        return belief_figure(self.planned.problem, self.planned.plan, self.recording)
+
+    def page(self, title: str = "") -> str:
+        """The runs beside the plan in 3-D, where they left it and why they failed."""
+        from micah_plan.view.plan_page import plan_page
+
+        plan, problem, failures = self.planned.plan, self.planned.problem, dict(self.failures)
+        return plan_page(plan, problem, title=title or self.title, executed=self.recording, failures=failures)
+
+    def save(self, path: str | Path) -> None:
+        """Write the runs as a recording (CSV, NPZ, TUM or MCAP)."""
+        from micah_plan.recording.read import write_recording
+
+        write_recording(self.recording, path)
+
+
+def execute(
+    plan: Source | PlanningResult,
+    *,
+    plant: str | PlantMaker | Plant = DEFAULT_PLANT,
+    trials: int = 1,
+    seed: int = 0,
+    replan_every: int | None = None,
+    plant_parameters: Mapping[str, float] | None = None,
+    start: Mapping[str, float] | None = None,
+    progress: Progress | None = None,
+    keep: Keep | None = None,
+) -> RunsResult:
+    """The runs of a plan in closed loop.
+
+    Args:
+        plan: a path or what `solve` returned.
+        plant: ``"nominal"`` (the model itself), ``"mujoco"``, or a plant of your own: a class or an object.
+        trials: how many.
+        seed: of everything random; each trial has its own stream.
+        replan_every: steps after which the rest of the plan is optimised again; 0: never; None: as the problem says.
+        plant_parameters: physical parameters that differ from the problem's, e.g. ``{"friction": 25.0}``.
+        start: where simulated trials truly start, by coordinate, whatever is believed [rad or m].
+        progress: called with a message and the fraction done.
+        keep: called with the log of every trial, also when an error or Ctrl-C breaks it off.
+
+    Raises:
+        InputError: if the plan is no solution, or the plant cannot be used.
+        MissingDependencyError: if the plant needs a library that is not installed.
+        PlantError: if the machine cannot be reset.
+    """
+    from micah_plan.execution.trials import execute_plan
+
+    chosen, begin = plan_of(plan), time.perf_counter()
+    problem = replace(chosen.problem, plant={**chosen.problem.plant, **(plant_parameters or {})})
+    true = {problem.automaton.index(name): value for name, value in (start or {}).items()}
+    problem = replace(problem, start=replace(problem.start, true=tuple({**dict(problem.start.true), **true}.items())))
+    statistics = execute_plan(
+        problem,
+        chosen.plan,
+        plant=plant,
+        trials=trials,
+        seed=seed,
+        replan_every=replan_every,
+        progress=progress,
+        keep=keep,
+    )
+    return RunsResult(statistics, PlanningResult(chosen.plan, problem), time.perf_counter() - begin)

@@ -1,0 +1,140 @@
+"""What every function that users import returns: a value that says what came out, and draws, shows and saves itself.
+
+Pages open in the browser, or within a notebook.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from abc import abstractmethod
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.errors import InputError
+from micah_plan.files import replace_file
+from micah_plan.quantities import Summarised, Table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SUREST = 0.999
+"""A recording is never surer than ">99 %", whatever is left of the odds in floating point."""
+
+
+class Result(Summarised):
+    """What came out. A prompt and a notebook show its `report` as text, a command as tables, `--json` its `json`."""
+
+    @property
+    @abstractmethod
+    def success(self) -> bool:
+        """Whether there is what was asked for."""
+
+    @property
+    @abstractmethod
+    def outcome(self) -> str:
+        """How it ended, in one word that programs can compare."""
+
+    @property
+    @abstractmethod
+    def reason(self) -> str:
+        """Why it ended so, in one sentence with the remedy if there is one; may be empty where it succeeded."""
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """What to know before it is used, one line each."""
+        return ()
+
+    @abstractmethod
+    def report(self) -> list[str | Table]:
+        """What people read, in order."""
+
+    @abstractmethod
+    def json(self) -> dict[str, Any]:
+        """What programs read: the object that the command prints with ``--json``."""
+
+    def summary(self) -> str:
+        """The report as text."""
+        lines = [f"warning: {text}" for text in self.cautions]
+        for item in self.report():
+            lines += item.lines() if isinstance(item, Table) else [item]
+        return "\n".join(lines)
+
+    @property
+    def title(self) -> str:
+        """The title of its page."""
+        return type(self).__name__.removesuffix("Result")
+
+    @abstractmethod
+    def plot(self) -> Figure:
+        """A Matplotlib figure."""
+
+    @abstractmethod
+    def page(self, title: str = "") -> str:
+        """The text of a page that needs no network; without a title it has that of the result."""
+
+    @abstractmethod
+    def save(self, path: str | Path) -> None:
+        """Write it as the file that commands read: a model, a plan, a recording."""
+
+    def show(self, path: str | Path | None = None) -> Page:
+        """The page: opened in the browser, or within a notebook.
+
+        Args:
+            path: where to write it, and nothing is opened; None: a temporary file.
+        """
+        return Page(self.page()).opened(path)
+
+
+@dataclass(frozen=True, repr=False)
+class Page:
+    """A page that needs no network.
+
+    Attributes:
+        text: its HTML.
+        height: in a notebook [px].
+    """
+
+    text: str
+    height: int = 620
+
+    def __repr__(self) -> str:
+        return f"a page of {len(self.text) // 1024} kB"
+
+    def _repr_html_(self) -> str:
+        frame = f'<iframe width="100%" height="{self.height}" style="border:0" srcdoc="'
+        return f'{frame}{escape(self.text)}"></iframe>'
+
+    def save(self, path: str | Path) -> None:
+        """Write it, at once or not at all."""
+        replace_file(path, self.text.encode())
+
+    def opened(self, path: str | Path | None = None) -> Page:
+        """The page, written to `path` if one is given, else opened in a browser; a notebook shows it by itself."""
+        if path is not None:
+            self.save(path)
+        elif not _in_notebook():
+            import webbrowser
+
+            file = Path(tempfile.mkdtemp(prefix="micah_plan_")) / "page.html"
+            self.save(file)
+            webbrowser.open(file.as_uri())
+        return self
+
+
+def _in_notebook() -> bool:
+    """Whether an IPython kernel runs this, whose front end draws what cells end with."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return hasattr(shell, "kernel")
+
+
+def save_model(automaton: HybridAutomaton | None, reason: str, path: str | Path) -> None:
+    """Write a model in the format that the ending names; refused with the reason where there is no model."""
+    if automaton is None:
+        raise InputError(f"there is no model to write: {reason}")
+    from micah_plan.exchange.convert import write_model
+
+    write_model(automaton, path, name=Path(path).stem)

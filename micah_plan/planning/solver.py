@@ -1,0 +1,60 @@
+"""From a problem to a plan that holds: planned, checked by roll-outs, and of one that does not, remedies that help."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+from micah_plan.automaton.graph import low_probability_warnings
+from micah_plan.automaton.input_memory import left_out
+from micah_plan.automaton.plausible import never_taken
+from micah_plan.planning.cuts import unchecked
+from micah_plan.planning.pomdp_hd import plan as pomdp_hd
+from micah_plan.planning.remedies import advised
+from micah_plan.planning.tightening import verified_plan
+from micah_plan.planning.with_arm import planned_with_arm
+from micah_plan.quantities import Progress
+from micah_plan.task.plan import Plan
+from micah_plan.task.problem import Problem
+from micah_plan.task.settings import Deadline
+
+
+def solve(
+    problem: Problem,
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
+    advise: bool = True,
+    planner: Callable[..., Plan] | None = None,
+) -> Plan:
+    """Plan by POMDP-HD and check the plan by rolling out the true hybrid system from sampled states.
+
+    Where the roll-outs fail too often, it plans again with more room (`planning.tightening`).
+
+    Args:
+        planner: another one, whose plans are checked alike and as they are: called with the problem, and with `seed`,
+            `progress` and `deadline` by name (see `planning.attempt`).
+        advise: if it fails, try what its remedies propose, so that they name numbers that help (`planning.remedies`):
+            up to eight more solutions. False: remedies without numbers.
+
+    Returns:
+        A plan whose outcome says whether it solves the problem; it is never silently worse than it claims.
+    """
+    rounds = problem.settings.tightening_rounds * (planner is None)
+    planned_by = partial(planner or pomdp_hd, seed=seed, progress=progress)
+    if problem.robot is not None:
+        import micah_plan.robot.along_plan  # noqa: F401
+    # Only now: what it takes to load libraries says nothing about the problem.
+    deadline = Deadline(problem.settings.solve_time_limit_s)
+
+    def planned(asked: Problem) -> Plan:
+        return verified_plan(asked, planned_by, seed, rounds, deadline)
+
+    with_arm = planned_with_arm(problem, planned, seed, deadline)
+    warnings = (*low_probability_warnings(problem.automaton.learned), *left_out(problem.automaton, planner is not None))
+    warnings += (*never_taken(problem.automaton), *unchecked(problem))
+    answer = replace(with_arm, warnings=warnings)
+    if not advise or answer.outcome == "solved":
+        return answer
+    return advised(problem, answer, partial(solve, advise=False, planner=planner), seed)
