@@ -65,7 +65,7 @@ def data_frame(_: Path) -> Recording:
 def vicon_bag(folder: Path) -> Recording:
     """TransformStamped, as the bridge of Vicon logs it."""
     log = pytest.importorskip("micah_plan.recording.ros_mcap")
-    pytest.importorskip("mcap_ros2.writer", reason="ROS logs need the extra 'ros'")
+    pytest.importorskip("rosbags.typesys", reason="ROS logs need the extra 'ros'")
     messages = []
     for k, (place, turn) in enumerate(zip(*door()[1:], strict=True)):
         header = log.header_at(1_700_000_000_000_000_000 + 50_000_000 * k, "world")
@@ -82,7 +82,7 @@ def vicon_bag(folder: Path) -> Recording:
 def tag_seen_from_the_hand(folder: Path) -> Recording:
     """AprilTags on /tf, seen by a camera on a hand that moves."""
     log = pytest.importorskip("micah_plan.recording.ros_mcap")
-    pytest.importorskip("mcap_ros2.writer", reason="ROS logs need the extra 'ros'")
+    pytest.importorskip("rosbags.typesys", reason="ROS logs need the extra 'ros'")
     _, places, turns = door()
     messages = []
 

@@ -28,7 +28,8 @@ from micah_plan.files import replace_file
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.read import write_recording
 from micah_plan.recording.ros_bags import is_log
-from micah_plan.recording.ros_mcap import NANOSECONDS, Logged, header_at, split_time, write_log
+from micah_plan.recording.ros_mcap import write_log
+from micah_plan.recording.ros_messages import NANOSECONDS, Logged, header_at, split_time
 from micah_plan.recording.value import Recording
 
 TOPIC = "/joint_trajectory"

@@ -1,5 +1,5 @@
 """Logs of ROS messages of every kind, as those of `log`: MCAP files, bags of ROS 1 (`.bag`) and rosbag2 (`.db3`), and
-folders that rosbag2 records into. The only importer of `rosbags`.
+folders that rosbag2 records into.
 
 A `.db3` is a SQLite database with messages as ROS 2 writes them; `metadata.yaml` beside it is not needed. Of both kinds
 only messages of `log.MESSAGE_TYPES` are looked at, read by definitions that do not come from the file.
@@ -17,16 +17,8 @@ from typing import Any
 
 from micah_plan.errors import InputError, MissingDependencyError, shown
 from micah_plan.files import LARGEST_FILE_BYTES, read_bytes
-from micah_plan.recording.ros_mcap import (
-    DEFINITIONS,
-    MESSAGE_TYPES,
-    Logged,
-    Topic,
-    decoders,
-    log_topics,
-    read_log,
-    unpacked_lz4,
-)
+from micah_plan.recording.ros_mcap import log_topics, read_log, unpacked_lz4
+from micah_plan.recording.ros_messages import MESSAGE_TYPES, Logged, Topic, decoded, definition
 
 _REMEDY = "record it again, or repair it with `rosbag reindex`"
 LOGS = (".mcap", ".db3", ".bag")
@@ -106,11 +98,10 @@ def _one_line() -> Iterator[None]:
 
 
 def _database(content: bytes) -> Iterator[Logged]:
-    decoders_known = decoders()
     with _opened(content) as connection:
         for topic, kind, time, data in connection.execute(_TABLES):
-            if kind in decoders_known:
-                yield Logged(topic, kind, time, decoders_known[kind](data))
+            if kind in MESSAGE_TYPES:
+                yield Logged(topic, kind, time, decoded(data, kind))
 
 
 def _database_topics(content: bytes) -> list[Topic]:
@@ -153,7 +144,7 @@ def _ros1(path: Path) -> Iterator[Logged]:
     from rosbags.typesys import get_types_from_msg
 
     for unknown in (kind for kind in MESSAGE_TYPES if kind not in store.types):  # of ROS 1 the library lacks tf2_msgs
-        store.register(get_types_from_msg(DEFINITIONS[unknown], unknown))
+        store.register(get_types_from_msg(definition(unknown).split("=" * 80)[0], unknown))
     with reader_of(path) as reader:
         for place, chunk in reader.chunks.items():
             reader.chunks[place] = chunk._replace(decompressor=partial(_unpacked, chunk.decompressor))

@@ -28,7 +28,7 @@ from micah_plan.quantities import count, quantity
 from micah_plan.recording.checks import checked
 from micah_plan.recording.conventions import Conventions, as_recorded
 from micah_plan.recording.ros_bags import messages_of, topics_of
-from micah_plan.recording.ros_mcap import NANOSECONDS, Logged, stamp_ns
+from micah_plan.recording.ros_messages import NANOSECONDS, Logged, stamp_ns
 from micah_plan.recording.value import DEFAULT_PART, Recording
 
 JOINT = "joint "

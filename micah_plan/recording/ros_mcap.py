@@ -1,12 +1,8 @@
-"""MCAP files with ROS 2 messages. The only importer of `mcap`, `mcap_ros2`, `lz4` and `zstandard`.
+"""MCAP files with ROS 2 messages. The only importer of `mcap`, `lz4` and `zstandard`.
 
-Only messages of `MESSAGE_TYPES` are looked at, and they are read by the definitions below, not by those that a file
-brings along. Chunks are unpacked here, so that a file cannot ask for more memory than its stated limit.
+Chunks are unpacked here, so that a file cannot ask for more memory than its stated limit.
 
-Source of the definitions: https://github.com/ros2/common_interfaces and https://github.com/ros2/rcl_interfaces;
-concatenated as MCAP's ``ros2msg`` encoding asks for.
-
-Recordings written as MCAP files with ROS 2 messages.
+**Writing.** Recordings written as MCAP files with ROS 2 messages.
 
 For every part there is ``geometry_msgs/PoseStamped`` on ``/PART/pose`` in the frame ``base``, or ``PointStamped`` where
 no orientation was measured, and, where there are any, actions and forces as ``Vector3Stamped`` on ``/PART/action`` and
@@ -19,106 +15,30 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 
 from micah_plan.errors import InputError, MissingDependencyError, located_in, shown
 from micah_plan.files import LARGEST_FILE_BYTES
 from micah_plan.recording.checks import checked, row_and_column
+from micah_plan.recording.ros_messages import (
+    MESSAGE_TYPES,
+    NANOSECONDS,
+    Logged,
+    MessageType,
+    Topic,
+    decoded,
+    definition,
+    encoded,
+    header_at,
+    known_types,
+)
 from micah_plan.recording.value import Recording
 
-NANOSECONDS = 1_000_000_000
 _REMEDY = "record it again, or repair it with `mcap recover`"
-
-MessageType = Literal[
-    "geometry_msgs/msg/PointStamped",
-    "geometry_msgs/msg/PoseArray",
-    "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "geometry_msgs/msg/TransformStamped",
-    "geometry_msgs/msg/Vector3Stamped",
-    "nav_msgs/msg/Odometry",
-    "tf2_msgs/msg/TFMessage",
-    "sensor_msgs/msg/JointState",
-    "std_msgs/msg/Float64",
-    "std_msgs/msg/Int64",
-    "std_msgs/msg/String",
-    "trajectory_msgs/msg/JointTrajectory",
-]
-
-DEFINITIONS: Mapping[str, str] = {
-    "geometry_msgs/msg/PointStamped": "std_msgs/Header header\ngeometry_msgs/Point point",
-    "geometry_msgs/msg/PoseArray": "std_msgs/Header header\ngeometry_msgs/Pose[] poses",
-    "geometry_msgs/msg/PoseStamped": "std_msgs/Header header\ngeometry_msgs/Pose pose",
-    "geometry_msgs/msg/PoseWithCovarianceStamped": ("std_msgs/Header header\ngeometry_msgs/PoseWithCovariance pose"),
-    "geometry_msgs/msg/TransformStamped": (
-        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform"
-    ),
-    "geometry_msgs/msg/Vector3Stamped": "std_msgs/Header header\ngeometry_msgs/Vector3 vector",
-    "nav_msgs/msg/Odometry": (
-        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n"
-        "geometry_msgs/TwistWithCovariance twist"
-    ),
-    "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms",
-    "sensor_msgs/msg/JointState": (
-        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort"
-    ),
-    "std_msgs/msg/Float64": "float64 data",
-    "std_msgs/msg/Int64": "int64 data",
-    "std_msgs/msg/String": "string data",
-    "trajectory_msgs/msg/JointTrajectory": (
-        "std_msgs/Header header\nstring[] joint_names\ntrajectory_msgs/JointTrajectoryPoint[] points"
-    ),
-    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
-    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
-    "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec",
-    "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z",
-    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z",
-    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
-    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
-    "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance",
-    "geometry_msgs/Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
-    "geometry_msgs/TwistWithCovariance": "geometry_msgs/Twist twist\nfloat64[36] covariance",
-    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation",
-    "geometry_msgs/TransformStamped": (
-        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform"
-    ),
-    "trajectory_msgs/JointTrajectoryPoint": (
-        "float64[] positions\nfloat64[] velocities\nfloat64[] accelerations\nfloat64[] effort\n"
-        "builtin_interfaces/Duration time_from_start"
-    ),
-}
-MESSAGE_TYPES: tuple[MessageType, ...] = get_args(MessageType)
-
-
-@dataclass(frozen=True)
-class Logged:
-    """A message in a log.
-
-    Attributes:
-        topic: its name, such as ``/door/pose``.
-        kind: type of the message.
-        time: at which it was logged [ns], at least 0.
-        message: what it says: to write, a dict by field; as read, an object with the fields as attributes.
-    """
-
-    topic: str
-    kind: MessageType
-    time: int
-    message: Any
-
-
-@dataclass(frozen=True)
-class Topic:
-    """What a log has on a topic: its name, the type of its messages, and how many there are."""
-
-    name: str
-    kind: str
-    messages: int
 
 
 def write_log(messages: Sequence[Logged]) -> bytes:
@@ -128,15 +48,21 @@ def write_log(messages: Sequence[Logged]) -> bytes:
         MissingDependencyError: without the extra ``ros``.
     """
     _require()
-    from mcap_ros2.writer import Writer
+    from mcap.writer import Writer
 
     buffer = io.BytesIO()
     writer = Writer(buffer)
-    schemas: dict[MessageType, Any] = {}
+    writer.start(profile="ros2")
+    schemas: dict[MessageType, int] = {}
+    channels: dict[str, int] = {}
     for number, logged in enumerate(messages):
-        if logged.kind not in schemas:
-            schemas[logged.kind] = writer.register_msgdef(logged.kind, definition(logged.kind))
-        writer.write_message(logged.topic, schemas[logged.kind], logged.message, log_time=logged.time, sequence=number)
+        kind = logged.kind
+        if kind not in schemas:
+            schemas[kind] = writer.register_schema(kind, "ros2msg", definition(kind).encode())
+        if logged.topic not in channels:
+            channels[logged.topic] = writer.register_channel(logged.topic, "cdr", schemas[kind])
+        content, time = encoded(logged.message, kind), logged.time
+        writer.add_message(channels[logged.topic], time, content, publish_time=time, sequence=number)
     writer.finish()
     return buffer.getvalue()
 
@@ -180,59 +106,12 @@ def log_topics(content: bytes) -> list[Topic]:
     return [Topic(*names, counts.get(number, 0)) for number, names in channels.items()]
 
 
-def definition(name: MessageType) -> str:
-    """The definition of a message and of all that it is made of, each once."""
-    used = dict.fromkeys(_used(name))
-    pieces = (f"{'=' * 80}\nMSG: {piece}\n{DEFINITIONS[piece]}\n" for piece in used)
-    return "".join([f"{DEFINITIONS[name]}\n", *pieces])
-
-
-def _used(name: str) -> Iterator[str]:
-    """The types of a message's fields, each followed by those of its own."""
-    for line in DEFINITIONS[name].splitlines():
-        kind = line.split()[0].removesuffix("[]")
-        if kind in DEFINITIONS:
-            yield kind
-            yield from _used(kind)
-
-
-def stamp_ns(header: Any, logged: int) -> int:
-    """The time of a message [ns]: its stamp, or when it was logged if it has none."""
-    stamp = int(header.stamp.sec) * NANOSECONDS + int(header.stamp.nanosec)
-    return stamp if stamp else logged
-
-
-def header_at(time: int, frame: str) -> dict[str, Any]:
-    """A ``std_msgs/Header`` to write; `time` in ns."""
-    return {"stamp": split_time(time), "frame_id": frame}
-
-
-def split_time(time: int) -> dict[str, int]:
-    """A time [ns] as messages write it."""
-    return {"sec": time // NANOSECONDS, "nanosec": time % NANOSECONDS}
-
-
 def _require() -> None:
+    known_types()
     try:
-        import mcap_ros2.writer  # noqa: F401 - only whether it is there
+        import mcap.writer  # noqa: F401 - only whether it is there
     except ImportError:
         raise MissingDependencyError.of("ros", "ROS logs need libraries that are not installed") from None
-
-
-def decoders() -> dict[str, Callable[[bytes], Any]]:
-    """What reads the bytes (CDR) of each known message.
-
-    Raises:
-        MissingDependencyError: without the extra ``ros``.
-    """
-    _require()
-    from mcap.records import Schema
-    from mcap_ros2.decoder import DecoderFactory
-
-    factory, messages = DecoderFactory(), {}
-    for number, kind in enumerate(MESSAGE_TYPES, start=1):
-        messages[str(kind)] = factory.decoder_for("cdr", Schema(number, definition(kind).encode(), "ros2msg", kind))
-    return messages
 
 
 def _messages(content: bytes) -> Iterator[Logged]:
@@ -240,17 +119,16 @@ def _messages(content: bytes) -> Iterator[Logged]:
 
     kinds: dict[int, MessageType] = {}
     channels: dict[int, tuple[str, MessageType]] = {}
-    decoders_known = decoders()
     for record in _records(content):
         if isinstance(record, Schema):
-            if record.name in decoders_known:
+            if record.name in MESSAGE_TYPES:
                 kinds[record.id] = record.name
         elif isinstance(record, Channel):
             if record.schema_id in kinds and record.message_encoding == "cdr":
                 channels[record.id] = record.topic, kinds[record.schema_id]
         elif isinstance(record, Message) and record.channel_id in channels:
             topic, kind = channels[record.channel_id]
-            yield Logged(topic, kind, record.log_time, decoders_known[kind](record.data))
+            yield Logged(topic, kind, record.log_time, decoded(record.data, kind))
 
 
 def _records(content: bytes) -> Iterator[Any]:

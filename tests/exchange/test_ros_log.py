@@ -18,9 +18,10 @@ from micah_plan.errors import InputError
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.read import read_columns, read_recording
 from micah_plan.recording.ros_log import acting, between
-from micah_plan.recording.ros_mcap import Logged, MessageType, header_at, write_log
+from micah_plan.recording.ros_mcap import write_log
+from micah_plan.recording.ros_messages import Logged, MessageType, header_at
 
-pytest.importorskip("mcap_ros2.writer", reason="ROS logs need the extra 'ros'")
+pytest.importorskip("rosbags.typesys", reason="ROS logs need the extra 'ros'")
 
 ROWS = 20
 STEP = 50_000_000  # ns

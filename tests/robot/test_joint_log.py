@@ -125,8 +125,9 @@ def test_joints_of_lerobot_are_learned(arm: Any, tmp_path: Path) -> None:
 
 
 def test_joint_states_of_ros(arm: Any, tmp_path: Path) -> None:
-    pytest.importorskip("mcap_ros2.writer", reason="ROS logs need the extra 'ros'")
-    from micah_plan.recording.ros_mcap import Logged, header_at, write_log
+    pytest.importorskip("rosbags.typesys", reason="ROS logs need the extra 'ros'")
+    from micah_plan.recording.ros_mcap import write_log
+    from micah_plan.recording.ros_messages import Logged, header_at
 
     q, _ = opened()
     messages = []
