@@ -25,7 +25,7 @@ from typing import TypeVar
 import casadi as ca
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import SMALLEST_STD, Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.automaton.transition import step
@@ -39,7 +39,7 @@ from micah_plan.planning.search.polytope import nominal_start
 from micah_plan.planning.transcription.corridor import pack, packed
 from micah_plan.quantities import Progress
 from micah_plan.symbolic.compiled import compiled_mode, sensing_std
-from micah_plan.symbolic.square_root import SMALLEST_STD, lower_factor, observe, put_at
+from micah_plan.symbolic.square_root import lower_factor, observe, put_at
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.settings import Deadline

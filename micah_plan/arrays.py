@@ -12,13 +12,26 @@ Ints = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
 
 
-# Standard deviations of a normal distribution per median absolute deviation.
-_STDS_PER_MAD = 1.4826
+ROUND_OFF = 1e-9
+"""Beside 1 m, 1 rad or 1: what floating point leaves of nothing. What is smaller is no length, turn or difference."""
+EQUAL = 1e-6
+"""Beside 1 m, 1 rad or 1: numbers that differ by less are meant to be the same, as files have six digits."""
+DIFFERENCE = 1e-6
+"""Step of central differences [m or rad]."""
+SMALLEST_STD = 1e-9
+"""What a standard deviation of 0 is taken for, so that its inverse and its derivative exist [m or rad]."""
+TINY = 1e-12
+"""Beside 1: below it squares and weights are 0 but for round-off; against divisions by 0."""
+VANISHING = 1e-300
+"""The smallest share whose logarithm is taken."""
+
+STDS_PER_MAD = 1.4826
+"""Standard deviations of a normal distribution per median absolute deviation."""
 
 
 def robust_std(values: Floats) -> Floats:
     """(...) std of values (N, ...) as their median deviation from the median tells it: few outliers do not count."""
-    return np.asarray(_STDS_PER_MAD * np.median(np.abs(values - np.median(values, axis=0)), axis=0))
+    return np.asarray(STDS_PER_MAD * np.median(np.abs(values - np.median(values, axis=0)), axis=0))
 
 
 def alike(numbers: Ints) -> list[tuple[int, Ints]]:

@@ -25,6 +25,8 @@ from html import escape
 
 LARGEST = 1e6
 """Of a coordinate or limit [m or rad]: beyond it a number is a mistake of units or of keys, not a place."""
+FARTHEST_M = 50.0
+"""Of a place from what it belongs to: the end of a large room; beyond it a number is a mistake of units."""
 _DIGITS, _SPREAD_DIGITS, _MOST_DIGITS = 3, 2, 6
 _SMALL, _LARGE = -4, 6
 """Powers of ten between which numbers are written without an exponent."""

@@ -19,6 +19,7 @@ from functools import partial
 
 import numpy as np
 
+from micah_plan.arrays import EQUAL, ROUND_OFF
 from micah_plan.automaton.effects.add import check_effect
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.graph import BASE
@@ -29,9 +30,6 @@ from micah_plan.errors import InputError, shown
 from micah_plan.quantities import LARGEST
 
 UNITS = ("rad", "m")
-_PIN_ROOM = 1e-9
-_FIXED_ROOM = 1e-6
-_ENTRY_ROOM = 1e-6
 _EVERYTHING = (-math.inf, math.inf)
 Place = tuple[str | int, ...]
 
@@ -194,7 +192,7 @@ def _check_noise(automaton: HybridAutomaton) -> None:
 def _check_pin(automaton: HybridAutomaton, mode: Mode, pin: Pin) -> None:
     """Refuse a pin further outside of its own mode's invariant than its std."""
     low, high = mode.invariant.interval(pin.coordinate)
-    room = _PIN_ROOM * max(1.0, abs(pin.value)) + pin.std
+    room = ROUND_OFF * max(1.0, abs(pin.value)) + pin.std
     if not low - room <= pin.value <= high + room:
         coordinate = automaton.coordinates[pin.coordinate]
         raise InputError(
@@ -208,7 +206,7 @@ def _check_fixed_at(automaton: HybridAutomaton, mode: Mode, link: int) -> None:
     """Refuse a rigid joint that stands for another configuration than the one its mode pins."""
     joint, index = mode.joints[link], automaton.links[link].coordinate
     for pin in mode.pins:
-        if not joint.moves and pin.coordinate == index and not abs(joint.fixed_at - pin.value) <= _FIXED_ROOM:
+        if not joint.moves and pin.coordinate == index and not abs(joint.fixed_at - pin.value) <= EQUAL:
             coordinate = automaton.coordinates[index]
             raise InputError(
                 f"mode {mode.name}: the rigid joint of {automaton.links[link].child} is fixed at {joint.fixed_at:.9g} "
@@ -237,7 +235,7 @@ def _check_entry(automaton: HybridAutomaton, edge: Edge) -> None:
         return  # the guard holds nowhere in the source; the edge is useless but leads nowhere wrong
     for index, (low, high) in enumerate(_after_reset(automaton, edge, before)):
         allowed = target.invariant.interval(index)
-        room = _ENTRY_ROOM * max([1.0, *(abs(v) for v in (low, high, *allowed) if math.isfinite(v))])
+        room = EQUAL * max([1.0, *(abs(v) for v in (low, high, *allowed) if math.isfinite(v))])
         room += sum(pin.std for mode in (source, target) for pin in mode.pins if pin.coordinate == index)
         if low > allowed[1] + room or high < allowed[0] - room:
             name = automaton.coordinates[index].name

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import TINY, Floats
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint, ParameterCovariance, axis_basis, twisting
 from micah_plan.automaton.motion_of_joints import turns_and_translations
@@ -26,7 +26,6 @@ from micah_plan.errors import InputError
 ROTATION_LENGTH = 0.2
 _TURNS, _SHIFTS = ("rotation_1", "rotation_2", "rotation_3"), ("position_1", "position_2", "position_3")
 _PARAMETERS = ("axis_1", "axis_2", "center_1", "center_2", "pitch", *_TURNS, *_SHIFTS)
-_NO_INFORMATION = 1e-12
 _NO_PITCH = 1e-7
 _MOST_ITERATIONS = 50
 
@@ -120,7 +119,7 @@ def inverse(
         return np.asarray(along)
     turn = _turn(joint, measured, rotation, rotation_length)
     weight = np.abs(turn)
-    angle = np.where(weight > _NO_INFORMATION, np.angle(turn), 0.0)
+    angle = np.where(weight > TINY, np.angle(turn), 0.0)
     angle = np.where(angle <= -np.pi, np.pi, angle)
     pitch = joint.pitch if joint.kind == "screw" and abs(joint.pitch) > _NO_PITCH else 0.0
     guess = along / pitch if pitch and near is None else near
@@ -204,7 +203,7 @@ def inverse_jacobian(
     weights = np.repeat([rotation_length**2, 1.0], 3)[6 - displacements.shape[1] :]
     squared = (direction**2) @ weights
     projected = (direction * displacements) @ weights
-    return np.where(squared > _NO_INFORMATION, projected / np.maximum(squared, _NO_INFORMATION), 0.0)
+    return np.where(squared > TINY, projected / np.maximum(squared, TINY), 0.0)
 
 
 def shifted(joint: Joint, offset: float) -> Joint:
@@ -249,7 +248,7 @@ def _origin_slopes(joint: Joint, c: float, has_rotation: bool) -> Floats:
     scale = np.repeat([ROTATION_LENGTH if has_rotation else 0.0, 1.0], 3)
     direction = jacobian(joint, c)[0]
     weighted = scale**2 * direction
-    if direction @ weighted > _NO_INFORMATION:
+    if direction @ weighted > TINY:
         slopes[5:] -= np.outer(direction, weighted @ slopes[5:]) / (direction @ weighted)
     return slopes
 

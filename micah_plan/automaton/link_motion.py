@@ -14,15 +14,12 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from micah_plan.arrays import Floats, Ints
+from micah_plan.arrays import EQUAL, Floats, Ints
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import ROTATION_LENGTH, forward, inverse, inverse_jacobian, jacobian
 from micah_plan.automaton.memo import memoised
 
-# Lever arm about which nothing can turn [m].
-_NO_LEVER = 1e-6
-_SAME = 1e-6
 _TURN = 2.0 * np.pi
 # Of a turn: what a run may lie beyond its range by noise, or because the range is shorter than what the part can do.
 _BESIDE = 0.25
@@ -120,7 +117,7 @@ class LinkMotion:
             there = np.clip(self._on(joint, low, high, target, None), low, high)
             away = np.linalg.norm(forward(joint, there).translation - target, axis=1)
             # Only a neighbour that the motion gets to: a small action does not leave its joint.
-            better = (number != k) & np.isfinite(there) & (away < missed - _SAME)
+            better = (number != k) & np.isfinite(there) & (away < missed - EQUAL)
             best, missed = np.where(better, there - c, best), np.where(better, away, missed)
         return best
 
@@ -166,7 +163,7 @@ def _motion(automaton: HybridAutomaton, number: int) -> LinkMotion:
             before = ranges.get(joint, (low, high))
             ranges[joint] = min(before[0], low), max(before[1], high)
     order = sorted(ranges.items(), key=lambda item: item[1])
-    follow = all(a[1][1] <= b[1][0] + _SAME for a, b in pairwise(order))
+    follow = all(a[1][1] <= b[1][0] + EQUAL for a, b in pairwise(order))
     if len(order) < 2 or not follow:
         # Modes with joints of their own over the same range do not follow each other: the first that moves measures.
         return LinkMotion((automaton.moving_joint(number),), ((-np.inf, np.inf),), whole)
@@ -184,18 +181,18 @@ def _commanded(joint: Joint, c: Floats, action: Floats) -> Floats:
 def _aimed(joint: Joint, c: Floats, action: Floats) -> Floats:
     place = inverse(joint, forward(joint, c).translation + action, near=c)
     lever = np.linalg.norm(jacobian(joint, c)[:, 3:], axis=1)
-    return np.asarray(np.where(np.isfinite(place) & (lever > _NO_LEVER), place - c, 0.0))
+    return np.asarray(np.where(np.isfinite(place) & (lever > EQUAL), place - c, 0.0))
 
 
 def _around(tangent: Floats, axis: Floats, action: Floats) -> Floats:
     """Angles (k,) of actions that start where J is `tangent` (k, 3)."""
     lever = np.linalg.norm(tangent, axis=1)
-    safe = np.maximum(lever, _NO_LEVER)
+    safe = np.maximum(lever, EQUAL)
     along = (action * tangent).sum(axis=1) / safe
     outward = (action * np.cross(tangent, axis)).sum(axis=1) / safe
     is_chord = np.abs(np.hypot(lever + outward, along) - lever) < np.abs(outward)
     angle = np.where(is_chord, np.arctan2(along, lever + outward), along / safe)
-    return np.asarray(np.where(lever > _NO_LEVER, angle, 0.0))
+    return np.asarray(np.where(lever > EQUAL, angle, 0.0))
 
 
 def _on_arc(joint: Joint, c: Floats, action: Floats, along: Floats) -> Floats:

@@ -13,14 +13,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import TINY, Floats
 from micah_plan.automaton.joint import Joint
 from micah_plan.errors import InputError, shown
 
 FEWEST_KNOTS = 4
 _FINENESS = 16  # places between neighbouring knots at which the closest pose is first looked for
 _MOST_STEPS = 12
-_CONVERGED = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +108,7 @@ def closest_on_path(joint: Joint, position: Floats, quaternion: Floats | None, r
         inside = (c + step > knots[0]) & (c + step < knots[-1])
         step = np.where(inside, np.clip(step, -spacing, spacing), step)
         c = c + step
-        if np.abs(step).max(initial=0.0) < _CONVERGED:
+        if np.abs(step).max(initial=0.0) < TINY:
             break
     return np.asarray(c)
 

@@ -21,11 +21,9 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.check import preceding
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Part, Primitive
 from micah_plan.automaton.motion_of_joints import turns_and_translations
-from micah_plan.quantities import quantity
+from micah_plan.quantities import FARTHEST_M, quantity
 
 LARGEST_JUMP_M = 0.2
-FARTHEST_M = 50.0
-"""From what it belongs to: the end of a large room."""
 FARTHEST_SOLID_M = 1000.0
 """Solids may be further: domains of 100 m are planned in."""
 _THINNEST_M = 1e-4

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from micah_plan.arrays import Booleans, Floats
+from micah_plan.arrays import ROUND_OFF, Booleans, Floats
 from micah_plan.errors import InputError
 
 # What is left out, in the names of half-spaces; those with "=" first, as the others are parts of them.
@@ -235,9 +235,6 @@ def _unit(index: int, size: int) -> tuple[float, ...]:
     return tuple(1.0 if i == index else 0.0 for i in range(size))
 
 
-_ROOM = 1e-9
-
-
 def is_empty(region: Region) -> bool:
     """Whether no (x, u) is in an intersection of half-spaces; strict ones need room inside their boundary."""
     rows = region.half_spaces
@@ -254,7 +251,7 @@ def is_empty(region: Region) -> bool:
     objective = np.append(np.zeros(weights.shape[1]), -1.0)
     solution = linprog(objective, np.hstack([-weights, slack]), [-h.c for h in rows], bounds=bounds, method="highs")
     strict = any(h.strict for h in rows)
-    return bool(solution.status == 2 or (strict and solution.status == 0 and solution.x[-1] <= _ROOM))
+    return bool(solution.status == 2 or (strict and solution.status == 0 and solution.x[-1] <= ROUND_OFF))
 
 
 def _is_empty_box(region: Region) -> bool:

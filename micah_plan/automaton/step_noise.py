@@ -16,14 +16,12 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from micah_plan.arrays import Booleans, Floats
+from micah_plan.arrays import EQUAL, Booleans, Floats
 from micah_plan.automaton.augmented import mapped
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint, Vector3, axis_basis
 from micah_plan.automaton.memo import memoised
 
-# A handle nearer to its axis than this [m] has no lever.
-_SHORTEST_LEVER = 1e-6
 # A gain is drawn no further from 1 than this, so that nothing moves backwards.
 _MOST = 0.9
 
@@ -41,7 +39,7 @@ def gain_std(joint: Joint, handle: Vector3 = (0.0, 0.0, 0.0)) -> float:
     if joint.covariance is None or joint.kind in ("rigid", "prismatic"):
         return 0.0
     slopes, squared = _slopes(joint, handle)
-    if squared < _SHORTEST_LEVER**2:
+    if squared < EQUAL**2:
         return 0.0
     # A parameter that was not estimated, as those of the pose where counting starts elsewhere, counts as known.
     gradient = np.array([slopes.get(name, 0.0) for name in joint.covariance.names]) / squared

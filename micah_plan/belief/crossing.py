@@ -15,11 +15,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
-from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.arrays import SMALLEST_STD, Booleans, Floats, Ints
 from micah_plan.automaton.effects.motion import displaced
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.step_noise import step_noise_std
-from micah_plan.belief.gaussian import SMALLEST_STD, condition_on_pins, lower_factors, put_at_pins, those, weighted
+from micah_plan.belief.gaussian import condition_on_pins, lower_factors, put_at_pins, those, weighted
 from micah_plan.belief.layout import Exit, ExitBounds, Layout, ModeLayout
 from micah_plan.belief.pieces import Binding, Ends, Pieces
 from micah_plan.belief.truncation import NEGLIGIBLE, REACH, Shares, split, truncated

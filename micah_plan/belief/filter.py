@@ -30,14 +30,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import log_ndtr, logsumexp, ndtr
 
-from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.arrays import ROUND_OFF, SMALLEST_STD, Booleans, Floats, Ints
 from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.input_memory import passed_arrays
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.belief.crossing import through_guards, whole_step
 from micah_plan.belief.gaussian import (
-    SMALLEST_STD,
     condition_on_pins,
     lower_factors,
     measured,
@@ -63,7 +62,6 @@ Belief = TypeVar("Belief", HybridBelief, BeliefBatch)
 
 # A start whose mean lies in no mode is accepted down to this probability of one (3 sigma), as noise of a measurement.
 _LEAST_CHANCE = 1e-3
-_EDGE_TOLERANCE = 1e-9
 # Transitions that a share of the belief may take within one step.
 MOST_EVENTS = 16
 _LOG_NEGLIGIBLE = np.log(NEGLIGIBLE)
@@ -412,7 +410,7 @@ def _sensing_std(layout: Layout, mode: Ints, mean: Floats) -> Floats:
 
 
 def _mode_at(automaton: HybridAutomaton, mean: Floats, factor: Floats) -> str:
-    holding = automaton.modes_at(mean, _EDGE_TOLERANCE)
+    holding = automaton.modes_at(mean, ROUND_OFF)
     if holding:
         return holding[0]
     chances = [_chance(mode.invariant.half_spaces, mean, factor) for mode in automaton.modes]

@@ -22,13 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgeqrf
 
-from micah_plan.arrays import Floats, Ints
+from micah_plan.arrays import SMALLEST_STD, Floats, Ints
 from micah_plan.automaton.hybrid import Pin
 
 Values = TypeVar("Values", NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_])
 
-# As in the compiled functions: the smallest std that the arithmetic resolves [rad or m].
-SMALLEST_STD = 1e-9
 # Up to this many matrices, one call for each costs less than operations on all of them.
 _FEW = 8
 

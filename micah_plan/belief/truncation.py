@@ -25,8 +25,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import erfcx, log_ndtr, ndtr, owens_t
 
-from micah_plan.arrays import Booleans, Floats, Ints
-from micah_plan.belief.gaussian import SMALLEST_STD, those
+from micah_plan.arrays import SMALLEST_STD, Booleans, Floats, Ints
+from micah_plan.belief.gaussian import those
 
 # A share of a belief below this is dropped.
 NEGLIGIBLE = 1e-10

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, GetCoreSchemaHandler
 from pydantic_core import PydanticCustomError, core_schema
 
+from micah_plan.arrays import EQUAL, TINY
 from micah_plan.documents.layout import Mark, Scope, unique
 from micah_plan.documents.located import Located
 from micah_plan.errors import InputError
@@ -18,11 +19,9 @@ from micah_plan.quantities import LARGEST
 T = TypeVar("T")
 _LONGEST_NAME = 100
 _UNIT_TOLERANCE = 1e-3
-_SYMMETRY_TOLERANCE = 1e-6
 # Beyond these a number is a mistake of units or of keys, not a place, a spread or a quantity in SI units.
 LARGEST_STD = 1e3
 _LARGEST_QUANTITY = 1e12
-_SMALLEST = 1e-12
 
 
 def _printable(value: str) -> str:
@@ -39,7 +38,7 @@ def checked_name(value: str) -> str:
 
 
 def _above_rounding(value: float) -> float:
-    if value < _SMALLEST:
+    if value < TINY:
         raise PydanticCustomError("tiny", "expected a number >= 1e-12, smaller ones are lost in rounding")
     return value
 
@@ -107,9 +106,9 @@ def check_covariance(rows: Sequence[Sequence[float]], at: Located) -> None:
     scale = float(np.abs(matrix).max())
     if scale > LARGEST**2:
         raise at.error(f"expected variances of at most {LARGEST**2:g}, found {scale:g}", "give it in m and rad")
-    symmetric = np.abs(matrix - matrix.T).max() <= _SYMMETRY_TOLERANCE * scale
+    symmetric = np.abs(matrix - matrix.T).max() <= EQUAL * scale
     lowest = 0.0 if scale == 0.0 else float(np.linalg.eigvalsh(matrix / scale)[0])
-    if not symmetric or lowest < -_SYMMETRY_TOLERANCE:
+    if not symmetric or lowest < -EQUAL:
         found = f"the eigenvalue {lowest * scale:.3g}" if symmetric else "one that is not symmetric"
         problem = f"expected a symmetric positive semi-definite matrix, found {found}"
         raise at.error(problem, "correct it or leave the covariance out")

@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
+from micah_plan.arrays import EQUAL
 from micah_plan.automaton.joint import Joint, JointKind, ParameterCovariance
 from micah_plan.automaton.path import path
 from micah_plan.documents.fields import (
@@ -32,7 +33,6 @@ _UNUSED: Mapping[str, tuple[str, ...]] = {
     "screw": ("held",),
     "path": ("axis", "center", "pitch", "held"),
 }
-_SAME_PLACE = 1e-6  # m, and of quaternions
 ParameterName = Literal[
     "axis_1",
     "axis_2",
@@ -97,7 +97,7 @@ class JointDocument(Document):
         except InputError as error:
             raise at.at("knots").error(error.problem, "give smooth poses in the order of c") from None
         off = np.subtract(start.position + start.quaternion, (*self.position, *self.quaternion))
-        if np.abs(off).max() > _SAME_PLACE:
+        if np.abs(off).max() > EQUAL:
             there = ", ".join(f"{value:.6g}" for value in start.position)
             raise at.at("position").error(f"expected the pose of the path at c = 0, ({there})", "correct it")
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pydantic import AliasChoices, Field
 
 from micah_plan import __version__
+from micah_plan.arrays import ROUND_OFF
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import with_memory_states
 from micah_plan.documents.fields import (
@@ -58,7 +59,6 @@ LARGEST_PLAN_BYTES = 64 * 1024 * 1024
 _DEEPEST = 40
 # Places and inputs are smaller, and so are gains: inputs per place.
 _LARGEST = 1e9
-_ROUNDING = 1e-9
 _AGAIN = "solve the problem again"
 _ARRAY = Mark(lambda rows, *_: np.array(rows, dtype=float))
 
@@ -190,7 +190,7 @@ class PlanDocument(Document):
             raise at.at("verification_trials").error(problem, _AGAIN)
         if share is None or interval is None:
             return
-        if not interval[0] - _ROUNDING <= share <= interval[1] + _ROUNDING:
+        if not interval[0] - ROUND_OFF <= share <= interval[1] + ROUND_OFF:
             problem = f"expected an interval that holds the share {share:g}, found {interval[0]:g} to {interval[1]:g}"
             raise at.at("success_interval").error(problem, _AGAIN)
 

@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import AfterValidator, WithJsonSchema
 from pydantic_core import PydanticCustomError
 
+from micah_plan.arrays import EQUAL
 from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.region import Interval
@@ -47,7 +48,7 @@ from micah_plan.task.goal import Goal
 from micah_plan.task.path import PathConstraint, check_constraint
 from micah_plan.task.problem import Hold, Problem
 from micah_plan.task.settings import PlannerSettings
-from micah_plan.task.start import LIMIT_ROOM, Start, start_mode, start_regions
+from micah_plan.task.start import Start, start_mode, start_regions
 from micah_plan.task.surroundings import surroundings_of
 
 PROBLEM_FORMAT = "micah-plan/problem/1"
@@ -347,7 +348,7 @@ def _check_goal(goal: Goal, automaton: HybridAutomaton, located: Located) -> Non
         ranges = automaton.ranges(index, modes)
         clipped = [min(max(value, low), high) for low, high in ranges]
         nearest = min(clipped, key=lambda candidate: abs(candidate - value), default=np.inf)
-        room = LIMIT_ROOM * max((high - low for low, high in ranges if np.isfinite(high - low)), default=0.0)
+        room = EQUAL * max((high - low for low, high in ranges if np.isfinite(high - low)), default=0.0)
         if abs(nearest - value) > tolerance + room:
             of = f"mode {' or '.join(goal.modes)}" if goal.modes else "the object"
             problem = f"expected a value that {of} can reach, {_written(ranges)} {unit}, found {short_number(value)}"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from scipy.special import chdtri
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import ROUND_OFF, Floats
 from micah_plan.automaton.input_memory import own_size
 from micah_plan.automaton.transition import step
 from micah_plan.belief.hybrid_belief import HybridBelief
@@ -31,7 +31,6 @@ MOST_REPLANS = 5
 _PATIENCE = 3
 # A belief further from its knot than this happens once in 100,000 steps if the model is right (4.4 sigma in 1-D).
 _OFF_PLAN_PROBABILITY = 1e-5
-_NO_MOTION = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +142,7 @@ class PlanFollower:
                 again = self._towards(rival, belief.means[doubted], earlier[-1])
                 after = step(self._automaton, mode, estimate, again, np.zeros_like(estimate))
                 moved = np.abs(after.x - estimate)[: self._size].max(initial=0.0)
-                if after.mode == mode and moved <= _NO_MOTION:
+                if after.mode == mode and moved <= ROUND_OFF:
                     return again
         return self._towards(mode, estimate, knot)
 

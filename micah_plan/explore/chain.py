@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from micah_plan.arrays import Booleans, Floats
+from micah_plan.arrays import DIFFERENCE, Booleans, Floats
 
 # What is known before of the numbers of a chain (std): turning [rad/m], where a joint takes over [m], its direction.
 # The pose at s = 0 is common to all chains that are compared, so that its prior does not matter.
@@ -27,7 +27,7 @@ _RATE, _BEGIN, _DIRECTION, _POSE = 4.0, 0.1, 1.0, 1e3
 # Noise of a tracker (std) per axis, of how many numbers that is worth, and what the odometer states of itself.
 PLACE_STD, TURN_STD, WORTH = 0.002, 0.02, 4.0
 _WORTHS = np.array([WORTH, WORTH, 10.0])
-_HUBER, _SMALL = 2.5, 1e-6
+_HUBER = 2.5
 _SHORTEST, _NOWHERE = 0.01, 1e6  # m that a joint moves at least, else it is play; nats against one that does not
 _BACKTRACKING = (1.0, 0.3, 0.05)
 
@@ -143,7 +143,7 @@ class Chain:
     def ahead(self, way: float) -> tuple[Floats, Floats]:
         """Its direction (3,) at a way, and how the numbers change it (p, 3)."""
         here = self.poses(np.array([way]))[2][0]
-        return here, (self.changed(_SMALL * self.numbers()[0]).poses(np.array([way]))[2][:, 0] - here) / _SMALL
+        return here, (self.changed(DIFFERENCE * self.numbers()[0]).poses(np.array([way]))[2][:, 0] - here) / DIFFERENCE
 
 
 def _normal_to(direction: Floats) -> tuple[Floats, Floats]:
@@ -255,16 +255,16 @@ def _improved(chain: Chain, rows: Rows) -> tuple[Chain, float]:
 def _slope(chain: Chain, rows: Rows, steps: Floats) -> Floats:
     """(r, p) derivative of the stacked residuals by the numbers, the directions of the way taken as fixed."""
     places, turns, tangents = chain.poses(chain.way)
-    tried = chain.changed(_SMALL * steps)
+    tried = chain.changed(DIFFERENCE * steps)
     moved, turned, _ = tried.poses(chain.way)
-    shifts, spins = (moved - places) / _SMALL, _vectors(turned @ turns.transpose(0, 2, 1)) / _SMALL
+    shifts, spins = (moved - places) / DIFFERENCE, _vectors(turned @ turns.transpose(0, 2, 1)) / DIFFERENCE
     off, turned_off, step_off = _residuals(chain, rows)
     is_seen = rows.seen[:, None]
     place = np.where(is_seen, _weights(off), 0.0) / chain.place_std * _across(shifts, tangents)
     turn = np.where(is_seen, _weights(turned_off), 0.0) / chain.turn_std * spins
     step = np.diff(shifts, axis=1)
     way = _weights(step_off) / (chain.moved_share * rows.moved_std[:, None]) * _across(step, _chords(tangents))
-    rate = (chain.rate - tried.rate) / (_SMALL * _RATE)
+    rate = (chain.rate - tried.rate) / (DIFFERENCE * _RATE)
     return -np.concatenate([part.reshape(len(steps), -1) for part in (place, turn, way, rate)], axis=1).T
 
 

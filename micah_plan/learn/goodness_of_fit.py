@@ -24,7 +24,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.distance import cdist
 
-from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.arrays import EQUAL, Booleans, Floats, Ints
 from micah_plan.automaton.graph import NoSingleJoint
 from micah_plan.automaton.joint import IDENTITY, Joint
 from micah_plan.automaton.kinematics import ROTATION_LENGTH, jacobian
@@ -200,7 +200,6 @@ _ROWS_OF_A_KNOT = 3
 _FEWEST_ROWS = 12
 _PLACES = 17  # along a path, at which passes are counted
 _STRIDE = 0.2  # of the path
-_SHORTEST = 1e-6  # m, between rows; no length at all would be no neighbourhood
 _SCATTER = np.array([1.0, 4.0, 8.0])  # stds of a row beside its curve that are tried, in the roughness of rows
 # Of a Gaussian process beside a curve, in the roughness of rows: change of slope, and std of the tracker's wander.
 _BENDS = np.geomspace(0.01, 3.0, 6)
@@ -368,7 +367,7 @@ def _along_graph(points: Floats, std: float) -> Floats:
     reach = _NEIGHBOURS * max(float(np.quantile(steps, 0.9)), std)
     graph = np.where(apart <= reach, apart, 0.0)
     rows = np.arange(len(steps))
-    graph[rows, rows + 1] = np.maximum(steps, _SHORTEST)
+    graph[rows, rows + 1] = np.maximum(steps, EQUAL)
     first = dijkstra(graph, directed=False, indices=0)
     return np.asarray(dijkstra(graph, directed=False, indices=int(np.argmax(first))))
 

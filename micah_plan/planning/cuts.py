@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import ROUND_OFF, Floats
 from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
 from micah_plan.automaton.kinematics import poses_of_states
@@ -84,7 +84,6 @@ def tight_places(problem: Problem, limits: Limits, path: BeliefPath, size_of_sta
 
 # As near as this at the start, a part touches a body: they are joined, or it rests on it, and the two may meet [m].
 _TOUCHING = 1e-3
-_SAME = 1e-9
 
 
 def with_scene(problem: Problem) -> Problem:
@@ -127,7 +126,7 @@ def _slides(poses: RigidTransform) -> Floats:
 
 
 def _turns(poses: RigidTransform) -> bool:
-    return bool((poses[0].rotation.inv() * poses.rotation).magnitude().max() > _SAME)
+    return bool((poses[0].rotation.inv() * poses.rotation).magnitude().max() > ROUND_OFF)
 
 
 def _moving(automaton: HybridAutomaton) -> list[Mode]:
@@ -174,7 +173,7 @@ def _overlap(points: Floats, slides: Floats, box: tuple[Floats, Floats, Floats])
     rows = []
     for axis, least, most, nearest, farthest in zip(axes, along.min(axis=0), along.max(axis=0), low, high, strict=True):
         a = axis @ slides
-        if np.abs(a).max() <= _SAME:
+        if np.abs(a).max() <= ROUND_OFF:
             if most <= nearest or least >= farthest:
                 return None
             continue

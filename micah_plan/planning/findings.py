@@ -12,20 +12,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtr
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import EQUAL, ROUND_OFF, Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.input_reversal import input_reversal_of
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.search.leaves import leaves_of
 from micah_plan.planning.search.passages import passage_exists
-from micah_plan.planning.search.polytope import TOLERANCE, mode_states
+from micah_plan.planning.search.polytope import mode_states
 from micah_plan.planning.search.roadmap import obstacles_on_state
 from micah_plan.planning.search.samples import Samples, guard_states, inside_any
 from micah_plan.planning.transcription.rows import Row, Shortfall, unit_of
 from micah_plan.quantities import percent, plain, quantity
 from micah_plan.task.plan import Finding, Level, Offer, Outcome, Plan
 from micah_plan.task.problem import Problem
-from micah_plan.task.start import LIMIT_ROOM, is_final, modes_to_be_in, start_mode
+from micah_plan.task.start import is_final, modes_to_be_in, start_mode
 
 LEAST_CONFIDENCE = 0.5
 LOWER_CONFIDENCE = "lower `confidence`"
@@ -86,7 +86,7 @@ def _goal_findings(problem: Problem) -> Iterator[Finding]:
             continue
         nearest = min((min(max(value, low), high) for low, high in ranges), key=lambda x: abs(x - value))
         missing, name, unit = abs(nearest - value) - tolerance, coordinate.name, coordinate.unit
-        if missing > LIMIT_ROOM * max((high - low for low, high in ranges if np.isfinite(high - low)), default=0.0):
+        if missing > EQUAL * max((high - low for low, high in ranges if np.isfinite(high - low)), default=0.0):
             texts = " or ".join(f"[{low:g}, {high:g}]" for low, high in ranges)
             yield Finding(
                 "goal",
@@ -188,7 +188,7 @@ def _deepest(automaton: HybridAutomaton, mode: str, point: Floats) -> tuple[Edge
             continue
         margins = [float(h.margin(point[0], np.zeros(automaton.m))) / float(np.linalg.norm(h.a)) for h in rows]
         least = int(np.argmin(margins))
-        if margins[least] > TOLERANCE:
+        if margins[least] > ROUND_OFF:
             candidates.append((margins[least], edge, unit_of(automaton, rows[least])))
     if not candidates:
         return None

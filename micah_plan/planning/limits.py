@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import DIFFERENCE, Floats
 from micah_plan.automaton.effects.motion import CoordinateMotion, displaced, motions
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.input_memory import (
@@ -188,7 +188,6 @@ def _reach(motion: CoordinateMotion, gain: float, largest: float) -> float:
 # An input has arrived when less than this share of it is missing.
 _MISSING = 0.02
 _LONGEST = 60
-_DIFFERENCE = 1e-6
 
 
 def with_input_memory(problem: Problem) -> Problem:
@@ -248,11 +247,11 @@ def linear_step(automaton: HybridAutomaton, mode: str, x: Floats, u: Floats, lar
     B = motion_per_input(automaton, mode, largest)
     if not automaton.input_memories:
         return np.eye(n), B
-    steps = _DIFFERENCE * np.eye(n + m)
+    steps = DIFFERENCE * np.eye(n + m)
     around = np.concatenate([np.concatenate([x, u]) + steps, np.concatenate([x, u]) - steps])
     passed, kept = passed_arrays(automaton.input_memories, mode, around[:, :n], around[:, n:])
     after = kept + passed @ B.T
-    slopes = (after[: n + m] - after[n + m :]).T / (2 * _DIFFERENCE)
+    slopes = (after[: n + m] - after[n + m :]).T / (2 * DIFFERENCE)
     return slopes[:, :n], slopes[:, n:]
 
 

@@ -27,15 +27,12 @@ from typing import Any
 
 import numpy as np
 
-from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.arrays import EQUAL, Booleans, Floats, Ints
 from micah_plan.planning.limits import Limits
 from micah_plan.quantities import percent, quantity
 from micah_plan.task.path import Pay, Require, path_terms
 from micah_plan.task.plan import Finding, Trajectory
 from micah_plan.task.problem import Problem
-
-# A margin this far below zero is rounding of the optimisation, no violation [unit of the margin].
-ROUNDING = 1e-6
 
 
 @dataclass(eq=False)
@@ -75,26 +72,26 @@ class PathRecord:
     @property
     def is_broken(self) -> Booleans:
         """(t,) whether any constraint was broken."""
-        broken = [worst < -ROUNDING for worst in self.worst.values()]
+        broken = [worst < -EQUAL for worst in self.worst.values()]
         return np.any(broken, axis=0) if broken else np.zeros(self.count, dtype=bool)
 
     def sentences(self) -> list[str]:
         """What was broken, and by how much at worst."""
         worst = [(name, unit, -float(margin.min())) for (name, unit), margin in self.worst.items()]
-        return [f"'{name}' was broken by {quantity(by, unit)}" for name, unit, by in worst if by > ROUNDING]
+        return [f"'{name}' was broken by {quantity(by, unit)}" for name, unit, by in worst if by > EQUAL]
 
     def findings(self, modes: tuple[str, ...]) -> list[tuple[float, Finding]]:
         """(share that broke it, finding) per constraint that roll-outs break, for a plan through these modes."""
         findings, confidence = list[tuple[float, Finding]](), self.problem.settings.confidence
         for (name, unit), worst in self.worst.items():
-            share, amount = float((worst < -ROUNDING).mean()), -float(worst.min())
+            share, amount = float((worst < -EQUAL).mean()), -float(worst.min())
             if share == 0.0:
                 continue
             is_number = amount < np.inf
             by = f", by up to {quantity(amount, unit)}" if is_number else ""
             remedy = "lower the noise or the start's std, or raise `confidence`, which leaves more room"
             missing = -float(np.quantile(worst, 1.0 - confidence, method="inverted_cdf"))
-            if ROUNDING < missing < np.inf:
+            if EQUAL < missing < np.inf:
                 remedy = f"relax it by {quantity(missing, unit)}, which {percent(confidence)} of them hold, {remedy}"
             sentence = f"{percent(share, 0)} of the roll-outs break '{name}'{by}"
             finding = Finding("verification", sentence, remedy, modes, constraint=f"'{name}'", unit=unit)
@@ -134,7 +131,7 @@ def admitted(problem: Problem, limits: Limits, mode: str, x: Floats) -> Booleans
         terms = _terms(problem, mode, x, np.tile(u, (len(x), 1)), np.zeros_like(x))
         required = [np.broadcast_to(term.margin, len(x)) for term in terms if isinstance(term, Require)]
         margins.append(np.array(required).reshape(-1, len(x)))
-    return np.asarray((np.max(margins, axis=0) >= -ROUNDING).all(axis=0))
+    return np.asarray((np.max(margins, axis=0) >= -EQUAL).all(axis=0))
 
 
 def _terms(problem: Problem, mode: str, x: Floats, u: Floats, std: Floats) -> Iterator[Require | Pay]:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import EQUAL, Floats
 from micah_plan.automaton.input_memory import own_size
 from micah_plan.planning.attempt import Attempt, attempted
 from micah_plan.planning.cuts import Cut, tight_places, without
@@ -40,8 +40,6 @@ from micah_plan.task.settings import Deadline, TimeLimitError
 _STRETCHES = (1.0, 2.0, 4.0)
 # Searches after the first, each without the narrow places of the paths before.
 _MOST_DETOURS = 2
-# Inputs below this share of the largest step are the solver's rounding; on a guard like u < 0 they would matter.
-_INPUT_ROUNDING = 1e-6
 
 
 def plan(problem: Problem, seed: int = 0, progress: Progress | None = None, deadline: Deadline | None = None) -> Plan:
@@ -246,7 +244,7 @@ def _time_limit(attempt: Attempt) -> float:
 
 def trajectory_of(problem: Problem, limits: Limits, path: BeliefPath) -> Trajectory:
     """A belief path with the feedback around it."""
-    inputs = np.where(np.abs(path.inputs) < _INPUT_ROUNDING * limits.max_step, 0.0, path.inputs)
+    inputs = np.where(np.abs(path.inputs) < EQUAL * limits.max_step, 0.0, path.inputs)
     inputs = np.clip(inputs, -limits.max_step, limits.max_step)  # the solver meets bounds only to its tolerance
     gains = belief_lqr(problem, limits, path.modes, path.is_transition, (path.means, inputs))
     return Trajectory(path.modes, path.means, path.factors, inputs, gains, path.is_transition)

@@ -22,7 +22,7 @@ from itertools import takewhile
 import numpy as np
 from scipy.optimize import linprog
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import EQUAL, Floats
 from micah_plan.automaton.check import preceding
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Reset
 from micah_plan.automaton.memo import memoised, sharing_motion
@@ -30,8 +30,6 @@ from micah_plan.automaton.region import HalfSpace, Region, is_empty
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import is_final
 
-# A guard fires at once where all its margins exceed this share of the length of their weights [rad or m].
-_INSIDE = 1e-6
 # A transition that others leave more parts of is planned as if they were not there; roll-outs tell.
 _MOST_PARTS = 12
 _WHOLE, _IN_PARTS = "", "in parts"
@@ -173,7 +171,7 @@ def _continued(automaton: HybridAutomaton, first: Edge, following: list[Edge]) -
     sequences = []
     for edge in following:
         a = np.array([h.a for h in edge.guard.half_spaces])
-        least = np.array([h.c for h in edge.guard.half_spaces]) + _INSIDE * np.linalg.norm(a, axis=1)
+        least = np.array([h.c for h in edge.guard.half_spaces]) + EQUAL * np.linalg.norm(a, axis=1)
         with np.errstate(invalid="ignore"):
             most = np.where(a > 0, a * high, np.where(a < 0, a * low, 0.0)).sum(axis=1)
         if B.any() or not (most > least).all():
@@ -188,7 +186,7 @@ def _joined(automaton: HybridAutomaton, first: Edge, second: Edge, arrival: tupl
     (A, c), rows, stds = arrival, list(first.guard.half_spaces), list(stds_of(first))
     for h in second.guard.half_spaces:
         a = np.array(h.a) @ A
-        if np.abs(a).max() > _INSIDE * np.linalg.norm(h.a):  # else it holds wherever the first leads
+        if np.abs(a).max() > EQUAL * np.linalg.norm(h.a):  # else it holds wherever the first leads
             rows.append(replace(h, a=tuple(a.tolist()), c=h.c - float(np.array(h.a) @ c)))
             stds.append(second.threshold_std)
     reset = None

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import TINY, Floats
 from micah_plan.errors import InputError, shown
 from micah_plan.recording.value import COLUMNS, Recording
 
@@ -38,8 +38,6 @@ _HEADER_REMEDY = (
 
 MOST_PARTS = 1000
 NORM_TOLERANCE = 0.01 + 1e-12  # a norm of 0.99 is within 1 %, though 1 - 0.99 rounds to more than 0.01
-# Quaternions this close to unit norm are left as they are, so that reading what was written changes no bit.
-_EXACT = 1e-12
 # No file format here can hold these in a text: line breaks, NUL and halves of surrogate pairs.
 _UNSTORABLE = re.compile(r"[\0\r\n\ud800-\udfff]")
 
@@ -184,7 +182,7 @@ def _normalised(quaternion: Floats, place: Place) -> Floats:
         problem = f"expected a unit quaternion, found the norm {norm[row]:.6g}"
         remedy = "give the measured orientation, scalar last, or remove qx,qy,qz,qw if it was not measured"
         raise InputError(problem, where=place(row, QUATERNION[0]), remedy=remedy)
-    scale = np.where(off > _EXACT, norm, 1.0)
+    scale = np.where(off > TINY, norm, 1.0)
     return np.asarray(quaternion / scale[:, None])
 
 

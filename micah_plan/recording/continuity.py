@@ -21,7 +21,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import bdtrc
 
-from micah_plan.arrays import Booleans, Floats, Ints, white_std
+from micah_plan.arrays import ROUND_OFF, Booleans, Floats, Ints, white_std
 from micah_plan.recording.value import Recording
 
 FLOORS = (0.03, 0.3)
@@ -42,7 +42,6 @@ _MOST_PIECES = 64
 """One after another that are looked over: more strays in a row are no strays."""
 
 _MIRACLE = 1e-3
-_ROUND_OFF = 1e-9  # of positions [m] and quaternions
 _ORDERS = (2, 3, 4, 5, 6)
 _FEWEST = 8
 """Rows: differences of the highest order need as many."""
@@ -220,7 +219,7 @@ def _chance_of_equal(vector: Floats) -> float:
     change by the same again after they changed by something else, and by noise this would be a miracle.
     """
     chance = float(np.prod([_chance_on_grid(column) for column in vector.T]))
-    steps = np.round(np.diff(vector, axis=0) / _ROUND_OFF)
+    steps = np.round(np.diff(vector, axis=0) / ROUND_OFF)
     n, alone = len(steps), int((steps == 0).all(axis=1).sum())
     # A recording that was interpolated goes on by the same for a while.
     steps = steps[np.append(True, (steps[1:] != steps[:-1]).any(axis=1))]

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.arrays import EQUAL, Booleans, Floats, Ints
 from micah_plan.errors import InputError, choices, located_in, shown
 from micah_plan.quantities import count, quantity
 from micah_plan.recording.checks import checked
@@ -366,9 +366,6 @@ def _held(samples: list[Sample], times: Ints) -> tuple[str, ...]:
     return tuple("" if i < 0 else repr(samples[i][1][0]) for i in last.tolist())
 
 
-_SAME = 1e-6  # m and parts of a quaternion: two publishers that agree
-
-
 @dataclass
 class Edge:
     """A frame or part in its parent, as one topic gives it.
@@ -412,7 +409,7 @@ class Edge:
         stamps = np.array([stamp for stamp, _ in samples], dtype=np.int64)
         poses = np.array([pose for _, pose in samples])
         again = np.flatnonzero(np.diff(stamps) == 0)
-        apart = np.nan_to_num(np.abs(poses[again + 1] - poses[again])).max(axis=1, initial=0.0) > _SAME
+        apart = np.nan_to_num(np.abs(poses[again + 1] - poses[again])).max(axis=1, initial=0.0) > EQUAL
         if not self.static and apart.any():
             time = stamps[again[apart][0]] / 1e9
             problem = f"{shown(self.topic)} has two poses of {shown(self.child)} at {time:.3f} s"
@@ -503,7 +500,7 @@ def _along(edges: Sequence[Edge], stamps: Ints) -> tuple[Floats, Rotation, Boole
 
 def moves(edges: Sequence[Edge]) -> bool:
     """Whether a frame moves in the one at the top of its edges."""
-    return any(not edge.static and np.ptp(edge.once()[1], axis=0).max(initial=0.0) > _SAME for edge in edges)
+    return any(not edge.static and np.ptp(edge.once()[1], axis=0).max(initial=0.0) > EQUAL for edge in edges)
 
 
 def acting(stamps: Ints, vectors: Floats, at: Ints) -> Floats:

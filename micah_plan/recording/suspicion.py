@@ -41,14 +41,13 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats
 from micah_plan.errors import InputError
-from micah_plan.quantities import count, percent, quantity
+from micah_plan.quantities import FARTHEST_M, count, percent, quantity
 from micah_plan.recording.checks import QUATERNION
 from micah_plan.recording.continuity import FLOORS, Continuity, apart, continuity_of, stretches
 from micah_plan.recording.conventions import TIMES
 from micah_plan.recording.value import Recording
 
 LARGEST_EXTENT_M = 20.0
-FARTHEST_M = 50.0
 LONGEST_STEP_S = 5.0
 LARGEST_ACTION_M = 0.3
 LONGEST_GAP_S = 3600.0

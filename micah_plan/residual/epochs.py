@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from micah_plan.arrays import Booleans, Floats
+from micah_plan.arrays import ROUND_OFF, Booleans, Floats
 from micah_plan.automaton.effects.value import Effect, Since
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import Track
@@ -22,9 +22,6 @@ from micah_plan.residual.range_exceeded import read_tracks, rows_of, without_gap
 
 Place = tuple[int, float]
 """Of a part in its recording: number of its run's place, and its first time in that run [s]."""
-
-# A row is at an instant that lies less than this before it [s]: times are written with digits.
-_AT_ONCE = 1e-9
 
 
 def dated(effect: Effect, recording: Recording) -> Effect:
@@ -50,7 +47,7 @@ def _is_of(since: Since | None, recording: Recording) -> bool:
 def acts(since: Since, run: int, time: Floats) -> Booleans:
     """(T,) whether what began then acts at times (T,) of a run [s since its start]."""
     if since.run is None or run == since.run:
-        return np.asarray(time >= since.time - _AT_ONCE)
+        return np.asarray(time >= since.time - ROUND_OFF)
     return np.full(time.shape, run > since.run)
 
 

@@ -24,9 +24,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.arrays import ROUND_OFF, Booleans, Floats, Ints
 from micah_plan.residual.coordinate_data import CoordinateData
-from micah_plan.residual.likelihood import SMALLEST_SCALE, Fitness, fitness, log_density
+from micah_plan.residual.likelihood import Fitness, fitness, log_density
 from micah_plan.residual.simulation import Kind, Model, columns, simulate
 
 # Shares of process noise are searched on a logistic scale, in steps that halve, within these bounds.
@@ -108,7 +108,7 @@ def held_out(problem: Problem, fit: Fit, kind: Kind = "filter") -> tuple[Floats,
     prediction = simulate(problem.data, problem.model, fit.parameters, process_share(fit.share), kind)
     density = log_density(prediction, fit.scale, problem.freedom)
     low, high = problem.data.visited
-    anywhere = np.log(_ANYWHERE / max(high - low, SMALLEST_SCALE))
+    anywhere = np.log(_ANYWHERE / max(high - low, ROUND_OFF))
     density = np.logaddexp(density + np.log1p(-_ANYWHERE), anywhere) * problem.data.counted
     return np.asarray(density.sum(axis=2)), prediction.error
 

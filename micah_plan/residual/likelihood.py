@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import gammaln
 
-from micah_plan.arrays import Booleans, Floats
+from micah_plan.arrays import ROUND_OFF, Booleans, Floats
 
 if TYPE_CHECKING:
     from micah_plan.residual.simulation import Prediction
 
 _ROUNDS, _REGRESSION_ROUNDS = 12, 30
 _CONVERGED = 1e-6  # relative: likelihoods then differ by less than a row's rounding
-SMALLEST_SCALE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +44,12 @@ def fitness(prediction: Prediction, trained: Booleans, freedom: float) -> Fitnes
     """
     squared = prediction.error**2 / prediction.variance
     count = trained.sum(axis=(1, 2))
-    scale2 = np.maximum((squared * trained).sum(axis=(1, 2)) / np.maximum(count, 1), SMALLEST_SCALE**2)
+    scale2 = np.maximum((squared * trained).sum(axis=(1, 2)) / np.maximum(count, 1), ROUND_OFF**2)
     counted = squared * trained
     for _ in range(_ROUNDS):
         weight = (freedom + 1) / (freedom + squared / scale2[:, None, None])
         before, scale2 = scale2, np.einsum("bst,bst->b", weight, counted) / np.maximum(count, 1)
-        scale2 = np.maximum(scale2, SMALLEST_SCALE**2)
+        scale2 = np.maximum(scale2, ROUND_OFF**2)
         if np.all(np.abs(scale2 - before) <= _CONVERGED * before):
             break
     density = log_density(prediction, np.sqrt(scale2), freedom)

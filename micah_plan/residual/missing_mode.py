@@ -16,12 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from micah_plan.arrays import Floats, Ints, robust_std
+from micah_plan.arrays import ROUND_OFF, Floats, Ints, robust_std
 from micah_plan.learn.segmenting.changepoints import LengthPrior, length_terms, most_probable_spans
 from micah_plan.quantities import percent, quantity
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.fit import independent_share
-from micah_plan.residual.likelihood import SMALLEST_SCALE, robust_log_density
+from micah_plan.residual.likelihood import robust_log_density
 
 # Rows that the recursion reads, evenly over the configuration.
 _MOST_ROWS = 800
@@ -90,7 +90,7 @@ def missing_modes(
         return ()
     smooth = _smooth(place, v, low, high) / per[:, None]
     gradual = smooth @ np.linalg.lstsq(smooth, e, rcond=1e-8)[0]
-    noise = max(float(robust_std(e - gradual)), SMALLEST_SCALE)
+    noise = max(float(robust_std(e - gradual)), ROUND_OFF)
     # Bad rows are those far from what changes gradually, not those that the model as it is misses by much.
     e = gradual / noise + np.clip((e - gradual) / noise, -_OUTLIER, _OUTLIER)
     line = np.stack([1.0 / per, v / data.command_size / per], axis=1)
@@ -171,7 +171,7 @@ def _held_out(e: Floats, design: Floats, held: Ints) -> Floats:
 
 def _log_density(residual: Floats) -> float:
     """Log density [nats] of residuals under Student's t with their own scale: the measure that all are compared by."""
-    return robust_log_density(np.zeros((len(residual), 0)), residual, _FREEDOM, SMALLEST_SCALE)
+    return robust_log_density(np.zeros((len(residual), 0)), residual, _FREEDOM, ROUND_OFF)
 
 
 def _evidence(line: Floats, e: Floats) -> tuple[Floats, Floats]:

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from micah_plan.arrays import Floats, Ints, robust_std, white_std
+from micah_plan.arrays import ROUND_OFF, Floats, Ints, robust_std, white_std
 from micah_plan.automaton.effects.ends import is_held, range_of, with_end_moved
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
@@ -21,7 +21,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import Track, tracks
 from micah_plan.quantities import quantity
 from micah_plan.recording.value import Recording
-from micah_plan.residual.likelihood import SMALLEST_SCALE, robust_log_density
+from micah_plan.residual.likelihood import robust_log_density
 
 # Rows that a run needs to show its own noise.
 _ROWS_FOR_NOISE = 8
@@ -144,7 +144,7 @@ def _is_foretold_later(runs: Sequence[Track], late: int, i: int) -> bool:
     design, now = np.column_stack([np.ones(is_finite.sum()), design[is_finite]]), now[is_finite]
     if len(now) < _FEWEST_STEPS or not np.any(now):
         return False
-    least = 1e-3 * float(np.std(now)) + SMALLEST_SCALE
+    least = 1e-3 * float(np.std(now)) + ROUND_OFF
     with_it, later = (robust_log_density(design[:, columns], now, _FREEDOM, least) for columns in _COMPARED)
     if later - with_it < max(_LATE_EVIDENCE, _LATE_PER_ROW * len(now)):
         return False

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import qr
 from scipy.special import fdtrc
 
-from micah_plan.arrays import Floats, Ints, robust_std
+from micah_plan.arrays import ROUND_OFF, Floats, Ints, robust_std
 
 # Earlier commands that may still act, and places over the range.
 LAGS = 4
@@ -32,8 +32,6 @@ _ERRORS = "earlier errors"
 UNLIKELY, _SUSPECT = 1e-4, 3e-3
 # Share of the variance that may follow something: a fourth of what is correlated from row to row, squared.
 _FOLLOWS = 0.0625
-# Residuals of arithmetic.
-_EXACT = 1e-9
 _RANK = 1e-8
 
 
@@ -105,7 +103,7 @@ def whiteness_test(residual: Floats, under: Circumstances) -> ResidualTest | Non
     names = list(groups)
     directions, of_group = _orthonormal(groups)
     freedom = rows - len(of_group)
-    if freedom < 1 or not (size > _EXACT).any():
+    if freedom < 1 or not (size > ROUND_OFF).any():
         return ResidualTest(size, residual, 1.0, ())
     explained, nothing = (directions.T @ scaled) ** 2, (scaled**2).sum(axis=0)
     left = nothing - explained.sum(axis=0)
@@ -118,7 +116,7 @@ def whiteness_test(residual: Floats, under: Circumstances) -> ResidualTest | Non
     kept = residual - directions @ (directions.T @ residual)
     floor = np.sqrt((kept**2).sum(axis=0) / freedom)
     sure = tuple(test for test in tests if test[1] < UNLIKELY)
-    share = 1.0 - float((left / freedom).sum()) / max(float(nothing.sum()) / rows, _EXACT**2)
+    share = 1.0 - float((left / freedom).sum()) / max(float(nothing.sum()) / rows, ROUND_OFF**2)
     least = min(1.0, len(tests) * min(test[1] for test in tests))
     return ResidualTest(np.asarray(floor), np.asarray(kept), chance, sure, min(max(share, 0.0), 1.0), least)
 
@@ -126,13 +124,13 @@ def whiteness_test(residual: Floats, under: Circumstances) -> ResidualTest | Non
 def _groups(under: Circumstances, rows: int) -> Mapping[str, Floats]:
     """(N, k) functions by what they depend on; of few rows as many as they can tell."""
     v, ones = under.command[:, :1], np.ones((rows, 1))
-    speed = max(float(np.sqrt(np.mean(v**2))), _EXACT)
+    speed = max(float(np.sqrt(np.mean(v**2))), ROUND_OFF)
     low, high = float(under.place.min()), float(under.place.max())
-    spacing = max((high - low) / (_PLACES - 1), _EXACT)
+    spacing = max((high - low) / (_PLACES - 1), ROUND_OFF)
     at = low + spacing * np.arange(_PLACES)
     bumps = np.exp(-0.5 * ((under.place[:, None] - at) / spacing) ** 2)
     middle = (under.place - 0.5 * (low + high))[:, None] / spacing
-    clocks = np.stack([under.time / max(float(np.max(under.time)), _EXACT), under.order], axis=1)
+    clocks = np.stack([under.time / max(float(np.max(under.time)), ROUND_OFF), under.order], axis=1)
     groups = {
         "a constant": ones,
         "the command": v / speed,
@@ -159,7 +157,7 @@ def _groups(under: Circumstances, rows: int) -> Mapping[str, Floats]:
 
 def _unit(values: Floats) -> Floats:
     """Values (N, k) in units of their spread, without outliers."""
-    return np.asarray(_without_outliers(values) / np.maximum(np.std(values, axis=0), _EXACT))
+    return np.asarray(_without_outliers(values) / np.maximum(np.std(values, axis=0), ROUND_OFF))
 
 
 def lagged(commands: Floats) -> Floats:
@@ -199,5 +197,5 @@ def _chance(explained: Floats, residual: Floats, functions: int, freedom: int) -
     """Probability of what functions explain if it were noise: the smallest over residuals, times their number."""
     if functions < 1 or freedom < 1:
         return 1.0
-    ratio = np.maximum(explained, 0.0) / functions / np.maximum(residual / freedom, _EXACT**2)
+    ratio = np.maximum(explained, 0.0) / functions / np.maximum(residual / freedom, ROUND_OFF**2)
     return float(min(1.0, len(ratio) * fdtrc(functions, freedom, ratio).min()))

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from micah_plan.arrays import Floats, Ints
+from micah_plan.arrays import DIFFERENCE, Floats, Ints
 from micah_plan.automaton.effects.form import EffectForm
 from micah_plan.residual.coordinate_data import CoordinateData
 
@@ -40,9 +40,6 @@ class Term:
         """Columns of parameters: those of the form, then the gates."""
         return len(self.form.parameters) + GATES
 
-
-# Step of a difference quotient [rad or m].
-_SMALL = 1e-6
 
 Model = tuple[Term, ...]
 
@@ -163,8 +160,8 @@ class _Run:
         """The command that comes out of a place; what is uncertain of the configuration shrinks on the way there."""
         form_of_term, p, place, kept = self.model[n].form, self.p[n], self.data.place[:, t], self.memory[n]
         v, self.memory[n] = form_of_term.respond(np, self.c, place - self.c, kept, p)
-        ahead, _ = form_of_term.respond(np, self.c + _SMALL, place - self.c - _SMALL, kept, p)
-        self.variance = self.variance * np.minimum((1.0 + (ahead - v) / _SMALL) ** 2, 1.0)
+        ahead, _ = form_of_term.respond(np, self.c + DIFFERENCE, place - self.c - DIFFERENCE, kept, p)
+        self.variance = self.variance * np.minimum((1.0 + (ahead - v) / DIFFERENCE) ** 2, 1.0)
         return v
 
     def _held(self, v: Any, free: Any, low: Any, high: Any) -> tuple[Any, Any]:

@@ -35,11 +35,11 @@ from itertools import combinations
 
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import ROUND_OFF, Floats
 from micah_plan.automaton.effects.registry import form
 from micah_plan.quantities import Progress
 from micah_plan.residual.coordinate_data import CoordinateData
-from micah_plan.residual.likelihood import SMALLEST_SCALE, robust_log_density, student_t_log_density
+from micah_plan.residual.likelihood import robust_log_density, student_t_log_density
 from micah_plan.residual.missing_mode import MissingMode, missing_modes
 from micah_plan.residual.residual_test import ResidualTest
 from micah_plan.residual.search import (
@@ -642,7 +642,7 @@ def _regularity(data: CoordinateData) -> float:
         before = [np.roll(series, k + 1, axis=1)[starts] for k in range(_MEMORY)]
         now = series[starts]
         design = np.stack([np.ones(len(now)), *before], axis=1)
-        forms.append(robust_log_density(design, now, _FREEDOM, _FINEST * float(np.std(now)) + SMALLEST_SCALE))
+        forms.append(robust_log_density(design, now, _FREEDOM, _FINEST * float(np.std(now)) + ROUND_OFF))
     return forms[1] - forms[0]
 
 

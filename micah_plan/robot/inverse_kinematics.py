@@ -12,12 +12,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import TINY, Floats
 from micah_plan.robot.arm import Arm
 
 POSE_TOLERANCE = 1e-8
 _DAMPING = 1e-2
-_LEAST_DAMPING = 1e-12
 _LONGEST_STEP = 0.5
 
 
@@ -88,7 +87,7 @@ def null_step(arm: Arm, q: Floats, wish: Floats, limits: tuple[Floats, Floats]) 
 def _bounded_step(jacobian: Floats, error: Floats, below: Floats, above: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """A damped least-squares step within [below, above], and which joints stop at these bounds."""
     n = jacobian.shape[1]
-    damping = _DAMPING * float(error @ error) + _LEAST_DAMPING
+    damping = _DAMPING * float(error @ error) + TINY
     free, step = np.ones(n, dtype=bool), np.zeros(n)
     for _ in range(n):
         columns = jacobian[:, free]

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import SMALLEST_STD, Floats
 from micah_plan.automaton.effects.motion import motions
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin, Sensing, Tie
 from micah_plan.automaton.input_memory import passed_on
@@ -33,7 +33,7 @@ from micah_plan.automaton.input_reversal import InputReversal, input_reversal_of
 from micah_plan.automaton.memo import memoised, memoised_of_motion
 from micah_plan.automaton.region import Region
 from micah_plan.automaton.step_noise import free_gain_std, free_process_std
-from micah_plan.symbolic.square_root import SMALLEST_STD, add_noise, lower_factor, norm, observe, put_at
+from micah_plan.symbolic.square_root import add_noise, lower_factor, norm, observe, put_at
 
 
 @dataclass(frozen=True, eq=False)

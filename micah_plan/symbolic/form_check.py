@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import TINY, Floats
 from micah_plan.automaton.effects.form import EffectForm, Operations, Value, Values
 from micah_plan.errors import InputError
 from micah_plan.symbolic.compiled import CasadiOperations
@@ -18,7 +18,6 @@ _PLACES = np.array([-0.7, 0.0, 0.1, 0.4, 1.1, 2.0])
 _ENDS, _TIME = (-0.2, 1.3), 1.0
 # Components of an action beside the command, and of the direction that it is projected on.
 _ACROSS, _DIRECTION = (0.03, -0.07), (0.6, 0.5, -0.3)
-_EXACT = 1e-12
 
 
 def check_form(form: EffectForm) -> None:
@@ -40,7 +39,7 @@ def check_form(form: EffectForm) -> None:
     if any(q.neutral is not None for q in form.parameters):
         unchanged = _outputs(EffectForm(), np, neutral, _PLACES, _COMMANDS)
         for name, values in _checked(form, neutral).items():
-            if not np.allclose(values, unchanged[name], atol=_EXACT):
+            if not np.allclose(values, unchanged[name], atol=TINY):
                 raise InputError(f"effect {form.name}: {name} must change nothing at the neutral parameters")
     _checked(form, acting)
     if form.layer == "sensor":
@@ -83,9 +82,9 @@ def _checked(form: EffectForm, p: list[float]) -> dict[str, Floats]:
     symbolic = _by_casadi(form, p)
     for name, values in outputs.items():
         alone = np.array([np.ravel(output[name])[0] for output in single])
-        if not np.allclose(alone, values, atol=_EXACT):
+        if not np.allclose(alone, values, atol=TINY):
             raise InputError(f"effect {form.name}: {name} must mean the same for numbers as for arrays")
-        if not np.allclose(symbolic[name], values, atol=_EXACT):
+        if not np.allclose(symbolic[name], values, atol=TINY):
             raise InputError(
                 f"effect {form.name}: {name} must mean the same to CasADi, which plans with it, as to NumPy",
                 remedy="write it with the functions of ops",

@@ -11,11 +11,8 @@ from collections.abc import Sequence
 
 import casadi as ca
 
+from micah_plan.arrays import SMALLEST_STD
 from micah_plan.automaton.hybrid import Pin
-
-# Smallest std that the arithmetic resolves [rad or m]: far below any sensor, far above rounding. It keeps every square
-# root and quotient differentiable where a belief is exactly known.
-SMALLEST_STD = 1e-9
 
 
 def norm(vector: ca.SX) -> ca.SX:

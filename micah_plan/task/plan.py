@@ -18,7 +18,7 @@ from typing import Literal
 
 import numpy as np
 
-from micah_plan.arrays import Booleans, Floats
+from micah_plan.arrays import EQUAL, Booleans, Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.quantities import Summarised
 from micah_plan.task.problem import Problem
@@ -252,10 +252,6 @@ def least_share(confidence: float, trials: int) -> float:
     return confidence - _STANDARD_ERRORS * math.sqrt(confidence * (1.0 - confidence) / max(trials, 1))
 
 
-# Of coordinates [rad or m]: optimised steps keep the model to 1e-11.
-_ROUNDING = 1e-6
-
-
 def disagreement(plan: Plan, problem: Problem) -> tuple[str, str] | None:
     """The key of a plan file and what contradicts there; None where a plan is not solved, or agrees."""
     if plan.outcome != "solved" or plan.trajectory is None:
@@ -283,13 +279,13 @@ def _end_amiss(plan: Plan, trajectory: Trajectory, problem: Problem) -> tuple[st
     if problem.release is not None:
         return None
     error = goal.error(trajectory.means[-1])
-    if plan.goal_error is not None and abs(error - plan.goal_error) > _ROUNDING:
+    if plan.goal_error is not None and abs(error - plan.goal_error) > EQUAL:
         return (
             "goal_error",
             f"expected the distance {error:g} of the last knot from the goal, found {plan.goal_error:g}",
         )
     std = goal.std(trajectory.factors[-1])
-    if plan.goal_std is not None and abs(std - plan.goal_std) > _ROUNDING:
+    if plan.goal_std is not None and abs(std - plan.goal_std) > EQUAL:
         return "goal_std", f"expected the std {std:g} of the last knot, found {plan.goal_std:g}"
     if not goal.contains(last, trajectory.means[-1]):
         return "trajectory", f"outcome solved, but its last knot, in mode '{last}', is not in the goal"
@@ -310,11 +306,11 @@ def _step_amiss(trajectory: Trajectory, problem: Problem) -> tuple[str, str] | N
             continue
         if before != after:
             return "trajectory", f"knot {k}: the mode changes from '{before}' to '{after}' without a transition"
-        if largest is not None and (np.abs(u) > np.array(largest) + _ROUNDING).any():
+        if largest is not None and (np.abs(u) > np.array(largest) + EQUAL).any():
             return "trajectory", f"knot {k}: an input of {np.abs(u).max():g} is more than the largest step"
         moved = trajectory.means[k + 1] - trajectory.means[k]
         # Effects and memories change what an input does; the verification's roll-outs have them, this has not.
-        if not automaton.effects and not np.allclose(moved, automaton.mode(before).B @ u, rtol=0, atol=_ROUNDING):
+        if not automaton.effects and not np.allclose(moved, automaton.mode(before).B @ u, rtol=0, atol=EQUAL):
             return "trajectory", f"knot {k}: the model's step in mode '{before}' does not lead to the next knot"
     return None
 

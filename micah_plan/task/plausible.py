@@ -15,7 +15,6 @@ import numpy as np
 
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.automaton.plausible import (
-    FARTHEST_M,
     FARTHEST_SOLID_M,
     Amount,
     implausible,
@@ -24,6 +23,7 @@ from micah_plan.automaton.plausible import (
     solid_amounts,
     whole_range,
 )
+from micah_plan.quantities import FARTHEST_M
 from micah_plan.task.body import Body, volume
 from micah_plan.task.experiment import Experiment, Scene
 from micah_plan.task.plan import Plan

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import EQUAL, Floats
 from micah_plan.automaton.contacts.touch import corners
 from micah_plan.automaton.contacts.values import AXES
 from micah_plan.automaton.joint import Vector3
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 _HINGE = (0.0, 1.0, 0.0)
 # An object that turns further than this after it was let go is dropped rather than put down [rad].
 _MOST_TURN = 0.25
-# Corners this near to the lowest one touch together, and a turn as small is none [m, rad].
-_SAME = 1e-6
 # Before it is lowered, the object is held so far above its support, give or take as much [m].
 _HOVER = 0.01
 
@@ -175,12 +173,12 @@ def _settled(points: Floats, center: Floats, axis: Floats) -> tuple[float, Float
     origin = np.zeros(2)
     middle = np.array([center @ along, center[2]])
     for _ in range(len(flat)):
-        low = flat[flat[:, 1] < flat[:, 1].min() + _SAME]
+        low = flat[flat[:, 1] < flat[:, 1].min() + EQUAL]
         left, right = low[low[:, 0].argmin()], low[low[:, 0].argmax()]
-        if left[0] - _SAME <= middle[0] <= right[0] + _SAME:
+        if left[0] - EQUAL <= middle[0] <= right[0] + EQUAL:
             return touching, turned * axis, float(origin[1])
         edge, side = (left, -1.0) if middle[0] < left[0] else (right, 1.0)
-        ahead = side * (flat[:, 0] - edge[0]) > _SAME
+        ahead = side * (flat[:, 0] - edge[0]) > EQUAL
         angle = float(np.arctan2(flat[ahead, 1] - edge[1], side * (flat[ahead, 0] - edge[0])).min())
         turned += side * angle
         if abs(turned) > _MOST_TURN:

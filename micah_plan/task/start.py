@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from micah_plan.arrays import Booleans, Floats
+from micah_plan.arrays import EQUAL, SMALLEST_STD, Booleans, Floats
 from micah_plan.automaton.augmented import threshold_stds, with_boundary_states
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.region import Region
@@ -14,9 +14,6 @@ from micah_plan.errors import InputError
 
 # A start this many standard deviations outside of a mode's range still counts as inside: the mean is uncertain too.
 _START_SIGMAS = 3.0
-# Share of a range's width by which a limit may be missed, so that one copied with fewer digits is still the limit.
-LIMIT_ROOM = 1e-6
-_SMALLEST_STD = 1e-9
 _MOST_DRAWS = 200
 
 
@@ -94,14 +91,14 @@ def _true_start(automaton: HybridAutomaton, start: Start, believed: str, x: Floa
     """Mode and state (n,) of a start that is elsewhere than believed."""
     for index, value in start.true:
         x[index] = value
-    there = replace(start, mean=tuple(x.tolist()), std=(_SMALLEST_STD,) * automaton.n, mode=believed)
+    there = replace(start, mean=tuple(x.tolist()), std=(SMALLEST_STD,) * automaton.n, mode=believed)
     name, reason = start_mode(automaton, there)
     if name is None:
         name, reason = start_mode(automaton, replace(there, mode=None))
     if name is None:
         raise InputError(f"the true start: {reason.removeprefix('the start ')}", remedy="choose one that a mode allows")
     for pin in automaton.mode(name).pins:
-        if abs(x[pin.coordinate] - pin.value) > LIMIT_ROOM:
+        if abs(x[pin.coordinate] - pin.value) > EQUAL:
             coordinate = automaton.coordinates[pin.coordinate]
             text = f"the true start: mode '{name}' holds {coordinate.name} at {pin.value:g} {coordinate.unit}"
             raise InputError(f"{text}, found {x[pin.coordinate]:g}", remedy="start there, or in another mode")
@@ -168,7 +165,7 @@ def _sigmas_outside(automaton: HybridAutomaton, start: Start, mode: Mode) -> flo
     for pin in mode.pins:
         distance = abs(float(mean[pin.coordinate]) - pin.value)
         spread = float(np.hypot(std[pin.coordinate], pin.std))
-        outside.append(distance / max(spread, _SMALLEST_STD))
+        outside.append(distance / max(spread, SMALLEST_STD))
     return max(outside)
 
 
@@ -181,7 +178,7 @@ def _sigmas_beyond(mean: Floats, std: Floats, region: Region) -> float:
         shortage = -float(half_space.margin(mean, np.zeros(len(half_space.b)))) / size
         if half_space.bound is not None:
             low, high = region.interval(half_space.bound.coordinate)
-            shortage -= LIMIT_ROOM * (high - low) if np.isfinite(high - low) else 0.0
+            shortage -= EQUAL * (high - low) if np.isfinite(high - low) else 0.0
         if shortage > 0:
-            outside = max(outside, shortage / max(float(np.linalg.norm(std * weights)) / size, _SMALLEST_STD))
+            outside = max(outside, shortage / max(float(np.linalg.norm(std * weights)) / size, SMALLEST_STD))
     return outside

@@ -6,13 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import ROUND_OFF, Floats
 from micah_plan.automaton.contacts.values import Face, Solid, Surroundings
 from micah_plan.automaton.joint import Vector3
 from micah_plan.task.body import Body, Shape, corners, vector3
-
-# Faces this close are one [m].
-_SAME = 1e-9
 
 
 def surroundings_of(
@@ -59,11 +56,11 @@ def _joined(solids: Sequence[Solid]) -> tuple[Solid, ...]:
 def _is_box(first: Solid, second: Solid) -> bool:
     """Whether two boxes fill one: alike along two axes, and without a gap along the third."""
     ends = np.array([[first.lower, first.upper], [second.lower, second.upper]])
-    differs = ~np.isclose(ends[0], ends[1], rtol=0.0, atol=_SAME).all(axis=0)
+    differs = ~np.isclose(ends[0], ends[1], rtol=0.0, atol=ROUND_OFF).all(axis=0)
     if differs.sum() != 1:
         return bool(differs.sum() == 0)
     (first_low, first_high), (second_low, second_high) = ends[:, :, differs.argmax()]
-    return bool(max(first_low, second_low) <= min(first_high, second_high) + _SAME)
+    return bool(max(first_low, second_low) <= min(first_high, second_high) + ROUND_OFF)
 
 
 def _box(body: Body, shapes: Sequence[Shape]) -> tuple[Floats, Floats]:

@@ -200,7 +200,7 @@ def _leaving(problem: Problem, trajectory: Trajectory, x: Floats, modes: tuple[s
 
 
 # More would make the page large and the list long; failed runs come first.
-_MOST_GHOSTS, _MOST_KEYFRAMES = 20, 200
+_MOST_GHOSTS, MOST_KEYFRAMES = 20, 200
 _LAYER = "runs"
 
 
@@ -216,7 +216,7 @@ def draw_runs(
     entries = []
     for order, run in enumerate(runs):
         layer = f"{_LAYER}/{order}_run"
-        rows = evenly(len(run.x), _MOST_KEYFRAMES)
+        rows = evenly(len(run.x), MOST_KEYFRAMES)
         clock = times_of_steps(trajectory, rows.astype(float))
         for number, link in shown_links(automaton):
             poses = run.poses[link.child]

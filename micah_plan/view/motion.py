@@ -23,7 +23,10 @@ _FRAMES_PER_STEP = 3
 _TRANSITION_S = 0.02
 # A mode that is left in the instant in which it is entered is shown so long.
 _PASSING_S = 0.4
-_REST_S = 0.8
+REST_S = 0.8
+"""How long the end is shown."""
+SHORTEST_S, LONGEST_S = 4.0, 15.0
+"""Of pages that play what was measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +80,7 @@ def duration(trajectory: Trajectory, steps: float = 0.0) -> float:
         steps: that are shown at least, where runs took more than the plan.
     """
     last = max(float(step_times(trajectory)[-1]), steps)
-    return float(times_of_steps(trajectory, np.array([last]))[0]) + _REST_S
+    return float(times_of_steps(trajectory, np.array([last]))[0]) + REST_S
 
 
 def keyframes(trajectory: Trajectory) -> Keyframes:

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import DIFFERENCE, Floats
 from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward, poses_of_states
 
 _RANGE_IF_UNSTATED = {"rad": 1.0, "m": 0.2}
-_DIFFERENCE = 1e-6
 CURVE_POINTS = 49
 """Points of an arc or a circle that is drawn."""
 
@@ -36,10 +35,10 @@ def handle_in_part(automaton: HybridAutomaton, part: str) -> Floats:
 
 def handle_jacobian(automaton: HybridAutomaton, mode: Mode, x: Floats, part: str) -> Floats:
     """(3, n) derivative of the handle's position by the state, by central differences along the chain of links."""
-    steps = _DIFFERENCE * np.eye(automaton.n)
+    steps = DIFFERENCE * np.eye(automaton.n)
     states = np.concatenate([x + steps, x - steps])
     handles = poses_of_states(automaton, mode, states)[part].apply(handle_in_part(automaton, part))
-    return np.asarray((handles[: automaton.n] - handles[automaton.n :]).T / (2 * _DIFFERENCE))
+    return np.asarray((handles[: automaton.n] - handles[automaton.n :]).T / (2 * DIFFERENCE))
 
 
 def chain_coordinates(automaton: HybridAutomaton, part: str) -> tuple[int, ...]:

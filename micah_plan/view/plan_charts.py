@@ -19,7 +19,7 @@ from micah_plan.view.palette import BELIEF, EXECUTED, GOAL, mode_colors
 from micah_plan.view.placement import guards_of
 
 _MEAN, _SPREAD = 96.0, 44.0
-_MOST_COORDINATES = 12
+MOST_COORDINATES = 12
 _NARROW = 0.15  # of the axis; names of narrower stretches in a row end together where the last one ends
 
 Runs = Sequence[tuple[int, Floats]]
@@ -46,7 +46,7 @@ def plan_charts(plan: Plan, problem: Problem, runs: Runs = ()) -> list[Block]:
         f"Mean ± {plain(settings.sigmas)} σ, the room that a confidence of {percent(settings.confidence)} asks for at "
         "a limit; below it σ alone. Green: goal. Dashed: where the mode changes."
     )
-    left_out = problem.automaton.n - _MOST_COORDINATES
+    left_out = problem.automaton.n - MOST_COORDINATES
     words = (legend,) if left_out <= 0 else (legend, f"{count(left_out, 'more coordinate')} not shown.")
     if runs:
         words = (*words, "Orange: executed.")
@@ -72,7 +72,7 @@ def belief_chart(problem: Problem, trajectory: Trajectory, runs: Runs = (), *, s
         spreads: whether σ alone stands below each coordinate.
     """
     panels: list[Panel] = []
-    shown = problem.automaton.coordinates[:_MOST_COORDINATES]
+    shown = problem.automaton.coordinates[:MOST_COORDINATES]
     steps, stds = step_times(trajectory).astype(np.float64), np.sqrt((trajectory.factors**2).sum(axis=2))
     margin = f"± {plain(problem.settings.sigmas)} σ (confidence {percent(problem.settings.confidence)})"
     executed = f"executed ({count(len(runs), 'run')})" if len(runs) > 1 else "executed"

@@ -27,17 +27,17 @@ from micah_plan.residual.prediction import (
 from micah_plan.view.camera import camera
 from micah_plan.view.chart import Chart, Curve, Level, Panel, evenly, widened
 from micah_plan.view.drawing import draw_shapes, fixed_shapes, link_shapes, object_size, shape_corners, shown_links
-from micah_plan.view.executed import poses_of_run
+from micah_plan.view.executed import MOST_KEYFRAMES, poses_of_run
 from micah_plan.view.learned import capital
 from micah_plan.view.model_page import draw_ground_and_frame, ground_legend
-from micah_plan.view.motion import Keyframes, poses_over_time
+from micah_plan.view.motion import LONGEST_S, REST_S, SHORTEST_S, Keyframes, poses_over_time
 from micah_plan.view.page import Block, LegendEntry, RunEntry, ScenePage, Status, Timeline, render_scene
 from micah_plan.view.palette import BLUE, INK, ORANGE
 from micah_plan.view.placement import handle_in_part
+from micah_plan.view.plan_charts import MOST_COORDINATES
 from micah_plan.view.scene import Scene, slug
 
-_MOST_RUNS, _MOST_DRAWN, _MOST_KEYFRAMES, _MOST_COORDINATES = 20, 6, 200, 12
-_SHORTEST_S, _LONGEST_S, _REST_S = 4.0, 15.0, 0.8
+_MOST_RUNS, _MOST_DRAWN = 20, 6
 _HEIGHT = 110.0
 _BADGES: dict[bool | None, tuple[str, Status]] = {
     True: ("errors look like noise", "good"),
@@ -83,7 +83,7 @@ def prediction_page(
             LegendEntry(ORANGE, "where the model has it without looking again (roll-out)"),
             *ground_legend(spacing),
         ],
-        timeline=Timeline(longest * scale + _REST_S),
+        timeline=Timeline(longest * scale + REST_S),
         charts=_blocks(automaton, worst, longest, scale),
         runs=entries,
     )
@@ -115,7 +115,7 @@ def _draw_run(
 ) -> tuple[RunEntry, list[Floats]]:
     """The measured object and the ghosts of its roll-outs; the entry of the run, and where its handles were."""
     automaton, run = ghosts[0].automaton, ghosts[0].run
-    rows = evenly(len(run.time), _MOST_KEYFRAMES)
+    rows = evenly(len(run.time), MOST_KEYFRAMES)
     clock = run.time[rows] * scale
     measured = poses_of_run(automaton, recording.select(run=run.run), run.x, ())
     drawn: list[tuple[HybridAutomaton, str, Mapping[str, RigidTransform], str | None, float]] = [
@@ -182,7 +182,7 @@ def calibration_scene(calibration: Calibration, title: str) -> str | None:
             *(LegendEntry(color, f"roll-out {name} the calibration") for color, name in colors),
             *ground_legend(spacing),
         ],
-        timeline=Timeline(longest * scale + _REST_S),
+        timeline=Timeline(longest * scale + REST_S),
         runs=entries,
         is_within=True,
     )
@@ -195,13 +195,13 @@ def _scene_of(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> tupl
     fixed = fixed_shapes(automaton)
     draw_shapes(scene, "object/fixed", fixed, opacity=0.5)
     scene.reserve(shape_corners(fixed, RigidTransform.identity()))
-    return scene, min(max(longest, _SHORTEST_S), _LONGEST_S) / max(longest, 1e-9), longest
+    return scene, min(max(longest, SHORTEST_S), LONGEST_S) / max(longest, 1e-9), longest
 
 
 def _readouts(ghosts: Sequence[_Ghost], scale: float) -> tuple[tuple[float, tuple[str, ...]], ...]:
     """What is measured and predicted at each keyframe, by the player's clock [s]."""
     readouts, run = [], ghosts[0].run
-    for row in evenly(len(run.time), _MOST_KEYFRAMES).tolist():
+    for row in evenly(len(run.time), MOST_KEYFRAMES).tolist():
         when = quantity(float(run.time[row]), "s")
         lines = [f"run {run.run} after {when}, {', '.join(f'{ghost.name} {ghost.modes[row]}' for ghost in ghosts)}"]
         for i, c in enumerate(ghosts[0].automaton.coordinates):
@@ -246,9 +246,9 @@ def _changes(judged: Judgement) -> list[str]:
 
 def _blocks(automaton: HybridAutomaton, runs: Sequence[RunPrediction], longest: float, scale: float) -> list[Block]:
     """The chart of all runs, whose line follows the player."""
-    ends = ((0.0, 0.0), (longest * scale, longest), (longest * scale + _REST_S, longest))
+    ends = ((0.0, 0.0), (longest * scale, longest), (longest * scale + REST_S, longest))
     words = ["Dots: measured. Blue: predicted one step ahead of each measured row. Orange: from the first row alone."]
-    left_out = automaton.n - _MOST_COORDINATES
+    left_out = automaton.n - MOST_COORDINATES
     words += [f"{count(left_out, 'more coordinate')} not shown."] if left_out > 0 else []
     return [Block("Measured and predicted", tuple(words), prediction_chart(automaton, runs), keyframes=ends)]
 
@@ -263,7 +263,7 @@ def prediction_charts(automaton: HybridAutomaton, runs: Sequence[RunPrediction])
 def prediction_chart(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> Chart:
     """Measured, one step ahead and rolled out, per coordinate; below it the errors of both."""
     panels: list[Panel] = []
-    shown = automaton.coordinates[:_MOST_COORDINATES]
+    shown = automaton.coordinates[:MOST_COORDINATES]
     for i, coordinate in enumerate(shown):
         dots = [Curve(run.time, run.x[:, i], "small", INK, "measured", run.run) for run in runs]
         errors = [line for run in runs for line in _lines(run, i, 0.0)]

@@ -23,6 +23,7 @@ from micah_plan.view.learned import (
     rows_of_run,
 )
 from micah_plan.view.learning_charts import learning_charts
+from micah_plan.view.motion import LONGEST_S, SHORTEST_S
 from micah_plan.view.page import Band, LegendEntry, ScenePage, Timeline, render_scene
 from micah_plan.view.palette import FRAME_AXES, GRID, INK, MUTED
 from micah_plan.view.scene import Scene, slug
@@ -31,7 +32,6 @@ from micah_plan.view.solids import beads
 _MOST_BEADS = 1500
 _MOST_KEYFRAMES = 400
 _MOST_LANES = 5
-_SHORTEST_S, _LONGEST_S = 4.0, 15.0
 
 
 def recording_page(recording: Recording, graph: KinematicGraph | None = None, *, title: str = "Recording") -> str:
@@ -104,7 +104,7 @@ def _shown_times(recording: Recording) -> tuple[Floats, float]:
         clock += float(np.ptp(time)) + (0.1 * float(np.ptp(time)) if run != recording.runs[-1] else 0.0)
     if clock <= 0.0:
         return np.zeros(len(recording)), 0.0
-    scale = min(max(clock, _SHORTEST_S), _LONGEST_S) / clock
+    scale = min(max(clock, SHORTEST_S), LONGEST_S) / clock
     return scale * (recording.time + np.array([starts[int(run)] for run in recording.run])), clock * scale
 
 

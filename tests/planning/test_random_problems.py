@@ -6,11 +6,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from planning_examples import one_dimensional
 
+from micah_plan.arrays import EQUAL
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.task.goal import Goal
 from micah_plan.task.problem import Problem
 from micah_plan.task.settings import PlannerSettings
-from micah_plan.task.start import LIMIT_ROOM, Start
+from micah_plan.task.start import Start
 
 unit = st.floats(0.0, 1.0)
 
@@ -27,7 +28,7 @@ def test_a_plan_or_a_true_reason(
     problem = Problem(automaton, Start((start,), (std,)), Goal(((0, goal, tolerance),)), settings_)
     found = plan(problem, seed)
     # A limit copied with fewer digits is still the limit.
-    beyond = max(0.0 - start - LIMIT_ROOM * threshold, start - 1.0 - LIMIT_ROOM * (1.0 - threshold))
+    beyond = max(0.0 - start - EQUAL * threshold, start - 1.0 - EQUAL * (1.0 - threshold))
     start_outside = beyond > 3.0 * max(std, 1e-9)
     goal_outside = max(0.0 - goal, goal - 1.0) > tolerance + 1e-9
     if found.outcome == "solved":

@@ -26,7 +26,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import ROUND_OFF, Floats
 from micah_plan.automaton.contacts.values import AXES, Face, Grip, Solid, Surroundings
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.automaton.region import HalfSpace, Region
@@ -35,7 +35,6 @@ from micah_plan.automaton.region import HalfSpace, Region
 _LEAST_LEVER = 0.02
 _SAMPLES = 721
 _COLLISION_SAMPLES = 181
-_SAME_HEIGHT = 1e-9
 _ROUNDING = 1e-13
 
 
@@ -104,7 +103,7 @@ def touch_pieces(grip: Grip, face: Face, datum: float, low: float, high: float, 
     for line in lines:
         next_line = any(np.isclose(neighbour.begin, line.end) for neighbour in lines)
         limit = high if line.direction > 0 else low
-        if next_line or abs(limit - line.end) < _SAME_HEIGHT or not grip.pivots or not turns:
+        if next_line or abs(limit - line.end) < ROUND_OFF or not grip.pivots or not turns:
             continue
         surface = _surface_piece(geometry, line, limit)
         if surface is not None:
@@ -171,12 +170,12 @@ def _line_pieces(geometry: _Geometry, low: float, high: float) -> list[TouchPiec
         if at_a != at_b:
             breaks.append(_change(geometry, float(a), float(b), at_a))
     # Where a part lies flush exactly at an end of the range two edges touch at once; that is the end of one piece.
-    breaks = [at for at in breaks if at == low or min(at - low, high - at) > _SAME_HEIGHT]
+    breaks = [at for at in breaks if at == low or min(at - low, high - at) > ROUND_OFF]
     breaks.append(high)
     pieces = []
     for a, b in pairwise(breaks):
         middle = _state(geometry, (a + b) / 2)
-        if middle is None or b - a < _SAME_HEIGHT:
+        if middle is None or b - a < ROUND_OFF:
             continue
         begin, end = (a, b) if middle[1] < 0 else (b, a)
         pieces.append(TouchPiece("line", begin, end, geometry.height(begin), geometry.height(end)))

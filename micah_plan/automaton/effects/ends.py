@@ -9,6 +9,7 @@ from typing import final
 
 import numpy as np
 
+from micah_plan.arrays import EQUAL
 from micah_plan.automaton.augmented import mapped
 from micah_plan.automaton.effects.form import (
     EffectForm,
@@ -25,7 +26,6 @@ from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin, Reset
 from micah_plan.automaton.region import HalfSpace, Region, above, below
 from micah_plan.errors import InputError
 
-_SAME = 1e-6
 # Standard deviations of a measurement within which a part may be where it is held.
 _NEAR = 3.0
 # A threshold that lies further away than this share of the range is no shifted one but another stop.
@@ -147,7 +147,7 @@ def range_of(automaton: HybridAutomaton, coordinate: int) -> tuple[float, float]
 def is_held(automaton: HybridAutomaton, coordinate: int, end: float) -> bool:
     """Whether a mode holds a coordinate at an end of its range; else that is only how far it was seen to go."""
     pins = (pin for mode in automaton.modes for pin in mode.pins)
-    return any(pin.coordinate == coordinate and abs(pin.value - end) <= _SAME for pin in pins)
+    return any(pin.coordinate == coordinate and abs(pin.value - end) <= EQUAL for pin in pins)
 
 
 def with_end_moved(automaton: HybridAutomaton, i: int, old: float, new: float) -> HybridAutomaton:
@@ -158,7 +158,7 @@ def with_end_moved(automaton: HybridAutomaton, i: int, old: float, new: float) -
         return region.mapped(lambda h: _moved(h, i, new - old, None if all_of_it else old))
 
     def moved_mode(mode: Mode) -> Mode:
-        if not any(pin.coordinate == i and abs(pin.value - old) <= _SAME for pin in mode.pins):
+        if not any(pin.coordinate == i and abs(pin.value - old) <= EQUAL for pin in mode.pins):
             return replace(mode, invariant=moved(mode.invariant))
         pins = (replace(pin, value=pin.value + new - old) if pin.coordinate == i else pin for pin in mode.pins)
         joints = (
@@ -172,7 +172,7 @@ def with_end_moved(automaton: HybridAutomaton, i: int, old: float, new: float) -
 
     def moved_edge(edge: Edge) -> Edge:
         reset = edge.reset
-        if edge.is_self_transition and reset.c is not None and abs(reset.c[i] - old) <= _SAME:
+        if edge.is_self_transition and reset.c is not None and abs(reset.c[i] - old) <= EQUAL:
             reset = replace(reset, c=tuple(new if k == i else value for k, value in enumerate(reset.c)))
         return replace(edge, guard=moved(edge.guard), reset=reset)
 
@@ -185,7 +185,7 @@ def _moved(half_space: HalfSpace, i: int, by: float, at: float | None) -> HalfSp
     A label that ends with the threshold says the new one; labels that people chose stay.
     """
     bound, label = half_space.bound, half_space.name
-    if bound is None or bound.coordinate != i or (at is not None and abs(bound.value - at) > _SAME):
+    if bound is None or bound.coordinate != i or (at is not None and abs(bound.value - at) > EQUAL):
         return half_space
     old = f"{bound.value:g}"
     label = label.removesuffix(old) + f"{bound.value + by:g}" if label.endswith(f" {old}") else label
@@ -256,7 +256,7 @@ def _with_hold(automaton: HybridAutomaton, mode: Mode, i: int, end: float, side:
 def _clamps(edge: Edge, mode: Mode, i: int, end: float) -> bool:
     c = edge.reset.c
     is_own = edge.source == mode.name and edge.is_self_transition and c is not None and _is_of(edge, i)
-    return is_own and c is not None and abs(c[i] - end) <= _SAME
+    return is_own and c is not None and abs(c[i] - end) <= EQUAL
 
 
 def _is_of(edge: Edge, i: int) -> bool:

@@ -6,14 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import DIFFERENCE, Floats
 from micah_plan.automaton.effects.form import EffectForm, Operations, Value
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.memo import memoised
-
-# Half the interval of a central difference [rad or m].
-_SMALL = 1e-6
 
 
 @dataclass(frozen=True)
@@ -65,6 +62,6 @@ def displaced(automaton: HybridAutomaton, mode: Mode, x: Floats, u: Floats) -> t
     d = moved.copy()
     for i, motion in motions(automaton, mode).items():
         d[..., i] = motion.displacement(np, x[..., i], moved[..., i])
-        ahead = motion.displacement(np, x[..., i] + _SMALL, moved[..., i])
-        slope[..., i] += (ahead - motion.displacement(np, x[..., i] - _SMALL, moved[..., i])) / (2 * _SMALL)
+        ahead = motion.displacement(np, x[..., i] + DIFFERENCE, moved[..., i])
+        slope[..., i] += (ahead - motion.displacement(np, x[..., i] - DIFFERENCE, moved[..., i])) / (2 * DIFFERENCE)
     return d, slope

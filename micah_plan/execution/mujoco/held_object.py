@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import EQUAL, Floats
 from micah_plan.automaton.contacts.values import Grip
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint
@@ -17,7 +17,6 @@ from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.world import IN_HAND, MOVING, STOPS, Latch, World, WorldJoint, pose, rubbing
 
 _HINGE = (0.0, 1.0, 0.0)
-_SAME = 1e-6
 
 
 class HeldObject:
@@ -44,7 +43,7 @@ class HeldObject:
         self.parts = [in_hand, moving]
         self.hand = [automaton.links[number].coordinate for number in self.slides]
         slides = [_joint(automaton, number) for number in self.slides]
-        turned = [joint for joint in slides if not np.allclose(joint.quaternion, (0.0, 0.0, 0.0, 1.0), atol=_SAME)]
+        turned = [joint for joint in slides if not np.allclose(joint.quaternion, (0.0, 0.0, 0.0, 1.0), atol=EQUAL)]
         if turned or any(joint.kind != "prismatic" for joint in slides):
             raise InputError("the hand of a held object must move on slides that do not turn it")
         self.axes = np.array([joint.axis for joint in slides])
@@ -91,7 +90,7 @@ class HeldObject:
         nominal, joint = Rotation.from_rotvec(grip.rotation).inv(), _joint(automaton, self.parts[0])
         zero, unit = (nominal * forward(joint, [0.0, 1.0]).rotation).as_rotvec()
         sign, off = float((unit - zero) @ _HINGE), np.linalg.norm(np.cross(joint.center, joint.axis))
-        if joint.kind != "revolute" or abs(abs(sign) - 1.0) > _SAME or off > _SAME:
+        if joint.kind != "revolute" or abs(abs(sign) - 1.0) > EQUAL or off > EQUAL:
             raise InputError("a held part can turn in the hand about its point and the hinge's direction only")
         world.show(WorldJoint("pivot", in_hand, round(sign), float(zero @ _HINGE)))
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from scipy.spatial.transform import Rotation
 
-from micah_plan.arrays import Floats, Ints
+from micah_plan.arrays import EQUAL, Floats, Ints
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Primitive
 from micah_plan.automaton.joint import Joint, Vector3
@@ -37,7 +37,6 @@ from micah_plan.task.start import Start, sample_start
 _ORIGIN = "/origin"
 _STEPS_PER_RADIAN = 5.0
 _SHORTEST_ARM = 0.005
-_SAME_JOINT = 1e-6
 _PANEL = 0.02
 _UNLIMITED = 1e3
 
@@ -252,9 +251,7 @@ def _only_moving_joint(automaton: HybridAutomaton, link: int) -> Joint:
     joint = automaton.moving_joint(link)
     places = forward(joint, [0.0, 0.5]).as_matrix()
     for other in (mode.joints[link] for mode in automaton.modes if mode.joints[link].moves):
-        if other.kind != joint.kind or not np.allclose(
-            places, forward(other, [0.0, 0.5]).as_matrix(), atol=_SAME_JOINT
-        ):
+        if other.kind != joint.kind or not np.allclose(places, forward(other, [0.0, 0.5]).as_matrix(), atol=EQUAL):
             name = automaton.links[link].child
             raise InputError(
                 f"part '{name}' moves by different joints in different modes, which physics cannot build",

@@ -35,7 +35,7 @@ from scipy.linalg import lapack
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from micah_plan.arrays import Booleans, Floats
+from micah_plan.arrays import VANISHING, Booleans, Floats
 from micah_plan.automaton.graph import ActionChannel
 from micah_plan.automaton.joint import Joint, axis_basis
 from micah_plan.automaton.kinematics import inverse, jacobian
@@ -371,7 +371,6 @@ def _explained(steps: Steps, command: Command, mode: _Mode, noise: StepNoise) ->
 _WHITE_SPREAD = 0.4  # std of ln r about what the caller believes of the white variance r
 _WALK_DECADES = np.arange(-9.0, 1.1)  # ln-grid of the random walk's variance, of the mean squared step
 _REFINEMENTS = 4
-_TINY = 1e-300  # against division by 0
 _BETWEEN = 4  # points per row that it is smoothed at
 _LONGEST_GAPS = 16  # mean rows per median row
 
@@ -540,7 +539,9 @@ def noise_of(steps: Steps, residual: Floats, extra: Floats, walk: float, white: 
     pivots, factor, _ = lapack.dpttrf(diagonal, below)
     solved = lapack.dpttrs(pivots, factor, residual[:, None])[0][:, 0]
     misfit = (
-        float(residual @ solved) + float(np.sum(np.log(np.maximum(pivots, _TINY)))) + len(residual) * np.log(2 * np.pi)
+        float(residual @ solved)
+        + float(np.sum(np.log(np.maximum(pivots, VANISHING))))
+        + len(residual) * np.log(2 * np.pi)
     )
     prior = (np.log(white / steps.white) / _WHITE_SPREAD) ** 2
     return StepNoise(walk, white, -0.5 * (misfit + prior), pivots, factor)

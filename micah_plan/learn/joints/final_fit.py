@@ -22,10 +22,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import EQUAL, ROUND_OFF, TINY, Floats
 from micah_plan.automaton.graph import Deviation
 from micah_plan.automaton.joint import IDENTITY, KINDS, Joint, JointKind, twisting
-from micah_plan.automaton.kinematics import reversed_direction, shifted
+from micah_plan.automaton.kinematics import ROTATION_LENGTH, reversed_direction, shifted
 from micah_plan.learn.joints.helix_fit import fit_helix
 from micah_plan.learn.joints.joint_arrays import (
     JointArrays,
@@ -60,7 +60,6 @@ _POSITION_SPAN = 1.0  # m, where the rows span less
 _STARTING_ROWS = 100  # no start needs more
 _TELLING_ROWS = 256  # of a hinge that may be a screw
 _VOTES = 3  # times the fewest rows of a joint; with fewer rows none is doubted
-_ROTATION_LENGTH = 0.2  # m/rad, while no noise is known
 _ROUNDS = 2  # of noise and joint in turn
 _ROUGH = 0.05  # nats
 _FAR = 4.0  # stds that better weights may move an axis by
@@ -269,7 +268,7 @@ class _Rows:
         bare = replace(joint, covariance=None)
         if not (self.weight > 0.5).any():
             return FittedJoint(bare, np.zeros(len(self.weight)), 0.0, 0.0, 0.0, 0.0)
-        return _fitted(bare, self.mixture(joint, (1.0, _ROTATION_LENGTH)), self.quaternion is not None)
+        return _fitted(bare, self.mixture(joint, (1.0, ROTATION_LENGTH)), self.quaternion is not None)
 
 
 def _best_start(
@@ -281,7 +280,7 @@ def _best_start(
     linear, fixed = linear_fits([guess.kind], np.ones((1, len(sample)), dtype=bool), p, q)
     drawn = joints_through(guess.kind, p, q, rng, draws)
     starts = concatenated([arrays_of([guess, _carried(guess, p, q)]), drawn, linear.take(np.flatnonzero(fixed))])
-    error = compare_arrays(starts, p, q, _ROTATION_LENGTH).error
+    error = compare_arrays(starts, p, q, ROTATION_LENGTH).error
     squares = [(error[:, -3:] ** 2).sum(axis=1)]
     if q is not None:
         squares.append((error[:, :3] ** 2).sum(axis=1))
@@ -325,7 +324,7 @@ def _counted_as(joint: Joint, guess: Joint, has_orientation: bool) -> Joint:
     if np.dot(joint.axis, guess.axis) < 0:
         joint = reversed_direction(joint)
     quaternion = np.array([guess.quaternion]) if has_orientation else None
-    (c,) = seen_by(joint, np.array([guess.position]), quaternion, _ROTATION_LENGTH).configuration
+    (c,) = seen_by(joint, np.array([guess.position]), quaternion, ROTATION_LENGTH).configuration
     return shifted(joint, float(c))
 
 
@@ -352,11 +351,6 @@ def _units(quaternion: Floats | None) -> Floats | None:
     if quaternion is None:
         return None
     return np.asarray(quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True))
-
-
-_SHORTEST = 1e-9  # m
-_LEAST_TURN = 1e-6  # rad
-_FLATTEST = 1e-12  # relative area of a triangle
 
 
 def joints_through(
@@ -393,7 +387,7 @@ def _lines(p: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """Directions from one position to another (m, 2, 3)."""
     step = p[:, 1] - p[:, 0]
     length = np.linalg.norm(step, axis=1)
-    fixed = length > _SHORTEST
+    fixed = length > ROUND_OFF
     return step / np.where(fixed, length, 1.0)[:, None], fixed
 
 
@@ -401,7 +395,7 @@ def _screws(p: Floats, q: Floats) -> tuple[Floats, Floats, Floats, NDArray[np.bo
     """Axes, points on them and pitches of the displacements between two poses (m, 2, 3), (m, 2, 4)."""
     turn = rotation_vector(times(q[:, 1], conjugate(q[:, 0])))
     angle = np.linalg.norm(turn, axis=1)
-    fixed = angle > _LEAST_TURN
+    fixed = angle > EQUAL
     angle = np.where(fixed, angle, 1.0)
     axis = turn / angle[:, None]
     step = p[:, 1] - p[:, 0]
@@ -416,7 +410,7 @@ def _circles(p: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     u, v = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
     normal = np.cross(u, v)
     uu, vv, area = np.sum(u * u, axis=1), np.sum(v * v, axis=1), np.sum(normal * normal, axis=1)
-    fixed = area > _FLATTEST * np.maximum(uu * vv, 1e-300)
+    fixed = area > TINY * np.maximum(uu * vv, 1e-300)
     area = np.where(fixed, area, 1.0)
     to_center = np.cross(uu[:, None] * v - vv[:, None] * u, normal) / (2 * area)[:, None]
     return normal / np.sqrt(area)[:, None], p[:, 0] + to_center, fixed

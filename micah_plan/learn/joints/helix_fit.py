@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import DIFFERENCE, Floats
 from micah_plan.automaton.joint import Joint, ParameterCovariance, screw
 from micah_plan.learn.joints.joint_arrays import rotated, rotation_quaternion
 from micah_plan.learn.joints.likelihood import UNKNOWN, Fit, descended, error_covariance, normal_equations, seen_with
@@ -273,7 +273,6 @@ def _difference(source: Joint, joint: Joint, chart: Chart) -> Floats:
 NUMBERS = 7  # turn of the frame (3) and shift across the path (2), both in the frame; curvature; lead angle
 _FLATTEST = 1e-3  # 1/m; a straighter path has no frame
 _STEEPEST = 1.55  # rad; a steeper path is straight
-_SMALL = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,7 +342,7 @@ def chart_slopes(helix: Helix, length: float, joint: Joint, chart: Chart) -> Flo
     slopes[2:4, :3] = chart.basis @ np.cross(turns, np.subtract(joint.center, helix.point)).T
     slopes[5:, :3] = across @ np.cross(turns, np.subtract(joint.position, helix.point)).T
     slopes[2:4, 3:5], slopes[5:, 3:5] = chart.basis @ shifts.T, across @ shifts.T
-    for number, size in ((5, _SMALL * helix.curvature), (6, _SMALL)):
+    for number, size in ((5, DIFFERENCE * helix.curvature), (6, DIFFERENCE)):
         step = np.zeros(NUMBERS)
         step[number] = size
         ahead, behind = (helix.moved(sign * step) for sign in (1.0, -1.0))

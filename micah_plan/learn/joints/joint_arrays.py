@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.arrays import TINY, Booleans, Floats, Ints
 from micah_plan.automaton.joint import KINDS, Joint, JointKind, twisting
 from micah_plan.automaton.kinematics import balanced
 
@@ -119,7 +119,6 @@ def concatenated(several: Sequence[JointArrays]) -> JointArrays:
 
 
 _TELLING_PITCH = 0.05 / (2 * np.pi)  # m/rad
-_TINY = 1e-12  # against division by 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +194,7 @@ def compare_arrays(
         real += rotation_length**2 * (scalar**2 - twist**2)
         imaginary += rotation_length**2 * 2 * scalar * twist
     weight = np.sqrt(real**2 + imaginary**2)
-    angle = np.where(turning[:, None] & (weight > _TINY), np.arctan2(imaginary, real), 0.0)
+    angle = np.where(turning[:, None] & (weight > TINY), np.arctan2(imaginary, real), 0.0)
     pitched = np.flatnonzero(np.abs(joints.pitch) > 1e-7)
     if len(pitched):
         pitch = joints.pitch[pitched, None]
@@ -242,7 +241,7 @@ def levers(joints: JointArrays, in_part: bool) -> Floats:
     """
     side = cross(joints.axis, joints.position - joints.center) + joints.pitch[:, None] * joints.axis
     direction = np.where(joints.turning[:, None], side, joints.axis)
-    lever = direction / np.maximum(np.sum(direction**2, axis=1, keepdims=True), _TINY)
+    lever = direction / np.maximum(np.sum(direction**2, axis=1, keepdims=True), TINY)
     if not in_part:
         return np.asarray(lever)
     from_base = conjugate(joints.quaternion)
@@ -301,7 +300,7 @@ def _turn_per_sine(square: Floats, scalar: Floats) -> Floats:
     """What a quaternion's vector, of such squared length, is multiplied with to be a rotation vector."""
     length = np.sqrt(square)
     angle = 2 * np.arctan2(length, np.abs(scalar))
-    return np.copysign(np.where(length > _TINY, angle / np.maximum(length, _TINY), 2.0), scalar)
+    return np.copysign(np.where(length > TINY, angle / np.maximum(length, TINY), 2.0), scalar)
 
 
 def rotated(quaternion: Floats, vector: Floats) -> Floats:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from micah_plan.arrays import Booleans, Floats
+from micah_plan.arrays import ROUND_OFF, Booleans, Floats
 from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.joints.joint_arrays import (
     JointArrays,
@@ -25,7 +25,6 @@ from micah_plan.learn.joints.joint_arrays import (
 Line = tuple[Floats, Floats]
 """Directions (h, 3) of axes, and points (h, 3) on them."""
 
-_TINY = 1e-9  # relative; smaller is round-off
 _STRAIGHTEST = 1e-4  # width of the rows in diameters of their circle
 
 
@@ -53,7 +52,7 @@ def linear_fits(
     mean = share @ position
     centred = position[None] - mean[:, None]
     values, vectors = np.linalg.eigh(_squared(share, centred))
-    slid = np.sqrt(np.maximum(values[:, 2], 0.0)) > _TINY
+    slid = np.sqrt(np.maximum(values[:, 2], 0.0)) > ROUND_OFF
     middle = np.tile([0.0, 0.0, 0.0, 1.0], (len(rows), 1))
     if quaternion is not None:
         products = (quaternion[:, :, None] * quaternion[:, None]).reshape(-1, 16)
@@ -117,8 +116,8 @@ def _turning(
     angle = angle - np.sum(share * angle, axis=1, keepdims=True)
     along = np.einsum("hni,hi->hn", centred, axis)
     spread = np.sum(share * angle**2, axis=1)
-    pitch = np.sum(share * angle * along, axis=1) / np.maximum(spread, _TINY)
-    return axis, center, start, pitch, np.sqrt(np.maximum(values[:, 2], 0.0)) > _TINY
+    pitch = np.sum(share * angle * along, axis=1) / np.maximum(spread, ROUND_OFF)
+    return axis, center, start, pitch, np.sqrt(np.maximum(values[:, 2], 0.0)) > ROUND_OFF
 
 
 def _arcs(share: Floats, centred: Floats, vectors: Floats) -> tuple[Line, Floats, Line, Floats, Booleans]:
@@ -129,7 +128,7 @@ def _arcs(share: Floats, centred: Floats, vectors: Floats) -> tuple[Line, Floats
     """
     normal, center, start, fixed = _circles(share, centred, vectors)
     out = start - center
-    around = np.maximum(np.linalg.norm(out, axis=1), _TINY)
+    around = np.maximum(np.linalg.norm(out, axis=1), ROUND_OFF)
     away = out / around[:, None]
     tangent = np.cross(normal, away)
     arm = centred - center[:, None]
@@ -162,4 +161,4 @@ def _circles(share: Floats, centred: Floats, vectors: Floats) -> tuple[Floats, F
     away = -solution / np.maximum(np.linalg.norm(solution, axis=1, keepdims=True), 1e-300)
     around = np.sqrt(np.maximum(np.sum(share * ((flat - solution[:, None]) ** 2).sum(axis=2), axis=1), 1e-300))
     start = center + np.einsum("hij,hj->hi", plane, away * around[:, None])
-    return vectors[:, :, 0], center, start, fixed & (around > _TINY)
+    return vectors[:, :, 0], center, start, fixed & (around > ROUND_OFF)

@@ -17,12 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import ROUND_OFF, Floats
 from micah_plan.automaton.joint import KINDS, Joint, axis_basis, rigid, twisting
 from micah_plan.automaton.kinematics import ROTATION_LENGTH
 from micah_plan.learn.joints.joint_arrays import compare_all, times
-
-_ON_THE_AXIS = 1e-9  # m
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +74,7 @@ def frame_of(joint: Joint) -> tuple[Floats, float]:
     arm = np.subtract(joint.position, joint.center) if joint.turns else np.zeros(3)
     arm = arm - (arm @ axis) * axis
     radius = math.sqrt(float(arm @ arm))
-    if radius > _ON_THE_AXIS:
+    if radius > ROUND_OFF:
         first = arm / radius
     else:
         first, radius = axis_basis(joint.axis)[0], 0.0
@@ -94,7 +92,6 @@ FRAME_NUMBERS = 11
 _ROTATION = ("rotation_1", "rotation_2", "rotation_3")
 _POSITION = ("position_1", "position_2", "position_3")
 _LONGEST_STEP = 1.0  # rad, m, m/rad: no linearization holds further
-_SHORTEST = 1e-9  # m; a direction shorter than that is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +173,7 @@ def _across(direction: Floats) -> Floats:
     scale = np.repeat([ROTATION_LENGTH, 1.0], 3)[6 - len(direction) :]
     mirror = direction * scale
     length = float(np.linalg.norm(mirror))
-    if length < _SHORTEST:
+    if length < ROUND_OFF:
         return np.eye(len(direction))
     # Householder's reflection takes one unit vector to the direction and so the others across it.
     mirror = mirror / length

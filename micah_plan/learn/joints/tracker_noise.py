@@ -40,7 +40,7 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import lapack
 from scipy.special import ndtr
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import ROUND_OFF, TINY, Floats
 from micah_plan.automaton.joint import Joint
 from micah_plan.learn.joints.parametrization import FRAME_NUMBERS, Seen
 
@@ -231,7 +231,6 @@ def _posteriors(
     return posteriors
 
 
-_TINY = 1e-9  # relative; smaller is round-off
 # Columns of a design: tilt 0, 1; shift of the centre 2, 3; pitch 4; turn of the origin 5, 6, 7; its shift 8, 9, 10.
 _TILT, _SHIFT, _PITCH, _TURN, _MOVE = 0, 2, 4, 5, 8
 
@@ -265,13 +264,13 @@ def contrasts_of(joint: Joint, compared: Seen, stds: tuple[float, float]) -> lis
         return _straight(joint, compared)
     n, c = len(compared.configuration), compared.configuration
     radius, reach = compared.radius, float(np.hypot(compared.radius, joint.pitch))
-    forwards, upwards = (radius / reach, joint.pitch / reach) if reach > _TINY else (1.0, 0.0)
+    forwards, upwards = (radius / reach, joint.pitch / reach) if reach > ROUND_OFF else (1.0, 0.0)
     cosine, sine = np.cos(c), np.sin(c)
     poses = _turning_design(c, cosine, sine, radius, joint.pitch)
     error = np.empty((n, 2))
     # A configuration that is off by its noise lies outside the circle, by half its variance times the radius.
     information = (reach / stds[1]) ** 2 + (0.0 if compared.rotation_error is None else stds[0] ** -2)
-    error[:, 0] = compared.position_error[:, 0] - 0.5 * radius / max(information, _TINY)
+    error[:, 0] = compared.position_error[:, 0] - 0.5 * radius / max(information, ROUND_OFF)
     error[:, 1] = upwards * compared.position_error[:, 1] - forwards * compared.position_error[:, 2]
     design = np.stack([poses[:, 0], upwards * poses[:, 1] - forwards * poses[:, 2]], axis=1)
     weights = np.zeros((n, 2, 3))
@@ -333,7 +332,6 @@ def _turning_design(c: Floats, cosine: Floats, sine: Floats, radius: float, pitc
 
 
 _MODES = 8  # waves along the travel that a misfit is made of
-_SHORTEST = 1e-9  # rad or m; no range
 _FACTOR = 8.0  # from one variance of a misfit that is tried to the next
 _LARGEST = 1e4  # of these, in units of the white noise of a row; the smallest is that of the mean of all rows
 _IDEAL = 0.98  # probability, before anything is seen, of no misfit; less widens what ideal joints leave
@@ -344,7 +342,7 @@ def misfit_modes(configuration: Floats) -> Floats:
     """(n, m) modes of a misfit of size 1 at configurations (n,); m = 0 where these do not differ."""
     low = configuration.min()
     span = float(configuration.max() - low)
-    if span < _SHORTEST:
+    if span < ROUND_OFF:
         return np.zeros((len(configuration), 0))
     order = np.arange(1, _MODES + 1)
     return np.asarray(np.sqrt(2) * np.cos(np.pi * np.outer((configuration - low) / span, order)) / order**2)
@@ -582,7 +580,6 @@ def _solved(diagonal: Floats, beside: Floats, columns: Floats) -> Floats:
 _SURE = 0.95  # share that intervals are to hold
 _QUANTILE = 1.959964  # of the normal distribution, for that share
 _BISECTIONS = 30
-_SMALLEST_STD = 1e-12
 
 
 def conservative_covariance(matrix: Floats, chance: Floats, off: Floats, std: Floats) -> Floats:
@@ -598,7 +595,7 @@ def conservative_covariance(matrix: Floats, chance: Floats, off: Floats, std: Fl
 
 def _half_width(chance: Floats, off: Floats, std: Floats) -> Floats:
     """(k,) half width of the interval about 0 that holds 95 % of a mixture of normals (m, k)."""
-    std = np.maximum(std, _SMALLEST_STD)
+    std = np.maximum(std, TINY)
     low, high = np.zeros(off.shape[1]), (np.abs(off) + 4 * std).max(axis=0)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)

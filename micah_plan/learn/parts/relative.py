@@ -17,7 +17,7 @@ from scipy.interpolate import make_smoothing_spline
 from scipy.ndimage import median_filter
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
-from micah_plan.arrays import Floats, Ints
+from micah_plan.arrays import ROUND_OFF, STDS_PER_MAD, Floats, Ints
 from micah_plan.automaton.graph import BASE, EdgeCertainty, KinematicEdge, Segment, SegmentCertainty
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward, inverse, inverse_jacobian
@@ -234,9 +234,7 @@ def _edge_certainty_in(certainty: EdgeCertainty | None, rows: list[int]) -> Edge
 
 _WINDOW = 7  # rows of the running median
 _FEWEST_ROWS = 8  # to smooth
-_SMALLEST = 1e-9
 _OUTLIER_STDS = 5.0  # from the running median
-_STD_PER_MAD = 1.4826  # of the normal distribution
 
 
 def branch_poses(edge: KinematicEdge, relative: RelativeRows, poses: RigidTransform) -> RigidTransform:
@@ -297,10 +295,10 @@ def _smoothed(c: Floats) -> Floats:
     if len(c) < _FEWEST_ROWS:
         return c
     miss = c - median_filter(c, size=_WINDOW, mode="nearest")
-    outlying = np.abs(miss) > _OUTLIER_STDS * max(_STD_PER_MAD * float(np.median(np.abs(miss))), _SMALLEST)
+    outlying = np.abs(miss) > _OUTLIER_STDS * max(STDS_PER_MAD * float(np.median(np.abs(miss))), ROUND_OFF)
     outlying[[0, -1]] = False
     rows = np.arange(len(c), dtype=float)
     clean = np.interp(rows, rows[~outlying], c[~outlying])
-    if np.ptp(clean) < _SMALLEST:
+    if np.ptp(clean) < ROUND_OFF:
         return np.asarray(clean)
     return np.asarray(make_smoothing_spline(rows, clean)(rows))

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import gammainc, gammaincc
 
-from micah_plan.arrays import Floats, Ints
+from micah_plan.arrays import VANISHING, Floats, Ints
 from micah_plan.errors import InputError
 from micah_plan.learn.segmenting.evidence import EvidenceTable, best_of
 from micah_plan.learn.settings import LearnSettings
@@ -125,9 +125,6 @@ def length_terms(prior: LengthPrior, n: int) -> Floats:
     return np.asarray(terms)
 
 
-_SMALLEST = 1e-300
-
-
 def length_priors(track: PartTrack, settings: LearnSettings) -> list[LengthPrior]:
     """Priors of the lengths of a track's segments, in its rows, the longest first: how often a part stops is unknown.
 
@@ -160,9 +157,9 @@ class LengthPrior:
         lower, upper = gammaincc(self.shape, (n - 1) * rate), gammaincc(self.shape, n * rate)
         from_start = gammainc(self.shape, n * rate) - gammainc(self.shape, (n - 1) * rate)
         # Differences of the small tail keep their digits: below the median the cdf is small, above it the survival.
-        return np.asarray(np.log(np.maximum(np.where(lower > 0.5, from_start, lower - upper), _SMALLEST)))
+        return np.asarray(np.log(np.maximum(np.where(lower > 0.5, from_start, lower - upper), VANISHING)))
 
     def log_survival(self, length: ArrayLike) -> Floats:
         """ln (1 - B(n)): probability that a segment has more than n rows (n >= 0)."""
         n = np.asarray(length, dtype=float)
-        return np.asarray(np.log(np.maximum(gammaincc(self.shape, n * self.shape / self.mean), _SMALLEST)))
+        return np.asarray(np.log(np.maximum(gammaincc(self.shape, n * self.shape / self.mean), VANISHING)))

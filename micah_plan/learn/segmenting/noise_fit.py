@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike
 
-from micah_plan.arrays import Floats, Ints
+from micah_plan.arrays import ROUND_OFF, Floats, Ints
 from micah_plan.learn.segmenting.noise import MEMORY, NoiseModel, log_peak, predictors
 from micah_plan.learn.segmenting.pool import Pool
 from micah_plan.learn.settings import LearnSettings
@@ -27,7 +27,6 @@ _FAST_MOST = 1.75  # stds of the slow wander; more is motion as well
 _ANY_SLOW = np.array([1.0, 0.25, 0.0625])
 _DOFS = (8.0, 30.0)  # of Student's distribution, tried
 _ITERATIONS = 3
-_STILL = 1e-9  # stds of noise per rad or m; where a pose moves by less, it has no direction of motion
 
 
 def initial_noise(track: PartTrack, settings: LearnSettings) -> NoiseModel:
@@ -123,8 +122,8 @@ def correlated(innovation: Floats, free: Floats) -> tuple[Floats, Floats]:
     m, n, d = innovation.shape
     length = np.sqrt((free**2).sum(axis=2))
     # The position of a part whose origin is on its axis says nothing of a direction.
-    moving = length > _STILL
-    free = moving[..., None] * free / np.maximum(length, _STILL)[..., None]
+    moving = length > ROUND_OFF
+    free = moving[..., None] * free / np.maximum(length, ROUND_OFF)[..., None]
     size, turns = d - moving, moving.sum(axis=1)
     # Every candidate (k, 1) of the tails beside every answer (m,).
     dof = np.array(_DOFS)[:, None]
@@ -135,7 +134,7 @@ def correlated(innovation: Floats, free: Floats) -> tuple[Floats, Floats]:
         squares = ((innovation @ inverse) * innovation).sum(axis=3)
         weight = heavy / (heavy + squares)
         hidden = ((free @ inverse) * free).sum(axis=3)
-        level = np.sqrt(np.mean(squares / size, axis=2)[..., None] / np.maximum(hidden, _STILL))
+        level = np.sqrt(np.mean(squares / size, axis=2)[..., None] / np.maximum(hidden, ROUND_OFF))
         filled = free * level[..., None]
         covariance = (innovation * weight[..., None]).swapaxes(2, 3) @ innovation + filled.swapaxes(2, 3) @ filled
         covariance += (d + 2) * np.eye(d)

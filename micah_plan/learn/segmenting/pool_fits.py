@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.arrays import VANISHING, Booleans, Floats, Ints
 from micah_plan.learn.joints.joint_arrays import (
     Compared,
     JointArrays,
@@ -25,7 +25,6 @@ PARAMETERS = 13  # of `JointArrays.moved`'s step
 _VECTORS = np.array([0, 3, 6, 9, 12])  # its first numbers of turns, shifts and the pitch
 _VECTOR_OF = np.minimum(np.arange(PARAMETERS) // 3, 4)
 _GAUGE = 1e-9  # directions of less relative information are redundant
-_TINY = 1e-300
 _CONVERGED = 1e-3  # nats that the next step promises
 _DAMPING = 1e-6  # of the first step
 _ORDER = 3  # rows that a prediction looks back while fitting; the evidence looks further
@@ -100,7 +99,7 @@ class _Fits:
         # One damping for the three numbers of a vector: no axes are preferred.
         scale = np.add.reduceat(diagonal, _VECTORS[numbers > _VECTORS], axis=1)[:, _VECTOR_OF[:numbers]]
         # Damping along redundant parameters, so that the step there is almost zero.
-        diagonal += self.damping[:, None] * scale + _GAUGE * scale.max(axis=1, keepdims=True) + _TINY
+        diagonal += self.damping[:, None] * scale + _GAUGE * scale.max(axis=1, keepdims=True) + VANISHING
         solved = np.nan_to_num(np.linalg.solve(damped, pull[..., None])[..., 0])
         longest = np.sqrt(np.add.reduceat(solved**2, _VECTORS[numbers > _VECTORS], axis=1))[:, _VECTOR_OF[:numbers]]
         step = np.zeros((h, PARAMETERS))

@@ -15,15 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import null_space
 
-from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.arrays import ROUND_OFF, Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import Mode
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.search.polytope import Polytope, mode_states
 
 # Values of what is kept that differ by less are the same leaf [steps]; a motion may miss its end by ten times that.
 _SAME_LEAF = 1e-8
-# Singular values below this share of the largest are rounding.
-_RANK = 1e-9
 # Draws of as many states as are wanted from the box around a part of a leaf, before it counts as too thin for that.
 _MOST_DRAWS = 10
 
@@ -52,7 +50,7 @@ class Leaves:
     @property
     def independent(self) -> Booleans:
         """(n,) the coordinates that some input moves and that can move alone."""
-        return np.asarray(np.linalg.norm(self.along, axis=1) > 1.0 - _RANK)
+        return np.asarray(np.linalg.norm(self.along, axis=1) > 1.0 - ROUND_OFF)
 
     def own(self, points: Floats) -> Floats:
         """(k, r) own coordinates on their leaf of states (k, n) [steps]."""
@@ -62,11 +60,11 @@ class Leaves:
         """What inputs keep, as sums of coordinates of these names, e.g. ``"hand - rod"``."""
         words = []
         for row in _reduced(self.kept / self.speed):
-            weights = row / row[np.flatnonzero(np.abs(row) > _RANK * np.abs(row).max())[0]]
+            weights = row / row[np.flatnonzero(np.abs(row) > ROUND_OFF * np.abs(row).max())[0]]
             parts = [
-                f"{'-' if w < 0 else '+'} {name if abs(abs(w) - 1.0) < _RANK else f'{abs(w):.3g}*{name}'}"
+                f"{'-' if w < 0 else '+'} {name if abs(abs(w) - 1.0) < ROUND_OFF else f'{abs(w):.3g}*{name}'}"
                 for w, name in zip(weights, names, strict=True)
-                if abs(w) > _RANK
+                if abs(w) > ROUND_OFF
             ]
             words.append(" ".join(parts).removeprefix("+ "))
         return words
@@ -113,7 +111,7 @@ class Leaves:
         """The mode's states on the leaf of x (n,)."""
         states = mode_states(self.mode, limits)
         for row in self.kept / self.speed:
-            support = np.flatnonzero(np.abs(row) > _RANK * np.abs(row).max())
+            support = np.flatnonzero(np.abs(row) > ROUND_OFF * np.abs(row).max())
             if len(support) == 1:
                 states = states.fix(int(support[0]), float(x[support[0]]))
             else:
@@ -130,7 +128,7 @@ def _reduced(rows: Floats) -> Floats:
     for column in range(rows.shape[1]):
         remaining = [i for i in range(len(rows)) if i not in done]
         pivot = max(remaining, key=lambda i: abs(rows[i, column]), default=None)
-        if pivot is not None and abs(rows[pivot, column]) > _RANK * np.abs(rows).max():
+        if pivot is not None and abs(rows[pivot, column]) > ROUND_OFF * np.abs(rows).max():
             rows[pivot] /= rows[pivot, column]
             others = np.arange(len(rows)) != pivot
             rows[others] -= np.outer(rows[others, column], rows[pivot])
@@ -144,7 +142,7 @@ def leaves_of(mode: Mode, limits: Limits) -> Leaves:
     B = mode.B * mode.free[:, None] / speed[:, None]
     driven = np.flatnonzero(np.any(B, axis=1))
     vectors, sizes, _ = np.linalg.svd(B[driven], full_matrices=False)
-    rank = int(np.sum(sizes > _RANK * sizes.max(initial=0.0)))
+    rank = int(np.sum(sizes > ROUND_OFF * sizes.max(initial=0.0)))
     along = np.zeros((n, rank))
     # Coordinates that move independently are their own coordinates.
     along[driven] = np.eye(rank) if rank == len(driven) else vectors[:, :rank]

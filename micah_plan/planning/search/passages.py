@@ -20,12 +20,12 @@ from itertools import count, islice
 import numpy as np
 from scipy.optimize import linprog
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import ROUND_OFF, Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.path_constraints import in_steps
-from micah_plan.planning.search.polytope import TOLERANCE, Polytope, nominal_start, open_states
+from micah_plan.planning.search.polytope import Polytope, nominal_start, open_states
 from micah_plan.planning.search.roadmap import TRANSITION_COST
 from micah_plan.planning.zero_time_transitions import front_of
 from micah_plan.task.problem import Problem
@@ -44,7 +44,7 @@ _MIXTURES = 8
 # Of the mixtures (Dirichlet): below 1 most lie near a corner or an edge, as what leads on often does.
 _EVENNESS = 0.5
 # What a programme may miss its constraints by [their unit]: less than what counts as the same boundary.
-_MISS = 0.1 * TOLERANCE
+_MISS = 0.1 * ROUND_OFF
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +165,7 @@ class _Search:
                 made, shortfall, inputs = shortest
                 done, key = len(way.exits) == len(way.modes), made + _EAGERNESS * shortfall
                 before = [far for mode, far in zip(prefix.modes, nearest, strict=True) if mode == way.modes[-1]]
-                if not done and before and shortfall >= min(before) - TOLERANCE:
+                if not done and before and shortfall >= min(before) - ROUND_OFF:
                     key += _NO_NEARER
                 entered = nearest if done else (*nearest, shortfall)
                 heapq.heappush(queue, (key, next(tickets), way, entered, inputs if done else None))
@@ -226,7 +226,7 @@ class _Search:
         self.solved += 1
         bounds = [(None, None)] * free + [(0.0, None)] * (len(cost) - free)
         if not len(cost):
-            return np.zeros(0) if np.all(least <= TOLERANCE) else None
+            return np.zeros(0) if np.all(least <= ROUND_OFF) else None
         # The solver takes finite numbers: what is not bounded is no row, and nothing meets a row that nothing can.
         if np.any(least == np.inf):
             return None
@@ -288,7 +288,7 @@ def _within(prefix: _Prefix, states: Polytope, place: tuple[Floats, Floats]) -> 
     rows, least = normals @ M, least - normals @ c
     open_ = rows.any(axis=1)
     # What no input changes holds or does not; a row without weights says which.
-    broken = ~open_ & (least > TOLERANCE * size)
+    broken = ~open_ & (least > ROUND_OFF * size)
     keep = open_ | broken
     return replace(prefix, rows=np.vstack([prefix.rows, rows[keep]]), least=np.append(prefix.least, least[keep]))
 

@@ -12,14 +12,11 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.sparse import eye_array, kron
 
-from micah_plan.arrays import Booleans, Floats
+from micah_plan.arrays import ROUND_OFF, Booleans, Floats
 from micah_plan.automaton.hybrid import Mode
 from micah_plan.automaton.region import Region
 from micah_plan.planning.limits import Limits, NoWayError
 from micah_plan.task.problem import Problem
-
-# Distance [rad or m] below which two boundaries count as one: guards usually begin exactly where an invariant ends.
-TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +40,7 @@ class Polytope:
     @property
     def is_empty(self) -> bool:
         """Whether no state lies inside."""
-        if np.any(self.lower > self.upper + TOLERANCE):
+        if np.any(self.lower > self.upper + ROUND_OFF):
             return True
         return bool(len(self.b)) and not len(self.extremes(np.zeros((1, self.n))))
 
@@ -56,7 +53,7 @@ class Polytope:
             c = half_space.c - float(np.abs(half_space.b) @ max_step)
             support = np.flatnonzero(a)
             if len(support) == 0:
-                if c > TOLERANCE:
+                if c > ROUND_OFF:
                     upper = np.full_like(upper, -np.inf)
             elif len(support) == 1:
                 i = int(support[0])
@@ -67,7 +64,7 @@ class Polytope:
             else:
                 rows.append(a)
                 offsets.append(c)
-        touching = (lower > upper) & (lower <= upper + TOLERANCE)
+        touching = (lower > upper) & (lower <= upper + ROUND_OFF)
         lower[touching] = upper[touching]
         return Polytope(lower, upper, np.array(rows).reshape(-1, self.n), np.array(offsets, dtype=float))
 
@@ -84,8 +81,8 @@ class Polytope:
 
     def contains(self, points: Floats) -> Booleans:
         """(...,) whether each point (..., n) lies inside, boundary included."""
-        inside = np.all((points >= self.lower - TOLERANCE) & (points <= self.upper + TOLERANCE), axis=-1)
-        return np.asarray(inside & np.all(points @ self.A.T >= self.b - TOLERANCE, axis=-1))
+        inside = np.all((points >= self.lower - ROUND_OFF) & (points <= self.upper + ROUND_OFF), axis=-1)
+        return np.asarray(inside & np.all(points @ self.A.T >= self.b - ROUND_OFF, axis=-1))
 
     def nearest(self, point: Floats) -> Floats:
         """(n,) the state of the set with the smallest sum of absolute differences to a point (n,).

@@ -21,13 +21,12 @@ from ompl import util as ou
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.arrays import EQUAL, ROUND_OFF, Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.region import Region
 from micah_plan.planning.limits import Limits, holding_inputs, room_for_motion
 from micah_plan.planning.path_constraints import admitted
 from micah_plan.planning.search.leaves import Leaves
-from micah_plan.planning.search.polytope import TOLERANCE
 from micah_plan.planning.zero_time_transitions import ZeroTimeEdge
 from micah_plan.task.problem import Problem
 from micah_plan.task.settings import NEVER, Deadline
@@ -36,12 +35,8 @@ from micah_plan.task.settings import NEVER, Deadline
 _MISS = 1e-7
 # Cost of a transition, in steps: with equal motion the sequence with fewer modes comes first.
 TRANSITION_COST = 1.0
-# Motions shorter than this cost that much: a sparse graph would drop a cost of zero [steps].
-_SHORTEST = 1e-9
 # Fewer states than this are all connected with each other, about as PRM* would.
 _FEWEST_GROWN = 8
-# Of a roadmap [steps]: OMPL refuses a space without extent, and states may differ by rounding only.
-_LEAST_EXTENT = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,11 +116,11 @@ def _blocked(guard: Region, x: Floats, y: Floats) -> Booleans:
     before, after = guard.margins(x, u), guard.margins(y, u)
     slope = after - before
     with np.errstate(divide="ignore", invalid="ignore"):
-        crossing = (TOLERANCE - before) / slope
-    enter = np.where(slope > 0, crossing, np.where(before > TOLERANCE, -np.inf, np.inf))
+        crossing = (ROUND_OFF - before) / slope
+    enter = np.where(slope > 0, crossing, np.where(before > ROUND_OFF, -np.inf, np.inf))
     enter = np.where(slope < 0, -np.inf, enter)
     leave = np.where(slope < 0, crossing, np.inf)
-    return np.asarray(np.minimum(leave.min(axis=-1), 1.0) - np.maximum(enter.max(axis=-1), 0.0) > TOLERANCE)
+    return np.asarray(np.minimum(leave.min(axis=-1), 1.0) - np.maximum(enter.max(axis=-1), 0.0) > ROUND_OFF)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +197,7 @@ def roadmap_of(points: Floats, leaves: Leaves, motion: ModeMotion, deadline: Dea
     pairs = np.concatenate(edges)
     steps = motion.steps(points[pairs[:, 0]], points[pairs[:, 1]])
     allowed = np.isfinite(steps)
-    pairs, steps = pairs[allowed], np.maximum(steps[allowed], _SHORTEST)
+    pairs, steps = pairs[allowed], np.maximum(steps[allowed], ROUND_OFF)
     return coo_array((steps, (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points))).tocsr()
 
 
@@ -230,7 +225,7 @@ def _grow_prm(states: Floats, deadline: Deadline) -> tuple[Floats, list[tuple[in
     ou.setLogLevel(ou.LogLevel.LOG_ERROR)
     space = ob.RealVectorStateSpace(states.shape[1])
     lower = states.min(axis=0)
-    space.setBounds(box(lower, np.maximum(states.max(axis=0), lower + _LEAST_EXTENT)))
+    space.setBounds(box(lower, np.maximum(states.max(axis=0), lower + EQUAL)))
     information = ob.SpaceInformation(space)
     samplers: list[_GivenStates] = []
 

@@ -23,7 +23,7 @@ from typing import NamedTuple, TypeVar
 import casadi as ca
 import numpy as np
 
-from micah_plan.arrays import Floats, Ints
+from micah_plan.arrays import SMALLEST_STD, Floats, Ints
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
 from micah_plan.automaton.input_reversal import input_reversal_of
 from micah_plan.automaton.region import HalfSpace
@@ -32,11 +32,8 @@ from micah_plan.planning.transcription.guess import PhaseGuess
 from micah_plan.planning.transcription.rows import Row, boundary_name, unit_of
 from micah_plan.planning.zero_time_transitions import ZeroTimeEdge, front_of
 from micah_plan.symbolic.compiled import CasadiOperations, compiled_edge, compiled_mode
-from micah_plan.symbolic.square_root import SMALLEST_STD
 from micah_plan.task.path import Pay, Require, path_terms
 from micah_plan.task.problem import Problem
-
-_SMALLEST_STD = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +231,7 @@ def _stds_outside(rows: Sequence[HalfSpace], guess: PhaseGuess) -> Floats:
     """(r, N) standard deviations by which each step is outside of half-spaces on x, at the end where that is less."""
     a, c = np.array([h.a for h in rows]), np.array([[h.c] for h in rows])
     stds = np.linalg.norm(a[:, None, None] @ guess.factors, axis=-1)[..., 0]
-    smallest = _SMALLEST_STD * np.linalg.norm(a, axis=1, keepdims=True)
+    smallest = SMALLEST_STD * np.linalg.norm(a, axis=1, keepdims=True)
     away = (c - a @ guess.means.T) / (stds + smallest)
     return np.asarray(np.minimum(away[:, :-1], away[:, 1:]))
 

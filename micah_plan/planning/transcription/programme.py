@@ -35,7 +35,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import SMALLEST_STD, Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.input_reversal import input_reversal_of
 from micah_plan.automaton.region import HalfSpace
@@ -59,7 +59,6 @@ from micah_plan.planning.transcription.guess import STRICT_SHARE, PhaseGuess, gu
 from micah_plan.planning.transcription.rows import Row, Rows, boundary_name, unit_of
 from micah_plan.planning.zero_time_transitions import stds_of
 from micah_plan.symbolic.compiled import CompiledEdge, CompiledMode, compiled_edge, compiled_mode
-from micah_plan.symbolic.square_root import SMALLEST_STD
 from micah_plan.symbolic.square_root import norm as smooth_norm
 from micah_plan.task.problem import Problem
 
