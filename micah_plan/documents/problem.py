@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -277,7 +277,7 @@ def problem_of(document: ProblemDocument, automaton: HybridAutomaton, located: L
         automaton=replace(automaton, noise=noise_with(automaton.noise, values["noise"])),
         settings=replace(values["planner"], confidence=document.confidence),
         constraints=values["path"],
-        **{key: values[key] for key in ("start", "goal", "plant", "scene", "robot", "grasp", "hold", "release")},
+        **{field.name: values[field.name] for field in fields(Problem) if field.name in values},
     )
 
 
@@ -292,10 +292,10 @@ def problem_data(problem: Problem, model: str) -> dict[str, Any]:
     for key, late in (("hold", "datum"), ("robot", "text")):
         if late in data.get(key, {}):
             data[key][late] = data[key].pop(late)
-    order = (
+    first = (
         "format model start goal path confidence planner plant scene robot grasp hold release"  # as plan files have it
     )
-    return {key: data[key] for key in order.split() if key in data}
+    return {key: data[key] for key in (*first.split(), *data) if key in data}
 
 
 def _with_contacts(
