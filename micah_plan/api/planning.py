@@ -275,7 +275,7 @@ class RunsResult(Result):
         lines: list[str | Table] = [f"{self.successes} of {self.trials} trials {said}"]
         if self.statistics.released is not None:
             released = f"{self.statistics.released} stand in the goal on their own, nothing knocked over"
-            lines.append(f"  let go       {released}")
+            lines.append(f"  released     {released}")
         lines.append(f"  final error  {spread}, at most {quantity(error.max, unit)}{whose}")
         lines += [f"  trial {trial}: {reason}" for trial, reason in self.failures[:_MOST_FAILURES]]
         hidden = len(self.failures) - _MOST_FAILURES

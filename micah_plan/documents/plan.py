@@ -173,7 +173,7 @@ class PlanDocument(Document):
     warnings: Lines = doc("What of the model the plan ignores.", tuple)
     trajectory: TrajectoryDocument | None = doc("Belief trajectory and feedback; null without a plan.")
     arm: ArmDocument | None = doc("The robot along the trajectory; null without a robot.", None)
-    release: ReleasePlanDocument | None = doc("How the hand lets go; null where it keeps the object.", None)
+    release: ReleasePlanDocument | None = doc("How the hand releases the object; null where it keeps the object.", None)
     problem_file: Line = doc("Name of the problem file that was solved; empty if made in Python.")
     digests: dict[Name, Digest] = doc("SHA-256 of the input files, by role.")
     problem: dict[str, Any] = doc("The problem, laid out as a problem file.")

@@ -138,7 +138,7 @@ class ProblemDocument(Document):
     robot: RobotDocument | None = doc("Arm that holds the object; default: none.", None)
     grasp: GraspDocument | None = doc("What the robot holds, and where; needed with a robot.", None)
     release: ReleaseDocument | None = doc(
-        "How a held object is let go in the end; the goal then speaks of it at rest. Default: it stays in the hand.",
+        "How a held object is released in the end; the goal then speaks of it at rest. Default: it stays in the hand.",
         None,
     )
     plant: PlantDocument = doc("Physical parameters for MuJoCo.", PlantDocument)
@@ -149,7 +149,7 @@ class ProblemDocument(Document):
         if self.grasp is not None and self.robot is None:
             raise at.at("grasp").error("a grasp without a robot", "add 'robot': say which robot holds it")
         if self.release is not None and self.hold is None:
-            raise at.at("release").error("only what a hand holds can be let go", "add 'hold', or drop 'release'")
+            raise at.at("release").error("only what a hand holds can be released", "add 'hold', or drop 'release'")
 
     @classmethod
     def written(cls, value: Problem, scope: Scope) -> Mapping[str, Any]:

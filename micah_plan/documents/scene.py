@@ -1,6 +1,7 @@
 """What is around the object and which arm holds it: the entries `scene`, `robot` and `grasp` of a problem file.
 
-**Holds.** How a hand holds the object, what it may touch and how it lets go: `hold` and `release` of a problem file.
+**Holds.** How a hand holds the object, what it may touch and how it releases it: `hold` and `release` of a
+problem file.
 """
 
 from __future__ import annotations

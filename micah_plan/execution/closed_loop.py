@@ -57,9 +57,9 @@ class TrialResult:
         continuations: how often the rest of the plan was optimised again.
         refusals: why new plans were not followed.
         beliefs: after each measurement, steps + 1 of them.
-        released: whether the object was let go and stands in the goal on its own, where the problem lets go; then this
-            is the success, and the final values are of the object at rest. None: it stays in the hand. Log, steps and
-            beliefs end where the hand begins to put it down: what holds of an object in a hand ends there.
+        released: whether the object was released and stands in the goal on its own, where the problem asks for it;
+            then this is the success, and the final values are of the object at rest. None: it stays in the hand. Log,
+            steps and beliefs end where the hand begins to put it down: what holds of an object in a hand ends there.
     """
 
     recording: Recording
@@ -90,7 +90,7 @@ class Episode:
 
     Every step the updated belief is looked at. The execution stops when the plan is done and the belief is in the goal
     set with the problem's confidence: stopping earlier ends at its edge. A new plan is asked for where a belief leaves
-    it, misses a transition or ends short of the goal; where none leads on, it stops. Where the problem lets go of the
+    it, misses a transition or ends short of the goal; where none leads on, it stops. Where the problem releases the
     object, the hand then puts it down and withdraws, see `release`.
     """
 
@@ -108,14 +108,14 @@ class Episode:
         """Nothing has happened yet.
 
         Args:
-            problem: automaton, start belief, goal, confidence and input limits; of one that lets go, the goal is of the
-                object at rest.
+            problem: automaton, start belief, goal, confidence and input limits; of one with a release, the goal is of
+                the object at rest.
             trajectory: the plan.
             arm: joints of the arm along the trajectory; None: there is no arm.
             replanning: where new plans come from; None: none are asked for.
             max_steps: control steps at most; None: twice the plan's plus 20.
             run: the run's number in the log.
-            release: how the object is let go in the end; None: it stays in the hand.
+            release: how the object is released in the end; None: it stays in the hand.
         """
         self._rest_goal, self._putting_down = problem.goal, False
         asked = problem.release
@@ -227,7 +227,7 @@ class Episode:
             incident = [truth.incident] if truth is not None and truth.incident else []
             missed = self._misses(goal, mode, x)
             if self._putting_down and not self._is_open:  # how low the hand is then says nothing
-                missed = ["no contact was felt on the way down, so it was not let go"]
+                missed = ["no contact was felt on the way down, so it was not released"]
             elif released is False:
                 missed = missed or ["it does not stand on its own"]
             misses = [*incident, *missed]
@@ -260,7 +260,7 @@ class Episode:
         return self._release_controller is not None and self._release_controller.felt
 
     def _is_released(self) -> bool | None:
-        """Whether the object stands in the goal on its own, as far as is known; None if it is not let go."""
+        """Whether the object stands in the goal on its own, as far as is known; None if it is not released."""
         if self._release_controller is None:
             return None
         if self._truth is None:  # it is put down from where it comes to rest in the goal

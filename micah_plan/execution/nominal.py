@@ -43,7 +43,7 @@ class NominalPlant:
         release: tuple[Release, Rest] | None = None,
     ) -> None:
         """Args: the model, the belief from which true starts are drawn, the duration of a control step [s], and how an
-        object in a hand is let go, if it is."""
+        object in a hand is released, if it is."""
         self._release = release
         self.automaton = self._true = automaton
         self.start, self._period = start, control_period

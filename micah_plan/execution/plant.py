@@ -38,7 +38,7 @@ class Measurement:
         position: (l, 3) [m], measured origin of each link's child part in the base frame.
         quaternion: (l, 4) its measured orientation, part to base, unit norm, scalar last.
         force: (l, 3) [N], base frame, that the hand exerts at each part's handle; None if forces are not measured. An
-            object that is let go needs that at the part in the hand, with its weight or without; after a step with a
+            object that is released needs that at the part in the hand, with its weight or without; after a step with a
             limit of force at least that at which the hand stopped.
         joints: (J,) what the encoders of the arm say [rad or m]; None if there is no arm.
         unseen: (l,) parts that this measurement does not show, with their last pose. A plant need not tell: it answers
@@ -66,7 +66,7 @@ class Command:
         handle: (l, 3) [m], base frame: displacement of each part's handle, what a hand that holds it is told.
         posture: (J,) joints at which the plan has the arm after the step [rad or m]; None: any will do.
         force_limit: force on the hand, compared with that at the beginning of the step, at which it stops where it is
-            [N]; None: it goes on. Only where a problem lets go of the object, which is lowered so.
+            [N]; None: it goes on. Only where a problem releases the object, which is lowered so.
         opens: whether the gripper is opened in this step; it then stays open.
     """
 

@@ -1,7 +1,7 @@
-"""Letting go, carried out: steps down until contact is felt, the gripper opened, steps away from what then stands.
+"""Releases, carried out: steps down until contact is felt, the gripper opened, steps away from what then stands.
 
 What the hand feels ends the way down: it knows the height of the support by its force, not by its place. A hand that
-feels nothing down to the lowest place where the support may be does not let go.
+feels nothing down to the lowest place where the support may be releases nothing.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Phase = Literal["lowering", "opening", "withdrawing", "done"]
 
 
 class ReleaseController:
-    """The commands after the last knot of a plan that lets go.
+    """The commands after the last knot of a plan that releases the object.
 
     Attributes:
         phase: what it is doing.
@@ -93,7 +93,7 @@ class ReleaseController:
     def _pull(self, measurement: Measurement) -> float:
         """How hard the hand pulls the object up [N]."""
         if measurement.force is None:
-            text = "letting go needs a plant that measures the force on the hand: Measurement.force is None"
+            text = "a release needs a plant that measures the force on the hand: Measurement.force is None"
             raise InputError(text, remedy="measure it, or leave 'release' out of the problem")
         return float(measurement.force[self._row, 2])
 

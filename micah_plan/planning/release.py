@@ -1,4 +1,4 @@
-"""Letting go, planned: from the last knot of a plan down to the contact, and away with the gripper open.
+"""Releases, planned: from the last knot of a plan down to the contact, and away with the gripper open.
 
 The height of the support is known up to a spread, so the hand goes down in small steps to the lowest place where
 contact may be felt. It withdraws along the first of some directions in which the way is free: back along its fingers,
@@ -50,7 +50,7 @@ class Blocked:
 
 
 def with_release(problem: Problem, plan: Plan, deadline: Deadline) -> tuple[Plan, Blocked | None]:
-    """The plan with how the hand lets go, where the problem asks for it; one that cannot is none to execute.
+    """The plan with its release, where the problem asks for it; one that cannot be released is none to execute.
 
     Returns:
         the plan, and what is in the way of lowering the object, if it is that.
@@ -97,7 +97,7 @@ def _with_arm(
 
     (release_problem, rest, lowest), trajectory, arm = asked, plan.trajectory, plan.arm
     if problem.release is None or trajectory is None or arm is None:  # `with_release` has looked
-        raise RuntimeError("nothing to let go")
+        raise RuntimeError("nothing to release")
     last = trajectory.means[-1][: problem.automaton.n]
     count = max(1, math.ceil((float(last[2]) - lowest) / problem.release.step))
     states = np.tile(last, (count + 1, 1))
@@ -149,7 +149,7 @@ def _judged(problem: Problem, plan: Plan) -> Plan:
     if plan.outcome != "solved" or share * holds >= least_share(problem.settings.confidence, plan.verification_trials):
         return plan
     sentence = (
-        f"let go, the object rests within {quantity(tolerance, 'm')} of its height with {percent(holds)} probability: "
+        f"released, the object rests within {quantity(tolerance, 'm')} of its height with {percent(holds)}: "
         f"the support's height is known to {quantity(std, 'm')} (1 σ)"
     )
     remedy = "widen the tolerance of 'z', or measure the support"

@@ -207,7 +207,7 @@ def measurement_std(problem: Problem, modes: Ints, x: Floats) -> Floats:
 def are_in_goal(problem: Problem, ends: RollOuts) -> Booleans:
     """(t,) whether each true end lies in the goal set, and no constraint on the path was broken on the way.
 
-    Of a problem that lets go, ends of the plan are those of the hand: whether it is where it is to let go.
+    Of a problem with a release, ends of the plan are those of the hand: whether it is where it is to release it.
     """
     goal = pre_release_problem(problem).goal
     admitted = goal.admitted(problem.automaton.mode_names)

@@ -5,7 +5,7 @@ fails are a body like any other for the plans after: roll-outs that get there co
 clear of it as of the bodies of the scene. What moves with the tool and meets what stands still does so in every
 posture: cut out are then all places of the hand where no side of the boxes around the two keeps them apart. And if they
 meet at all corners of the goal, they do in all of it, being convex: there is no plan with this grasp. The same holds of
-the way down on which an object is let go, which is part of what the arm is asked for: where fingers would meet the
+the way down on which an object is released, which is part of what the arm is asked for: where fingers would meet the
 support, the object is not brought above it.
 """
 
@@ -64,7 +64,7 @@ def planned_with_arm(problem: Problem, planned: Callable[[Problem], Plan], seed:
     """A plan with the arm's trajectory; where the arm can follow none that is found, the last with what it fails at.
 
     Args:
-        problem: without a robot, only how the object is let go is added.
+        problem: without a robot, only how the object is released is added.
         planned: a verified plan for a problem, or one that says why there is none.
         seed: of the arm's postures.
     """
@@ -90,7 +90,7 @@ def planned_with_arm(problem: Problem, planned: Callable[[Problem], Plan], seed:
 
 
 def _with_arm(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> tuple[Plan, _Stop | None]:
-    """The plan with the arm's trajectory and with how it lets go, or refused with where the arm fails."""
+    """The plan with the arm's trajectory and with how it releases the object, or refused with where the arm fails."""
     if (trajectory := plan.trajectory) is None:
         return plan, None
     if problem.robot is not None:

@@ -127,7 +127,7 @@ def lowered(
         TimeLimitError: if it passes before there is a trajectory.
     """
     if problem.hold is None or problem.release is None:
-        raise InputError("the problem does not let go of anything", remedy="add 'release' to a problem with 'hold'")
+        raise InputError("the problem releases nothing", remedy="add 'release' to a problem with 'hold'")
     path = tool_path(problem, [mode] * len(states), states)
     grip = problem.hold.grip
     meet = frozenset((part, problem.release.support) for part in (grip.held.name, grip.moving.name))
@@ -142,7 +142,7 @@ def withdrawn(
     """The arm as its hand goes away, with the gripper open, from an object that stands.
 
     Args:
-        contact: (n,) state in which it was let go.
+        contact: (n,) state in which it was released.
         displacements: (W, 3) of the hand [m].
         start: (J,) joints that the arm is at, nearly.
 
@@ -170,9 +170,9 @@ def with_open_gripper(problem: Problem) -> RobotDescription:
     """
     robot, release = problem.robot, problem.release
     if robot is None or release is None:
-        raise InputError("the problem has no robot that lets go", remedy="add 'robot' and 'release'")
+        raise InputError("the problem has no robot that could release the object", remedy="add 'robot' and 'release'")
     if not release.fingers:
-        text = "release.fingers: a robot lets go by joints that open its gripper, found none"
+        text = "release.fingers: a robot releases by joints that open its gripper, found none"
         raise InputError(text, source=problem.source or None, remedy="name them, with where they are when open")
     return replace(robot, locked=tuple({**dict(robot.locked), **dict(release.fingers)}.items()))
 

@@ -151,7 +151,7 @@ class ArmTrajectory:
 
 @dataclass(frozen=True, eq=False)
 class ReleasePlan:
-    """How the hand lets go after the last knot: it is lowered until contact is felt, opens, and withdraws.
+    """How the hand releases the object after the last knot: it is lowered until contact is felt, opens, and withdraws.
 
     Attributes:
         steps: at most so many go down; contact is felt earlier.
@@ -191,7 +191,7 @@ class Plan(Summarised):
         findings: what stands in the way, most important first; of a solved plan, which boundaries it keeps only in
             part.
         arm: the robot along the trajectory; None if the problem has none.
-        release: how the hand lets go in the end; None if it keeps the object.
+        release: how the hand releases the object in the end; None if it keeps the object.
         warnings: one line for each thing in the model that the plan does not take into account, or that learning
             was not sure of.
         alternatives: plans along the other candidates, to be tried in this order where roll-outs refuse this one; kept
@@ -274,7 +274,7 @@ def _belief_amiss(factors: Floats) -> str | None:
 
 
 def _end_amiss(plan: Plan, trajectory: Trajectory, problem: Problem) -> tuple[str, str] | None:
-    """The last knot against the goal; what is let go comes to rest elsewhere."""
+    """The last knot against the goal; what is released comes to rest elsewhere."""
     goal, last = problem.goal, trajectory.modes[-1]
     if problem.release is not None:
         return None

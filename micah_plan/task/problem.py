@@ -35,7 +35,7 @@ class Hold:
 
 @dataclass(frozen=True)
 class Release:
-    """How a held object is let go.
+    """How a held object is released.
 
     Attributes:
         support: body of the scene on whose upper side it is put.
@@ -69,7 +69,7 @@ class Problem(Summarised):
         robot: the arm that holds the object; None: none is planned for.
         grasp: what it holds.
         hold: how a hand holds the object by one part; None: it stands, and its joints are moved.
-        release: how a held object is let go in the end, which the goal then speaks of; None: it stays in the hand.
+        release: how a held object is released in the end, which the goal then speaks of; None: it stays in the hand.
         constraints: what is asked of the path, beyond the boundaries of the model.
     """
 

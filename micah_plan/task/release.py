@@ -5,7 +5,7 @@ is felt; the gripper opens, and the object turns until a side lies flat. It turn
 friction lets it turn between them before it lets it slide, and the edge that touched slides. Where it then is follows
 from where the hand was, but for the height: that is the support's.
 
-The goal of a problem that lets go speaks of the object at rest: of the state in which a hand would hold it there.
+The goal of a problem with a release speaks of the object at rest: of the state in which a hand would hold it there.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
 _HINGE = (0.0, 1.0, 0.0)
-# An object that turns further than this after it was let go is dropped rather than put down [rad].
+# An object that turns further than this after it was released is dropped rather than put down [rad].
 _MOST_TURN = 0.25
 # Before it is lowered, the object is held so far above its support, give or take as much [m].
 _HOVER = 0.01
@@ -41,7 +41,7 @@ _HOVER = 0.01
 
 @dataclass(frozen=True)
 class Rest:
-    """How an object in a mode stands on its support once it was let go there.
+    """How an object in a mode stands on its support once it was released there.
 
     Attributes:
         mode: of the object.
@@ -58,7 +58,7 @@ class Rest:
     turn: Vector3
 
     def state(self, hand: Floats, height_error: float = 0.0) -> Floats:
-        """(..., n) states at rest of objects let go by a hand in states (..., n), the support higher by an error."""
+        """(..., n) states at rest of objects released by a hand in states (..., n), the support higher by an error."""
         at_rest = np.array(hand)
         at_rest[..., :2] += self.shift[:2]
         at_rest[..., 2] = self.top + height_error + self.touching + self.shift[2]
@@ -74,14 +74,14 @@ class Rest:
 
 
 def rest_of(problem: Problem) -> Rest:
-    """How the object of a problem that lets go stands in the end.
+    """How the object of a problem with a release stands in the end.
 
     Raises:
-        InputError: if it cannot be let go there: it is not latched, would tip over, or is not what the goal says.
+        InputError: if it cannot be released there: it is not latched, would tip over, or is not what the goal says.
     """
     release, hold = problem.release, problem.hold
     if release is None or hold is None:
-        raise InputError("the problem does not let go of anything", remedy="add 'release' to a problem with 'hold'")
+        raise InputError("the problem releases nothing", remedy="add 'release' to a problem with 'hold'")
     joint = problem.automaton.n - 1
     latched = [
         mode
@@ -89,7 +89,7 @@ def rest_of(problem: Problem) -> Rest:
         if problem.goal.admits(mode.name) and any(pin.coordinate == joint for pin in mode.pins)
     ]
     if not latched:
-        problem_text = "only an object that has latched can be let go: a free joint moves when no hand holds it"
+        problem_text = "only an object that has latched can be released: a free joint moves when no hand holds it"
         raise InputError(problem_text, remedy="admit a mode in which the joint is latched, or leave 'release' out")
     top = support_height(problem)
     points, center = _shape(problem, latched[0].name)
@@ -101,7 +101,7 @@ def rest_of(problem: Problem) -> Rest:
     height = float(rest.state(np.zeros(problem.automaton.n))[2])
     for index, value, tolerance in problem.goal.target:
         if index == 2 and abs(value - height) > tolerance:
-            text = f"goal.target.{AXES[2]}: let go on '{release.support}', the object rests with the hand's point at"
+            text = f"goal.target.{AXES[2]}: released on '{release.support}', the object rests with the hand's point at"
             raise InputError(f"{text} z = {height:.4g} m, found {value:g}", remedy=f"write {height:.4g}")
     return rest
 
@@ -116,7 +116,7 @@ def support_height(problem: Problem) -> float:
 
 
 def pre_release_problem(problem: Problem) -> Problem:
-    """What the hand does before it lets go: the same problem with a goal above the support; others as they are.
+    """What the hand does before the release: the same problem with a goal above the support; others as they are.
 
     The place is that from which the object comes to rest at the target. The room for the shift as the gripper opens is
     taken from the tolerance; the height keeps clear of the support, as high as that may be.
@@ -129,7 +129,7 @@ def pre_release_problem(problem: Problem) -> Problem:
         if index < 2:
             room = math.sqrt(max(0.0, tolerance**2 - (sigmas * release.shift_std) ** 2))
             if not room:
-                text = f"release.shift_std: letting go moves the object by more than the tolerance {tolerance:g} m"
+                text = f"release.shift_std: the release moves the object by more than the tolerance {tolerance:g} m"
                 raise InputError(text, remedy=f"widen the tolerance of '{AXES[index]}', or hold it more gently")
             target.append((index, value - rest.shift[index], room))
         elif index != 2:
@@ -165,7 +165,7 @@ def _settled(points: Floats, center: Floats, axis: Floats) -> tuple[float, Float
         InputError: if it would tip over.
     """
     if abs(axis[2]) > 1e-3:
-        raise InputError("an object can be let go only with its hinge level", remedy="hold it so, or drop 'release'")
+        raise InputError("an object can be released only with its hinge level", remedy="hold it so, or drop 'release'")
     along = np.cross(axis, [0.0, 0.0, 1.0])  # a positive turn about the axis lifts what lies behind the edge
     touching, turned = -float(points[:, 2].min()), 0.0
     flat = np.stack([points @ along, points[:, 2]], axis=1)
@@ -189,6 +189,6 @@ def _settled(points: Floats, center: Floats, axis: Floats) -> tuple[float, Float
         middle, origin = middle[0], origin[0]
     angle_text = quantity(abs(turned), "rad", degrees=False)
     raise InputError(
-        f"let go as it is held, it would tip over, by {angle_text} or more",
+        f"released as it is held, it would tip over, by {angle_text} or more",
         remedy="hold it more nearly as it shall stand ('hold.rotation'), or leave 'release' out",
     )

@@ -364,7 +364,7 @@ def draw_arm(
     Args:
         knot_times: (K,) of the plan's knots [s].
         times: (k,) of the keyframes [s].
-        after: how it lets go of the object after the plan, if it does.
+        after: how it releases the object after the plan, if it does.
 
     Raises:
         InputError: if the robot's file cannot be used, for instance because its meshes are not where the plan is.

@@ -1,4 +1,4 @@
-"""How a page shows that a hand lets go: the object is lowered and turns until it lies, then the hand leaves."""
+"""How a page shows a release: the object is lowered and turns until it lies, then the hand leaves."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def release_motion_of(plan: Plan, problem: Problem, last: Keyframes, begin: floa
     moved = {name: transforms([poses[name] for poses in single]) for name in single[0]}
     factors = np.repeat(last.factors[-1:], len(times), axis=0)
     keys = Keyframes(times, (rest.mode,) * len(times), states, factors)
-    names = ("lower", "let go", "withdraw")
+    names = ("lower", "release", "withdraw")
     colors = (MUTED, GOAL, INK)
     looks = zip(pairwise(ends.tolist()), colors, names, strict=True)
     bands = [Band(a, b, color, name) for (a, b), color, name in looks]
@@ -110,7 +110,7 @@ def release_facts(plan: Plan, problem: Problem) -> list[tuple[str, str]]:
     spread = quantity(problem.release.support_std, "m", digits=2)
     steps = f"at most {plan.release.steps} of {quantity(problem.release.step, 'm')}"
     return [
-        ("Let go on", problem.release.support),
+        ("Released on", problem.release.support),
         ("Contact expected with the hand at", f"{height} ± {spread} (1 σ)"),
         ("Steps down until it is felt", steps),
     ]

@@ -1,4 +1,4 @@
-"""Letting go, carried out: in the model, and in MuJoCo where fingers hold by friction, open, and leave what stands."""
+"""Releases, carried out: in the model, and in MuJoCo where fingers hold by friction, open, and leave what stands."""
 
 from __future__ import annotations
 

@@ -47,6 +47,6 @@ def test_under_a_high_bar_the_lid_stays_open():
     held = plan(load_problem(PROBLEMS / "box_under_bar.yaml", {**high, "release": None}), 0)
     assert held.outcome == "solved"
     assert held.mode_sequence == ("free",)
-    # But an open lid would fall when the box is let go.
+    # But an open lid would fall when the box is released.
     let_go = plan(load_problem(PROBLEMS / "box_under_bar.yaml", high), 0)
     assert let_go.mode_sequence == ("free", "line", "rigid")

@@ -1,4 +1,4 @@
-"""Letting go, planned: how an object comes to rest, where it can be let go, and how a plan with it is kept."""
+"""Releases, planned: how an object comes to rest, where it can be released, and how a plan with it is kept."""
 
 from __future__ import annotations
 
@@ -61,9 +61,9 @@ def test_it_turns_about_the_fingers() -> None:
             {"goal.target.z.value": 0.288},
             "rests with the hand's point at z = 0.26 m, found 0.288; write 0.26",
         ),
-        ({"goal.modes": ["free"]}, "only an object that has latched can be let go"),
+        ({"goal.modes": ["free"]}, "only an object that has latched can be released"),
         ({"release.support": "lamp"}, "lamp"),
-        ({"release.shift_std": 0.01}, "letting go moves the object by more than the tolerance 0.01 m"),
+        ({"release.shift_std": 0.01}, "the release moves the object by more than the tolerance 0.01 m"),
         ({"hold.rotation": [0.3, 0.0, 0.0]}, "only with its hinge level"),
     ],
 )
@@ -74,7 +74,7 @@ def test_what_cannot_be_let_go_is_refused_as_the_file_is_read(changes, words) ->
 
 
 def test_only_what_is_held_can_be_let_go() -> None:
-    with pytest.raises(InputError, match="only what a hand holds can be let go"):
+    with pytest.raises(InputError, match="only what a hand holds can be released"):
         load_problem(PROBLEMS / "drawer_open.yaml", {"release": {"support": "table"}})
 
 
@@ -121,7 +121,7 @@ def test_a_support_that_may_be_anywhere_is_no_place_to_let_go() -> None:
 
 def test_an_arm_without_a_gripper_that_opens_cannot_let_go() -> None:
     problem, plan = solved("stapler_on_books")
-    with pytest.raises(InputError, match=r"release.fingers: a robot lets go by joints that open its gripper"):
+    with pytest.raises(InputError, match=r"release.fingers: a robot releases by joints that open its gripper"):
         with_release(replace(problem, release=replace(problem.release, fingers=())), plan, NEVER)
 
 

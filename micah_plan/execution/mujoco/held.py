@@ -50,7 +50,7 @@ class HeldPlant(PhysicalPlant):
 
     Attributes:
         carrier: of the hand.
-        support: on which the object is put down where the problem lets go of it.
+        support: on which the object is put down where the problem releases it.
         parts: numbers of the bodies of the part in the hand and of the other one.
     """
 
@@ -152,7 +152,7 @@ class HeldPlant(PhysicalPlant):
         return contact_force(self, self.parts)
 
     def _apply_open(self, released: ReleasedPlant, command: Command, displacement: Floats) -> Measurement:
-        """A step of a hand that has let go, or does so now."""
+        """A step of a hand that has released it, or does so now."""
         if not self._is_open:
             self._is_open = True
             held, raised = self.parts[0], self.support.raised

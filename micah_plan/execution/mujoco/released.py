@@ -1,8 +1,8 @@
-"""After a hand has let go, in MuJoCo: the object is a free body, and what holds it until the fingers open is friction.
+"""After a release, in MuJoCo: the object is a free body, and what holds it until the fingers open is friction.
 
-While a hand carries an object, the grip is no question: the object is a part of the hand. To let go, the world is built
-a second time with the object free and the fingers on motors. It takes over where everything is, the fingers close until
-they press on the object, then they open, not quite at once, and what the object does is physics.
+While a hand carries an object, the grip is no question: the object is a part of the hand. To release it, the world is
+built a second time with the object free and the fingers on motors. It takes over where everything is, the fingers close
+until they press on the object, then they open, not quite at once, and what the object does is physics.
 
 **Incidents** while a held object moves: collisions, and loose bodies knocked over.
 """
@@ -120,14 +120,14 @@ class ReleasedPlant(PhysicalPlant):
         """
         self._problem, self._own, self._posture = problem, parameters, posture
         if problem.robot is not None and problem.release is not None and not problem.release.fingers:
-            text = "release.fingers: a robot lets go by joints that open its gripper, found none"
+            text = "release.fingers: a robot releases by joints that open its gripper, found none"
             raise InputError(text, remedy="name them, with where they are when open")
         self._is_built, self.incident = False, ""
 
     def _build(self) -> None:
         problem, parameters = self._problem, self._own
         if problem.hold is None or problem.release is None:  # it was asked for
-            raise RuntimeError("nothing is let go")
+            raise RuntimeError("nothing is released")
         scene, carried, grip = scene_world(problem.scene, parameters), World(), problem.hold.grip
         has_arm, fingers = problem.robot is not None, [name for name, _ in problem.release.fingers]
         hand = add_hand(carried, parameters, slides=not has_arm)
