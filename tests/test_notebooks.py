@@ -17,8 +17,8 @@ TOLD = {
     "learn": r"revolute .*\srigid .*revolute -> rigid where door >= 1\.2.*10 mm more: revolute -> rigid.*plan/model/1",
     "plan": r"solved.*revolute -> rigid.*asked 99 %.*no_plan - the goal .* lies in the range of none.*solved",
     "explore": (
-        r"opened.*prismatic \(>99 % sure\).*dead_zone.*1 of 1 trials.*none.*not noise.*explained.*dead_zone of handle: "
-        r"width 8\.\d+ mm.*1 of 1 trials"
+        r"opened.*prismatic \(probability >99 %\).*dead_zone.*1 of 1 trials.*none.*not noise.*explained.*"
+        r"dead_zone \(handle\) +width 8\.\d+ mm.*1 of 1 trials"
     ),
     "close_the_loop": r"[01] of 4 trials reach.*(explained|partly): .*[34] of 4 trials reach",
 }

@@ -373,7 +373,7 @@ class ExplorationResult(Result):
         went, force = quantity(found.travel, "m"), quantity(found.largest_force, "N")
         return [
             f"{said}: {found.reason}",
-            f"  joints       {joints} ({percent(min(found.probability, SUREST), 0)} sure)",
+            f"  joints       {joints} (probability {percent(min(found.probability, SUREST), 0)})",
             f"  {count(found.steps, 'step')}, {went} of way, at most {force}",
             *(f"  note: {note}" for note in found.notes),
         ]

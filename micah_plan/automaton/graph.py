@@ -193,14 +193,13 @@ def _improbable_kinds(edge: LearnedEdge) -> list[str]:
     lines = []
     for segment in edge.segments:
         kinds = {} if segment.certainty is None else dict(segment.certainty.kinds)
-        sure = kinds.pop(segment.kind, 1.0)
-        if sure < LOW_PROBABILITY and kinds:
+        probability = kinds.pop(segment.kind, 1.0)
+        if probability < LOW_PROBABILITY and kinds:
             likeliest = max(kinds, key=lambda kind: kinds[kind])
             lines.append(
-                f"learning was only {percent(sure, 0)} sure that {edge.child} is {segment.kind} relative to "
-                f"{edge.parent} "
-                f"(rows {segment.start} to {segment.end}); {likeliest} has {percent(kinds[likeliest], 0)}. "
-                "A longer motion, or more runs, would tell"
+                f"{edge.child} is {segment.kind} relative to {edge.parent} (rows {segment.start} to {segment.end}) "
+                f"with a probability of only {percent(probability, 0)}, "
+                f"{likeliest} with {percent(kinds[likeliest], 0)}; a longer motion, or more runs, would decide"
             )
     return lines
 
@@ -211,12 +210,13 @@ def _improbable_counts(edge: LearnedEdge) -> list[str]:
     runs = dict.fromkeys(segment.run for segment in edge.segments)
     for run, counts in zip(runs, counted, strict=False):
         changes = sum(segment.run == run for segment in edge.segments) - 1
-        sure = counts[changes] if changes < len(counts) else 0.0
-        if sure < LOW_PROBABILITY:
+        probability = counts[changes] if changes < len(counts) else 0.0
+        if probability < LOW_PROBABILITY:
             likely, chance = max(enumerate(counts), key=lambda pair: pair[1])
             lines.append(
-                f"learning was only {percent(sure, 0)} sure that the joint of {edge.child} relative to {edge.parent} "
-                f"changes {count(changes, 'time')} in run {run}; {count(likely, 'time')} has {percent(chance, 0)}"
+                f"the joint of {edge.child} relative to {edge.parent} changes {count(changes, 'time')} in run {run} "
+                f"with a probability of only {percent(probability, 0)}, "
+                f"{count(likely, 'time')} with {percent(chance, 0)}"
             )
     return lines
 

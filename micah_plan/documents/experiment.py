@@ -32,7 +32,7 @@ Commands = Annotated[list[Place], Field(min_length=1, max_length=_MOST_STEPS)]
 class MotionDocument(Document):
     makes = Motion
 
-    start: StartDocument = doc("Where the object is brought to, and how surely.")
+    start: StartDocument = doc("Where the object is brought to, and with which std.")
     commands: Annotated[dict[InputName, Commands], ITEMS] = doc(
         "What is commanded of each input in each control step, whatever is measured [rad or m]; of those left out: 0."
     )

@@ -138,7 +138,7 @@ def left_out(automaton: HybridAutomaton, density: float, *, handles: bool) -> tu
     """What of a model a file of bodies and joints does not hold, and what it holds that nobody measured."""
     lost = [f"{count(len(automaton.modes), 'mode')} with guards"] if len(automaton.modes) > 1 else []
     lost += ["noise"]
-    lost += ["how sure learning was"] if automaton.learned else []
+    lost += ["probabilities of what was learned"] if automaton.learned else []
     lost += [f"effects ({', '.join(effect.name for effect in automaton.effects)})"] if automaton.effects else []
     lost += ["handles"] if not handles and any(part.handle is not None for part in automaton.parts) else []
     bare = [link.child for link in automaton.links if not automaton.part(link.child).shapes]

@@ -117,7 +117,10 @@ def _facts(exploration: Exploration) -> list[tuple[str, str]]:
     stiffness = 1.0 / exploration.hand.compliance
     limit = quantity(exploration.scene.largest_force, "N")
     return [
-        ("Joints", f"{', then '.join(exploration.kinds) or 'none moved'} ({percent(exploration.probability, 0)} sure)"),
+        (
+            "Joints",
+            f"{', then '.join(exploration.kinds) or 'none moved'} (probability {percent(exploration.probability, 0)})",
+        ),
         ("Way of the handle", quantity(exploration.travel, "m")),
         ("Steps", str(exploration.steps)),
         ("Largest force", f"{quantity(exploration.largest_force, 'N')} of {limit}"),

@@ -37,10 +37,13 @@ def test_what_is_sure_needs_no_words() -> None:
 
 def test_a_doubtful_kind_is_said_with_the_next_likely_one() -> None:
     (line,) = low_probability_warnings([edge(0.59)])
-    assert "only 59 % sure that door is revolute relative to base (rows 0 to 79); screw has 41 %" in line
+    assert "door is revolute relative to base (rows 0 to 79) with a probability of only 59 %, screw with 41 %" in line
 
 
-@pytest.mark.parametrize(("one_stop", "said"), [(0.3, "changes 1 time in run 0; 2 times has 70 %"), (0.7, None)])
+@pytest.mark.parametrize(
+    ("one_stop", "said"),
+    [(0.3, "changes 1 time in run 0 with a probability of only 30 %, 2 times with 70 %"), (0.7, None)],
+)
 def test_a_doubtful_number_of_changes_is_said(one_stop: float, said: str | None) -> None:
     lines = low_probability_warnings([edge(0.9, one_stop)])
     assert len(lines) == (said is not None)
@@ -58,7 +61,7 @@ def test_a_plan_on_a_doubtful_model_warns(repository) -> None:
     plan = solve(doubtful)
     assert plan.outcome == "solved"
     assert len(plan.warnings) == len(unsure)
-    assert "only 50 % sure" in plan.warnings[0]
+    assert "probability of only 50 %" in plan.warnings[0]
 
 
 def test_doubts_stay_when_the_object_is_held_among_bodies(repository) -> None:

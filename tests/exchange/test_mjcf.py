@@ -106,7 +106,7 @@ def test_masses_and_moments_are_those_that_mujoco_computes(kind: str) -> None:
 def test_what_is_left_out_is_said(tmp_path: Path) -> None:
     kind, notes = convert(ROOT / "models" / "microwave.yaml", tmp_path / "m.xml")
     assert kind == "model"
-    assert notes[0] == "left out: 2 modes with guards, noise, how sure learning was"
+    assert notes[0] == "left out: 2 modes with guards, noise, probabilities of what was learned"
     assert "500 kg/m^3" in notes[1]
     _, of_urdf = convert(ROOT / "models" / "microwave.yaml", tmp_path / "m.urdf")
     assert of_urdf[0].endswith("handles")

@@ -56,7 +56,7 @@ def _with(positions: np.ndarray, i: int, value: float) -> np.ndarray:
 def test_the_command_says_what_is_left_out(tmp_path: Path) -> None:
     kind, notes = convert(ROOT / "models" / "microwave.yaml", tmp_path / "door.sdf")
     assert kind == "model"
-    assert notes[0] == "left out: 2 modes with guards, noise, how sure learning was, handles"
+    assert notes[0] == "left out: 2 modes with guards, noise, probabilities of what was learned, handles"
     root = ElementTree.fromstring((tmp_path / "door.sdf").read_bytes())  # noqa: S314 - our own
     assert [link.attrib["name"] for link in root.iter("link")] == ["base", "door"]
     assert [joint.attrib["type"] for joint in root.iter("joint")] == ["fixed", "revolute"]
