@@ -20,7 +20,7 @@ from micah_plan.automaton.transition import step
 from micah_plan.planning.attempt import Attempt, attempted
 from micah_plan.planning.limits import Limits, NoWayError, limited_input
 from micah_plan.planning.search.polytope import nominal_start
-from micah_plan.planning.search.roadmap import box
+from micah_plan.planning.search.roadmap import bounding_box
 from micah_plan.planning.search.samples import goal_states
 from micah_plan.quantities import Progress
 from micah_plan.task.plan import Plan
@@ -94,13 +94,13 @@ class _System:
     def information(self) -> Any:
         lowest = self.limits.lower / self.width
         continuous = ob.RealVectorStateSpace(self.automaton.n)
-        continuous.setBounds(box(lowest, lowest + 1.0))
+        continuous.setBounds(bounding_box(lowest, lowest + 1.0))
         space = ob.CompoundStateSpace()
         space.addSubspace(continuous, 1.0)
         # OMPL asks for two values at least; the second of one mode is never reached.
         space.addSubspace(ob.DiscreteStateSpace(0, max(1, len(self.automaton.modes) - 1)), _MODE_DISTANCE)
         controls = oc.RealVectorControlSpace(space, self.automaton.m)
-        controls.setBounds(box(-self.limits.max_step, self.limits.max_step))
+        controls.setBounds(bounding_box(-self.limits.max_step, self.limits.max_step))
         information = oc.SpaceInformation(space, controls)
         information.setStatePropagator(self.propagate)
         information.setStateValidityChecker(self.is_valid)

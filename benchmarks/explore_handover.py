@@ -25,7 +25,7 @@ from micah_plan.documents.problem import load_problem
 from micah_plan.execution.handle import HandlePlant as Checked
 from micah_plan.execution.log import concatenated
 from micah_plan.execution.plant import Measurement
-from micah_plan.execution.trials import execute_plan
+from micah_plan.execution.trials import run_trials
 from micah_plan.explore.run import explore
 from micah_plan.planning.solver import solve
 from micah_plan.recording.value import Recording
@@ -103,7 +103,7 @@ class Handover:
         if plan.trajectory is None:
             self.said = f"no plan to {goal:.0%}"
             return None
-        statistics = execute_plan(problem, plan, plant=self.plant, seed=self.seed)
+        statistics = run_trials(problem, plan, plant=self.plant, seed=self.seed)
         result = statistics.results[0]
         self.said = "" if result.success else f"to {goal:.0%}: {result.reason}"
         self.runs += 1

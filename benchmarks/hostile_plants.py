@@ -21,7 +21,7 @@ from micah_plan.documents.problem import load_problem
 from micah_plan.errors import MicahError
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.plant import Command, Measurement
-from micah_plan.execution.trials import execute_plan
+from micah_plan.execution.trials import run_trials
 from micah_plan.planning.solver import solve
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
@@ -113,7 +113,7 @@ def counted(problem: Problem, plan: Plan, kind: str, seeds: int) -> str:
     for seed in range(seeds):
         plant = Hostile(problem, kind, at=2 + seed % 8)
         try:
-            (result,) = execute_plan(problem, plan, plant=plant, seed=seed).results
+            (result,) = run_trials(problem, plan, plant=plant, seed=seed).results
         except MicahError:
             ends["refused"] += 1
             continue

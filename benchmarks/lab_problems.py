@@ -30,7 +30,7 @@ import test_between_knots as lab  # noqa: E402
 
 from micah_plan.automaton.augmented import threshold_stds  # noqa: E402
 from micah_plan.automaton.transition import TransitionBatch  # noqa: E402
-from micah_plan.execution.trials import execute_plan  # noqa: E402
+from micah_plan.execution.trials import run_trials  # noqa: E402
 from micah_plan.planning.solver import solve  # noqa: E402
 from micah_plan.task.problem import Problem  # noqa: E402
 
@@ -218,7 +218,7 @@ def main() -> None:
             seconds += (process_time() - begin) / given.seeds
         solved = [plan for plan in plans if plan.outcome == "solved"]
         shares = [plan.success_probability or 0.0 for plan in solved]
-        ran = [execute_plan(problem, plan, trials=given.executions, seed=7).successes for plan in solved]
+        ran = [run_trials(problem, plan, trials=given.executions, seed=7).successes for plan in solved]
         predicted = f"{min(shares):.3f} to {max(shares):.3f}" if shares else "-"
         executed = f"{sum(ran)} of {given.executions * len(ran)}" if ran else "-"
         steps = min((len(p.trajectory.inputs) for p in solved if p.trajectory), default=0)

@@ -31,7 +31,6 @@ from micah_plan.documents.model import load_model  # noqa: E402
 from micah_plan.execution.mujoco.parameters import PhysicalParameters  # noqa: E402
 from micah_plan.execution.mujoco.standing import StandingPlant  # noqa: E402
 from micah_plan.execution.trials import run_trials  # noqa: E402
-from micah_plan.planning.replanning import replan  # noqa: E402
 from micah_plan.planning.solver import solve  # noqa: E402
 from micah_plan.task.goal import Goal  # noqa: E402
 from micah_plan.task.problem import Problem  # noqa: E402
@@ -158,7 +157,7 @@ def run_task(subject: Subject, model: HybridAutomaton, task: Task, trials: int, 
         return Row(task.name, False, trials, 0, nothing, nothing, nothing, nothing, 0, solved, 0.0)
     plant = StandingPlant(subject.truth, true_start(subject, task), PhysicalParameters.from_mapping(TRACKER))
     begin = perf_counter()
-    statistics = run_trials(problem, plan, plant=plant, trials=trials, seed=seed, replan=replan)
+    statistics = run_trials(problem, plan, plant=plant, trials=trials, seed=seed)
     for trial, reason in statistics.failures:
         print(f"{task.name}, trial {trial}: {reason}", file=sys.stderr)
     error = statistics.final_error

@@ -14,7 +14,7 @@ from pathlib import Path
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.exchange.load import load_recording
-from micah_plan.execution.trials import execute_plan
+from micah_plan.execution.trials import run_trials
 from micah_plan.planning.solver import solve
 from micah_plan.recording.read import write_recording
 from micah_plan.recording.value import Recording
@@ -33,7 +33,7 @@ def recorded(problem: Problem, file: Path | None, trials: int, seed: int) -> Rec
     plan = solve(problem, seed=seed, advise=False)
     if plan.outcome != "solved":
         return plan.reason
-    recording = execute_plan(problem, plan, trials=trials, seed=seed).recording
+    recording = run_trials(problem, plan, trials=trials, seed=seed).recording
     if file is not None:
         write_recording(recording, file)
     return recording

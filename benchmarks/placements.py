@@ -29,7 +29,7 @@ from saving import add_json, save_json
 
 from micah_plan.documents.plan import StoredPlan, load_plan, write_plan
 from micah_plan.documents.problem import load_problem
-from micah_plan.execution.trials import execute_plan, run_trials
+from micah_plan.execution.trials import run_trials
 from micah_plan.planning.solver import solve
 from micah_plan.task.problem import Problem
 
@@ -82,8 +82,8 @@ def stored(path: Path) -> StoredPlan:
 def executed(path: Path, plant: str, seed: int) -> End:
     """One execution of a plan file. The RRT's plans are followed as they are, verified or not, and not replanned."""
     problem, plan = stored(path).problem, stored(path).plan
-    follow = run_trials if path.stem == "rrt" else execute_plan
-    result = follow(problem, replace(plan, outcome="solved"), plant=plant, trials=1, seed=seed).results[0]
+    asked, replans = replace(plan, outcome="solved"), path.stem != "rrt"
+    result = run_trials(problem, asked, plant=plant, trials=1, seed=seed, replans=replans).results[0]
     held = {mode.name for mode in problem.automaton.modes if mode.pins}
     return End(seed, result.success, result.final_mode in held, result.replans, result.reason)
 

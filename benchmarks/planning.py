@@ -42,7 +42,7 @@ from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.documents.kind import kind_of
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.closed_loop import goal_probability
-from micah_plan.execution.trials import execute_plan
+from micah_plan.execution.trials import run_trials
 from micah_plan.planning.findings import explain
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.path_constraints import cost_of
@@ -192,7 +192,7 @@ def executed_success(problem: Problem, plan: Plan, trials: int, seed: int) -> tu
     """Share of closed-loop executions on the nominal plant that end in the goal, and what they believe it to be."""
     if trials < 1 or plan.outcome != "solved":
         return None, None
-    found = execute_plan(problem, plan, trials=trials, seed=seed)
+    found = run_trials(problem, plan, trials=trials, seed=seed)
     return found.successes / trials, float(np.mean([result.confidence for result in found.results]))
 
 

@@ -20,7 +20,6 @@ import numpy as np
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.trials import TrialStatistics, run_trials
-from micah_plan.planning.replanning import replan
 from micah_plan.planning.solver import solve
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import Start
@@ -44,7 +43,7 @@ def executed(problem: Problem, trials: int, seed: int, start: Start | None = Non
     """Executions on the nominal plant, from starts drawn from the belief or from another one."""
     plan = solve(problem, seed=seed)
     plant = NominalPlant(problem.automaton, start or problem.start)
-    return run_trials(problem, plan, plant=plant, trials=trials, seed=seed, replan=replan)
+    return run_trials(problem, plan, plant=plant, trials=trials, seed=seed)
 
 
 def stop_rule(name: str, share: float, trials: int, seed: int) -> str:

@@ -206,12 +206,14 @@ class Table:
         rows: a text for each column; it may have two lines, which are one where there is room.
         title: what stands above; empty: nothing.
         firm: names of columns that are never folded.
+        numeric: columns (from 0) of numbers, which pages set to the right.
     """
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     title: str = ""
     firm: tuple[str, ...] = ()
+    numeric: tuple[int, ...] = ()
 
     def lines(self) -> list[str]:
         """The table as plain text, each row on one line."""

@@ -6,6 +6,7 @@ import ast
 import importlib.util
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
@@ -54,7 +55,7 @@ IMPORTERS: dict[str, tuple[tuple[str, ...], bool]] = {
     "ruamel": (("documents.",), True),
     "pydantic": (("documents.",), False),
     **dict.fromkeys(("mcap", "lz4", "zstandard"), (("recording.ros_mcap",), True)),
-    "rosbags": (("recording.ros_bags", "recording.ros_messages"), False),
+    "rosbags": (("recording.ros_bags", "recording.ros_mcap"), False),
     "distributed": (("sweep.",), True),
     "pyarrow": (("sweep.result", "recording.parquet_file"), False),
     "typer": (("cli",), False),
@@ -380,6 +381,11 @@ def test_hardly_any_name_fits_everything() -> None:
     names = [name for path in PACKAGE.rglob("*.py") for name in stored_names(path.read_text(encoding="utf-8"))]
     vague = sum(name in VAGUE_NAMES for name in names)
     assert vague < 0.01 * len(names), f"{vague} of {len(names)} names could stand for anything"
+
+
+def test_no_two_classes_have_one_name() -> None:
+    places = Counter(node.name for tree in _trees().values() for node in tree.body if isinstance(node, ast.ClassDef))
+    assert {name for name, count in places.items() if count > 1 and not name.startswith("_")} == set()
 
 
 def test_every_package_and_module_has_a_page_in_the_reference(repository: Path) -> None:

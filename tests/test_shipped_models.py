@@ -14,7 +14,7 @@ from micah_plan.documents.model import load_model
 from micah_plan.documents.parts import load_parts
 from micah_plan.documents.problem import load_problem
 from micah_plan.exchange.load import load_recording
-from micah_plan.execution.trials import execute_plan
+from micah_plan.execution.trials import run_trials
 from micah_plan.planning.solver import solve
 
 OBJECTS = ("microwave", "drawer", "cabinet", "stapler", "box")
@@ -98,8 +98,8 @@ def test_a_shipped_problem_is_solved_and_its_plan_holds_in_the_model_and_in_phys
     plan = solve(problem)
     assert plan.outcome == "solved", plan.reason
     if name not in WITHOUT_PHYSICS:
-        physics = execute_plan(problem, plan, plant="mujoco", trials=5)
+        physics = run_trials(problem, plan, plant="mujoco", trials=5)
         assert physics.successes == 5, physics.failures
-    nominal = execute_plan(problem, plan, trials=20)
+    nominal = run_trials(problem, plan, trials=20)
     # As often as the confidence lets expect: a right plan fails here once in two hundred.
     assert nominal.successes >= binom.ppf(0.005, 20, problem.settings.confidence), nominal.failures

@@ -77,11 +77,6 @@ class LearningResult(Result):
         """``"learned"`` or ``"no_model"``."""
         return "learned" if self.success else "no_model"
 
-    @property
-    def cautions(self) -> tuple[str, ...]:
-        """The warnings."""
-        return self.warnings
-
     def heading(self, edge: KinematicEdge) -> str:
         """Which part moves relative to which."""
         return f"{edge.child} relative to {self.base if edge.parent == BASE else edge.parent}"

@@ -60,7 +60,7 @@ class PlanningResult(Result):
         return self.plan.reason
 
     @property
-    def cautions(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[str, ...]:
         """What to know of the problem, and what the plan does not take into account."""
         return (*self.notes, *self.plan.warnings)
 
@@ -83,11 +83,6 @@ class PlanningResult(Result):
     def success_probability(self) -> float | None:
         """Share of roll-outs that end in the goal; None where nothing was verified."""
         return self.plan.success_probability
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What the plan does not take into account, one line each."""
-        return self.plan.warnings
 
     def report(self) -> list[str | Table]:
         """Outcome, modes, distance from the goal and probability of success; of no plan what is in the way."""
@@ -344,20 +339,13 @@ def execute(
         MissingDependencyError: if the plant needs a library that is not installed.
         PlantError: if the machine cannot be reset.
     """
-    from micah_plan.execution.trials import execute_plan
+    from micah_plan.execution.trials import run_trials
 
     chosen, begin = plan_of(plan), time.perf_counter()
     problem = replace(chosen.problem, plant={**chosen.problem.plant, **(plant_parameters or {})})
     true = {problem.automaton.index(name): value for name, value in (start or {}).items()}
     problem = replace(problem, start=replace(problem.start, true=tuple({**dict(problem.start.true), **true}.items())))
-    statistics = execute_plan(
-        problem,
-        chosen.plan,
-        plant=plant,
-        trials=trials,
-        seed=seed,
-        replan_every=replan_every,
-        progress=progress,
-        keep=keep,
-    )
+    if replan_every is not None:
+        problem = replace(problem, settings=replace(problem.settings, replan_every=replan_every))
+    statistics = run_trials(problem, chosen.plan, plant=plant, trials=trials, seed=seed, progress=progress, keep=keep)
     return RunsResult(statistics, PlanningResult(chosen.plan, problem), time.perf_counter() - begin)

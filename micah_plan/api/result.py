@@ -44,7 +44,7 @@ class Result(Summarised):
         """Why it ended so, in one sentence with the remedy if there is one; may be empty where it succeeded."""
 
     @property
-    def cautions(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[str, ...]:
         """What to know before it is used, one line each."""
         return ()
 
@@ -58,7 +58,7 @@ class Result(Summarised):
 
     def summary(self) -> str:
         """The report as text."""
-        lines = [f"warning: {text}" for text in self.cautions]
+        lines = [f"warning: {text}" for text in self.warnings]
         for item in self.report():
             lines += item.lines() if isinstance(item, Table) else [item]
         return "\n".join(lines)

@@ -147,7 +147,7 @@ class InputChannel:
         return passed
 
 
-def left_out(automaton: HybridAutomaton, memory: bool = False) -> tuple[str, ...]:
+def effects_left_out(automaton: HybridAutomaton, memory: bool = False) -> tuple[str, ...]:
     """One line per effect that prediction and calibration use, and planner, filter and nominal plant ignore.
 
     Args:

@@ -46,7 +46,7 @@ from micah_plan.belief.gaussian import (
     with_those,
 )
 from micah_plan.belief.hybrid_belief import BeliefBatch, HybridBelief, batch_of
-from micah_plan.belief.layout import Layout, Rows, layout_of
+from micah_plan.belief.layout import HalfSpaceRows, Layout, layout_of
 from micah_plan.belief.pieces import Ends, Pieces, joined, side_by_side
 from micah_plan.belief.truncation import (
     NEGLIGIBLE,
@@ -421,7 +421,7 @@ def _mode_at(automaton: HybridAutomaton, mean: Floats, factor: Floats) -> str:
 
 def _chance(half_spaces: Sequence[HalfSpace], mean: Floats, factor: Floats) -> float:
     """Probability that a state (n,) with factor (n, n) lies in all half-spaces at rest, taken as independent."""
-    rows = Rows.of(half_spaces, mean.size, len(half_spaces[0].b) if half_spaces else 0)
+    rows = HalfSpaceRows.of(half_spaces, mean.size, len(half_spaces[0].b) if half_spaces else 0)
     stds = np.sqrt(np.square(rows.a @ factor).sum(axis=1) + SMALLEST_STD**2)
     return float(np.prod(ndtr((rows.a @ mean - rows.c[:, 0]) / stds)))
 

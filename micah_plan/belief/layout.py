@@ -20,7 +20,7 @@ FAR_STDS = 8.0
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class HalfSpaceRows:
     """Half-spaces a'x + b'u >= c, one per row: a (r, n), b (r, m), c (r, 1), strict (r, 1)."""
 
     a: Floats
@@ -29,12 +29,14 @@ class Rows:
     strict: Booleans
 
     @staticmethod
-    def of(half_spaces: Sequence[HalfSpace], n: int, m: int) -> Rows:
+    def of(half_spaces: Sequence[HalfSpace], n: int, m: int) -> HalfSpaceRows:
         """Rows of half-spaces, in their order."""
         a, b = (np.array([getattr(h, name) for h in half_spaces], dtype=float) for name in ("a", "b"))
         c, strict = (np.array([[getattr(h, name)] for h in half_spaces]) for name in ("c", "strict"))
         size = len(half_spaces)
-        return Rows(a.reshape(size, n), b.reshape(size, m), c.reshape(size, 1), strict.reshape(size, 1).astype(bool))
+        return HalfSpaceRows(
+            a.reshape(size, n), b.reshape(size, m), c.reshape(size, 1), strict.reshape(size, 1).astype(bool)
+        )
 
     def __len__(self) -> int:
         return len(self.c)
@@ -68,8 +70,8 @@ class Exit:
 
     target: int
     is_self: bool
-    on_state: Rows
-    on_input: Rows
+    on_state: HalfSpaceRows
+    on_input: HalfSpaceRows
     reset: tuple[Floats, Floats, Floats] | None
     located: tuple[Pin, ...]
     met: tuple[Pin, ...]
@@ -90,7 +92,7 @@ class ExitBounds:
         of_exit: (e, r) 1 where a half-space belongs to an exit's guard; count: (e, 1) of its half-spaces.
     """
 
-    rows: Rows
+    rows: HalfSpaceRows
     far: Floats
     of_exit: Floats
     count: Floats
@@ -210,7 +212,7 @@ def _mode(whole: HybridAutomaton, index: int) -> ModeLayout:
 
 def _exit_bounds(whole: HybridAutomaton, edges: Sequence[Edge]) -> ExitBounds:
     on_state = [_on_state(edge) for edge in edges]
-    rows = Rows.of([h for exit_rows in on_state for h in exit_rows], whole.n, whole.m)
+    rows = HalfSpaceRows.of([h for exit_rows in on_state for h in exit_rows], whole.n, whole.m)
     count = np.array([len(exit_rows) for exit_rows in on_state])
     of_exit = np.repeat(np.eye(len(edges)), count, axis=1)
     return ExitBounds(rows, FAR_STDS * np.abs(rows.a), of_exit, count[:, None].astype(float))
@@ -224,8 +226,8 @@ def _exit(whole: HybridAutomaton, edge: Edge) -> Exit:
     return Exit(
         target=whole.mode_index(edge.target),
         is_self=edge.is_self_transition,
-        on_state=Rows.of(_on_state(edge), n, m),
-        on_input=Rows.of([h for h in edge.guard.half_spaces if not h.on_state], n, m),
+        on_state=HalfSpaceRows.of(_on_state(edge), n, m),
+        on_input=HalfSpaceRows.of([h for h in edge.guard.half_spaces if not h.on_state], n, m),
         reset=None if edge.reset.is_identity else edge.reset.matrices(n, m),
         located=whole.pins_located_by(edge),
         met=whole.pins_met_by(edge),

@@ -16,10 +16,9 @@ from micah_plan import __version__
 from micah_plan.cli.console import BAD_INPUT, NO_RESULT, OUR_BUG, Interrupted, err, out
 from micah_plan.cli.files import check, convert, demo, diff, doctor, fault, new, schema
 from micah_plan.cli.interrupted import INTERRUPTED, SENTENCE, is_of_an_interruption
-from micah_plan.cli.learning import explore, learn
+from micah_plan.cli.learning import calibrate, explore, learn, predict
 from micah_plan.cli.pages import show
 from micah_plan.cli.planning import execute, explain, solve
-from micah_plan.cli.residuals import calibrate, predict
 from micah_plan.cli.sweeping import sweep
 from micah_plan.errors import InputError, MicahError, MissingDependencyError
 

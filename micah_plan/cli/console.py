@@ -114,7 +114,7 @@ def write_and_print(
     Args:
         more: further keys of the JSON object.
     """
-    print_warnings(result.cautions)
+    print_warnings(result.warnings)
     replace_files(contents)
     if as_json:
         print(json.dumps(result.json() | dict(more or {}), allow_nan=False))

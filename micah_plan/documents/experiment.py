@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from micah_plan.documents.fields import ITEMS, Distance, Line, Name, Place, Positive, Quaternion, Vector3, numbered
-from micah_plan.documents.layout import Document, Scope, doc, plain
+from micah_plan.documents.layout import Document, Scope, doc, plain_data
 from micah_plan.documents.located import Located
 from micah_plan.documents.model import load_model, scope_of
 from micah_plan.documents.planner import PlantDocument
@@ -97,7 +97,7 @@ def experiment_text(experiment: Experiment, model: Path, at: Path, comment: str)
     """
     scope = scope_of(experiment.automaton)
     name = os.path.relpath(os.path.realpath(model), os.path.realpath(at.parent))
-    data = plain(ExperimentDocument, {**vars(experiment), "format": EXPERIMENT_FORMAT, "model": name}, scope)
+    data = plain_data(ExperimentDocument, {**vars(experiment), "format": EXPERIMENT_FORMAT, "model": name}, scope)
     return write_yaml(data, comment)
 
 

@@ -149,7 +149,7 @@ def _left_out(layout: type[Document]) -> dict[str, Any]:
     }
 
 
-def plain(layout: type[Document], value: object, scope: Scope | None = None) -> dict[str, Any]:
+def plain_data(layout: type[Document], value: object, scope: Scope | None = None) -> dict[str, Any]:
     """Plain data of a value as its layout says, in the layout's order and without what is the layout's default.
 
     Args:
@@ -174,7 +174,7 @@ def _plain(kind: _Kind, value: Any, scope: Scope) -> Any:
     if isinstance(value, np.ndarray):
         return value.tolist()
     if is_document(kind.type):
-        return value if isinstance(value, Mapping) else plain(kind.type, value, scope)
+        return value if isinstance(value, Mapping) else plain_data(kind.type, value, scope)
     if isinstance(value, Mapping) and kind.keys and kind.entries:
         return {_plain(kind.keys, key, scope): _plain(kind.entries, item, scope) for key, item in value.items()}
     if isinstance(value, list | tuple) and kind.entries:

@@ -52,7 +52,7 @@ from micah_plan.documents.fields import (
     named,
 )
 from micah_plan.documents.joint import CovarianceDocument, check_size, joint_remark, standard_deviations
-from micah_plan.documents.layout import Document, Mark, Scope, doc, plain, unique
+from micah_plan.documents.layout import Document, Mark, Scope, doc, plain_data, unique
 from micah_plan.documents.located import KeyPath, Located
 from micah_plan.documents.mode import ModeDocument, NoiseDocument, TransitionDocument
 from micah_plan.documents.parts import PartDocument
@@ -67,7 +67,7 @@ _UNITS = ("rad", "rad", "rad", "", "s")
 Probabilities = Annotated[tuple[Probability, ...], Listed(1)]
 
 
-class StartDocument(Document):
+class RowPosteriorDocument(Document):
     makes = RowPosterior
 
     rows: Annotated[tuple[Count, ...], Listed(1)] = doc("Rows at which the segment may start, in increasing order.")
@@ -92,7 +92,7 @@ class LearnedSegmentDocument(Document):
     probabilities: Annotated[dict[JointKind, Probability], ITEMS] | None = doc(
         "Probability of every kind of joint; the rest to 1 is that of no single joint.", None
     )
-    start: StartDocument | None = doc("Where it starts; absent for the first of a run.", None)
+    start: RowPosteriorDocument | None = doc("Where it starts; absent for the first of a run.", None)
 
     def check(self, at: Located) -> None:
         first, last = self.rows
@@ -435,7 +435,7 @@ def model_data(automaton: HybridAutomaton) -> dict[str, Any]:
         InputError: if the automaton is not one that a file may hold (a name twice, a number that is not finite, sizes
             that disagree).
     """
-    data = plain(ModelDocument, automaton, scope_of(automaton))
+    data = plain_data(ModelDocument, automaton, scope_of(automaton))
     if automaton_of(Located(data, "automaton")) != automaton:
         problem = "automaton: sizes of its parts do not agree, so it cannot be written"
         raise InputError(problem, remedy="check its values")

@@ -34,7 +34,7 @@ from micah_plan.documents.fields import (
     Probability,
     Vector3,
 )
-from micah_plan.documents.layout import Document, Mark, Scope, doc, plain
+from micah_plan.documents.layout import Document, Mark, Scope, doc, plain_data
 from micah_plan.documents.located import Located
 from micah_plan.documents.model import automaton_of, model_data, scope_of
 from micah_plan.documents.problem import ProblemDocument, problem_data, problem_of
@@ -246,7 +246,7 @@ def plan_text(plan: Plan, problem: Problem) -> str:
         "problem": problem_data(problem, "model"),
         "model": model_data(problem.automaton),
     }
-    data = plain(PlanDocument, vars(plan) | entries)
+    data = plain_data(PlanDocument, vars(plan) | entries)
     _check_numbers(data, "plan")
     data["digest"] = _digest(data)
     stored = _stored(Located(data, "plan"))

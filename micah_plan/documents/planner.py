@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from micah_plan.documents.fields import Distance, EachInput, NonNegative, Positive
-from micah_plan.documents.layout import Document, Scope, doc, plain
+from micah_plan.documents.layout import Document, Scope, doc, plain_data
 from micah_plan.documents.located import Located
 from micah_plan.documents.validation import validated
 from micah_plan.task.settings import PlannerSettings
@@ -98,7 +98,7 @@ def settings_with(settings: PlannerSettings, changes: Mapping[str, Any], inputs:
     given, scope = dict(changes), {"input": inputs}
     if isinstance(given.get("max_step"), int | float):
         given["max_step"] = dict.fromkeys(inputs, given["max_step"])
-    data = plain(SettingsDocument, settings, scope) | given
+    data = plain_data(SettingsDocument, settings, scope) | given
     located = Located(data, "settings")
     changed: PlannerSettings = validated(located, SettingsDocument).read(located, scope)
     return changed

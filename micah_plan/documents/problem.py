@@ -33,7 +33,7 @@ from micah_plan.documents.fields import (
     Std,
     checked_name,
 )
-from micah_plan.documents.layout import Document, Scope, doc, plain
+from micah_plan.documents.layout import Document, Scope, doc, plain_data
 from micah_plan.documents.located import Located, overridden
 from micah_plan.documents.mode import ProblemNoiseDocument, noise_with
 from micah_plan.documents.model import model_text, scope_of, usable_model
@@ -288,7 +288,9 @@ def problem_data(problem: Problem, model: str) -> dict[str, Any]:
         problem: its noise is that of its automaton and not repeated here.
         model: what to write as the name of the model file.
     """
-    data = plain(ProblemDocument, {**ProblemDocument.written(problem, {}), "model": model}, scope_of(problem.automaton))
+    data = plain_data(
+        ProblemDocument, {**ProblemDocument.written(problem, {}), "model": model}, scope_of(problem.automaton)
+    )
     for key, late in (("hold", "datum"), ("robot", "text")):
         if late in data.get(key, {}):
             data[key][late] = data[key].pop(late)

@@ -134,7 +134,7 @@ def _squares(shape: Primitive) -> Sequence[float]:
     return (0.4 * radius**2,) * 3
 
 
-def left_out(automaton: HybridAutomaton, density: float, *, handles: bool) -> tuple[str, ...]:
+def lost_in_bodies(automaton: HybridAutomaton, density: float, *, handles: bool) -> tuple[str, ...]:
     """What of a model a file of bodies and joints does not hold, and what it holds that nobody measured."""
     lost = [f"{count(len(automaton.modes), 'mode')} with guards"] if len(automaton.modes) > 1 else []
     lost += ["noise"]

@@ -17,7 +17,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.documents.model import dump_model, load_model
 from micah_plan.documents.plan import StoredPlan, load_plan, require_executable
 from micah_plan.errors import InputError, located_in, shown
-from micah_plan.exchange.bodies import DENSITY, left_out
+from micah_plan.exchange.bodies import DENSITY, lost_in_bodies
 from micah_plan.exchange.load import load_recording
 from micah_plan.exchange.mjcf import load_mjcf, mjcf_text
 from micah_plan.exchange.rerun import write_rrd
@@ -28,8 +28,7 @@ from micah_plan.files import replace_file
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.read import write_recording
 from micah_plan.recording.ros_bags import is_log
-from micah_plan.recording.ros_mcap import write_log
-from micah_plan.recording.ros_messages import NANOSECONDS, Logged, header_at, split_time
+from micah_plan.recording.ros_mcap import NANOSECONDS, Logged, header_at, split_time, write_log
 from micah_plan.recording.value import Recording
 
 TOPIC = "/joint_trajectory"
@@ -145,7 +144,7 @@ def write_model(
 
     shaped = with_shapes(automaton)
     replace_file(path, _BODIES[wanted](shaped, name, density).encode())
-    notes = left_out(shaped, density, handles=_BODIES[wanted] is mjcf_text)
+    notes = lost_in_bodies(shaped, density, handles=_BODIES[wanted] is mjcf_text)
     return notes if shaped is automaton else (*notes, "the model has no shapes: those of the file are made up")
 
 

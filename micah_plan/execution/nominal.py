@@ -18,7 +18,7 @@ from micah_plan.execution.mujoco.parameters import parameters_of
 from micah_plan.execution.plant import Command, Measurement, PoseTracker, TrackerNoise, Truth
 from micah_plan.execution.pose import carried, chain, components, matrices, moving_joints
 from micah_plan.task.problem import Problem, Release
-from micah_plan.task.release import Rest, rest_of
+from micah_plan.task.release import Rest, resting_place
 from micah_plan.task.start import Start, sample_start
 
 # Std [rad] beyond which an orientation is not measured at all: of a slide that is seen to metres only.
@@ -53,7 +53,7 @@ class NominalPlant:
     @classmethod
     def of(cls, problem: Problem) -> NominalPlant:
         """The plant that is just what the problem says."""
-        release = None if problem.release is None else (problem.release, rest_of(problem))
+        release = None if problem.release is None else (problem.release, resting_place(problem))
         return cls(problem.automaton, problem.start, parameters_of(problem).control_period, release)
 
     def reset(self, rng: np.random.Generator) -> Measurement:

@@ -9,12 +9,11 @@ from functools import partial
 
 import numpy as np
 
-from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError
 from micah_plan.execution.checked_plant import CheckedPlant, make_plant
 from micah_plan.execution.closed_loop import Episode, TrialResult, execute_batch
 from micah_plan.execution.log import concatenated
-from micah_plan.execution.pilot import ContinuePlan, Replanning
+from micah_plan.execution.pilot import Replanning
 from micah_plan.execution.plant import Plant, PlantMaker
 from micah_plan.quantities import Progress
 from micah_plan.recording.value import Recording
@@ -23,8 +22,6 @@ from micah_plan.task.plants import BUILT_IN, DEFAULT_PLANT
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import pre_release_problem
 
-ProblemReplan = Callable[[Problem, HybridBelief, tuple[Trajectory, int]], Trajectory | None]
-Continuation = Callable[[Problem, Trajectory], ContinuePlan]
 Keep = Callable[[Recording], None]
 
 # Trials in the model that run in step with each other.
@@ -72,8 +69,7 @@ def run_trials(
     trials: int = 1,
     seed: int = 0,
     max_steps: int | None = None,
-    replan: ProblemReplan | None = None,
-    continuation: Continuation | None = None,
+    replans: bool = True,
     progress: Progress | None = None,
     keep: Keep | None = None,
 ) -> TrialStatistics:
@@ -83,8 +79,8 @@ def run_trials(
         plant: name of one that comes with the package, or what makes one from the problem: it is closed at the end,
             whatever happens. Or a plant, which stays open.
         max_steps: control steps per trial at most; None: twice the plan's plus 20.
-        replan: gives a trajectory from a belief and what was followed (`pilot.Replanning`); None: never replan.
-        continuation: makes for a plan's trajectory what optimises the rest of it again; None: never.
+        replans: whether new plans are made where one fails, and the rest of one is optimised again every so many steps
+            as the problem's settings ask for.
         progress: called with a message and the fraction done.
         keep: called with the log of every trial when it ends (of trials in step, when all of them have), and also when
             an error or Ctrl-C breaks it off.
@@ -101,7 +97,7 @@ def run_trials(
     if trials < 1:
         raise InputError(f"trials must be at least 1. Got {trials}")
     carried = pre_release_problem(problem)
-    replanning = _replanning(carried, plan, replan, None if continuation is None else continuation(carried, trajectory))
+    replanning = _replanning(carried, plan, trajectory) if replans else Replanning()
     posture = None if plan.arm is None else tuple(plan.arm.positions[0].tolist())
     problem = replace(problem, start=replace(problem.start, mode=trajectory.modes[0], posture=posture))
 
@@ -125,43 +121,6 @@ def run_trials(
     return summarise(results)
 
 
-def execute_plan(
-    problem: Problem,
-    plan: Plan,
-    *,
-    plant: str | PlantMaker | Plant = DEFAULT_PLANT,
-    trials: int = 1,
-    seed: int = 0,
-    replan_every: int | None = None,
-    progress: Progress | None = None,
-    keep: Keep | None = None,
-) -> TrialStatistics:
-    """Execute a plan in closed loop, with the belief filter, feedback and replanning, over seeded trials.
-
-    Args:
-        plant, keep: as of `run_trials`: a name, a class that is called with the problem, or a plant.
-        replan_every: steps after which the rest of the plan is optimised again from the belief, 0: never; None: as the
-            problem's settings say.
-
-    Raises: as `run_trials`.
-    """
-    from micah_plan.planning.replanning import RecedingHorizon, replan
-
-    if replan_every is not None:
-        problem = replace(problem, settings=replace(problem.settings, replan_every=replan_every))
-    return run_trials(
-        problem,
-        plan,
-        plant=plant,
-        trials=trials,
-        seed=seed,
-        replan=replan,
-        continuation=RecedingHorizon,
-        progress=progress,
-        keep=keep,
-    )
-
-
 def _opened(problem: Problem, plant: str | PlantMaker | Plant) -> AbstractContextManager[CheckedPlant]:
     """A plant, checked; one that is made here is closed at the end."""
     parts = [link.child for link in problem.automaton.links]
@@ -170,16 +129,16 @@ def _opened(problem: Problem, plant: str | PlantMaker | Plant) -> AbstractContex
     return nullcontext(CheckedPlant(plant, parts))
 
 
-def _replanning(
-    problem: Problem, plan: Plan, replan: ProblemReplan | None, continue_plan: ContinuePlan | None
-) -> Replanning:
+def _replanning(problem: Problem, plan: Plan, trajectory: Trajectory) -> Replanning:
     """Where new plans come from, which the arm must be able to follow where it follows the present one."""
-    proposed = None if replan is None else partial(replan, problem)
+    from micah_plan.planning.replanning import RecedingHorizon, replan
+
+    proposed, rest = partial(replan, problem), RecedingHorizon(problem, trajectory)
     if problem.robot is None or plan.arm is None:
-        return Replanning(proposed, continue_plan)
+        return Replanning(proposed, rest)
     from micah_plan.robot.along_plan import arm_along  # Pinocchio is loaded only where there is an arm
 
-    return Replanning(proposed, continue_plan, lambda plan, joints: arm_along(problem, plan, start=joints))
+    return Replanning(proposed, rest, lambda plan, joints: arm_along(problem, plan, start=joints))
 
 
 def _reporting(trials: int, progress: Progress | None) -> Callable[[TrialResult], None]:

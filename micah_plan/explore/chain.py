@@ -33,7 +33,7 @@ _BACKTRACKING = (1.0, 0.3, 0.05)
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class StepRows:
     """What was seen after each step, and before the first: k rows.
 
     Attributes:
@@ -177,7 +177,7 @@ def _carried(direction: Floats, rate: Floats, s: Floats) -> tuple[Floats, Floats
     return first * straight + second * side, _rotations(rate, s), cosine * straight + first * side
 
 
-def _placed(chain: Chain, rows: Rows) -> Chain:
+def _placed(chain: Chain, rows: StepRows) -> Chain:
     """The chain with each row where tracker and odometer together say that it is along it: a tridiagonal system."""
     places, _, tangents = chain.poses(chain.way)
     is_seen = rows.seen
@@ -199,7 +199,7 @@ def _placed(chain: Chain, rows: Rows) -> Chain:
     return replace(chain, place=place, turn=turn, begin=begin, direction=direction, way=way - way[0])
 
 
-def _residuals(chain: Chain, rows: Rows) -> tuple[Floats, Floats, Floats]:
+def _residuals(chain: Chain, rows: StepRows) -> tuple[Floats, Floats, Floats]:
     """What is left: of places (k, 3) and of steps (k - 1, 3), both normal to the way, and of turns (k, 3); in std."""
     places, turns, tangents = chain.poses(chain.way)
     is_seen = rows.seen[:, None]
@@ -215,12 +215,12 @@ def _weights(residual: Floats) -> Floats:
     return np.asarray(np.sqrt(np.minimum(1.0, _HUBER / np.maximum(size, 1e-12)))[:, None])
 
 
-def _stacked(chain: Chain, rows: Rows) -> Floats:
+def _stacked(chain: Chain, rows: StepRows) -> Floats:
     parts = [(_weights(part) * part).ravel() for part in _residuals(chain, rows)]
     return np.concatenate([*parts, chain.rate.ravel() / _RATE])
 
 
-def fitted(chain: Chain, rows: Rows, rounds: int = 1) -> Chain:
+def fitted(chain: Chain, rows: StepRows, rounds: int = 1) -> Chain:
     """The chain of these kinds that explains the rows best, from a guess whose `way` may be shorter than the rows.
 
     Args:
@@ -239,7 +239,7 @@ def fitted(chain: Chain, rows: Rows, rounds: int = 1) -> Chain:
     return _judged(chain, rows)
 
 
-def _improved(chain: Chain, rows: Rows) -> tuple[Chain, float]:
+def _improved(chain: Chain, rows: StepRows) -> tuple[Chain, float]:
     """One damped Gauss-Newton step, and its largest change."""
     here, (steps, free) = _stacked(chain, rows), chain.numbers()
     slope = _slope(chain, rows, steps)
@@ -252,7 +252,7 @@ def _improved(chain: Chain, rows: Rows) -> tuple[Chain, float]:
     return chain, 0.0
 
 
-def _slope(chain: Chain, rows: Rows, steps: Floats) -> Floats:
+def _slope(chain: Chain, rows: StepRows, steps: Floats) -> Floats:
     """(r, p) derivative of the stacked residuals by the numbers, the directions of the way taken as fixed."""
     places, turns, tangents = chain.poses(chain.way)
     tried = chain.changed(DIFFERENCE * steps)
@@ -285,7 +285,7 @@ def _vectors(matrices: Floats) -> Floats:
     )
 
 
-def _heard(chain: Chain, rows: Rows) -> Chain:
+def _heard(chain: Chain, rows: StepRows) -> Chain:
     """With the noise of tracker and odometer that it leaves, and the likelihood under it."""
     rows_seen = int(rows.seen.sum())
     parts = _residuals(chain, rows)
@@ -299,7 +299,7 @@ def _heard(chain: Chain, rows: Rows) -> Chain:
     return replace(chain, place_std=place_std, turn_std=turn_std, moved_share=moved_share, loss=loss)
 
 
-def _judged(chain: Chain, rows: Rows) -> Chain:
+def _judged(chain: Chain, rows: StepRows) -> Chain:
     """With the covariance of its numbers and its evidence; none speaks for what a joint would do within its play."""
     steps, free = chain.numbers()
     slope = _slope(chain, rows, steps)  # of the rates' prior too
@@ -325,7 +325,7 @@ _SPLITS = (0.2, 0.45, 0.7)  # of the way of a joint: from where the place is fit
 
 
 def with_joint(
-    before: Chain | None, pose: tuple[Floats, Floats], along: Floats, rows: Rows, row: int
+    before: Chain | None, pose: tuple[Floats, Floats], along: Floats, rows: StepRows, row: int
 ) -> tuple[Chain, Chain]:
     """Chains in which a joint that was not seen before moves the handle from a row on, as a slide and as a hinge.
 
@@ -345,7 +345,7 @@ def with_joint(
     return slide, _of_kind(slide, -1, rows, _FIRST)
 
 
-def refitted(chains: tuple[Chain, Chain], rows: Rows) -> tuple[Chain, Chain]:
+def refitted(chains: tuple[Chain, Chain], rows: StepRows) -> tuple[Chain, Chain]:
     """Both chains with the rows that came since."""
     slide, hinge = (fitted(chain, rows) for chain in chains)
     if hinge.loss > slide.loss + 0.5:  # what hinges can do includes slides: it is in a wrong valley
@@ -353,7 +353,7 @@ def refitted(chains: tuple[Chain, Chain], rows: Rows) -> tuple[Chain, Chain]:
     return slide, hinge
 
 
-def judged(chains: Sequence[Chain], rows: Rows) -> tuple[Chain, float]:
+def judged(chains: Sequence[Chain], rows: StepRows) -> tuple[Chain, float]:
     """The most probable chain and the probability of its kinds, among all that differ from the best in one joint."""
     compared, best = list(chains), max(chains, key=_log)
     while True:
@@ -372,14 +372,14 @@ def _log(chain: Chain) -> float:
     return chain.evidence - _JOINT * len(chain.hinges)
 
 
-def _neighbours(chain: Chain, rows: Rows) -> list[Chain]:
+def _neighbours(chain: Chain, rows: StepRows) -> list[Chain]:
     """Chains that differ in one joint: in its kind, or that it is there."""
     numbers = range(len(chain.hinges))
     others = [_without(chain, number, rows) for number in numbers if len(numbers) > 1]
     return [*_split(chain, rows), *(_of_kind(chain, number, rows) for number in numbers), *others]
 
 
-def _of_kind(chain: Chain, number: int, rows: Rows, rounds: int = _WELL) -> Chain:
+def _of_kind(chain: Chain, number: int, rows: StepRows, rounds: int = _WELL) -> Chain:
     """The chain with one joint of the other kind; a hinge that was a slide begins without turning."""
     hinges, rate = list(chain.hinges), chain.rate.copy()
     hinges[number] = not hinges[number]
@@ -387,7 +387,7 @@ def _of_kind(chain: Chain, number: int, rows: Rows, rounds: int = _WELL) -> Chai
     return fitted(replace(chain, hinges=tuple(hinges), rate=rate), rows, rounds)
 
 
-def _without(chain: Chain, number: int, rows: Rows) -> Chain:
+def _without(chain: Chain, number: int, rows: StepRows) -> Chain:
     begin, direction, rate = (np.delete(a, number, axis=0) for a in (chain.begin, chain.direction, chain.rate))
     begin[0] = 0.0
     hinges = tuple(hinge for i, hinge in enumerate(chain.hinges) if i != number)
@@ -405,7 +405,7 @@ def _followed(chain: Chain, begin: float, hinge: bool, direction: Floats, rate: 
     )
 
 
-def _split(chain: Chain, rows: Rows) -> list[Chain]:
+def _split(chain: Chain, rows: StepRows) -> list[Chain]:
     """The chain with a joint of the other kind that takes over from the last one, or that was there before it."""
     chains, last = list[Chain](), chain.rate[-1]
     straight = replace(chain, hinges=(*chain.hinges[:-1], False), rate=np.append(chain.rate[:-1], np.zeros((1, 3)), 0))

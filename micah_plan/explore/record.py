@@ -23,7 +23,7 @@ from scipy.special import gammaln
 
 from micah_plan.arrays import Floats
 from micah_plan.execution.plant import Measurement
-from micah_plan.explore.chain import PLACE_STD, WORTH, Chain, Rows
+from micah_plan.explore.chain import PLACE_STD, WORTH, Chain, StepRows
 from micah_plan.explore.hand import UNKNOWN, Hand, hand_of
 
 _CONTRADICTS = 6.0  # std
@@ -280,12 +280,12 @@ class Record:
         leads, forces = ([column[k] for k in rows] for column in (self.leads, self.forces))
         return np.array(leads).reshape(-1, 3), np.array(forces).reshape(-1, 3)
 
-    def rows(self) -> Rows:
+    def rows(self) -> StepRows:
         """All rows, to fit a chain to."""
         std = np.hypot(np.array(self.moved_std), _LEAST_STD)
         leapt = np.array(self._leapt)
         places = np.where(leapt[:, None], np.nan, self.places)
-        return Rows(places, np.array(self.turns), np.array(self.moved), std)
+        return StepRows(places, np.array(self.turns), np.array(self.moved), std)
 
     def fitted(self, chain: Chain) -> None:
         """What a chain leaves tells the noise of the tracker."""

@@ -150,7 +150,7 @@ def _result(explorer: Explorer, seconds: float, thinking: float) -> Exploration:
         hand=explorer.record.hand,
         chain=chain,
         moments=moments,
-        model=None if chain is None or explorer.record.lost else model_of(explorer, chain),
+        model=None if chain is None or explorer.record.lost else explored_model(explorer, chain),
         seconds=seconds,
         thinking=thinking,
     )
@@ -162,7 +162,7 @@ _KNOB = Primitive("sphere", (0.015,), color="#e6b450")
 _LATCHED = 2.5  # times the friction that held it in motion
 
 
-def model_of(explorer: Explorer, chain: Chain) -> HybridAutomaton:
+def explored_model(explorer: Explorer, chain: Chain) -> HybridAutomaton:
     """The automaton of a chain of joints, with how well all of it is known."""
     ends = np.append(chain.begin, chain.way.max())
     ends[0] = min(0.0, chain.way.min())

@@ -43,7 +43,7 @@ from micah_plan.learn.segmenting.free import (
 from micah_plan.learn.segmenting.noise import MeasurementNoise, NoiseModel
 from micah_plan.learn.segmenting.noise_fit import initial_noise, misses
 from micah_plan.learn.segmenting.segmentation import Segmented, best_single, log_probability_at_most
-from micah_plan.learn.segments import FittedPiece, configurations, left_by
+from micah_plan.learn.segments import FittedPiece, left_by, segment_configurations
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack, extent
 
@@ -160,7 +160,7 @@ def _follows_a_curve(
 
     def direction(piece: FittedPiece, last: bool) -> Floats:
         rows = piece.index(inlier)
-        c = configurations(piece.joint, rows[-1:] if last else rows[:1], track, noise)
+        c = segment_configurations(piece.joint, rows[-1:] if last else rows[:1], track, noise)
         along = jacobian(piece.joint, c)[0][-len(weight) :] * weight
         return np.asarray(along / np.linalg.norm(along))
 

@@ -34,9 +34,9 @@ from micah_plan.learn.run import LearnedRun, learn_acted_run
 from micah_plan.learn.segmenting.noise import MeasurementNoise, likelihood_power_of
 from micah_plan.learn.segmenting.noise_fit import initial_noise
 from micah_plan.learn.segmenting.steps import MOST_SWEEPS, activity_of, is_long, steps_of
-from micah_plan.learn.segments import FittedPiece, configurations, to_segment
+from micah_plan.learn.segments import FittedPiece, segment_configurations, to_segment
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
-from micah_plan.learn.track import PartTrack, bends, extent, find_inliers, part_track, white_std
+from micah_plan.learn.track import PartTrack, bends, extent, find_inliers, part_track, std_of_bends
 from micah_plan.quantities import Progress, quantity
 from micah_plan.recording.value import Recording
 
@@ -212,7 +212,7 @@ def _aligned(
     """A later run's segments, counted along the first run's coordinate: a shift and, if it ran backwards, a sign."""
     backwards, offset = False, 0.0
     if longest is None:
-        held = float(np.median(configurations(reference, np.arange(len(track)), track, noise)))
+        held = float(np.median(segment_configurations(reference, np.arange(len(track)), track, noise)))
         offset = held - segments[0].joint.fixed_at
     else:
         rows = np.flatnonzero((track.rows >= longest.start) & (track.rows <= longest.end))
@@ -237,7 +237,10 @@ def _alignment(
     joint: Joint, reference: Joint, rows: Ints, track: PartTrack, noise: MeasurementNoise
 ) -> tuple[bool, float]:
     """Whether a joint counts backwards along a reference, and what to add to its configurations then."""
-    along_joint, common = configurations(joint, rows, track, noise), configurations(reference, rows, track, noise)
+    along_joint, common = (
+        segment_configurations(joint, rows, track, noise),
+        segment_configurations(reference, rows, track, noise),
+    )
     backwards = float((along_joint - along_joint.mean()) @ (common - common.mean())) < 0
     return backwards, float(np.median(common - (-along_joint if backwards else along_joint)))
 
@@ -337,7 +340,7 @@ def _reach(track: PartTrack) -> tuple[float, float] | None:
     """How far a part moves [m] and turns [rad]; None if not further than the noise of its rows."""
     inlier = find_inliers(track)
     position = track.position[inlier]
-    noise = float(np.sqrt(3) * white_std(bends(position)))
+    noise = float(np.sqrt(3) * std_of_bends(bends(position)))
     blocks = np.array_split(position, min(_BLOCKS, len(position)))
     apart = extent(np.array([block.mean(axis=0) for block in blocks]))
     turned = 0.0

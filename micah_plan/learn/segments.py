@@ -112,7 +112,7 @@ def to_segment(
 ) -> Segment:
     """The segment of a chained piece, with its configurations and noise."""
     joint, used = piece.joint, piece.index(inlier)
-    c = configurations(joint, used, track, noise)
+    c = segment_configurations(joint, used, track, noise)
     if not joint.moves:
         start = end = joint.fixed_at
         limits = (joint.fixed_at, joint.fixed_at)
@@ -144,7 +144,7 @@ def to_segment(
     )
 
 
-def configurations(joint: Joint, rows: Ints, track: PartTrack, noise: MeasurementNoise) -> Floats:
+def segment_configurations(joint: Joint, rows: Ints, track: PartTrack, noise: MeasurementNoise) -> Floats:
     """(k,) configurations of rows, continuous from the first, which is the whole turn closest to 0."""
     rotation = None if track.rotation is None else track.rotation[rows]
     c = inverse(joint, track.position[rows], rotation, noise.rotation_length)
@@ -180,11 +180,11 @@ def _directed(
 ) -> Joint:
     """The piece's joint, counted in the direction that the chain continues or, without one, that the part went."""
     index = piece.index(inlier)
-    c = _smoothed(configurations(piece.joint, index, track, noise))
+    c = _smoothed(segment_configurations(piece.joint, index, track, noise))
     moving = _last_moving(chain)
     if moving is not None and moving.kind == piece.joint.kind:
         scale = np.repeat([noise.rotation_length, 1.0], 3)
-        old = jacobian(moving, configurations(moving, index[:1], track, noise))[0] * scale
+        old = jacobian(moving, segment_configurations(moving, index[:1], track, noise))[0] * scale
         new = jacobian(piece.joint, c[:1])[0] * scale
         cosine = float(old @ new) / max(float(np.linalg.norm(old) * np.linalg.norm(new)), 1e-12)
         if abs(cosine) > _SAME_DIRECTION:
@@ -198,7 +198,7 @@ def _near(
 ) -> float:
     """The configuration at a row, from a line through the piece's rows next to it: it averages the noise of rows."""
     index = piece.index(inlier)
-    c = configurations(joint, index, track, noise)
+    c = segment_configurations(joint, index, track, noise)
     return _line_at(index.astype(float), c, float(row))
 
 

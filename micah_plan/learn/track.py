@@ -171,7 +171,7 @@ def bends(rows: Floats, lag: int = 1) -> Floats:
     return np.asarray(rows[lag:-lag] - 0.5 * (rows[: -2 * lag] + rows[2 * lag :]))
 
 
-def white_std(missed: Floats, size: ArrayLike = 3.0) -> Floats:
+def std_of_bends(missed: Floats, size: ArrayLike = 3.0) -> Floats:
     """Std (...) per axis of the white noise that leaves such `bends` (..., n, 3), blind to outliers.
 
     Args:

@@ -20,7 +20,7 @@ from micah_plan.arrays import Floats
 from micah_plan.quantities import percent, quantity
 from micah_plan.task.plan import ArmTrajectory, Finding, Plan, ReleasePlan, least_share
 from micah_plan.task.problem import Problem, Release
-from micah_plan.task.release import Rest, rest_of
+from micah_plan.task.release import Rest, resting_place
 from micah_plan.task.settings import Deadline, TimeLimitError
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def with_release(problem: Problem, plan: Plan, deadline: Deadline) -> tuple[Plan
     """
     if problem.release is None or plan.trajectory is None:
         return plan, None
-    rest, release, last = rest_of(problem), problem.release, plan.trajectory.means[-1][: problem.automaton.n]
+    rest, release, last = resting_place(problem), problem.release, plan.trajectory.means[-1][: problem.automaton.n]
     contact = np.array(last)
     contact[2] = rest.top + rest.touching
     yields = _TURNING if problem.hold is not None and problem.hold.grip.pivots else _YIELDS

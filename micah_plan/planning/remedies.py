@@ -27,14 +27,14 @@ _TWICE = 2.0  # times as far a root is moved the next time
 _LOWER = 0.02
 
 
-class Solver(Protocol):
+class PlanSolver(Protocol):
     """What solves a problem, without advice, to see whether a change helps."""
 
     def __call__(self, problem: Problem, *, seed: int) -> Plan:
         """The plan, verified, and with its arm if it has one."""
 
 
-def advised(problem: Problem, plan: Plan, solver: Solver, seed: int = 0) -> Plan:
+def advised(problem: Problem, plan: Plan, solver: PlanSolver, seed: int = 0) -> Plan:
     """A plan that failed, with the numbers in its remedies that help; of each kind of change the first is tried."""
     budget, done, findings = [_MOST_SOLVED], set[str](), list[Finding]()
     for finding in plan.findings if plan.outcome != "solved" else ():
@@ -70,7 +70,7 @@ def changed(problem: Problem, offer: Offer) -> Problem:
     return replace(problem, goal=replace(problem.goal, target=target))
 
 
-def _that_helps(problem: Problem, offer: Offer, solver: Solver, seed: int, budget: list[int]) -> Offer | None:
+def _that_helps(problem: Problem, offer: Offer, solver: PlanSolver, seed: int, budget: list[int]) -> Offer | None:
     """The offer, or the next larger change of its kind, with which planning succeeds with two seeds."""
     for _ in range(_MOST_NUMBERS):
         offer = _written(offer)

@@ -39,7 +39,7 @@ def recording_of_columns(columns: Columns, conventions: Conventions | None = Non
         InputError: if columns are missing, of other lengths, or hold no numbers; in whose rows is left to `checks`.
     """
     meant = conventions or Conventions()
-    names, factors = named(list(columns), meant)
+    names, factors = columns_by_name(list(columns), meant)
     unit = TIMES[meant.time or "s"]
     table = {name: _plain(values, unit) for name, values in zip(names, columns.values(), strict=True)}
     lengths = {name: len(values) for name, values in table.items()}
@@ -87,7 +87,7 @@ def gathered(values: Mapping[str, NDArray[Any]], others: Columns, meant: Convent
     )
 
 
-def named(raw: Sequence[str], meant: Conventions, where: str = "") -> tuple[list[str], dict[str, float]]:
+def columns_by_name(raw: Sequence[str], meant: Conventions, where: str = "") -> tuple[list[str], dict[str, float]]:
     """The names of columns as a recording has them, and factors of their numbers by name; what else is called so stays
     a further column.
 

@@ -29,7 +29,7 @@ from micah_plan.recording.checks import (
     checked,
     numeric_columns,
 )
-from micah_plan.recording.columns import counted, gathered, named
+from micah_plan.recording.columns import columns_by_name, counted, gathered
 from micah_plan.recording.conventions import (
     FIXED_ANGLES,
     ROTATION_VECTOR,
@@ -39,7 +39,7 @@ from micah_plan.recording.conventions import (
     source_of,
     without_gaps,
 )
-from micah_plan.recording.motion_capture import Table, motion_capture_table
+from micah_plan.recording.motion_capture import CaptureTable, motion_capture_table
 from micah_plan.recording.text import UnreadableValue, floats, integers, is_number, read_lines, seconds
 from micah_plan.recording.value import DEFAULT_PART, Recording
 
@@ -112,11 +112,11 @@ def csv_bytes(recording: Recording, path: str | Path) -> bytes:
     return ("\n".join((header, *rows)) + "\n").encode()
 
 
-def _table(lines: list[str], meant: Conventions) -> Table:
+def _table(lines: list[str], meant: Conventions) -> CaptureTable:
     """The lines as columns and rows."""
     raw, rows, numbers = _rows(lines)
     where = f"line {numbers[0]}"
-    own, factors = named(raw, meant, where)
+    own, factors = columns_by_name(raw, meant, where)
     without_time = meant.rate is not None and "t" not in own
     check_header(["t", *own] if without_time else own, where=where)
     if not rows:
@@ -126,7 +126,7 @@ def _table(lines: list[str], meant: Conventions) -> Table:
         columns = {"t": tuple(map(repr, counted(columns, len(rows)).tolist())), **columns}
     called = {ours: source_of(theirs, raw)[0] for ours, theirs in meant.columns.items()}
     turned = meant.columns.keys() & {*ROTATION_VECTOR, *FIXED_ANGLES}
-    return Table(columns, numbers[1:], factors=factors, called=called, turned=frozenset(turned))
+    return CaptureTable(columns, numbers[1:], factors=factors, called=called, turned=frozenset(turned))
 
 
 def _rows(lines: list[str]) -> tuple[list[str], list[list[str]], list[int]]:
@@ -175,7 +175,7 @@ def _fields(line: str, number: int, separator: str) -> list[str]:
         raise InputError(problem, where=f"line {number}", remedy=remedy) from None
 
 
-def _recording(table: Table, place: Place, meant: Conventions) -> Recording:
+def _recording(table: CaptureTable, place: Place, meant: Conventions) -> Recording:
     """The columns as values; of several unreadable ones the first in the file is reported."""
     columns, values = table.columns, dict[str, NDArray[Any]]()
     lost = {*POSITION, *QUATERNION, *table.turned}

@@ -28,7 +28,7 @@ _LONGEST_HEADER = 12  # lines
 
 
 @dataclass(frozen=True)
-class Table:
+class CaptureTable:
     """A table with the columns of a recording.
 
     Attributes:
@@ -50,7 +50,7 @@ class Table:
     notes: tuple[str, ...] = ()
 
 
-def motion_capture_table(lines: Sequence[str], *, is_upright: bool = False) -> Table | None:
+def motion_capture_table(lines: Sequence[str], *, is_upright: bool = False) -> CaptureTable | None:
     """The bodies' poses in an export of Motive or Vicon; None if it is none.
 
     Args:
@@ -69,7 +69,7 @@ def motion_capture_table(lines: Sequence[str], *, is_upright: bool = False) -> T
     return None
 
 
-def _motive(lines: Sequence[str], first: Sequence[str], is_upright: bool) -> Table:
+def _motive(lines: Sequence[str], first: Sequence[str], is_upright: bool) -> CaptureTable:
     said = dict(zip((cell.strip() for cell in first[::2]), (cell.strip() for cell in first[1::2]), strict=False))
     head = [next(csv.reader([line]), []) for line in lines[:_LONGEST_HEADER]]
     at = {row[1].strip(): i for i, row in enumerate(head) if len(row) > 1 and row[1].strip() in ("Type", "Name")}
@@ -99,7 +99,7 @@ def _motive(lines: Sequence[str], first: Sequence[str], is_upright: bool) -> Tab
     return _stacked(lines, begin + 1, {"t": 1}, _complete(bodies, "rigid body"), conventions, note)
 
 
-def _vicon(lines: Sequence[str], begin: int) -> Table:
+def _vicon(lines: Sequence[str], begin: int) -> CaptureTable:
     head = [next(csv.reader([line]), []) for line in lines[begin : begin + 5]]
     title, rated, named, called, united = head + [[] for _ in range(5 - len(head))]
     try:
@@ -143,7 +143,7 @@ def _stacked(
     bodies: Mapping[str, Mapping[str, int]],
     conventions: Conventions,
     note: str,
-) -> Table:
+) -> CaptureTable:
     """One row for each body of each line; columns that a body does not have stay empty."""
     used = [column for column in (*_POSE, *_TURN) if any(column in columns for columns in bodies.values())]
     rows: list[list[str]] = []
@@ -162,4 +162,4 @@ def _stacked(
         raise InputError("the header is followed by no rows", where=f"line {begin}", remedy="record at least one row")
     columns_of = dict(zip(("t", "part", *used), zip(*rows, strict=True), strict=True))
     turned = frozenset(used) & frozenset(_TURN)
-    return Table(columns_of, numbers, turned=turned, conventions=conventions, notes=(note,) if note else ())
+    return CaptureTable(columns_of, numbers, turned=turned, conventions=conventions, notes=(note,) if note else ())

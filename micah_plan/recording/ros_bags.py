@@ -17,8 +17,16 @@ from typing import Any
 
 from micah_plan.errors import InputError, MissingDependencyError, shown
 from micah_plan.files import LARGEST_FILE_BYTES, read_bytes
-from micah_plan.recording.ros_mcap import log_topics, read_log, unpacked_lz4
-from micah_plan.recording.ros_messages import MESSAGE_TYPES, Logged, Topic, decoded, definition
+from micah_plan.recording.ros_mcap import (
+    MESSAGE_TYPES,
+    Logged,
+    Topic,
+    decoded,
+    definition,
+    log_topics,
+    read_log,
+    unpacked_lz4,
+)
 
 _REMEDY = "record it again, or repair it with `rosbag reindex`"
 LOGS = (".mcap", ".db3", ".bag")

@@ -28,7 +28,7 @@ from micah_plan.quantities import count, quantity
 from micah_plan.recording.checks import checked
 from micah_plan.recording.conventions import Conventions, as_recorded
 from micah_plan.recording.ros_bags import messages_of, topics_of
-from micah_plan.recording.ros_messages import NANOSECONDS, Logged, stamp_ns
+from micah_plan.recording.ros_mcap import NANOSECONDS, Logged, stamp_ns
 from micah_plan.recording.value import DEFAULT_PART, Recording
 
 JOINT = "joint "
@@ -117,7 +117,7 @@ class _Log:
         columns: texts by topic.
     """
 
-    edges: dict[tuple[str, str], Edge] = field(default_factory=dict)
+    edges: dict[tuple[str, str], FrameEdge] = field(default_factory=dict)
     vectors: dict[str, tuple[str, dict[int, tuple[float, ...]]]] = field(default_factory=dict)
     joints: dict[tuple[str, str], list[Sample]] = field(default_factory=dict)
     columns: dict[str, dict[int, str]] = field(default_factory=dict)
@@ -148,7 +148,7 @@ class _Log:
             edge = self.edges.get((logged.topic, child))
             if edge is None:
                 static = logged.topic.strip("/").endswith("tf_static")
-                edge = self.edges[logged.topic, child] = Edge(logged.topic, child, parent, static)
+                edge = self.edges[logged.topic, child] = FrameEdge(logged.topic, child, parent, static)
             if edge.parent != parent:
                 problem = f"{shown(child)} is given in the frames {shown(edge.parent)} and {shown(parent)}"
                 raise InputError(problem, remedy="choose another topic: --topic NAME")
@@ -230,7 +230,7 @@ class _Log:
                 texts += ["" if i < 0 else samples[times[i]] for i in last.tolist()]
         return columns
 
-    def _chosen(self, topics: Sequence[str]) -> list[Edge]:
+    def _chosen(self, topics: Sequence[str]) -> list[FrameEdge]:
         """The parts: those on topics or with frames that are named, or else all that do not stand still for good."""
         wanted = [name.strip("/") for name in topics]
         named = [(edge.topic.strip("/"), edge.child) for edge in self.edges.values()]
@@ -240,7 +240,7 @@ class _Log:
                 raise InputError(f"there is no topic or frame {shown(text)} with poses", remedy=choices(name, there))
         pairs = zip(self.edges.values(), named, strict=True)
         chosen = [edge for edge, names in pairs if (set(names) & set(wanted) if wanted else not edge.static)]
-        by_child: dict[str, Edge] = {}
+        by_child: dict[str, FrameEdge] = {}
         for edge in chosen or list(self.edges.values()):
             earlier = by_child.setdefault(edge.child, edge)
             if earlier is not edge:
@@ -248,7 +248,7 @@ class _Log:
                 raise InputError(problem, remedy=f"choose one: --topic {earlier.topic}")
         return list(by_child.values())
 
-    def _target(self, chosen: Sequence[Edge], frame: str | None, notes: list[str], frames: Frames) -> str:
+    def _target(self, chosen: Sequence[FrameEdge], frame: str | None, notes: list[str], frames: Frames) -> str:
         """The frame of the poses."""
         if frame is not None:
             name = frame.strip("/")
@@ -315,7 +315,7 @@ def _neighbours(stamps: Ints, times: Ints) -> Ints:
     return np.stack([np.maximum(right - 1, 0), np.minimum(right, len(stamps) - 1)], axis=1)
 
 
-def _track(edge: Edge, target: str, frames: Frames, notes: list[str]) -> tuple[Ints, Floats]:
+def _track(edge: FrameEdge, target: str, frames: Frames, notes: list[str]) -> tuple[Ints, Floats]:
     """(n,) stamps [ns] and (n, 7) poses of a part in a frame."""
     stamps, poses = edge.once()
     if edge.parent == target:
@@ -367,7 +367,7 @@ def _held(samples: list[Sample], times: Ints) -> tuple[str, ...]:
 
 
 @dataclass
-class Edge:
+class FrameEdge:
     """A frame or part in its parent, as one topic gives it.
 
     Attributes:
@@ -439,23 +439,23 @@ class Edge:
 class Frames:
     """All transforms of a log, by the frame that they place."""
 
-    edges: Mapping[str, Edge]
+    edges: Mapping[str, FrameEdge]
 
     @classmethod
-    def of(cls, edges: Iterable[Edge]) -> Frames:
+    def of(cls, edges: Iterable[FrameEdge]) -> Frames:
         """Those of a log's edges; of several that place one frame the first."""
-        by_child: dict[str, Edge] = {}
+        by_child: dict[str, FrameEdge] = {}
         for edge in edges:
             by_child.setdefault(edge.child, edge)
         return cls(by_child)
 
-    def upwards(self, frame: str) -> list[Edge]:
+    def upwards(self, frame: str) -> list[FrameEdge]:
         """The edges from a frame to its root.
 
         Raises:
             InputError: if they go in a circle.
         """
-        edges: list[Edge] = []
+        edges: list[FrameEdge] = []
         while frame in self.edges:
             edge = self.edges[frame]
             if edge in edges:
@@ -488,7 +488,7 @@ class Frames:
         return back.apply(position - origin), back * turn, is_known & also
 
 
-def _along(edges: Sequence[Edge], stamps: Ints) -> tuple[Floats, Rotation, Booleans]:
+def _along(edges: Sequence[FrameEdge], stamps: Ints) -> tuple[Floats, Rotation, Booleans]:
     """The frame at the bottom of edges in that at their top."""
     position, is_known = np.zeros((len(stamps), 3)), np.full(len(stamps), True)
     turn = Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (len(stamps), 1)))
@@ -498,7 +498,7 @@ def _along(edges: Sequence[Edge], stamps: Ints) -> tuple[Floats, Rotation, Boole
     return position, turn, is_known
 
 
-def moves(edges: Sequence[Edge]) -> bool:
+def moves(edges: Sequence[FrameEdge]) -> bool:
     """Whether a frame moves in the one at the top of its edges."""
     return any(not edge.static and np.ptp(edge.once()[1], axis=0).max(initial=0.0) > EQUAL for edge in edges)
 

@@ -27,18 +27,18 @@ from micah_plan.automaton.tracks import Track
 from micah_plan.errors import InputError
 from micah_plan.quantities import Progress, count, interval, percent, plain, quantity
 from micah_plan.recording.value import Recording
+from micah_plan.residual.compared_runs import dated, sections
 from micah_plan.residual.coordinate_data import MOST_ROWS, CoordinateData, coordinate_data_of
-from micah_plan.residual.epochs import dated
 from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.faulty_runs import faulty_runs
 from micah_plan.residual.fit import CONFIDENCE
 from micah_plan.residual.geometry import DirectFinding, systematic_transverse_error, transverse_rms
 from micah_plan.residual.missing_mode import MissingMode
 from micah_plan.residual.prediction import RunPrediction, predict_recording, refused, rmse, rmse_of_coordinates
-from micah_plan.residual.range_exceeded import RangeExceeded, sections, with_range_ends, with_shifts, without_old_ends
-from micah_plan.residual.search import Candidate, Search
+from micah_plan.residual.range_exceeded import RangeExceeded, with_range_ends, with_shifts, without_old_ends
+from micah_plan.residual.search import Search, TermCandidate
 from micah_plan.residual.simulation import GATES
-from micah_plan.residual.trace import A_LINE, LEAST_EVIDENCE, CoordinateTrace, Finding, may_remember, trace
+from micah_plan.residual.trace import A_LINE, LEAST_EVIDENCE, CoordinateFinding, CoordinateTrace, may_remember, trace
 from micah_plan.residual.verdict import Verdict, overall
 
 FEWEST_ROWS = 8
@@ -339,7 +339,7 @@ def _all_found(trace: CoordinateTrace, exceeded: Sequence[RangeExceeded]) -> lis
     return [effect_found for effect_found in effects if without_old_ends([effect_found.effect], exceeded)]
 
 
-def _found(data: CoordinateData, finding: Finding, exceeded: Sequence[RangeExceeded]) -> FoundEffect:
+def _found(data: CoordinateData, finding: CoordinateFinding, exceeded: Sequence[RangeExceeded]) -> FoundEffect:
     (effect,) = with_shifts([effect_of(data, finding.part, finding.interval)], exceeded)
     effect_form, ends = form(effect.name), finding.interval[: len(effect.values)].copy()
     ends[0] += 0.0 if effect.name == finding.part.name else effect.values[0] - finding.part.starts[0, 0]
@@ -361,7 +361,7 @@ def _found(data: CoordinateData, finding: Finding, exceeded: Sequence[RangeExcee
     )
 
 
-def _experiment(data: CoordinateData, finding: Finding) -> str:
+def _experiment(data: CoordinateData, finding: CoordinateFinding) -> str:
     """What would tell an effect from those it may be taken for; empty if there are none."""
     if finding.tied:
         return experiment_that_separates(finding.part.name, finding.tied[0])
@@ -377,7 +377,7 @@ def _direct_effect(direct: DirectFinding) -> FoundEffect:
     return FoundEffect(effect, units, interval, evidence, (), (), effect_form.sentence, effect_form.source, "")
 
 
-def effect_of(data: CoordinateData, part: Candidate, interval: Floats | None = None) -> Effect:
+def effect_of(data: CoordinateData, part: TermCandidate, interval: Floats | None = None) -> Effect:
     """The value that an automaton takes in of a fitted candidate."""
     effect_form = part.term.form
     count = len(effect_form.parameters)
@@ -414,7 +414,7 @@ def _to_add(traces: Sequence[CoordinateTrace]) -> list[Effect]:
     return effects
 
 
-def _acting(part: Candidate) -> tuple[object, ...]:
+def _acting(part: TermCandidate) -> tuple[object, ...]:
     """What an effect is, where and since when it acts."""
     return part.name, part.term.modes, *part.starts[0, -GATES:].tolist()
 
@@ -608,7 +608,7 @@ def _units(trace: CoordinateTrace) -> list[str]:
     return notes
 
 
-def _gain_of(finding: Finding) -> float:
+def _gain_of(finding: CoordinateFinding) -> float:
     """The gain that an effect gives commands; 1 if it has none."""
     names = [parameter.name for parameter in finding.part.term.form.parameters]
     return float(finding.part.starts[0, names.index("gain")]) if "gain" in names else 1.0

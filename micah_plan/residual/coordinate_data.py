@@ -30,8 +30,8 @@ from micah_plan.automaton.tracks import Track, in_base_frame, measuring_links
 from micah_plan.automaton.transition import TransitionBatch
 from micah_plan.belief.filter import predict, update
 from micah_plan.errors import InputError
+from micah_plan.residual.compared_runs import sections
 from micah_plan.residual.prediction import first_belief, inputs_of
-from micah_plan.residual.range_exceeded import sections
 
 # Rows before a segment from the middle of a run: they bring filter and memories up to date and are not counted.
 WARM_UP = 15

@@ -29,17 +29,11 @@ from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import Track
 from micah_plan.recording.value import Recording
+from micah_plan.residual.compared_runs import at_measurements, beginning, read_tracks
 from micah_plan.residual.coordinate_data import ENOUGH_RUNS, CoordinateData, coordinate_data_of
-from micah_plan.residual.epochs import beginning
 from micah_plan.residual.geometry import DirectFinding, OffJointError, geometry_findings, off_joint_errors
 from micah_plan.residual.likelihood import student_t_log_density
-from micah_plan.residual.range_exceeded import (
-    RangeExceeded,
-    at_measurements,
-    ranges_exceeded,
-    read_tracks,
-    with_extended_range,
-)
+from micah_plan.residual.range_exceeded import RangeExceeded, ranges_exceeded, with_extended_range
 from micah_plan.residual.residual_test import ResidualTest
 from micah_plan.residual.search import Search
 from micah_plan.residual.trace import LEAST_EVIDENCE, TIE

@@ -27,7 +27,7 @@ import numpy as np
 from micah_plan.arrays import ROUND_OFF, Booleans, Floats, Ints
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.likelihood import Fitness, fitness, log_density
-from micah_plan.residual.simulation import Kind, Model, columns, simulate
+from micah_plan.residual.simulation import Kind, Model, columns, simulate_terms
 
 # Shares of process noise are searched on a logistic scale, in steps that halve, within these bounds.
 _SHARE_STEP = 1.0
@@ -41,7 +41,7 @@ _ANYWHERE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class FitProblem:
     """A model to be fitted to a coordinate's data.
 
     Attributes:
@@ -84,7 +84,7 @@ class Fit:
 
 
 def optimise(
-    problem: Problem, start: Floats, share: Floats, trained: Booleans, rounds: int, step: float = _FIRST_STEP
+    problem: FitProblem, start: Floats, share: Floats, trained: Booleans, rounds: int, step: float = _FIRST_STEP
 ) -> Fit:
     """Improve M starts, each on its own training rows.
 
@@ -99,13 +99,13 @@ def optimise(
     return Fit(state.x, state.share, state.loss, state.scale)
 
 
-def held_out(problem: Problem, fit: Fit, kind: Kind = "filter") -> tuple[Floats, Floats]:
+def held_out(problem: FitProblem, fit: Fit, kind: Kind = "filter") -> tuple[Floats, Floats]:
     """(M, S) log predictive density per segment under each fit, and (M, S, T) errors [nats, rad or m].
 
     A row may lie anywhere in the range now and then: where a threshold is known but for a hair, a row on its other side
     must not count as hundreds of standard deviations (contaminated normal, Box and Tiao, Biometrika 1968).
     """
-    prediction = simulate(problem.data, problem.model, fit.parameters, process_share(fit.share), kind)
+    prediction = simulate_terms(problem.data, problem.model, fit.parameters, process_share(fit.share), kind)
     density = log_density(prediction, fit.scale, problem.freedom)
     low, high = problem.data.visited
     anywhere = np.log(_ANYWHERE / max(high - low, ROUND_OFF))
@@ -126,7 +126,7 @@ def process_share(value: Floats) -> Floats:
 class _State:
     """Where the search is: parameters, steps and losses of M fits."""
 
-    def __init__(self, problem: Problem, x: Floats, share: Floats, trained: Booleans, step: float) -> None:
+    def __init__(self, problem: FitProblem, x: Floats, share: Floats, trained: Booleans, step: float) -> None:
         self.problem, self.x, self.share, self.trained = problem, x, share, trained
         self.count, self.k = len(x), problem.free.size
         if columns(problem.model) != x.shape[1]:
@@ -180,7 +180,7 @@ class _State:
 
     def _evaluate(self, trial: Floats, shares: Floats, owner: Ints) -> tuple[Floats, Fitness]:
         data = self.problem.data
-        prediction = simulate(data, self.problem.model, trial, process_share(shares))
+        prediction = simulate_terms(data, self.problem.model, trial, process_share(shares))
         rows = self.trained[owner][:, :, None] & data.counted[None]
         return prediction.error, fitness(prediction, rows, self.problem.freedom)
 
@@ -258,7 +258,7 @@ def independent_share(correlation: float) -> float:
     return (1.0 - r) / (1.0 + r)
 
 
-def intervals(problem: Problem, fit: Fit, share_of_rows: float) -> Floats:
+def intervals(problem: FitProblem, fit: Fit, share_of_rows: float) -> Floats:
     """(k, 3) lower end, median and upper end at `CONFIDENCE` of the free parameters of one fit to all rows.
 
     Args:
@@ -267,7 +267,7 @@ def intervals(problem: Problem, fit: Fit, share_of_rows: float) -> Floats:
     return np.array([_interval(problem, fit, j, share_of_rows) for j in range(problem.free.size)]).reshape(-1, 3)
 
 
-def _interval(problem: Problem, fit: Fit, j: int, share_of_rows: float) -> Floats:
+def _interval(problem: FitProblem, fit: Fit, j: int, share_of_rows: float) -> Floats:
     value = float(fit.parameters[0, problem.free[j]])
     steps = problem.scale[j] * 2.0**_DOUBLINGS
     tried = np.concatenate([value - steps[::-1], [value], value + steps])
@@ -282,7 +282,7 @@ def _interval(problem: Problem, fit: Fit, j: int, share_of_rows: float) -> Float
     return np.asarray(np.interp([tail, 0.5, 1.0 - tail], below / below[-1], grid))
 
 
-def _profile(problem: Problem, fit: Fit, j: int, values: Floats) -> Floats:
+def _profile(problem: FitProblem, fit: Fit, j: int, values: Floats) -> Floats:
     """(G,) least loss [nats] with parameter j at each value."""
     start = np.repeat(fit.parameters, len(values), axis=0)
     start[:, problem.free[j]] = values

@@ -21,9 +21,9 @@ from micah_plan.quantities import plain
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import Calibration
 from micah_plan.residual.coordinate_data import CoordinateData
-from micah_plan.residual.fit import Problem, process_share
+from micah_plan.residual.fit import FitProblem, process_share
 from micah_plan.residual.search import FOLDS, Scored, Search, candidates, untried
-from micah_plan.residual.simulation import generated, simulate
+from micah_plan.residual.simulation import generated, simulate_terms
 from micah_plan.residual.trace import LEAST_EVIDENCE, CoordinateTrace, ranked
 from micah_plan.task.experiment import Experiment, Motion
 from micah_plan.task.start import Start, start_mode
@@ -114,7 +114,7 @@ class _Rival:
     """
 
     name: str
-    problem: Problem
+    problem: FitProblem
     parameters: Floats
     share: Floats
     scale: float
@@ -141,7 +141,7 @@ class _Rival:
         for j, column in enumerate(problem.free):
             steps[j] *= 1.0 if rows[0, column] + steps[j] <= problem.upper[j] else -1.0
             rows[1 + j, column] += steps[j]
-        simulation = simulate(data, problem.model, rows, np.repeat(self.share, len(rows)))
+        simulation = simulate_terms(data, problem.model, rows, np.repeat(self.share, len(rows)))
         errors = simulation.error / (self.scale * np.sqrt(simulation.variance[0]))
         return errors[0], np.asarray((errors[1:] - errors[0]) / steps[:, None, None])
 

@@ -23,9 +23,9 @@ from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError
 from micah_plan.quantities import Progress, interval, quantity
 from micah_plan.recording.value import Recording
-from micah_plan.residual.epochs import Place, versions
+from micah_plan.residual.compared_runs import Place, at_measurements, versions, white_noise_of
 from micah_plan.residual.geometry import off_joint_error
-from micah_plan.residual.range_exceeded import at_measurements, noise_of, ranges_exceeded, with_extended_range
+from micah_plan.residual.range_exceeded import ranges_exceeded, with_extended_range
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ def predict_recording(
     range. Roll-out: from the first measured pose with all actions of the run, never looking at a measurement
     again. Where commands are places (`follow`), each is the measured pose plus the action, wherever the roll-out is.
     A run with gaps in its times is predicted in its consecutive parts, as is one in which an effect began (see
-    `epochs`), and joints go on where the recording goes beyond a range that no mode ends
+    `compared_runs`), and joints go on where the recording goes beyond a range that no mode ends
     (`range_exceeded`). Over rows that
     are no measurements the prediction goes on, to the next that is one.
 
@@ -289,7 +289,7 @@ def first_belief(automaton: HybridAutomaton, track: Track) -> HybridBelief:
     std, x = np.array(automaton.noise.observation_std), track.x[0]
     stds = np.array([automaton.sensing(mode).std_at(x) for mode in automaton.modes])
     stds = np.maximum(std, np.where(np.isfinite(stds), stds, 0.0))
-    for spread in (std, np.maximum(std, noise_of(track.x)), stds.max(axis=0)):
+    for spread in (std, np.maximum(std, white_noise_of(track.x)), stds.max(axis=0)):
         try:
             mode = initial_belief(automaton, x, spread).most_likely
         except InputError:

@@ -14,14 +14,14 @@ from scipy.special import chdtrc
 
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.effects.forces import SMOOTH_BUMPS
-from micah_plan.automaton.effects.form import EffectForm, Start
+from micah_plan.automaton.effects.form import EffectForm, FitStart
 from micah_plan.automaton.effects.registry import form, forms
 from micah_plan.automaton.effects.value import Effect
+from micah_plan.residual.compared_runs import acts
 from micah_plan.residual.coordinate_data import CoordinateData
-from micah_plan.residual.epochs import acts
 from micah_plan.residual.fit import (
     Fit,
-    Problem,
+    FitProblem,
     held_out,
     independent_share,
     intervals,
@@ -31,7 +31,7 @@ from micah_plan.residual.fit import (
 )
 from micah_plan.residual.likelihood import log_density
 from micah_plan.residual.residual_test import LAGS, Circumstances, ResidualTest, lagged, whiteness_test
-from micah_plan.residual.simulation import GATES, Kind, Model, Term, columns, simulate
+from micah_plan.residual.simulation import GATES, Kind, Model, Term, columns, simulate_terms
 
 FOLDS = 5
 _ROUNDS = 12
@@ -66,7 +66,7 @@ class Scored:
         is_idle: whether it fits hardly better than a simpler model; folds and density are then that one's.
     """
 
-    parts: tuple[Candidate, ...]
+    parts: tuple[TermCandidate, ...]
     fit: Fit
     folds: Fit
     density: Floats
@@ -123,7 +123,7 @@ class Search:
         terms = (*self.given, *(part.term for part in scored.parts))
         return any(term.form.layer == "place" for term in terms)
 
-    def score(self, parts: Sequence[Candidate], base: Scored | None = None) -> Scored:
+    def score(self, parts: Sequence[TermCandidate], base: Scored | None = None) -> Scored:
         """Fit a model from all starts of its last part with the first start of the others.
 
         Args:
@@ -196,7 +196,9 @@ class Search:
         What moves the part adds up from the first row on, as far as the model lets it: ends and places bring it back.
         """
         problem, data = self.problem(scored.parts), self.data.whole or self.data
-        simulation = simulate(data, problem.model, scored.fit.parameters, process_share(scored.fit.share), "rollout")
+        simulation = simulate_terms(
+            data, problem.model, scored.fit.parameters, process_share(scored.fit.share), "rollout"
+        )
         share = process_share(scored.fit.share)[0]
         step = 2.0 * (1.0 - share) + share * float(np.mean(self.data.process_profile[self.data.counted_starts]))
         return one_step * float(np.sqrt(np.mean(simulation.variance[0][data.counted]) / step))
@@ -218,7 +220,7 @@ class Search:
         rows = np.repeat(scored.fit.parameters, 2 * k, axis=0)
         for j, column in enumerate(problem.free):
             rows[2 * j : 2 * j + 2, column] += _SLOPE_STEP * problem.scale[j] * np.array([1.0, -1.0])
-        simulation = simulate(self.data, problem.model, rows, np.repeat(process_share(scored.fit.share), 2 * k))
+        simulation = simulate_terms(self.data, problem.model, rows, np.repeat(process_share(scored.fit.share), 2 * k))
         errors = (simulation.error / np.sqrt(simulation.variance) / float(scored.fit.scale[0])).reshape(
             k, 2, self.data.z.size
         )
@@ -237,7 +239,7 @@ class Search:
         always_and_never = np.repeat(scored.fit.parameters, 2, axis=0)
         always_and_never[:, -GATES:] = [[-np.inf, -np.inf], [np.inf, -np.inf]]
         share, scale = process_share(np.repeat(scored.fit.share, 2)), np.repeat(scored.fit.scale, 2)
-        density = log_density(simulate(data, problem.model, always_and_never, share), scale, problem.freedom)
+        density = log_density(simulate_terms(data, problem.model, always_and_never, share), scale, problem.freedom)
         # A step starts in the row before the one whose likelihood tells.
         starts = data.counted_starts
         gain = np.roll(density[0] - density[1], -1, axis=1)[starts]
@@ -251,7 +253,7 @@ class Search:
         correlation = self._correlations(scored)[0][0]
         return intervals(self.problem(scored.parts), scored.fit, independent_share(correlation))
 
-    def problem(self, parts: Sequence[Candidate]) -> Problem:
+    def problem(self, parts: Sequence[TermCandidate]) -> FitProblem:
         """What there is to fit of a model."""
         free, scale, center, lower, upper = [], [], [], [], []
         at = columns(self.given)
@@ -266,7 +268,7 @@ class Search:
                 upper.append(min(parameter.upper, high))
             at += part.term.size
         tight = any(part.name == UNNAMED for part in parts)
-        return Problem(
+        return FitProblem(
             data=self.data,
             model=(*self.given, *(part.term for part in parts)),
             free=np.array(free, dtype=np.int64),
@@ -278,7 +280,7 @@ class Search:
             freedom=self.freedom,
         )
 
-    def _starts(self, parts: Sequence[Candidate]) -> Floats:
+    def _starts(self, parts: Sequence[TermCandidate]) -> Floats:
         before = [self._given, *(part.starts[:1] for part in parts[:-1])]
         last = parts[-1].starts if parts else np.zeros((1, 0))
         return np.hstack([*(np.repeat(row, len(last), axis=0) for row in before), last])
@@ -338,7 +340,7 @@ class Search:
         residual = self.left_by(scored)
         return residual is not None and residual.is_noise
 
-    def _cross_validated(self, problem: Problem, parts: Sequence[Candidate], fit: Fit) -> Scored:
+    def _cross_validated(self, problem: FitProblem, parts: Sequence[TermCandidate], fit: Fit) -> Scored:
         trained = self.fold[None, :] != np.arange(self.folds)[:, None]
         if not trained.any(axis=1).all():
             trained = np.ones_like(trained)
@@ -365,7 +367,7 @@ class Search:
         )
         return np.asarray(np.sum(held_out(self.problem(scored.parts), fits)[0] * of_run, axis=1))
 
-    def _fitted(self, parts: Sequence[Candidate], fit: Fit) -> tuple[Candidate, ...]:
+    def _fitted(self, parts: Sequence[TermCandidate], fit: Fit) -> tuple[TermCandidate, ...]:
         fitted, at = [], columns(self.given)
         for part in parts:
             fitted.append(replace(part, starts=fit.parameters[:, at : at + part.term.size]))
@@ -406,8 +408,8 @@ def steady_variance(q: float, r: float) -> float:
     return float(0.5 * (q + np.sqrt(q * q + 4.0 * q * r)))
 
 
-def _spread(problem: Problem, fit: Fit) -> Floats:
-    variance = simulate(problem.data, problem.model, fit.parameters, process_share(fit.share)).variance[0]
+def _spread(problem: FitProblem, fit: Fit) -> Floats:
+    variance = simulate_terms(problem.data, problem.model, fit.parameters, process_share(fit.share)).variance[0]
     return np.asarray(np.sqrt(variance / np.mean(variance[problem.data.counted])))
 
 
@@ -418,7 +420,7 @@ def _away(data: CoordinateData, place: Floats) -> Floats:
     return np.stack([at_low * np.maximum(data.u, 0.0), at_high * np.minimum(data.u, 0.0)], axis=-1)
 
 
-def gated(part: Candidate, since_order: Sequence[float], since_time: Sequence[float]) -> Candidate:
+def gated(part: TermCandidate, since_order: Sequence[float], since_time: Sequence[float]) -> TermCandidate:
     """A candidate that acts only since a place or a time, each of its starts since each of them."""
     gates = [(order, NEVER_GATED[1]) for order in since_order] + [(NEVER_GATED[0], time) for time in since_time]
     starts = np.repeat(part.starts, len(gates), axis=0)
@@ -445,7 +447,7 @@ UNNAMED = "unexplained"
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class TermCandidate:
     """A term with starts for its parameters.
 
     Attributes:
@@ -467,7 +469,7 @@ class Candidate:
         return self.term.form.name
 
 
-def candidates(data: CoordinateData) -> tuple[Candidate, ...]:
+def candidates(data: CoordinateData) -> tuple[TermCandidate, ...]:
     """All forms that the data can show, each acting always and everywhere."""
     possible = []
     for effect_form in forms():
@@ -477,18 +479,18 @@ def candidates(data: CoordinateData) -> tuple[Candidate, ...]:
     return tuple(possible)
 
 
-def untried(name: str, data: CoordinateData) -> Candidate:
+def untried(name: str, data: CoordinateData) -> TermCandidate:
     """A form that was not tried since it would do the same as another (`indistinguishable`)."""
     return _candidate(form(name), form(name).from_neutral(data))
 
 
-def _candidate(effect_form: EffectForm, made: Start) -> Candidate:
+def _candidate(effect_form: EffectForm, made: FitStart) -> TermCandidate:
     starts = np.atleast_2d(made.values)
     full = np.hstack([starts, np.tile(NEVER_GATED, (len(starts), 1))])
-    return Candidate(Term(effect_form), full, made.free, np.asarray(made.scale, dtype=float), made.bounds)
+    return TermCandidate(Term(effect_form), full, made.free, np.asarray(made.scale, dtype=float), made.bounds)
 
 
-def indistinguishable(part: Candidate, data: CoordinateData) -> tuple[str, ...]:
+def indistinguishable(part: TermCandidate, data: CoordinateData) -> tuple[str, ...]:
     """Forms that were not tried because in these data they would do exactly the same as another; plainest first."""
     same = []
     for effect_form in sorted(forms(), key=lambda effect_form: effect_form.complexity_rank):
@@ -498,7 +500,7 @@ def indistinguishable(part: Candidate, data: CoordinateData) -> tuple[str, ...]:
     return tuple(same)
 
 
-def smooth(data: CoordinateData, *, is_lean: bool = False) -> Candidate:
+def smooth(data: CoordinateData, *, is_lean: bool = False) -> TermCandidate:
     """The correction without a name: a smooth function of configuration, direction and speed of the command.
 
     Args:
@@ -510,4 +512,4 @@ def smooth(data: CoordinateData, *, is_lean: bool = False) -> Candidate:
     start = [low - margin, high - low + 2 * margin, size, *(0.0,) * (3 + 2 * SMOOTH_BUMPS), *NEVER_GATED]
     free = tuple(range(3, 6 if is_lean else 6 + 2 * SMOOTH_BUMPS))
     scale = [0.3, 0.5, 0.5 * size, *(0.5 * size,) * SMOOTH_BUMPS, *(0.5,) * SMOOTH_BUMPS]
-    return Candidate(Term(form(UNNAMED)), np.array([start]), free, np.array(scale[: len(free)]))
+    return TermCandidate(Term(form(UNNAMED)), np.array([start]), free, np.array(scale[: len(free)]))

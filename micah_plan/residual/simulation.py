@@ -62,7 +62,7 @@ def columns(model: Model) -> int:
     return sum(term.size for term in model)
 
 
-def simulate(
+def simulate_terms(
     data: CoordinateData, model: Model, parameters: Floats, process_share: Floats, kind: Kind = "filter"
 ) -> Prediction:
     """Run B models along a coordinate's data.

@@ -44,9 +44,9 @@ from micah_plan.residual.missing_mode import MissingMode, missing_modes
 from micah_plan.residual.residual_test import ResidualTest
 from micah_plan.residual.search import (
     UNNAMED,
-    Candidate,
     Scored,
     Search,
+    TermCandidate,
     candidates,
     gated,
     indistinguishable,
@@ -69,7 +69,7 @@ _ROWS_FOR_SMOOTH = 60
 
 
 @dataclass(frozen=True, eq=False)
-class Finding:
+class CoordinateFinding:
     """An effect that was found in a coordinate's data.
 
     Attributes:
@@ -81,7 +81,7 @@ class Finding:
             runs contradicts it.
     """
 
-    part: Candidate
+    part: TermCandidate
     interval: Floats
     evidence: float
     tied: tuple[str, ...]
@@ -111,7 +111,7 @@ class CoordinateTrace:
     nominal: Scored
     chosen: Scored
     final: Scored
-    findings: tuple[Finding, ...]
+    findings: tuple[CoordinateFinding, ...]
     ranking: tuple[tuple[str, float, float], ...]
     facts: Facts
     outcome: Outcome
@@ -277,7 +277,9 @@ def _explored(search: Search, progress: Progress) -> tuple[tuple[Scored, ...], S
     return singles, replace(selection, alternatives=(*selection.alternatives, place))
 
 
-def _selected(search: Search, library: Sequence[Candidate], progress: Progress) -> tuple[tuple[Scored, ...], Selection]:
+def _selected(
+    search: Search, library: Sequence[TermCandidate], progress: Progress
+) -> tuple[tuple[Scored, ...], Selection]:
     """All single effects on top of the nominal model, and what was chosen among them and those of two."""
     singles = scored_all(search, search.nominal, library, progress, 0.05, 0.5)
     return tuple(singles), select_forward(
@@ -285,7 +287,7 @@ def _selected(search: Search, library: Sequence[Candidate], progress: Progress) 
     )
 
 
-def may_remember(data: CoordinateData, finding: Finding) -> bool:
+def may_remember(data: CoordinateData, finding: CoordinateFinding) -> bool:
     """Whether it is open if an effect comes from this command or from earlier ones.
 
     It is tied with one of the other sort; or it depends on the place, and the runs are so alike that what depends on
@@ -320,7 +322,9 @@ def _fraction_left(nominal: Scored, chosen: Scored, smoother: Sequence[Scored]) 
     return float(np.clip(1.0 - chosen.over(nominal)[0] / best, 0.0, 1.0)) if best > 0 else 0.0
 
 
-def _findings(search: Search, nominal: Scored, chosen: Scored, alternatives: Sequence[Scored]) -> tuple[Finding, ...]:
+def _findings(
+    search: Search, nominal: Scored, chosen: Scored, alternatives: Sequence[Scored]
+) -> tuple[CoordinateFinding, ...]:
     findings, column = [], 0
     intervals = search.intervals(chosen) if chosen.parts else np.zeros((0, 3))
     for number, part in enumerate(chosen.parts):
@@ -345,7 +349,7 @@ def _findings(search: Search, nominal: Scored, chosen: Scored, alternatives: Seq
         is_always = not part.term.modes and not np.isfinite(part.starts[0, -GATES:]).any()
         same = indistinguishable(part, search.data) if is_always else ()
         tied = tuple(dict.fromkeys((*tied, *same)))
-        findings.append(Finding(replace(part, starts=values), interval, evidence, tied))
+        findings.append(CoordinateFinding(replace(part, starts=values), interval, evidence, tied))
     return tuple(sorted(findings, key=lambda finding: -finding.evidence))
 
 
@@ -394,7 +398,7 @@ class Selection:
 
 
 def select_forward(
-    search: Search, library: Sequence[Candidate], singles: Sequence[Scored], progress: Progress
+    search: Search, library: Sequence[TermCandidate], singles: Sequence[Scored], progress: Progress
 ) -> Selection:
     """Choose among models of one and two effects, and variants of the best."""
     nominal = search.nominal
@@ -440,7 +444,9 @@ def _first(search: Search, options: Sequence[Scored]) -> Scored | None:
     return None
 
 
-def _pairs(search: Search, library: Sequence[Candidate], heads: Sequence[Scored], progress: Progress) -> list[Scored]:
+def _pairs(
+    search: Search, library: Sequence[TermCandidate], heads: Sequence[Scored], progress: Progress
+) -> list[Scored]:
     """Models of two effects, best first; the second acts always, or since something changed on top of the first."""
     selected: list[tuple[float, Scored, Scored]] = []
     kept = list({head.names[-1]: head for head in heads}.values())
@@ -457,7 +463,7 @@ def _pairs(search: Search, library: Sequence[Candidate], heads: Sequence[Scored]
     return _simplest_first([*(pair for _, _, pair in selected), *variants], search.data)[:_TRIED]
 
 
-def _since_a_change(search: Search, model: Scored, library: Sequence[Candidate]) -> list[Candidate]:
+def _since_a_change(search: Search, model: Scored, library: Sequence[TermCandidate]) -> list[TermCandidate]:
     """The library from where on a model misses something; none if it does not.
 
     That shows as its last effect once more, or as a line in the command.
@@ -475,7 +481,7 @@ def _since_a_change(search: Search, model: Scored, library: Sequence[Candidate])
     return [gated(candidate, [place], []) for candidate in library if candidate.term.form.layer != "guard"]
 
 
-def _begins_later(part: Candidate) -> bool:
+def _begins_later(part: TermCandidate) -> bool:
     """Whether a part acts since some place in the recording only."""
     return bool(np.isfinite(part.starts[0, -GATES]))
 
@@ -493,7 +499,7 @@ def _simplest_first(options: Sequence[Scored], data: CoordinateData) -> list[Sco
 def scored_all(
     search: Search,
     base: Scored,
-    library: Sequence[Candidate],
+    library: Sequence[TermCandidate],
     progress: Progress,
     begin: float,
     end: float,
@@ -657,7 +663,7 @@ def followed(search: Search, most: int) -> Scored:
     data, term = search.data, Term(form(FOLLOW))
     starts = np.array([[share, *_AT_REST[1:], *(-np.inf,) * GATES] for share in _SHARES])
     plain = (_SHARE, _OFFSET)
-    forms = {frozenset[int](): search.score((Candidate(term, starts, plain, _scale(data, plain)),))}
+    forms = {frozenset[int](): search.score((TermCandidate(term, starts, plain, _scale(data, plain)),))}
     best = forms[frozenset()]
     for size in range(1, most + 1):
         for columns in map(frozenset, combinations(_STARTS, size)):
@@ -669,7 +675,7 @@ def followed(search: Search, most: int) -> Scored:
     return best
 
 
-def _freed(part: Candidate, column: int, data: CoordinateData) -> Candidate:
+def _freed(part: TermCandidate, column: int, data: CoordinateData) -> TermCandidate:
     """The candidate with one more parameter to fit, from where it was fitted."""
     tried = _STARTS[column]
     starts = np.repeat(part.starts[:1], len(tried), axis=0)

@@ -71,7 +71,7 @@ _KINDS = {"outcome": "string", "reason": "string", "modes": "string", "steps": "
 NUMBERS = tuple(item.name for item in fields(CaseResult) if _KINDS.get(item.name) != "string")
 
 
-def timings_path(output: Path) -> Path:
+def sweep_timings_path(output: Path) -> Path:
     """Path of the times of a table: beside it, so that tables of the same sweep are the same bytes."""
     return output.with_name(f"{output.stem}.timings{output.suffix}")
 

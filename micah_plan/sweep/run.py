@@ -13,7 +13,7 @@ from micah_plan.errors import MicahError
 from micah_plan.files import TABLE, Output, check_outputs, replace_files
 from micah_plan.quantities import Progress
 from micah_plan.sweep.journal import Journal, journal_path
-from micah_plan.sweep.result import CaseResult, CaseRun, results_table, timings_path, timings_table
+from micah_plan.sweep.result import CaseResult, CaseRun, results_table, sweep_timings_path, timings_table
 from micah_plan.sweep.solve_case import worker_died
 from micah_plan.sweep.workers import Workers, process_workers
 from micah_plan.task.sweep import Case, Sweep
@@ -89,8 +89,8 @@ def run_on(sweep: Sweep, output: Path, workers: Workers, progress: Progress | No
         runs = [journal.finished[case.key] for case in cases]
     results = tuple(run.result for run in runs)
     table, timings = results_table(sweep, cases, results, output.suffix), timings_table(runs, output.suffix)
-    replace_files({output: table, timings_path(output): timings})
-    return SweepResults(cases, results, resumed, (output, timings_path(output), journal_path(output)))
+    replace_files({output: table, sweep_timings_path(output): timings})
+    return SweepResults(cases, results, resumed, (output, sweep_timings_path(output), journal_path(output)))
 
 
 def check_sweep_outputs(sweep: Sweep, output: Path) -> None:
@@ -102,7 +102,7 @@ def check_sweep_outputs(sweep: Sweep, output: Path) -> None:
     """
     read = [Path(sweep.source) if sweep.source else None, *(problem.path for problem in sweep.problems)]
     beside = [Output("the journal of -o", journal_path(output), (".journal",))]
-    beside += [Output("the times of -o", timings_path(output), TABLE)] if output.suffix else []
+    beside += [Output("the times of -o", sweep_timings_path(output), TABLE)] if output.suffix else []
     check_outputs(read, [Output("-o", output, TABLE), *beside])
     results_table(sweep, (), (), output.suffix)
 

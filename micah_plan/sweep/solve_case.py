@@ -11,7 +11,7 @@ from time import perf_counter
 
 from micah_plan.documents.problem import ProblemReader
 from micah_plan.errors import InputError, MicahError, MissingDependencyError
-from micah_plan.execution.trials import execute_plan
+from micah_plan.execution.trials import run_trials
 from micah_plan.files import read_bytes
 from micah_plan.planning.solver import solve
 from micah_plan.sweep.result import CaseResult, CaseRun, Outcome
@@ -78,7 +78,7 @@ def _solved(case: Case, seconds: dict[str, float]) -> CaseResult:
     if plan.outcome != "solved" or not case.trials:
         return _planned(plan)
     begin = perf_counter()
-    statistics = execute_plan(problem, plan, plant=case.plant, trials=case.trials, seed=case.seed)
+    statistics = run_trials(problem, plan, plant=case.plant, trials=case.trials, seed=case.seed)
     seconds["execute"] = perf_counter() - begin
     return replace(
         _planned(plan),

@@ -73,7 +73,7 @@ class Rest:
         return {name: moved * pose for name, pose in lowered.items()}
 
 
-def rest_of(problem: Problem) -> Rest:
+def resting_place(problem: Problem) -> Rest:
     """How the object of a problem with a release stands in the end.
 
     Raises:
@@ -123,7 +123,7 @@ def pre_release_problem(problem: Problem) -> Problem:
     """
     if problem.release is None:
         return problem
-    rest, release, sigmas = rest_of(problem), problem.release, problem.settings.sigmas
+    rest, release, sigmas = resting_place(problem), problem.release, problem.settings.sigmas
     target = []
     for index, value, tolerance in problem.goal.target:
         if index < 2:

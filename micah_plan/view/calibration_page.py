@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from micah_plan.arrays import Floats
-from micah_plan.quantities import count, interval, listed, percent, plain, quantity, with_spread
+from micah_plan.quantities import Table, count, interval, listed, percent, plain, quantity, with_spread
 from micah_plan.residual.calibrate import Calibration, FoundEffect, began
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.prediction import trajectory_errors
@@ -16,7 +16,7 @@ from micah_plan.residual.trace import CoordinateTrace
 from micah_plan.residual.verdict import SENTENCES, Verdict
 from micah_plan.view.chart import Chart, Curve, Level, Panel, evenly, widened
 from micah_plan.view.learned import capital
-from micah_plan.view.page import Bar, Bars, Status, Table, render
+from micah_plan.view.page import Bar, Bars, Status, render
 from micah_plan.view.palette import BLUE, INK, ORANGE
 from micah_plan.view.prediction_page import calibration_scene
 
@@ -114,7 +114,7 @@ def _parameters(calibration: Calibration) -> Table:
             )
             sure = interval(low, high, unit) if high > low else "not fitted"
             rows.append((first[0], name, quantity(value, unit), sure, first[1]))
-    return Table(("effect", "parameter", "value", "95 % interval", "evidence [nats]"), tuple(rows), (4,))
+    return Table(("effect", "parameter", "value", "95 % interval", "evidence [nats]"), tuple(rows), numeric=(4,))
 
 
 def _effect(effect: FoundEffect) -> dict[str, str]:
@@ -141,7 +141,7 @@ def _errors(calibration: Calibration) -> Table:
         rolls = error.before.rollout, error.after.rollout, error.rollout_floor
         rows.append((f"{name}one step ahead", *(quantity(e, error.unit) for e in steps)))
         rows.append((f"{name}roll-out from the first row", *(quantity(e, error.unit) for e in rolls)))
-    return Table((head, "before", "after", "noise alone"), tuple(rows), (1, 2, 3))
+    return Table((head, "before", "after", "noise alone"), tuple(rows), numeric=(1, 2, 3))
 
 
 def _poses(calibration: Calibration) -> Table:
@@ -156,7 +156,7 @@ def _poses(calibration: Calibration) -> Table:
             (name, *(quantity(error, "m") for error in errors))
             for name, errors in zip(names, zip(*by_evo, strict=True), strict=True)
         ]
-    return Table((head, "before", "after"), tuple(rows), (1, 2))
+    return Table((head, "before", "after"), tuple(rows), numeric=(1, 2))
 
 
 def _correlation(trace: CoordinateTrace) -> Table:
@@ -164,7 +164,7 @@ def _correlation(trace: CoordinateTrace) -> Table:
     names, matrix = trace.search.correlations_of(trace.chosen)
     shown = zip(names, matrix.tolist(), strict=True) if len(names) > 1 else ()
     rows = tuple((name, *(f"{value:.2f}" for value in row)) for name, row in shown)
-    return Table(("correlation of errors", *names), rows, tuple(range(1, len(names) + 1)))
+    return Table(("correlation of errors", *names), rows, numeric=tuple(range(1, len(names) + 1)))
 
 
 def _coordinate(trace: CoordinateTrace) -> dict[str, Any]:
@@ -201,7 +201,7 @@ def _runs(trace: CoordinateTrace) -> Table:
         chosen = data.counted & (data.run == run)[:, None]
         sizes = [float(np.sqrt(np.mean(errors[chosen] ** 2))) for errors in kinds]
         rows.append((str(run), *(quantity(size, data.unit, degrees=False) for size in sizes)))
-    return Table(("run", "one step, before", "after", "roll-out, before", "after"), tuple(rows), (1, 2, 3, 4))
+    return Table(("run", "one step, before", "after", "roll-out, before", "after"), tuple(rows), numeric=(1, 2, 3, 4))
 
 
 def motion_charts(calibration: Calibration) -> list[Chart]:

@@ -10,7 +10,7 @@ import numpy as np
 from micah_plan.arrays import Floats
 
 if TYPE_CHECKING:
-    from micah_plan.view.scene import Scene
+    from micah_plan.view.scene import DrawnScene
 
 
 VIEW_ANGLE_DEG = 36.0
@@ -20,7 +20,7 @@ _ELEVATION, _LOW_ELEVATION = math.radians(28.0), math.radians(13.0)
 _AZIMUTHS = np.radians(np.arange(-60, 300, 15))
 
 
-def camera(scene: Scene, motion: Floats, blockers: Floats | None = None) -> dict[str, object]:
+def camera(scene: DrawnScene, motion: Floats, blockers: Floats | None = None) -> dict[str, object]:
     """Position, target and clipping that show the whole scene, from where the motion spreads widest.
 
     Args:

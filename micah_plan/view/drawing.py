@@ -16,7 +16,7 @@ from micah_plan.automaton.kinematics import origin
 from micah_plan.task.body import corners, vector3
 from micah_plan.view.palette import BODY, FRAME_AXES, GRID, INK, MUTED
 from micah_plan.view.placement import CURVE_POINTS, coordinate_range, joint_axis, joint_curve
-from micah_plan.view.scene import Scene, slug
+from micah_plan.view.scene import DrawnScene, slug
 from micah_plan.view.solids import arrow, merge, perpendicular, tube
 
 _SMALLEST = 0.02
@@ -46,7 +46,7 @@ class JointLook:
     point: Floats | None = None
 
 
-def draw_joint(scene: Scene, path: str, joint: Joint, limits: tuple[float, float], look: JointLook) -> None:
+def draw_joint(scene: DrawnScene, path: str, joint: Joint, limits: tuple[float, float], look: JointLook) -> None:
     """A joint in the frame of its parent: an axis with an arrow, and an arc, a line or (rigid) a ring.
 
     Args:
@@ -71,13 +71,13 @@ def draw_joint(scene: Scene, path: str, joint: Joint, limits: tuple[float, float
         scene.mesh(f"{path}/path", arrow(curve[0], curve[-1], 0.009 * thickness * size), color)
 
 
-def draw_frame(scene: Scene, path: str, length: float) -> None:
+def draw_frame(scene: DrawnScene, path: str, length: float) -> None:
     """A coordinate frame: x red, y green, z blue."""
     for name, direction, color in zip("xyz", np.eye(3), FRAME_AXES, strict=True):
         scene.mesh(f"{path}/{name}", arrow(np.zeros(3), length * direction, 0.03 * length), color)
 
 
-def draw_ground(scene: Scene) -> float:
+def draw_ground(scene: DrawnScene) -> float:
     """A grid under what the camera sees; returns the spacing of its lines [m] (1, 2 or 5 times a power of ten)."""
     lower, upper = scene.bounds()
     span = float(np.linalg.norm(upper - lower))
@@ -152,7 +152,7 @@ def object_size(automaton: HybridAutomaton) -> float:
 
 
 def draw_shapes(
-    scene: Scene, path: str, shapes: tuple[Primitive, ...], *, color: str | None = None, opacity: float = 1.0
+    scene: DrawnScene, path: str, shapes: tuple[Primitive, ...], *, color: str | None = None, opacity: float = 1.0
 ) -> None:
     """All shapes of a body below one path."""
     for number, shape in enumerate(shapes):
@@ -160,7 +160,7 @@ def draw_shapes(
 
 
 def draw_copy(
-    scene: Scene, path: str, shapes: tuple[Primitive, ...], pose: RigidTransform, color: str, opacity: float
+    scene: DrawnScene, path: str, shapes: tuple[Primitive, ...], pose: RigidTransform, color: str, opacity: float
 ) -> None:
     """A pale copy of a body at one pose (single), which the camera sees."""
     draw_shapes(scene, path, shapes, color=color, opacity=opacity)

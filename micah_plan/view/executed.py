@@ -26,7 +26,7 @@ from micah_plan.view.motion import step_times, times_of_steps
 from micah_plan.view.page import LegendEntry, RunEntry, Status
 from micah_plan.view.palette import EXECUTED
 from micah_plan.view.placement import handle_in_part
-from micah_plan.view.scene import Scene, slug
+from micah_plan.view.scene import DrawnScene, slug
 from micah_plan.view.solids import beads
 
 TRUE_COLUMN = "true_{}"
@@ -210,7 +210,7 @@ def first_runs(runs: Sequence[ExecutedRun]) -> list[ExecutedRun]:
 
 
 def draw_runs(
-    scene: Scene, automaton: HybridAutomaton, trajectory: Trajectory, runs: Sequence[ExecutedRun], size: float
+    scene: DrawnScene, automaton: HybridAutomaton, trajectory: Trajectory, runs: Sequence[ExecutedRun], size: float
 ) -> list[RunEntry]:
     """A ghost of every run along the plan's clock, with beads where its handle was; the entries of the list."""
     entries = []

@@ -16,7 +16,7 @@ from micah_plan.view.drawing import JointLook, draw_ground, draw_joint
 from micah_plan.view.page import Band, Block, LegendEntry, ScenePage, Status, Timeline, render_scene
 from micah_plan.view.palette import BLUE, GREEN, GRID, INK, MUTED, ORANGE, PINK, VERMILLION
 from micah_plan.view.placement import coordinate_range
-from micah_plan.view.scene import Scene
+from micah_plan.view.scene import DrawnScene
 from micah_plan.view.solids import arrow, beads, tube
 
 _BADGES: dict[str, tuple[str, Status]] = {
@@ -34,7 +34,7 @@ _FORCE_LENGTH = 0.5  # of the size of the scene, of the arrow of the largest for
 
 def exploration_page(exploration: Exploration, title: str) -> str:
     """The page as HTML text: self-contained, fetches nothing, the same value gives the same bytes."""
-    scene, times = Scene(), _times(exploration)
+    scene, times = DrawnScene(), _times(exploration)
     places = np.array([moment.place for moment in exploration.moments]).reshape(-1, 3)
     scene.reserve(places)
     size = max(float(np.linalg.norm(np.ptp(places, axis=0))) if len(places) else 0.0, _SMALLEST)
@@ -64,7 +64,7 @@ def _times(exploration: Exploration) -> Floats:
     return np.linspace(0.0, min(max(_STEP_S * steps, _SHORTEST_S), _LONGEST_S), steps) if steps > 1 else np.zeros(steps)
 
 
-def _draw_way(scene: Scene, exploration: Exploration, places: Floats, size: float) -> None:
+def _draw_way(scene: DrawnScene, exploration: Exploration, places: Floats, size: float) -> None:
     """The way of the handle, where the hand pulled from each place, and the directions that were thought possible."""
     scene.mesh("way/line", tube(places, 0.006 * size), BLUE)
     scene.mesh("way/places", beads(places, 0.014 * size), BLUE)
@@ -78,7 +78,7 @@ def _draw_way(scene: Scene, exploration: Exploration, places: Floats, size: floa
         scene.lines(f"fan/{number}", ends.reshape(-1, 3), VERMILLION)
 
 
-def _animate(scene: Scene, exploration: Exploration, places: Floats, size: float, times: Floats) -> None:
+def _animate(scene: DrawnScene, exploration: Exploration, places: Floats, size: float, times: Floats) -> None:
     """The hand along its way, with the force that it measured as an arrow."""
     forces = np.array([moment.force for moment in exploration.moments])
     lengths = np.linalg.norm(forces, axis=1)
@@ -101,7 +101,7 @@ def _turned_to(direction: Floats) -> Rotation:
     return Rotation.align_vectors(direction[None], np.eye(3)[:1])[0] if direction.any() else Rotation.identity()
 
 
-def _draw_model(scene: Scene, exploration: Exploration, size: float) -> None:
+def _draw_model(scene: DrawnScene, exploration: Exploration, size: float) -> None:
     """The joints that were found, along the ranges that the hand went."""
     model = exploration.model
     if model is None:

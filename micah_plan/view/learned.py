@@ -186,7 +186,7 @@ class ChangeBar:
 
 
 @dataclass(frozen=True, eq=False)
-class LearnedRun:
+class RunPicture:
     """One run of one part: everything that its picture shows.
 
     Attributes:
@@ -250,7 +250,7 @@ class LearnedRun:
         return self.edge.parent == BASE
 
 
-def learned_runs(recording: Recording, graph: KinematicGraph) -> tuple[LearnedRun, ...]:
+def learned_runs(recording: Recording, graph: KinematicGraph) -> tuple[RunPicture, ...]:
     """Every part's runs, parts in the order of the graph."""
     segments = colored_segments(recording, graph)
     stretches_of_runs = []
@@ -265,7 +265,7 @@ def learned_runs(recording: Recording, graph: KinematicGraph) -> tuple[LearnedRu
 
 def _learned_run(
     recording: Recording, edge: KinematicEdge, run: int, number: int, coloured: tuple[ColoredSegment, ...]
-) -> LearnedRun:
+) -> RunPicture:
     rows = rows_of_run(recording, edge, run)
     poses = parent_poses(recording, edge, run, rows).inv() * recording.poses()[rows]
     moving = [s for s in edge.segments if s.joint.moves and not fits_no_joint(s)]
@@ -283,7 +283,7 @@ def _learned_run(
     trace_rows, lines, changes = _traced(None if certainty is None else certainty.trace, rows, stretches)
     counts = certainty.changepoint_counts if certainty is not None else ()
     units = dict.fromkeys(s.joint.unit for s in moving)
-    return LearnedRun(
+    return RunPicture(
         edge, run, rows, recording.time[rows], poses.translation, tuple(stretches),
         "configuration" if moving else "displacement", " or ".join(units) if moving else "m",
         trace_rows, lines, changes, counts[number] if number < len(counts) else (),
@@ -376,20 +376,20 @@ _TOLD = 0.5  # probability of a deviation from which on it is told
 _LINE_OF_NAMES = 17  # letters
 
 
-def block_title(learned: LearnedRun, *, several_runs: bool) -> str:
+def block_title(learned: RunPicture, *, several_runs: bool) -> str:
     """Part, run and finding: ``"door, run 2: revolute → rigid"``."""
     name = learned.edge.child + (f", run {learned.run}" if several_runs else "")
     return f"{name}: {headline(learned)}"
 
 
-def block_words(learned: LearnedRun) -> list[str]:
+def block_words(learned: RunPicture) -> list[str]:
     """Changepoints, and the parameters of each joint that moves, one sentence each."""
     joints = {s.colored.color: s.segment for s in learned.stretches if not fits_no_joint(s.segment)}
     moving = [f"{s.joint.kind}: {joint_words(s)}" for s in joints.values() if s.joint.moves]
     return [changepoint_words(learned), *moving]
 
 
-def block_notes(learned: LearnedRun, *, recorded: bool) -> list[str]:
+def block_notes(learned: RunPicture, *, recorded: bool) -> list[str]:
     """What joints explain badly or not at all, and how actions move the part, one sentence each.
 
     Args:
@@ -408,18 +408,18 @@ def capital(words: str) -> str:
     return words[:1].upper() + words[1:]
 
 
-def any_fits_no_joint(learned: LearnedRun) -> bool:
+def any_fits_no_joint(learned: RunPicture) -> bool:
     """Whether no single joint explains some of the rows."""
     return any(fits_no_joint(stretch.segment) for stretch in learned.stretches)
 
 
-def headline(learned: LearnedRun) -> str:
+def headline(learned: RunPicture) -> str:
     """The finding in one line: ``"revolute → rigid"``, or that no single-joint model fits."""
     names = [NO_FIT if fits_no_joint(s.segment) else s.segment.joint.kind for s in learned.stretches]
     return " → ".join(names) if names else "no segments"
 
 
-def changepoint_words(learned: LearnedRun) -> str:
+def changepoint_words(learned: RunPicture) -> str:
     """Where segments start: ``"changepoint at row 40 (95 % interval: 38 to 42)"``."""
     starts = []
     for stretch in learned.stretches[1:]:
@@ -484,7 +484,7 @@ def deviation_notes(segments: Sequence[Segment]) -> list[str]:
     return notes
 
 
-def channel_words(learned: LearnedRun, *, recorded: bool) -> str:
+def channel_words(learned: RunPicture, *, recorded: bool) -> str:
     """How the recorded actions move the part, with one standard deviation; empty if it was not estimated."""
     if not learned.assessed:
         return ""
@@ -541,7 +541,7 @@ class SegmentLabel:
     no_single_joint: bool
 
 
-def segment_labels(learned: LearnedRun, letter: float) -> tuple[SegmentLabel, ...]:
+def segment_labels(learned: RunPicture, letter: float) -> tuple[SegmentLabel, ...]:
     """Names of the segments; what would overlap goes a level up, or away.
 
     Args:
@@ -552,7 +552,7 @@ def segment_labels(learned: LearnedRun, letter: float) -> tuple[SegmentLabel, ..
     for stretch in learned.stretches:
         segment = stretch.segment
         wrong = fits_no_joint(segment)
-        share = dict(kind_probabilities(segment)).get(segment.joint.kind, segment.probability)
+        share = dict(probability_words(segment)).get(segment.joint.kind, segment.probability)
         text = NO_FIT if wrong else f"{segment.joint.kind} {percent(share, 0)}"
         half = letter * len(text) / 2
         first, last = float(learned.time[0]), float(learned.time[-1])
@@ -565,7 +565,7 @@ def segment_labels(learned: LearnedRun, letter: float) -> tuple[SegmentLabel, ..
     return tuple(stretches_of_run)
 
 
-def interval_labels(learned: LearnedRun) -> list[tuple[int, str]]:
+def interval_labels(learned: RunPicture) -> list[tuple[int, str]]:
     """First row and name of every interval in which a segment starts with 95 % probability."""
     intervals = [stretch.interval for stretch in learned.stretches[1:] if stretch.interval is not None]
     return [(low, f"95 %: {low} to {high}" if high > low else f"95 %: {low}") for low, high in intervals]
@@ -598,7 +598,7 @@ def model_name(model: str) -> str:
     return f"{kind} ({number})" if number else kind
 
 
-def kind_probabilities(segment: Segment) -> list[tuple[str, float]]:
+def probability_words(segment: Segment) -> list[tuple[str, float]]:
     """Kinds of joint, and no single joint, with their probabilities, the most probable first."""
     kinds = [] if segment.certainty is None else [(str(kind), p) for kind, p in segment.certainty.kinds]
     none = max(0.0, 1.0 - sum(p for _, p in kinds))
@@ -607,11 +607,11 @@ def kind_probabilities(segment: Segment) -> list[tuple[str, float]]:
 
 def kind_words(segment: Segment) -> tuple[str, str]:
     """The most probable kind with its probability, and the next one, empty if it is out of the question."""
-    ranked = [f"{name} {percent(p, 0)}" if p >= 0.005 else "" for name, p in kind_probabilities(segment)]
+    ranked = [f"{name} {percent(p, 0)}" if p >= 0.005 else "" for name, p in probability_words(segment)]
     return ranked[0], "".join(ranked[1:2])
 
 
-def shown_counts(learned: LearnedRun, least: int = 3) -> tuple[float, ...]:
+def shown_counts(learned: RunPicture, least: int = 3) -> tuple[float, ...]:
     """Probabilities of 0, 1, 2, ... changepoints, as far as they matter, and at least `least`."""
     counts = learned.counts + (0.0,) * (least - len(learned.counts))
     matter = [number for number, probability in enumerate(counts) if probability >= 0.005]

@@ -12,7 +12,7 @@ from micah_plan.recording.value import Recording
 from micah_plan.view.chart import Change, Chart, Columns, Curve, Mark, Panel, Span, Words, evenly, widened
 from micah_plan.view.learned import (
     LEVELS,
-    LearnedRun,
+    RunPicture,
     any_fits_no_joint,
     block_notes,
     block_title,
@@ -21,9 +21,9 @@ from micah_plan.view.learned import (
     fits_no_joint,
     headline,
     interval_labels,
-    kind_probabilities,
     kind_words,
     line_labels,
+    probability_words,
     segment_labels,
     shown_counts,
 )
@@ -38,7 +38,7 @@ _LETTER, _LINE = 7.2, 13.5
 _MOST_KEYFRAMES = 120
 
 
-def learning_charts(recording: Recording, runs: Sequence[LearnedRun], shown: Floats) -> list[Block]:
+def learning_charts(recording: Recording, runs: Sequence[RunPicture], shown: Floats) -> list[Block]:
     """One block per part and run; of more than MOST_BLOCKS the rest is counted.
 
     Args:
@@ -51,7 +51,7 @@ def learning_charts(recording: Recording, runs: Sequence[LearnedRun], shown: Flo
     return blocks
 
 
-def learning_block(recording: Recording, learned: LearnedRun, shown: Floats, *, several_runs: bool) -> Block:
+def learning_block(recording: Recording, learned: RunPicture, shown: Floats, *, several_runs: bool) -> Block:
     """One part and run; `shown` as above."""
     rows = learned.rows[evenly(len(learned.rows), _MOST_KEYFRAMES)]
     return Block(
@@ -65,7 +65,7 @@ def learning_block(recording: Recording, learned: LearnedRun, shown: Floats, *, 
     )
 
 
-def learning_chart(learned: LearnedRun) -> Chart:
+def learning_chart(learned: RunPicture) -> Chart:
     """Configuration, and where learning traced them evidence and the posterior of the changepoints, all over time."""
     first, last = learned.span
     behind = _segments(learned)
@@ -77,7 +77,7 @@ def learning_chart(learned: LearnedRun) -> Chart:
     return Chart(described, "time [s]", first, last, shaded, lines=LEVELS, names=bool(learned.evidence))
 
 
-def _segments(learned: LearnedRun) -> list[Mark]:
+def _segments(learned: RunPicture) -> list[Mark]:
     """The segments' colours behind a panel; a line at every changepoint, in the band of its 95 % interval."""
     marks: list[Mark] = []
     for number, stretch in enumerate(learned.stretches):
@@ -91,7 +91,7 @@ def _segments(learned: LearnedRun) -> list[Mark]:
     return marks
 
 
-def _configuration(learned: LearnedRun, letter: float) -> Panel:
+def _configuration(learned: RunPicture, letter: float) -> Panel:
     """The measured configuration of every row in its segment's colour, and above it the segments' names.
 
     Args:
@@ -113,7 +113,7 @@ def _configuration(learned: LearnedRun, letter: float) -> Panel:
     return Panel(f"{learned.quantity} [{learned.unit}]", low, high, _CONFIGURATION, tuple(marks))
 
 
-def _evidence(learned: LearnedRun) -> Panel:
+def _evidence(learned: RunPicture) -> Panel:
     """Cumulated evidence of each model against the best single one: a model takes over where its line rises."""
     times, (low, high) = learned.when(learned.evidence_rows), learned.evidence_range
     marks: list[Mark] = [
@@ -125,7 +125,7 @@ def _evidence(learned: LearnedRun) -> Panel:
     return Panel("evidence against\nbest single [nats]", low, high, _EVIDENCE, tuple(marks))
 
 
-def _changepoint(learned: LearnedRun) -> Panel:
+def _changepoint(learned: RunPicture) -> Panel:
     """The posterior probability of every row to be the first of a segment."""
     bars = [bar for bar in learned.changepoints if bar.probability >= 1e-4]
     rows, widths, heights = (np.array([getattr(bar, name) for bar in bars]) for name in ("row", "width", "probability"))
@@ -137,14 +137,14 @@ def _changepoint(learned: LearnedRun) -> Panel:
     return Panel("P(change\nat row)", low, high, _CHANGEPOINT, tuple(marks))
 
 
-def _counts(learned: LearnedRun) -> Bars:
+def _counts(learned: RunPicture) -> Bars:
     chosen = len(learned.stretches) - 1
     probabilities = shown_counts(learned) if learned.counts else ()
     rows = [Bar(str(k), percent(p, 0), p, faint=k != chosen) for k, p in enumerate(probabilities)]
     return Bars("Number of changepoints", tuple(rows))
 
 
-def _kinds(learned: LearnedRun) -> Bars:
+def _kinds(learned: RunPicture) -> Bars:
     """One bar per segment for its most probable kind; the next one in words."""
     rows = []
     for stretch in learned.stretches:
@@ -152,5 +152,5 @@ def _kinds(learned: LearnedRun) -> Bars:
             continue
         named = ", then ".join(filter(None, kind_words(stretch.segment)))
         label = f"rows {stretch.segment.start} to {stretch.segment.end}"
-        rows.append(Bar(label, named, kind_probabilities(stretch.segment)[0][1], stretch.colored.color))
+        rows.append(Bar(label, named, probability_words(stretch.segment)[0][1], stretch.colored.color))
     return Bars("Kind of joint", tuple(rows))

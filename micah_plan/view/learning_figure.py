@@ -24,16 +24,16 @@ from micah_plan.view.camera import viewing_direction
 from micah_plan.view.figures import PANEL_INK, draw, empty_figure
 from micah_plan.view.learned import (
     NO_BREAK,
-    LearnedRun,
+    RunPicture,
     Stretch,
     any_fits_no_joint,
     block_notes,
     block_title,
     block_words,
     fits_no_joint,
-    kind_probabilities,
     kind_words,
     learned_runs,
+    probability_words,
     shown_counts,
     wrapped,
 )
@@ -56,7 +56,7 @@ _LINE, _CHARACTERS = 0.19, 150
 class _Block:
     """One part and run, its words below the panels, and the heights of its panels [in]."""
 
-    learned: LearnedRun
+    learned: RunPicture
     words: tuple[str, ...]
     panels: tuple[float, ...]
     bars: bool
@@ -92,7 +92,7 @@ def learning_figure(recording: Recording, graph: KinematicGraph | None = None) -
     return figure
 
 
-def _block(learned: LearnedRun, recording: Recording) -> _Block:
+def _block(learned: RunPicture, recording: Recording) -> _Block:
     notes = block_notes(learned, recorded=recording.has_actions)
     glued = [note.replace(" ± ", f"{NO_BREAK}±{NO_BREAK}") for note in notes]
     lines = tuple(line for note in glued for line in wrapped(note, _CHARACTERS))
@@ -170,7 +170,7 @@ _FAR = 2.5
 """A centre farther away than this many track sizes is not drawn: it would shrink the track to a dot."""
 
 
-def plot_track(space: Any, learned: LearnedRun) -> None:
+def plot_track(space: Any, learned: RunPicture) -> None:
     """The part's positions in the frame of its parent, and the joints of its segments, one of a kind and colour."""
     size = max(float(np.linalg.norm(np.ptp(learned.position, axis=0))), 1e-3)
     segmented = np.zeros(len(learned.rows), dtype=bool)
@@ -250,7 +250,7 @@ def _finish(space: Any, points: Floats, motion: Floats, frame: str) -> None:
     space.tick_params(labelsize=8, pad=1, colors=INK)
 
 
-def plot_counts(axes: Axes, learned: LearnedRun) -> None:
+def plot_counts(axes: Axes, learned: RunPicture) -> None:
     """The posterior over the number of changepoints; the number that the segments have is dark."""
     counts = shown_counts(learned)
     chosen = len(learned.stretches) - 1
@@ -264,7 +264,7 @@ def plot_counts(axes: Axes, learned: LearnedRun) -> None:
     axes.set_xlabel("number of changepoints", fontsize=8.5, color=PANEL_INK, labelpad=2)
 
 
-def plot_kinds(axes: Axes, learned: LearnedRun) -> None:
+def plot_kinds(axes: Axes, learned: RunPicture) -> None:
     """The probability of each kind of joint, one bar per segment; the largest is named in it, the next beside it."""
     assessed = [stretch for stretch in learned.stretches if stretch.segment.certainty is not None][:_MOST_KINDS]
     for number, stretch in enumerate(assessed):
@@ -280,7 +280,7 @@ def plot_kinds(axes: Axes, learned: LearnedRun) -> None:
 
 
 def _plot_kind(axes: Axes, place: float, stretch: Stretch) -> None:
-    ranked = [probability for _, probability in kind_probabilities(stretch.segment)]
+    ranked = [probability for _, probability in probability_words(stretch.segment)]
     left = np.cumsum([0.0, *ranked[:-1]])
     colors = [stretch.colored.color] + [GRID] * (len(ranked) - 1)
     axes.barh([place] * len(ranked), ranked, left=left, height=0.66, color=colors, edgecolor="white", lw=0.8)

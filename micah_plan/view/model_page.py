@@ -35,7 +35,7 @@ from micah_plan.view.placement import (
     representative_state,
     thresholds,
 )
-from micah_plan.view.scene import Scene, slug
+from micah_plan.view.scene import DrawnScene, slug
 from micah_plan.view.solids import tube
 
 _SWEEP_S, _REST_S, _GAP_S = 4.0, 1.5, 0.05
@@ -44,7 +44,7 @@ _SWEEP_FRAMES = 33
 
 def model_page(automaton: HybridAutomaton, *, title: str = "Model") -> str:
     """The page as HTML text."""
-    scene = Scene()
+    scene = DrawnScene()
     size = object_size(automaton)
     keys, bands = sweep(automaton)
     moved = poses_over_time(automaton, keys)
@@ -99,7 +99,7 @@ def sweep(automaton: HybridAutomaton) -> tuple[Keyframes, tuple[Band, ...]]:
     return Keyframes(np.concatenate(times), tuple(modes), np.concatenate(states)), tuple(bands)
 
 
-def draw_object(scene: Scene, automaton: HybridAutomaton, keys: Keyframes, moved: Moved) -> None:
+def draw_object(scene: DrawnScene, automaton: HybridAutomaton, keys: Keyframes, moved: Moved) -> None:
     """The moving parts, animated, and the fixed parts."""
     for number, link in shown_links(automaton):
         path, poses, shapes = f"object/{slug(link.child, number)}", moved[link.child], link_shapes(automaton, number)
@@ -112,7 +112,7 @@ def draw_object(scene: Scene, automaton: HybridAutomaton, keys: Keyframes, moved
     scene.reserve(shape_corners(fixed, RigidTransform.identity()))
 
 
-def draw_mode_joints(scene: Scene, automaton: HybridAutomaton, keys: Keyframes, moved: Moved, size: float) -> None:
+def draw_mode_joints(scene: DrawnScene, automaton: HybridAutomaton, keys: Keyframes, moved: Moved, size: float) -> None:
     """The joints of all modes, each link's in the frame of its parent, in the colours of the modes."""
     colors = mode_colors(automaton)
     shown = {BASE, *(part.name for part in automaton.parts), *(link.child for _, link in shown_links(automaton))}
@@ -128,7 +128,7 @@ def draw_mode_joints(scene: Scene, automaton: HybridAutomaton, keys: Keyframes, 
             scene.animate(f"joints/{slug(link.child, number)}", keys.times, moved[link.parent])
 
 
-def draw_ground_and_frame(scene: Scene, size: float) -> float:
+def draw_ground_and_frame(scene: DrawnScene, size: float) -> float:
     """The base frame, if it lies near, and the ground; returns the grid's spacing [m]."""
     lower, upper = scene.bounds()
     if np.all(np.abs((lower + upper) / 2) < upper - lower + size):
@@ -153,7 +153,7 @@ def readouts(automaton: HybridAutomaton, keys: Keyframes) -> tuple[tuple[float, 
     return tuple(rows)
 
 
-def _draw_thresholds(scene: Scene, automaton: HybridAutomaton, marks: tuple[Threshold, ...], size: float) -> None:
+def _draw_thresholds(scene: DrawnScene, automaton: HybridAutomaton, marks: tuple[Threshold, ...], size: float) -> None:
     """A pale copy of the part at each changepoint, and a bar through its handle."""
     for order, mark in enumerate(marks):
         mode = automaton.mode(mark.source)

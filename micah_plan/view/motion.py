@@ -59,7 +59,7 @@ def knot_times(trajectory: Trajectory) -> Floats:
     """(K,) [s] on the page's clock, strictly increasing."""
     steps = step_times(trajectory)
     takes = np.where(trajectory.is_transition, _TRANSITION_S, 0.0)
-    for first, until in stretches(trajectory.modes)[:-1]:
+    for first, until in mode_stretches(trajectory.modes)[:-1]:
         if steps[first] == steps[until]:
             takes[until - 1] = _PASSING_S
     passed = np.concatenate([[0.0], np.cumsum(takes)])
@@ -102,7 +102,7 @@ def keyframes(trajectory: Trajectory) -> Keyframes:
     )
 
 
-def stretches(modes: Sequence[str]) -> list[tuple[int, int]]:
+def mode_stretches(modes: Sequence[str]) -> list[tuple[int, int]]:
     """First index of every stretch of one mode, and the first of the next (of the last stretch its own last)."""
     starts = [k for k in range(len(modes)) if k == 0 or modes[k] != modes[k - 1]]
     return list(zip(starts, [*starts[1:], len(modes) - 1], strict=True))

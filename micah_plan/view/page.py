@@ -20,7 +20,7 @@ from micah_plan.errors import InputError
 from micah_plan.view.chart import Chart
 
 if TYPE_CHECKING:
-    from micah_plan.view.scene import Scene
+    from micah_plan.view.scene import DrawnScene
 
 Status = Literal["good", "fair", "bad"]
 
@@ -118,21 +118,6 @@ class Block:
 
 
 @dataclass(frozen=True)
-class Table:
-    """A table of texts.
-
-    Attributes:
-        head: of the columns.
-        rows: as long as `head` each.
-        numeric: columns (from 0) of numbers, which are set to the right.
-    """
-
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    numeric: tuple[int, ...] = ()
-
-
-@dataclass(frozen=True)
 class RunEntry:
     """One of the runs that a page can show, alone or with the others.
 
@@ -186,7 +171,7 @@ class ScenePage:
     is_within: bool = False
 
 
-def render_scene(page: ScenePage, scene: Scene) -> str:
+def render_scene(page: ScenePage, scene: DrawnScene) -> str:
     """The page of a plan, a model or a recording as HTML text."""
     from micah_plan.view.scene import layer_path, viewer_javascript
 

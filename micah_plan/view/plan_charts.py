@@ -13,7 +13,7 @@ from micah_plan.quantities import count, percent, plain, quantity
 from micah_plan.task.plan import ArmTrajectory, Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.view.chart import Area, Chart, Curve, Level, Mark, Panel, Range, Span, Words, widened
-from micah_plan.view.motion import duration, knot_times, step_times, stretches, times_of_steps
+from micah_plan.view.motion import duration, knot_times, mode_stretches, step_times, times_of_steps
 from micah_plan.view.page import Block
 from micah_plan.view.palette import BELIEF, EXECUTED, GOAL, mode_colors
 from micah_plan.view.placement import guards_of
@@ -104,7 +104,7 @@ def _over_steps(
 ) -> Chart:
     """Panels over the steps, shaded and named by mode."""
     steps, colors = step_times(trajectory).astype(np.float64), mode_colors(problem.automaton)
-    bands = [(trajectory.modes[i], steps[i], steps[j]) for i, j in stretches(trajectory.modes)]
+    bands = [(trajectory.modes[i], steps[i], steps[j]) for i, j in mode_stretches(trajectory.modes)]
     shades = [Span(float(start), float(end), color=colors[mode]) for mode, start, end in bands]
     shaded = [panel.with_marks(*shades) for panel in panels]
     shaded[0] = replace(shaded[0], marks=(*shaded[0].marks, *_names(bands, last)))

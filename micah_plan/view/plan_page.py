@@ -45,16 +45,16 @@ from micah_plan.view.motion import (
     handle_path,
     keyframes,
     knot_times,
+    mode_stretches,
     poses_over_time,
     step_times,
-    stretches,
 )
 from micah_plan.view.page import Band, LegendEntry, ScenePage, Status, Timeline, render_scene
 from micah_plan.view.palette import BELIEF, GOAL, INK, MUTED, START, mode_colors
 from micah_plan.view.placement import chain_coordinates
 from micah_plan.view.plan_charts import plan_charts
 from micah_plan.view.release import ReleaseMotion, goal_poses, joined, release_facts, release_motion_of
-from micah_plan.view.scene import Scene, slug, transforms
+from micah_plan.view.scene import DrawnScene, slug, transforms
 from micah_plan.view.solids import Mesh, straightened, tube
 
 # Relative to the size of the object: thickness of paths, and the smallest radius that an ellipsoid is drawn with.
@@ -90,7 +90,7 @@ def plan_page(
     if plan.trajectory:
         plan = replace(plan, trajectory=plan.trajectory.of_first(automaton.n))
     runs = _executed(plan, problem, executed, failures)
-    scene, size = Scene(), object_size(automaton)
+    scene, size = DrawnScene(), object_size(automaton)
     keys = keyframes(plan.trajectory) if plan.trajectory else _still(_start_mode(problem), np.array(problem.start.mean))
     goal = _goal(problem, keys)
     after = release_motion_of(plan, problem, keys, _end(plan.trajectory, runs)) if plan.trajectory else None
@@ -166,7 +166,7 @@ def _goal(problem: Problem, keys: Keyframes) -> Keyframes:
 
 
 def _draw_state(
-    scene: Scene, layer: str, problem: Problem, mode: str, x: Floats, color: str, poses: Moved | None = None
+    scene: DrawnScene, layer: str, problem: Problem, mode: str, x: Floats, color: str, poses: Moved | None = None
 ) -> None:
     """A pale copy of the moving parts at one state, or at poses (single)."""
     poses = settled_poses(problem, mode, x) if poses is None else poses
@@ -175,7 +175,7 @@ def _draw_state(
         draw_copy(scene, f"{layer}/{slug(link.child, number)}", shapes, poses[link.child], color, 0.28)
 
 
-def _draw_belief(scene: Scene, problem: Problem, keys: Keyframes, size: float) -> None:
+def _draw_belief(scene: DrawnScene, problem: Problem, keys: Keyframes, size: float) -> None:
     """The ellipsoid of each part's handle along the plan, the path of its centre, and pale copies k σ off the mean."""
     automaton = problem.automaton
     colors = mode_colors(automaton)
@@ -191,7 +191,7 @@ def _draw_belief(scene: Scene, problem: Problem, keys: Keyframes, size: float) -
         scene.reserve(centers)
         if problem.hold is not None and link.child != problem.hold.grip.held.name:
             continue  # the mean of what swings is no path that anything takes
-        for order, (first, last) in enumerate(stretches(keys.modes)):
+        for order, (first, last) in enumerate(mode_stretches(keys.modes)):
             ends = straightened(centers[first : last + 1])
             scene.mesh(f"path/{slug(link.child, number)}/{order}", tube(ends, thickness), colors[keys.modes[first]])
     spread = problem.settings.sigmas * np.sqrt((keys.factors**2).sum(axis=2))
@@ -203,10 +203,10 @@ def _draw_belief(scene: Scene, problem: Problem, keys: Keyframes, size: float) -
             scene.animate(path, keys.times, moved[link.child])
 
 
-def _draw_changes(scene: Scene, problem: Problem, keys: Keyframes) -> None:
+def _draw_changes(scene: DrawnScene, problem: Problem, keys: Keyframes) -> None:
     """Pale copies of a held object where it enters a mode, in the mode's colour."""
     colors = mode_colors(problem.automaton)
-    for number, (first, _) in enumerate(stretches(keys.modes)[1:]):
+    for number, (first, _) in enumerate(mode_stretches(keys.modes)[1:]):
         mode = keys.modes[first]
         _draw_state(scene, f"changes/{number}", problem, mode, keys.states[first], colors[mode])
 
@@ -293,7 +293,7 @@ def _timeline(
             mean, std = float(trajectory.means[k, i]), float(stds[k, i])
             lines.append(f"{c.name} = {with_spread(mean, std, c.unit, degrees=False)} (1 σ)")
         readouts.append((float(time), tuple(lines)))
-    colors, entered = mode_colors(automaton), [first for first, _ in stretches(trajectory.modes)]
+    colors, entered = mode_colors(automaton), [first for first, _ in mode_stretches(trajectory.modes)]
     bands = [
         Band(float(times[first]), float(until), colors[trajectory.modes[first]], trajectory.modes[first])
         for first, until in zip(entered, [*times[entered[1:]], end], strict=True)
@@ -333,7 +333,7 @@ _RESERVED_POSES = 4
 _ROOM = 0.15
 
 
-def draw_bodies(scene: Scene, bodies: Sequence[Body]) -> None:
+def draw_bodies(scene: DrawnScene, bodies: Sequence[Body]) -> None:
     """The bodies of a problem's scene, where they stand; drawn last, for only what is near the rest must be seen."""
     lower, upper = scene.bounds()
     room = _ROOM * (upper - lower)
@@ -352,7 +352,7 @@ def body_boxes(bodies: Sequence[Body]) -> Floats:
 
 
 def draw_arm(
-    scene: Scene,
+    scene: DrawnScene,
     problem: Problem,
     arm: ArmTrajectory,
     knot_times: Floats,
@@ -421,7 +421,7 @@ def arm_legend(plan: Plan, problem: Problem) -> list[LegendEntry]:
     return entries
 
 
-def _draw(scene: Scene, path: str, shape: Shape) -> None:
+def _draw(scene: DrawnScene, path: str, shape: Shape) -> None:
     if not isinstance(shape, Hull):
         scene.primitive(path, shape)
         return

@@ -35,7 +35,7 @@ from micah_plan.view.page import Block, LegendEntry, RunEntry, ScenePage, Status
 from micah_plan.view.palette import BLUE, INK, ORANGE
 from micah_plan.view.placement import handle_in_part
 from micah_plan.view.plan_charts import MOST_COORDINATES
-from micah_plan.view.scene import Scene, slug
+from micah_plan.view.scene import DrawnScene, slug
 
 _MOST_RUNS, _MOST_DRAWN = 20, 6
 _HEIGHT = 110.0
@@ -111,7 +111,7 @@ class _Ghost:
 
 
 def _draw_run(
-    scene: Scene, recording: Recording, ghosts: Sequence[_Ghost], order: int, scale: float
+    scene: DrawnScene, recording: Recording, ghosts: Sequence[_Ghost], order: int, scale: float
 ) -> tuple[RunEntry, list[Floats]]:
     """The measured object and the ghosts of its roll-outs; the entry of the run, and where its handles were."""
     automaton, run = ghosts[0].automaton, ghosts[0].run
@@ -189,9 +189,9 @@ def calibration_scene(calibration: Calibration, title: str) -> str | None:
     return render_scene(page, scene)
 
 
-def _scene_of(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> tuple[Scene, float, float]:
+def _scene_of(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> tuple[DrawnScene, float, float]:
     """A scene with what stands, seconds of the player per second of the runs, and the longest run [s]."""
-    scene, longest = Scene(), max(float(run.time[-1]) for run in runs)
+    scene, longest = DrawnScene(), max(float(run.time[-1]) for run in runs)
     fixed = fixed_shapes(automaton)
     draw_shapes(scene, "object/fixed", fixed, opacity=0.5)
     scene.reserve(shape_corners(fixed, RigidTransform.identity()))

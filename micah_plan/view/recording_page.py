@@ -26,7 +26,7 @@ from micah_plan.view.learning_charts import learning_charts
 from micah_plan.view.motion import LONGEST_S, SHORTEST_S
 from micah_plan.view.page import Band, LegendEntry, ScenePage, Timeline, render_scene
 from micah_plan.view.palette import FRAME_AXES, GRID, INK, MUTED
-from micah_plan.view.scene import Scene, slug
+from micah_plan.view.scene import DrawnScene, slug
 from micah_plan.view.solids import beads
 
 _MOST_BEADS = 1500
@@ -41,7 +41,7 @@ def recording_page(recording: Recording, graph: KinematicGraph | None = None, *,
         recording: at least one row.
         graph: the segments learned from it; None shows the track alone.
     """
-    scene = Scene()
+    scene = DrawnScene()
     scene.reserve(recording.position)
     size = max(float(np.linalg.norm(np.ptp(recording.position, axis=0))), 0.02)
     segments = colored_segments(recording, graph)
@@ -80,12 +80,14 @@ def recording_page(recording: Recording, graph: KinematicGraph | None = None, *,
     return render_scene(page, scene)
 
 
-def _draw_track(scene: Scene, path: str, points: Floats, color: str, size: float) -> None:
+def _draw_track(scene: DrawnScene, path: str, points: Floats, color: str, size: float) -> None:
     if len(points):
         scene.mesh(path, beads(points[evenly(len(points), _MOST_BEADS)], 0.014 * size), color)
 
 
-def _draw_segment_joint(scene: Scene, path: str, recording: Recording, colored: ColoredSegment, size: float) -> None:
+def _draw_segment_joint(
+    scene: DrawnScene, path: str, recording: Recording, colored: ColoredSegment, size: float
+) -> None:
     """The joint in the frame of its parent, which stands where it was measured at the segment's first row."""
     segment = colored.segment
     draw_joint(scene, path, segment.joint, segment.configuration_range, JointLook(INK, size, thickness=0.5))
@@ -109,7 +111,7 @@ def _shown_times(recording: Recording) -> tuple[Floats, float]:
 
 
 def _animate(
-    scene: Scene,
+    scene: DrawnScene,
     recording: Recording,
     segments: tuple[ColoredSegment, ...],
     size: float,

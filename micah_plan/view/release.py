@@ -13,7 +13,7 @@ from micah_plan.quantities import quantity
 from micah_plan.task.contact_poses import settled_poses
 from micah_plan.task.plan import ArmTrajectory, Plan, ReleasePlan
 from micah_plan.task.problem import Problem
-from micah_plan.task.release import Rest, rest_of
+from micah_plan.task.release import Rest, resting_place
 from micah_plan.task.robot_description import RobotDescription
 from micah_plan.view.motion import Keyframes, Moved
 from micah_plan.view.page import Band
@@ -56,7 +56,7 @@ def release_motion_of(plan: Plan, problem: Problem, last: Keyframes, begin: floa
     """What follows the last frame of a plan from a time on [s]; None where the object stays in the hand."""
     if plan.release is None or problem.release is None:
         return None
-    release_plan, rest = plan.release, rest_of(problem)
+    release_plan, rest = plan.release, resting_place(problem)
     ends = begin + np.cumsum([0.0, _LOWERING, _OPENING, _WITHDRAWING])
     down, turn, away = (np.linspace(a, b, _FRAMES + 1)[1:] for a, b in pairwise(ends))
     share = np.concatenate([(down - ends[0]) / _LOWERING, np.ones(len(turn) + len(away))])
@@ -96,7 +96,7 @@ def goal_poses(problem: Problem, x: Floats) -> Moved | None:
     """Poses of the parts as they stand in a state x (n,) of the goal; None where the object stays in the hand."""
     if problem.release is None:
         return None
-    rest, hand = rest_of(problem), np.array(x)
+    rest, hand = resting_place(problem), np.array(x)
     hand[:3] -= rest.shift
     held = settled_poses(problem, rest.mode, hand)
     return held | _turned(problem, rest, held, hand, 1.0)

@@ -53,7 +53,7 @@ def viewer_javascript() -> str:
     return Path(_PACKAGE.__path__[0], "viewer", "dist", "main.min.js").read_text(encoding="utf-8")
 
 
-class Scene:
+class DrawnScene:
     """Objects at slash-separated paths, their poses and one animation.
 
     The first name of a path is its layer, which the page can hide. Paths are made of `slug`s.

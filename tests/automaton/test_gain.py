@@ -13,7 +13,7 @@ from micah_plan.automaton.joint import Joint, axis_basis, prismatic, revolute, r
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.step_noise import drawn_gains, gain_factors, gain_std, uncertain_gains, with_gains
 from micah_plan.automaton.transition import TransitionBatch
-from micah_plan.learn.joints.parametrization import Chart, stepped
+from micah_plan.learn.joints.parametrization import JointChart, stepped
 
 HANDLE = (0.05, -0.12, 0.2)
 
@@ -31,7 +31,7 @@ def moved(joint: Joint, numbers: np.ndarray) -> Joint:
     """The joint with its named parameters changed, as learning means them."""
     names = NAMES[joint.kind] + POSE
     steps = np.zeros((11, len(names)))
-    after = stepped(joint, Chart(names, np.eye(len(names)), steps, steps, axis_basis(joint.axis)), numbers)
+    after = stepped(joint, JointChart(names, np.eye(len(names)), steps, steps, axis_basis(joint.axis)), numbers)
     assert after is not None
     return after
 

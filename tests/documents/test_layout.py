@@ -13,7 +13,7 @@ import pytest
 from attempts import told
 
 from micah_plan.documents.fields import Listed, Names, Positive, Vector3
-from micah_plan.documents.layout import Document, doc, kind_at, plain
+from micah_plan.documents.layout import Document, doc, kind_at, plain_data
 from micah_plan.documents.located import Located
 from micah_plan.documents.validation import validated
 from micah_plan.errors import InputError
@@ -44,7 +44,7 @@ class Point:
 
 def test_values_are_written_in_the_layouts_order_without_defaults() -> None:
     start, end = Point((0, 0, 0)), Point((1.0, np.float64(2.0), 3.0), 4)
-    data = plain(PathDocument, {"named": {"end": end}, "note": None, "points": (start, end), "weights": (1.0,)})
+    data = plain_data(PathDocument, {"named": {"end": end}, "note": None, "points": (start, end), "weights": (1.0,)})
     assert data == {
         "points": [{"at": [0.0, 0.0, 0.0]}, {"at": [1.0, 2.0, 3.0], "size": 4.0}],
         "named": {"end": {"at": [1.0, 2.0, 3.0], "size": 4.0}},
@@ -57,16 +57,16 @@ def test_a_default_is_written_where_it_is_asked_for() -> None:
     class SizedDocument(PointDocument):
         always_written = ("size",)
 
-    assert plain(SizedDocument, Point((0.0, 0.0, 1.0))) == {"at": [0.0, 0.0, 1.0], "size": 1.0}
+    assert plain_data(SizedDocument, Point((0.0, 0.0, 1.0))) == {"at": [0.0, 0.0, 1.0], "size": 1.0}
 
 
 def test_an_inner_mapping_is_taken_as_it_is() -> None:
-    assert plain(PathDocument, {"points": [{"at": "anything"}]}) == {"points": [{"at": "anything"}]}
+    assert plain_data(PathDocument, {"points": [{"at": "anything"}]}) == {"points": [{"at": "anything"}]}
 
 
 def test_an_entry_reads_back_as_its_value() -> None:
     point = Point((1.0, 2.0, 3.0), 4.0)
-    assert Point(**dict(PointDocument.model_validate(plain(PointDocument, point)))) == point
+    assert Point(**dict(PointDocument.model_validate(plain_data(PointDocument, point)))) == point
 
 
 @pytest.mark.parametrize(

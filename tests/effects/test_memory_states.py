@@ -20,7 +20,7 @@ from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segm
 from micah_plan.automaton.hybrid import Reset
 from micah_plan.automaton.input_memory import (
     InputChannel,
-    left_out,
+    effects_left_out,
     memory_at_rest,
     with_memory_states,
     without_memory_states,
@@ -220,10 +220,10 @@ def test_states_are_made_once_and_can_be_taken_out(door) -> None:
 
 
 def test_only_what_cannot_be_a_state_is_left_out(door) -> None:
-    assert left_out(with_input_memory(door, "delay", "backlash")) == ()
-    assert len(left_out(with_input_memory(door, "delay", "backlash"), memory=True)) == 2
+    assert effects_left_out(with_input_memory(door, "delay", "backlash")) == ()
+    assert len(effects_left_out(with_input_memory(door, "delay", "backlash"), memory=True)) == 2
     (edge, *rest), push = door.edges, Reset(B=((1.0,),))
     pushed = replace(door, edges=(replace(edge, reset=push), *rest))
-    (told,) = left_out(with_input_memory(pushed, "delay"))
+    (told,) = effects_left_out(with_input_memory(pushed, "delay"))
     assert told == "planner, filter and nominal plant leave out the delay of door: it depends on earlier inputs"
     assert with_memory_states(with_input_memory(pushed, "delay")).input_memories == ()

@@ -19,8 +19,7 @@ from micah_plan.errors import InputError, MissingDependencyError
 from micah_plan.recording import ros_mcap as log
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.read import read_recording, write_recording
-from micah_plan.recording.ros_mcap import log_topics, read_log, write_log
-from micah_plan.recording.ros_messages import Logged, header_at
+from micah_plan.recording.ros_mcap import Logged, header_at, log_topics, read_log, write_log
 from micah_plan.recording.value import Recording
 
 mcap_reader = pytest.importorskip("mcap.reader", reason="MCAP files need the extra 'ros'")

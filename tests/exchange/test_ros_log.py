@@ -18,8 +18,7 @@ from micah_plan.errors import InputError
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.read import read_columns, read_recording
 from micah_plan.recording.ros_log import acting, between
-from micah_plan.recording.ros_mcap import write_log
-from micah_plan.recording.ros_messages import Logged, MessageType, header_at
+from micah_plan.recording.ros_mcap import Logged, MessageType, header_at, write_log
 
 pytest.importorskip("rosbags.typesys", reason="ROS logs need the extra 'ros'")
 

@@ -11,16 +11,14 @@ import pytest
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import configuration
-from micah_plan.execution.trials import execute_plan
+from micah_plan.execution.trials import run_trials
 from micah_plan.planning.pomdp_hd import plan
-from micah_plan.planning.replanning import replan
 from micah_plan.planning.solver import solve
 
 pytest.importorskip("mujoco", reason="held objects are simulated in MuJoCo (extra 'sim')")
 
 from micah_plan.execution.mujoco.held import HeldPlant
 from micah_plan.execution.mujoco.parameters import parameters_of
-from micah_plan.execution.trials import run_trials
 
 PROBLEM = Path(__file__).resolve().parents[2] / "problems" / "stapler_on_books.yaml"
 
@@ -100,7 +98,7 @@ class WithoutLatch(HeldPlant):
 def test_a_latch_that_never_catches_is_pressed_again_until_it_stops_and_says_so():
     problem = load_problem(PROBLEM)
     plant = WithoutLatch(problem, replace(parameters_of(problem), joint_friction=0.09))
-    statistics = run_trials(problem, plan(problem, 0), plant=plant, trials=1, replan=replan)
+    statistics = run_trials(problem, plan(problem, 0), plant=plant, trials=1)
     (result,) = statistics.results
     plant.close()
     assert not result.success
@@ -116,6 +114,6 @@ def test_executions_in_physics_succeed_as_often_as_predicted():
     problem = load_problem(PROBLEM)
     found = solve(problem)
     assert found.arm is not None
-    statistics = execute_plan(problem, found, plant="mujoco", trials=15)
+    statistics = run_trials(problem, found, plant="mujoco", trials=15)
     # At the planned 0.98 fewer than 13 of 15 would happen once in 400 times.
     assert statistics.successes >= 13, statistics.failures

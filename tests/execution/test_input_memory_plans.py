@@ -18,7 +18,7 @@ from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.pilot import Replanning
 from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import command
-from micah_plan.execution.trials import execute_plan
+from micah_plan.execution.trials import run_trials
 from micah_plan.planning.limits import coasted, limits_of, linear_step, steps_of_memory, with_input_memory
 from micah_plan.planning.replanning import RecedingHorizon, replan
 from micah_plan.planning.roll_outs import draw_chances, roll_out
@@ -117,7 +117,7 @@ def test_a_plan_with_memory_is_written_read_and_shown(drawer, plans, tmp_path) -
     np.testing.assert_array_equal(stored.plan.trajectory.means, plans["delay"].trajectory.means)
     assert stored.automaton.n == 1
     assert "SOLVED" in plan_page(stored.plan, stored.problem)
-    assert execute_plan(stored.problem, stored.plan, trials=2).successes == 2
+    assert run_trials(stored.problem, stored.plan, trials=2).successes == 2
 
 
 def test_replanning_knows_what_is_on_its_way(drawer, plans) -> None:

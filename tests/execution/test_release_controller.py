@@ -13,7 +13,7 @@ from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.plant import Command
-from micah_plan.execution.trials import execute_plan
+from micah_plan.execution.trials import run_trials
 from micah_plan.planning.solver import solve
 
 PROBLEM = Path(__file__).resolve().parents[2] / "problems" / "stapler_on_books.yaml"
@@ -34,7 +34,7 @@ def command(u, **changes) -> Command:
 @pytest.mark.slow
 def test_in_the_model_most_trials_end_with_the_object_on_the_books() -> None:
     problem, plan = solved()
-    found = execute_plan(problem, plan, trials=20)
+    found = run_trials(problem, plan, trials=20)
     assert found.released == found.successes >= 16  # 97.8 % are predicted; fewer have a chance of 1 in 10,000
     good = [result for result in found.results if result.released]
     np.testing.assert_allclose([result.final_x[2] for result in good], 0.26, atol=0.01)
@@ -63,7 +63,7 @@ class Numb(NominalPlant):
 
 def test_a_hand_that_feels_nothing_does_not_let_go() -> None:
     problem, plan = solved()
-    found = execute_plan(problem, plan, plant=Numb.of)
+    found = run_trials(problem, plan, plant=Numb.of)
     assert (found.released, found.successes) == (0, 0)
     assert "no contact was felt" in found.results[0].reason
 
@@ -71,7 +71,7 @@ def test_a_hand_that_feels_nothing_does_not_let_go() -> None:
 def test_a_plant_that_cannot_feel_is_told_so() -> None:
     problem, plan = solved()
     with pytest.raises(InputError, match=r"Measurement.force is None; measure it, or leave 'release' out"):
-        execute_plan(problem, plan, plant=Deaf.of)
+        run_trials(problem, plan, plant=Deaf.of)
 
 
 def test_without_a_referee_it_is_believed() -> None:
@@ -85,14 +85,14 @@ def test_without_a_referee_it_is_believed() -> None:
 
         return Blind()
 
-    found = execute_plan(problem, plan, plant=blind, trials=3)
+    found = run_trials(problem, plan, plant=blind, trials=3)
     assert found.believed
     assert found.released == found.successes == 3
 
 
 def test_a_plan_for_keeping_hold_lets_nothing_go() -> None:
     problem = load_problem(PROBLEM, {"release": None, "goal.target.z.value": 0.288, "robot": None, "grasp": None})
-    found = execute_plan(problem, solve(problem), trials=3)
+    found = run_trials(problem, solve(problem), trials=3)
     assert found.released is None
     assert found.results[0].released is None
 
@@ -105,7 +105,7 @@ from micah_plan.execution.mujoco.held import HeldPlant  # noqa: E402
 @pytest.mark.parametrize("arm", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_in_mujoco_the_stapler_stands_on_the_books(arm: bool) -> None:
     problem, plan = solved(arm=arm)
-    found = execute_plan(problem, plan, plant="mujoco", trials=2, seed=3)
+    found = run_trials(problem, plan, plant="mujoco", trials=2, seed=3)
     assert found.released == 2, found.failures
     for result in found.results:
         np.testing.assert_allclose(result.final_x[:3], [0.45, 0.0, 0.26], atol=0.01)

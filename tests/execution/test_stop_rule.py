@@ -28,7 +28,7 @@ def stopped(name: str, tightened: float, seed: int) -> tuple[np.ndarray, np.ndar
     target = tuple((index, value, tightened * tolerance) for index, value, tolerance in problem.goal.target)
     settings = replace(problem.settings, confidence=CONFIDENCE)
     problem = replace(problem, goal=replace(problem.goal, target=target), settings=settings)
-    results = run_trials(problem, solve(problem), trials=TRIALS, seed=seed).results
+    results = run_trials(problem, solve(problem), trials=TRIALS, seed=seed, replans=False).results
     own = [result for result in results if result.confidence >= CONFIDENCE]
     assert len(own) > 0.9 * TRIALS
     return np.array([result.confidence for result in own]), np.array([result.success for result in own])

@@ -14,7 +14,7 @@ from micah_plan.documents.plan import load_plan, write_plan
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.execution.nominal import NominalPlant
-from micah_plan.execution.trials import execute_plan
+from micah_plan.execution.trials import run_trials
 from micah_plan.planning.solver import solve
 from micah_plan.task.start import sample_start
 
@@ -41,7 +41,7 @@ def test_the_belief_does_not_know_of_it_and_the_plan_is_the_same() -> None:
     problem, elsewhere = load_problem(LIGHT), load_problem(LIGHT, {"start.true": {"x": 2.5, "y": 0.0}})
     plan = solve(elsewhere, advise=False)
     np.testing.assert_array_equal(plan.trajectory.inputs, solve(problem, advise=False).trajectory.inputs)
-    found = execute_plan(elsewhere, plan, trials=10)
+    found = run_trials(elsewhere, plan, trials=10)
     assert found.successes >= 8
     assert {row.extra["true_x"][0] for row in (result.recording for result in found.results)} == {"2.5"}
 

@@ -16,7 +16,7 @@ from micah_plan.execution.closed_loop import Episode, TrialResult
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.open_loop import carry_out
 from micah_plan.execution.pose import configuration
-from micah_plan.execution.trials import execute_plan
+from micah_plan.execution.trials import run_trials
 from micah_plan.execution.watch import Watch
 from micah_plan.planning.solver import solve
 
@@ -39,7 +39,7 @@ class Executed:
 
     def __init__(self, problem, plan, kind: str, seed: int = 0, at: int = 4) -> None:
         self.plant = Hostile(problem, kind, at)
-        (result,) = execute_plan(problem, plan, plant=self.plant, seed=seed).results
+        (result,) = run_trials(problem, plan, plant=self.plant, seed=seed).results
         self.result: TrialResult = result
         truth = self.plant.plant.truth()
         self.is_there = problem.goal.contains(str(truth.mode), truth.x)
@@ -79,7 +79,7 @@ def test_a_leap_into_the_goal_is_no_success(drawer, plan) -> None:
             return super().told(seen)
 
     plant = LeapsToTheGoal(drawer, "none", 5)
-    (result,) = execute_plan(drawer, plan, plant=plant, seed=0).results
+    (result,) = run_trials(drawer, plan, plant=plant, seed=0).results
     assert result.success
     assert result.steps > 10
     truth = plant.plant.truth()
@@ -100,7 +100,7 @@ def test_what_leaps_about_until_the_trial_ends_is_no_success_where_it_lands(draw
             return self.start + way * along / np.linalg.norm(along), quaternion
 
     plant = LeapsAbout(drawer, "none", 4)
-    (result,) = execute_plan(drawer, plan, plant=plant, seed=0).results
+    (result,) = run_trials(drawer, plan, plant=plant, seed=0).results
     assert "in 4 looks in a row" in result.reason
     assert result.steps == 7
     assert result.final_error < 0.01  # believed, at the end
@@ -156,7 +156,7 @@ def test_the_log_of_a_blind_step_repeats_the_pose_and_can_be_learned_from(drawer
 
 def test_a_dark_place_is_no_reason_to_wait() -> None:
     problem = load_problem(PROBLEMS / "light_dark.yaml")
-    found = execute_plan(problem, solve(problem), trials=10)
+    found = run_trials(problem, solve(problem), trials=10)
     assert found.successes == 10
     assert max(result.steps for result in found.results) < 45
 

@@ -18,7 +18,7 @@ from shell import exit_code
 from micah_plan.cli.console import BAD_INPUT
 from micah_plan.documents.plan import write_plan
 from micah_plan.documents.problem import load_problem
-from micah_plan.execution.trials import execute_plan
+from micah_plan.execution.trials import run_trials
 from micah_plan.planning.solver import solve
 from micah_plan.recording.csv_file import write_csv
 
@@ -92,7 +92,7 @@ def shipped(tmp_path_factory, repository) -> tuple[Path, tuple[Path, ...]]:
     problem = load_problem(folder / "problems" / "drawer_open.yaml")
     plan = solve(problem)
     write_plan(plan, problem, folder / "plan.json")
-    recording = execute_plan(problem, plan, trials=1).recording
+    recording = run_trials(problem, plan, trials=1).recording
     write_csv(recording, folder / "runs.csv")
     files = [path for path in sorted(folder.rglob("*")) if path.suffix in (".yaml", ".csv", ".json", ".urdf")]
     return folder, tuple(path for path in files if path.stat().st_size < 60_000)

@@ -12,10 +12,10 @@ from micah_plan.automaton.joint import prismatic, revolute, rigid
 from micah_plan.automaton.kinematics import forward, inverse_jacobian
 from micah_plan.learn.actions.channel import (
     command_of,
+    configuration_steps,
     estimate_channel,
     fit_noise,
-    noise_of,
-    steps_of,
+    step_noise_of,
     with_delayed_actions,
 )
 from micah_plan.learn.actions.channel_search import Quadratic, climb, integrate
@@ -38,7 +38,9 @@ def steps_and_command(case, seed=0):
     truth = planted(case, np.random.default_rng(seed))
     everything = np.ones(len(truth.track), dtype=bool)
     pieces = [(0, 70), (71, len(truth.track) - 1)]
-    return steps_of(truth.joint, pieces, truth.track, everything, truth.white_std**2, None), command_of(truth.track)
+    return configuration_steps(truth.joint, pieces, truth.track, everything, truth.white_std**2, None), command_of(
+        truth.track
+    )
 
 
 def test_ideal_actions_are_the_identity_channel():
@@ -188,7 +190,7 @@ def test_predictors_are_the_inverse_jacobian_of_turned_actions():
 def test_the_covariance_of_steps_is_that_of_the_model():
     steps, _ = steps_and_command(Case("prismatic"))
     walk, white, m = 0.02, 3e-6, len(steps)
-    noise = noise_of(steps, steps.size, np.zeros(m), walk, white)
+    noise = step_noise_of(steps, steps.size, np.zeros(m), walk, white)
     dense = np.diag(walk * (steps.end - steps.start) + 2 * white)
     for i in np.flatnonzero(steps.linked):
         dense[i, i + 1] = dense[i + 1, i] = -white

@@ -13,7 +13,7 @@ from micah_plan.automaton.kinematics import forward, inverse, jacobian
 from micah_plan.learn.joints.joint_arrays import JointArrays, arrays_of, compare_arrays
 from micah_plan.learn.joints.linear_fits import linear_fits
 from micah_plan.learn.segmenting.noise_fit import initial_noise
-from micah_plan.learn.segmenting.pool_fits import fit_likelihood, parameter_design
+from micah_plan.learn.segmenting.pool_fits import fit_pool_likelihood, parameter_design
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack, find_inliers, part_track
 
@@ -140,7 +140,7 @@ def test_fits_of_a_batch_end_where_no_small_step_is_likelier(kind: str, orientat
     noise = initial_noise(track, LearnSettings())
     used = np.ones((1, ROWS), dtype=bool)
     joints, _ = linear_fits([kind], used, track.position, track.quaternion)
-    best = fit_likelihood(joints, used, track, noise, 30)
+    best = fit_pool_likelihood(joints, used, track, noise, 30)
 
     def cost(tried: JointArrays) -> float:
         error = compare_arrays(tried, track.position, track.quaternion, noise.rotation_length).error

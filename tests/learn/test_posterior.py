@@ -19,7 +19,7 @@ from micah_plan.learn.learn import METHODS, Method, learn_graph
 from micah_plan.learn.segmenting.changepoints import LengthPrior, length_priors
 from micah_plan.learn.segmenting.evidence import EvidenceTable, tabulated
 from micah_plan.learn.segmenting.noise_fit import initial_noise
-from micah_plan.learn.segmenting.pool import refitted, window_hypotheses
+from micah_plan.learn.segmenting.pool import refitted_hypotheses, window_hypotheses
 from micah_plan.learn.segmenting.posterior import (
     LOG_ODDS_OVERSTATED,
     OTHER_MECHANISM,
@@ -213,7 +213,7 @@ def test_a_joint_is_paid_for_by_the_rows_that_it_explains_however_few_it_was_fit
     noise = initial_noise(track, settings)
     prior = length_priors(track, settings)[0]
     for rows in (6, 60):
-        pool = refitted(["revolute"], np.arange(60)[None] < rows, track, noise)
+        pool = refitted_hypotheses(["revolute"], np.arange(60)[None] < rows, track, noise)
         table = tabulated(pool, track, noise, settings.rest, 0.5)
         answer = Segmented(track, noise, prior, shared(table, [0], prior, settings), table)
         told = posterior_of(answer, settings).log_evidence
@@ -238,7 +238,7 @@ def test_an_answer_is_as_probable_as_its_joints_at_all_places_where_one_may_take
     joints = ["revolute", "prismatic"]
     turning = (np.arange(n) < 9) | (np.arange(n) >= 23)
     used = np.array([turning, ~turning])
-    table = tabulated(refitted(joints, used, track, noise), track, noise, settings.rest, 0.5)
+    table = tabulated(refitted_hypotheses(joints, used, track, noise), track, noise, settings.rest, 0.5)
     answer = shared(table, [0, 1], prior, settings)
     order = [piece.hypothesis for piece in answer.pieces]
     assert len(order) == 2 + returns

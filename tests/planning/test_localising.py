@@ -13,7 +13,7 @@ from single_gaussian import one_at_a_time
 from single_gaussian import reference as gaussian
 
 from micah_plan.documents.problem import load_problem
-from micah_plan.execution.trials import execute_plan
+from micah_plan.execution.trials import run_trials
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.roll_outs import Chances, draw_chances, roll_out
@@ -106,7 +106,7 @@ def test_the_true_robot_arrives_from_anywhere_and_in_closed_loop(walls: Problem)
     assert near >= 0.95
     assert abs(near - solved.success_probability) < 0.03
     assert (true_errors(walls, solved, 1000, 79, TRUE_START) < 2.0).mean() >= 0.95
-    done = execute_plan(walls, solved, trials=20, seed=5)
+    done = run_trials(walls, solved, trials=20, seed=5)
     assert done.successes >= 18, done.failures
 
 

@@ -16,7 +16,7 @@ from micah_plan.errors import InputError
 from micah_plan.planning.release import with_release
 from micah_plan.planning.solver import solve
 from micah_plan.planning.verification import verify
-from micah_plan.task.release import pre_release_problem, rest_of
+from micah_plan.task.release import pre_release_problem, resting_place
 from micah_plan.task.settings import NEVER
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
@@ -30,7 +30,7 @@ def solved(name: str):
 
 
 def test_what_is_held_level_does_not_turn() -> None:
-    rest = rest_of(load_problem(BOX))
+    rest = resting_place(load_problem(BOX))
     assert (rest.top, rest.touching) == pytest.approx((0.06, 0.03))
     np.testing.assert_allclose([*rest.turn, *rest.shift], 0.0, atol=1e-12)
 
@@ -38,7 +38,7 @@ def test_what_is_held_level_does_not_turn() -> None:
 @pytest.mark.parametrize("pitch", [-0.2, -0.05, 0.05, 0.2])
 def test_what_is_held_pitched_turns_until_it_lies_flat(pitch: float) -> None:
     changes = {"hold.rotation": [0.0, pitch, 0.0], "goal.target.z.tolerance": 0.1}
-    rest = rest_of(load_problem(STAPLER, changes))
+    rest = resting_place(load_problem(STAPLER, changes))
     np.testing.assert_allclose(rest.turn, [0.0, -pitch, 0.0], atol=1e-9)
     assert rest.top + rest.touching + rest.shift[2] == pytest.approx(0.26)  # as high as one that was held level
     # The hand's point is 0.06 m above the lower side, 0.105 m and 0.055 m from its ends.
@@ -48,7 +48,7 @@ def test_what_is_held_pitched_turns_until_it_lies_flat(pitch: float) -> None:
 
 def test_it_turns_about_the_fingers() -> None:
     problem = load_problem(STAPLER)
-    rest, fingers = rest_of(problem), np.array(problem.grasp.position)
+    rest, fingers = resting_place(problem), np.array(problem.grasp.position)
     moved = Rotation.from_rotvec(rest.turn).apply(-fingers) + fingers
     np.testing.assert_allclose(rest.shift[:2], moved[:2], atol=1e-12)
 
@@ -80,7 +80,7 @@ def test_only_what_is_held_can_be_let_go() -> None:
 
 def test_before_it_lets_go_the_hand_is_above_the_support_by_what_is_not_known() -> None:
     problem = load_problem(STAPLER, {"release.support_std": 0.004})
-    rest, goal = rest_of(problem), pre_release_problem(problem).goal
+    rest, goal = resting_place(problem), pre_release_problem(problem).goal
     (_, z, room), sigmas = goal.target[2], problem.settings.sigmas
     assert z - room == pytest.approx(rest.top + rest.touching + sigmas * 0.004)
     assert pre_release_problem(pre_release_problem(problem)) == pre_release_problem(problem)
@@ -97,7 +97,7 @@ def test_the_plan_goes_down_and_away_along_a_free_path() -> None:
     assert min(down.least_clearance, away.least_clearance) >= 0.003
     np.testing.assert_allclose(found.rest[:3], [0.45, 0.0, 0.26], atol=2e-3)
     depth = found.steps * problem.release.step
-    assert depth > plan.trajectory.means[-1][2] - (0.2 + rest_of(problem).touching)
+    assert depth > plan.trajectory.means[-1][2] - (0.2 + resting_place(problem).touching)
 
 
 def test_the_plan_file_holds_how_the_hand_lets_go(tmp_path: Path) -> None:

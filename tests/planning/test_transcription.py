@@ -22,7 +22,7 @@ from micah_plan.planning.search.mode_search import search_modes
 from micah_plan.planning.transcription.corridor import factor_pattern, pack, unpack
 from micah_plan.planning.transcription.guess import guess
 from micah_plan.planning.transcription.programme import Transcription, transcribe
-from micah_plan.planning.transcription.rows import Row, Rows, Shortfall
+from micah_plan.planning.transcription.rows import ConstraintRows, Row, Shortfall
 from micah_plan.planning.transcription.solve import BeliefPath, solve, unmet
 from micah_plan.task.problem import Problem
 
@@ -276,7 +276,9 @@ def test_a_reset_that_depends_on_the_input_gets_the_input_that_opens_the_guard()
 
 
 def test_rows_say_what_is_wrong_worst_first() -> None:
-    rows = Rows([Row("q", 3, "the guard 'x >= 1'", "m", 0.0, np.inf), Row("q", 1, "the goal", "rad", -0.1, 0.1)])
+    rows = ConstraintRows(
+        [Row("q", 3, "the guard 'x >= 1'", "m", 0.0, np.inf), Row("q", 1, "the goal", "rad", -0.1, 0.1)]
+    )
     g = np.array([-0.25, 0.4])
     assert [sentence_of(Shortfall(rows[i], rows[i].violation(g[i]))) for i in rows.worst(g)] == [
         "the goal is missed by 0.3 rad (17.2°) at knot 1 in mode 'q'",

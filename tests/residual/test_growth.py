@@ -12,7 +12,7 @@ from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segm
 from micah_plan.automaton.joint import prismatic
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
-from micah_plan.residual.search import Candidate
+from micah_plan.residual.search import TermCandidate
 from micah_plan.residual.simulation import Term
 from micah_plan.residual.trace import is_worth
 
@@ -57,7 +57,7 @@ def test_evidence_must_come_from_more_than_one_run_and_not_be_lost_in_others(gai
 )
 def test_what_acts_in_one_run_alone_is_not_borne_out_by_others(since, gains, by_itself, expected) -> None:
     better = _Scored(gains, squared=0.5, without_last=np.subtract(gains, by_itself))
-    better.parts = (Candidate(Term(form("gain")), np.array([[0.8, since, -np.inf]]), (0,), np.ones(1)),)
+    better.parts = (TermCandidate(Term(form("gain")), np.array([[0.8, since, -np.inf]]), (0,), np.ones(1)),)
     assert is_worth(better, _Scored(np.zeros(5)), _CoordinateData()) is expected
 
 

@@ -13,8 +13,9 @@ from micah_plan.automaton.effects.ends import range_of
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import revolute
 from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.compared_runs import sections
 from micah_plan.residual.prediction import predict_recording, rmse
-from micah_plan.residual.range_exceeded import ranges_exceeded, sections
+from micah_plan.residual.range_exceeded import ranges_exceeded
 
 HALF = 0.5 * plants.LENGTH
 

@@ -11,9 +11,9 @@ import pytest
 from micah_plan.automaton.tracks import tracks
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.compared_runs import rows_late
 from micah_plan.residual.judgement import judge
 from micah_plan.residual.prediction import predict_recording, rmse
-from micah_plan.residual.range_exceeded import rows_late
 
 
 def stored_late(recording: Recording, rows: int) -> Recording:

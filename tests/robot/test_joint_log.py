@@ -126,8 +126,7 @@ def test_joints_of_lerobot_are_learned(arm: Any, tmp_path: Path) -> None:
 
 def test_joint_states_of_ros(arm: Any, tmp_path: Path) -> None:
     pytest.importorskip("rosbags.typesys", reason="ROS logs need the extra 'ros'")
-    from micah_plan.recording.ros_mcap import write_log
-    from micah_plan.recording.ros_messages import Logged, header_at
+    from micah_plan.recording.ros_mcap import Logged, header_at, write_log
 
     q, _ = opened()
     messages = []

@@ -15,7 +15,7 @@ from sweep_examples import ROOT, SMALL, Inline
 from micah_plan.documents.problem import load_problem
 from micah_plan.documents.sweep import sweep_of
 from micah_plan.errors import InputError, MissingDependencyError
-from micah_plan.execution.trials import execute_plan
+from micah_plan.execution.trials import run_trials
 from micah_plan.planning.solver import solve
 from micah_plan.sweep import solve_case as worker
 from micah_plan.sweep.run import SweepStoppedError, run_sweep
@@ -46,7 +46,7 @@ def test_a_row_says_what_solving_and_executing_by_hand_say(undisturbed: tuple[Sw
     overrides = {"start.std.drawer": 0.01, "planner.verification_trials": 40, "confidence": 0.8}
     problem = load_problem(ROOT / "problems" / "drawer_close.yaml", overrides)
     plan = solve(problem, seed=1)
-    found = execute_plan(problem, plan, trials=1, seed=1)
+    found = run_trials(problem, plan, trials=1, seed=1)
     assert list(row)[:6] == ["case", "problem", *overrides, "seed"]
     assert (row["case"], row["seed"], row["start.std.drawer"], row["outcome"]) == ("3", "1", "0.01", "solved")
     assert row["modes"] == " > ".join(plan.mode_sequence)

@@ -16,14 +16,14 @@ from micah_plan.view.camera import camera
 from micah_plan.view.drawing import circle, draw_ground, reach
 from micah_plan.view.placement import joint_axis, joint_curve
 from micah_plan.view.recording_page import recording_page
-from micah_plan.view.scene import Scene
+from micah_plan.view.scene import DrawnScene
 
 length = st.floats(0.005, 3.0)
 
 
 @given(st.tuples(length, length, length), st.integers(0, 1000), st.sampled_from([1, 2, 20]))
 def test_the_camera_sees_every_corner(size: tuple[float, float, float], seed: int, points: int) -> None:
-    scene = Scene()
+    scene = DrawnScene()
     motion = np.random.default_rng(seed).uniform(0, 1, (points, 3)) * size
     scene.reserve(np.array([np.zeros(3), size]))
     view = camera(scene, motion)
@@ -41,13 +41,13 @@ def test_the_camera_sees_every_corner(size: tuple[float, float, float], seed: in
 
 @pytest.mark.parametrize(("span", "spacing"), [(0.03, 0.005), (0.3, 0.05), (1.0, 0.2), (40.0, 5.0)])
 def test_grid_lines_have_round_spacing_that_suits_the_object(span: float, spacing: float) -> None:
-    scene = Scene()
+    scene = DrawnScene()
     scene.reserve(np.array([np.zeros(3), [span, 0, 0]]))
     assert draw_ground(scene) == pytest.approx(spacing)
 
 
 def test_an_empty_scene_and_a_single_point_can_be_looked_at() -> None:
-    for scene in (Scene(), Scene()):
+    for scene in (DrawnScene(), DrawnScene()):
         assert draw_ground(scene) > 0
         assert np.isfinite(camera(scene, np.zeros((1, 3)))["position"]).all()
         scene.reserve(np.ones((1, 3)))

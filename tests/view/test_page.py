@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from micah_plan.quantities import Table
 from micah_plan.view.chart import Chart, Curve, Panel, Words
 from micah_plan.view.page import (
     Band,
@@ -20,13 +21,12 @@ from micah_plan.view.page import (
     Block,
     LegendEntry,
     ScenePage,
-    Table,
     Timeline,
     glued,
     render,
     render_scene,
 )
-from micah_plan.view.scene import Scene
+from micah_plan.view.scene import DrawnScene
 
 WORD = "zebra"
 HOSTILE = "</script></style><img src=x onerror=alert(1)>\"'&{{ 7 * 7 }}{% raw %}"
@@ -71,12 +71,12 @@ def scene_page(text: str) -> str:
         [LegendEntry(text, text, "layer", key="x", key_label=text)],
         Timeline(1.0, (Band(0.0, 1.0, text, text),), ((0.0, (text,)),)), charts=[block],
     )  # fmt: skip
-    return render_scene(page, Scene())
+    return render_scene(page, DrawnScene())
 
 
 def report(text: str) -> dict[str, object]:
     """What the template of a calibration takes."""
-    table = Table((text,), ((text,),), (0,))
+    table = Table((text,), ((text,),), numeric=(0,))
     effect = {"name": text, "sentences": text, "source": text, "ambiguity": text}
     charts = {
         "correlation": table,
@@ -140,4 +140,4 @@ def test_what_a_template_lacks_is_an_error_not_a_gap() -> None:
 def test_pages_are_values() -> None:
     page = ScenePage("a", "b", CAMERA)
     assert dataclasses.replace(page, title="c").title == "c"
-    assert render_scene(page, Scene()) == render_scene(dataclasses.replace(page), Scene())
+    assert render_scene(page, DrawnScene()) == render_scene(dataclasses.replace(page), DrawnScene())

@@ -9,7 +9,7 @@ from view_objects import OPEN_AT, marks, problem, solved, trajectory, words_of
 
 from micah_plan.task.plan import ArmTrajectory, Plan
 from micah_plan.view.chart import Area, Curve, Level, Range, Span, Words
-from micah_plan.view.motion import duration, knot_times, step_times, stretches
+from micah_plan.view.motion import duration, knot_times, mode_stretches, step_times
 from micah_plan.view.page import Block
 from micah_plan.view.plan_charts import plan_charts
 
@@ -54,7 +54,7 @@ def test_the_line_of_the_player_stands_at_the_step_that_is_shown() -> None:
 def test_modes_shade_the_steps_that_they_govern_and_are_named() -> None:
     chart, modes, steps = drawn().chart, trajectory().modes, step_times(trajectory())
     change = modes.index("stopped")
-    assert stretches(modes) == [(0, change), (change, len(modes) - 1)]
+    assert mode_stretches(modes) == [(0, change), (change, len(modes) - 1)]
     for number in range(len(chart.panels)):
         swing, rest = marks(chart, Span, number)
         assert (swing.start, swing.end, rest.end) == (steps[0], steps[change], steps[-1])

@@ -14,16 +14,16 @@ from scipy.spatial.transform import RigidTransform
 
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.errors import InputError
-from micah_plan.view.scene import Scene, slug
+from micah_plan.view.scene import DrawnScene, slug
 from micah_plan.view.solids import beads
 
 
-def decoded(scene: Scene) -> list[dict[str, Any]]:
+def decoded(scene: DrawnScene) -> list[dict[str, Any]]:
     return [umsgpack.unpackb(base64.b64decode(text)) for text in scene.encoded()]
 
 
-def drawn() -> Scene:
-    scene = Scene()
+def drawn() -> DrawnScene:
+    scene = DrawnScene()
     scene.primitive("object/a", Primitive("box", (0.1, 0.2, 0.3), position=(1.0, 2.0, 3.0)))
     scene.primitive("object/b", Primitive("cylinder", (0.1, 0.2)))
     scene.mesh("track/c", beads(np.zeros((1, 3)), 0.1), "#112233", opacity=0.5)
@@ -89,6 +89,6 @@ def test_slugs_are_one_safe_path_entry(name: str) -> None:
 
 def test_unknown_shapes_and_colours_are_named() -> None:
     with pytest.raises(InputError, match="unknown kind of shape 'cone'"):
-        Scene().primitive("object/a", Primitive("cone", (1.0,)))
+        DrawnScene().primitive("object/a", Primitive("cone", (1.0,)))
     with pytest.raises(InputError, match="'red'"):
-        Scene().mesh("object/a", beads(np.zeros((1, 3)), 0.1), "red")
+        DrawnScene().mesh("object/a", beads(np.zeros((1, 3)), 0.1), "red")

@@ -16,7 +16,7 @@ from micah_plan.task.plan import ArmTrajectory, Plan
 from micah_plan.task.problem import Problem
 from micah_plan.view.camera import viewing_direction
 from micah_plan.view.plan_page import arm_facts, arm_legend, body_boxes, draw_arm, draw_bodies
-from micah_plan.view.scene import Scene
+from micah_plan.view.scene import DrawnScene
 
 CUBE = tuple((x, y, z) for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1))
 
@@ -32,7 +32,7 @@ def trajectory(positions: np.ndarray) -> ArmTrajectory:
     )
 
 
-class Watched(Scene):
+class Watched(DrawnScene):
     """A scene that remembers how things move."""
 
     def __init__(self) -> None:
@@ -62,7 +62,7 @@ def test_the_arm_moves_straight_in_the_joints(problem: Problem) -> None:
 
 
 def test_bodies_are_drawn_and_far_ends_need_not_be_seen() -> None:
-    scene = Scene()
+    scene = DrawnScene()
     scene.reserve(np.array([[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]]))
     floor = Body("floor", (Primitive("box", (100.0, 100.0, 0.1), (0.0, 0.0, -0.55)), Hull(CUBE)))
     draw_bodies(scene, [floor])

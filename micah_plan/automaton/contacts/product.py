@@ -201,7 +201,7 @@ class _Product:
         flow = (*_HAND_FREE[:3], tie.weights[:3])
         return Mode(contact.name, joints, flow, self._within(low, high), ties=(tie,))
 
-    def _latched(self, latch: Latch) -> Mode:
+    def _latched(self, latch: LatchedMode) -> Mode:
         at = latch.pin.value
         rows = [_beyond(f.axis, self._lowest(latch, f), f.sign, AXES[f.axis]) for f in self.surroundings.faces]
         joints, pin = mode_joints(self.grip, self.joint, rigid_at=at), Pin(_JOINT, at, latch.pin.std)
@@ -266,7 +266,7 @@ class _Product:
     def _past(self, value: float, direction: int, *, strict: bool = False) -> HalfSpace:
         return _beyond(_JOINT, value, direction, self.grip.coordinate, strict=strict)
 
-    def _latch_after(self, contact: Contact) -> Latch | None:
+    def _latch_after(self, contact: Contact) -> LatchedMode | None:
         """The latch at the end of a contact's piece."""
         end = contact.piece.direction, contact.piece.end
         return next((latch for latch in self.joint.latches if (latch.direction, latch.threshold) == end), None)
@@ -277,7 +277,7 @@ class _Product:
         b[face.axis] = float(face.sign)
         return HalfSpace((0.0,) * _N, tuple(b), self.noise.release, strict=True, name=f"withdrawing from {face.solid}")
 
-    def _lowest(self, latch: Latch, face: Face) -> float:
+    def _lowest(self, latch: LatchedMode, face: Face) -> float:
         """Where a latched object stops the hand at a face: as it latched there, or as it rests on it [m]."""
         heights = [c.piece.end_height for c in self.contacts if c.face == face and self._latch_after(c) is latch]
         heights.append(resting_height(self.grip, face, self.joint.datum, latch.threshold, self.joint.turns))
@@ -300,7 +300,7 @@ _HINGE = (0.0, 1.0, 0.0)
 
 
 @dataclass(frozen=True)
-class Latch:
+class LatchedMode:
     """A rigid mode that the joint reaches.
 
     Attributes:
@@ -334,7 +334,7 @@ class LearnedJoint:
     low: float
     high: float
     datum: float
-    latches: tuple[Latch, ...]
+    latches: tuple[LatchedMode, ...]
     process_std: float
     observation_std: float
 
@@ -383,13 +383,13 @@ def learned_joint(automaton: HybridAutomaton, grip: Grip) -> LearnedJoint:
     )
 
 
-def _latch(automaton: HybridAutomaton, edge: Edge) -> Latch | None:
+def _latch(automaton: HybridAutomaton, edge: Edge) -> LatchedMode | None:
     """The rigid mode that an edge leads to; None if it leads elsewhere."""
     pins = automaton.mode(edge.target).pins
     bound = edge.guard.half_spaces[0].bound if len(edge.guard.half_spaces) == 1 else None
     if not pins or bound is None:
         return None
-    return Latch(edge.target, pins[0], bound.value, edge.threshold_std, 1 if bound.is_lower else -1)
+    return LatchedMode(edge.target, pins[0], bound.value, edge.threshold_std, 1 if bound.is_lower else -1)
 
 
 def links_of(grip: Grip) -> tuple[Link, ...]:

@@ -6,10 +6,10 @@ from typing import final
 
 from micah_plan.automaton.effects.form import (
     EffectForm,
+    FitStart,
     Operations,
     Parameter,
     Shown,
-    Start,
     Value,
     Values,
     command_sizes,
@@ -46,12 +46,12 @@ class DirectionGain(EffectForm):
     def command(self, ops: Operations, v: Value, p: Values) -> Value:
         return p[0] * ops.maximum(v, 0.0) + p[1] * ops.minimum(v, 0.0)
 
-    def begun(self, data: Shown) -> Start | None:
+    def begun(self, data: Shown) -> FitStart | None:
         u = data.u[data.counted_starts]
         ways = [float((sign * u > _TO_REST * data.command_size).mean()) for sign in (1.0, -1.0)]
         if min(ways) < _FEW:
             return None
-        return Start([[0.9, 0.7], [0.7, 0.9]], (0, 1), [0.3, 0.3])
+        return FitStart([[0.9, 0.7], [0.7, 0.9]], (0, 1), [0.3, 0.3])
 
 
 @final
@@ -82,9 +82,9 @@ class Saturation(EffectForm):
     def command(self, ops: Operations, v: Value, p: Values) -> Value:
         return ops.maximum(ops.minimum(v, p[0]), -p[0])
 
-    def begun(self, data: Shown) -> Start | None:
+    def begun(self, data: Shown) -> FitStart | None:
         at = command_sizes(data, 0.3, 0.6, 0.85)
-        return Start([[q] for q in at], (0,), [0.3 * data.command_size]) if at else None
+        return FitStart([[q] for q in at], (0,), [0.3 * data.command_size]) if at else None
 
 
 @final
@@ -101,6 +101,6 @@ class DeadZone(EffectForm):
     def command(self, ops: Operations, v: Value, p: Values) -> Value:
         return ops.where(ops.abs(v) <= p[0], 0.0 * v, v - ops.sign(v) * p[0] * p[1])
 
-    def begun(self, data: Shown) -> Start | None:
+    def begun(self, data: Shown) -> FitStart | None:
         at = command_sizes(data, 0.03, 0.1, 0.25, 0.45, 0.7)
-        return Start([[q, lost] for q in at for lost in (0.0, 1.0)], (0,), [0.2 * data.command_size]) if at else None
+        return FitStart([[q, lost] for q in at for lost in (0.0, 1.0)], (0,), [0.2 * data.command_size]) if at else None

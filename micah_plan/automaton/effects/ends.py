@@ -13,10 +13,10 @@ from micah_plan.arrays import EQUAL
 from micah_plan.automaton.augmented import mapped
 from micah_plan.automaton.effects.form import (
     EffectForm,
+    FitStart,
     Operations,
     Parameter,
     Shown,
-    Start,
     Value,
     Values,
     command_sizes,
@@ -61,11 +61,11 @@ class Limit(EffectForm):
             return with_end_moved(automaton, coordinate, end, p[0])
         return _with_clamps(automaton, coordinate, p[0], p[1] > 0)
 
-    def begun(self, data: Shown) -> Start | None:
+    def begun(self, data: Shown) -> FitStart | None:
         low, high = data.visited
         starts = [[low + share * (high - low), 1.0] for share in (0.4, 0.6, 0.8, 0.95)]
         starts += [[low + share * (high - low), -1.0] for share in (0.05, 0.2, 0.4, 0.6)]
-        return Start(starts, (0,), [0.1 * (high - low) + 1e-6])
+        return FitStart(starts, (0,), [0.1 * (high - low) + 1e-6])
 
 
 @final
@@ -88,14 +88,14 @@ class GuardShift(EffectForm):
             raise InputError(f"the range of {name} has no {side} end to shift")
         return with_end_moved(automaton, coordinate, end, end + p[0])
 
-    def begun(self, data: Shown) -> Start | None:
+    def begun(self, data: Shown) -> FitStart | None:
         low, high = data.visited
         width, starts = high - low + 1e-6, []
         for end, side, reached in ((data.lower, -1.0, low), (data.upper, 1.0, high)):
             if np.isfinite(end):
                 starts += [[reached - end, side], [0.05 * width, side], [-0.05 * width, side]]
         bounds = {0: (-_LARGEST_SHIFT * width, _LARGEST_SHIFT * width)}
-        return Start(starts, (0,), [0.05 * width], bounds) if starts else None
+        return FitStart(starts, (0,), [0.05 * width], bounds) if starts else None
 
 
 @final
@@ -129,13 +129,13 @@ class GuardHysteresis(EffectForm):
 
         return mapped(automaton, edge=edge)
 
-    def begun(self, data: Shown) -> Start | None:
+    def begun(self, data: Shown) -> FitStart | None:
         """Only where the part may cling to an end, and the recording gets there."""
         low, high = data.visited
         reach = 0.05 * (high - low)
         clings = (data.clings[0] and low < data.lower + reach) or (data.clings[1] and high > data.upper - reach)
         at = command_sizes(data, 0.3, 0.7, 0.95) if clings else []
-        return Start([[q] for q in at], (0,), [0.3 * data.command_size]) if at else None
+        return FitStart([[q] for q in at], (0,), [0.3 * data.command_size]) if at else None
 
 
 def range_of(automaton: HybridAutomaton, coordinate: int) -> tuple[float, float]:

@@ -6,7 +6,7 @@ from typing import final
 
 import numpy as np
 
-from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Same, Shown, Start, Value, Values
+from micah_plan.automaton.effects.form import EffectForm, FitStart, Operations, Parameter, Same, Shown, Value, Values
 
 SMOOTH_BUMPS = 12
 """Bumps over the range of an unexplained correction."""
@@ -33,12 +33,12 @@ class Spring(EffectForm):
     def force(self, ops: Operations, c: Value, v: Value, p: Values) -> Value:
         return -p[0] * (c + p[2] * v - p[1])
 
-    def begun(self, data: Shown) -> Start | None:
+    def begun(self, data: Shown) -> FitStart | None:
         low, high = data.visited
         width = high - low + 1e-6
         rests = (low, 0.5 * (low + high), high)
         starts = [[0.05, rest, ahead] for rest in rests for ahead in (0.0, 1.0)]
-        return Start(starts, (0, 1), [0.1, 0.5 * (high - low) + 1e-6], {1: (low - width, high + width)})
+        return FitStart(starts, (0, 1), [0.1, 0.5 * (high - low) + 1e-6], {1: (low - width, high + width)})
 
 
 @final
@@ -58,8 +58,8 @@ class Gravity(EffectForm):
     def force(self, ops: Operations, c: Value, v: Value, p: Values) -> Value:
         return p[0] * ops.sin(c) + p[1] * ops.cos(c)
 
-    def begun(self, data: Shown) -> Start | None:
-        return Start([[0.0, 0.0]], (0, 1), [0.3 * data.command_size] * 2)
+    def begun(self, data: Shown) -> FitStart | None:
+        return FitStart([[0.0, 0.0]], (0, 1), [0.3 * data.command_size] * 2)
 
     def same_as(self, data: Shown) -> Same | None:
         """Along a slide gravity is a bias."""
@@ -85,11 +85,13 @@ class Latch(EffectForm):
         x = (c - p[1]) / p[2]
         return -p[0] * x * ops.exp(0.5 - 0.5 * x * x)
 
-    def begun(self, data: Shown) -> Start | None:
+    def begun(self, data: Shown) -> FitStart | None:
         low, high = data.visited
         width, reach, size = high - low + 1e-6, 0.08 * (high - low) + 1e-6, data.command_size
         starts = [[0.3 * size, at, reach] for at in np.linspace(low, high, 7)]
-        return Start(starts, (0, 1, 2), [0.3 * size, reach, reach], {1: (low, high), 2: (0.01 * width, 0.25 * width)})
+        return FitStart(
+            starts, (0, 1, 2), [0.3 * size, reach, reach], {1: (low, high), 2: (0.01 * width, 0.25 * width)}
+        )
 
 
 @final

@@ -120,11 +120,11 @@ class EffectForm:
         if cls.layers:
             cls.layer = cls.layers[0]
 
-    def begun(self, data: Shown) -> Start | None:
+    def begun(self, data: Shown) -> FitStart | None:
         """Where its fit begins on a recording; None if that cannot show it."""
         return self.from_neutral(data)
 
-    def from_neutral(self, data: Shown) -> Start:
+    def from_neutral(self, data: Shown) -> FitStart:
         """Start at the neutral values, or in the middle of the bounds; what is large is a command, or 0.3."""
         values, scale = [], []
         for parameter in self.parameters:
@@ -132,7 +132,7 @@ class EffectForm:
             low, high = max(parameter.lower, -large), min(parameter.upper, large)
             values.append(parameter.neutral if parameter.neutral is not None else 0.5 * (low + high))
             scale.append(large)
-        return Start([values], tuple(range(len(values))), scale)
+        return FitStart([values], tuple(range(len(values))), scale)
 
     def same_as(self, data: Shown) -> Same | None:
         """Another effect that does exactly the same on such a recording, and is tried in its place."""
@@ -232,7 +232,7 @@ class Shown(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class FitStart:
     """Where fitting begins: several starts, of which the best goes on.
 
     Attributes:

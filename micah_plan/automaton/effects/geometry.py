@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from micah_plan.automaton.augmented import mapped
-from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Same, Shown, Start, Value, Values
+from micah_plan.automaton.effects.form import EffectForm, FitStart, Operations, Parameter, Same, Shown, Value, Values
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint, axis_basis, rigid, twisting
 
@@ -44,7 +44,7 @@ class FrameRotation(EffectForm):
         turned = [a + along * b + bent * c for a, b, c in zip(action, once, twice, strict=True)]
         return turned[0] * direction[0] + turned[1] * direction[1] + turned[2] * direction[2]
 
-    def begun(self, data: Shown) -> Start | None:
+    def begun(self, data: Shown) -> FitStart | None:
         """Only where actions across the joint have a life of their own.
 
         A small turn adds to each command a share of the action across the joint. Where that follows the command along
@@ -60,7 +60,7 @@ class FrameRotation(EffectForm):
         transverse = across - along @ np.linalg.lstsq(along, across, rcond=1e-9)[0]
         if np.sqrt(np.mean(transverse**2, axis=0)).max() < _ACROSS * data.command_size:
             return None
-        return Start(np.vstack([0.4 * np.eye(3), -0.4 * np.eye(3)]), (0, 1, 2), [0.3] * 3)
+        return FitStart(np.vstack([0.4 * np.eye(3), -0.4 * np.eye(3)]), (0, 1, 2), [0.3] * 3)
 
     def same_as(self, data: Shown) -> Same | None:
         """A gain, if nothing is told across the joint: turned along it, actions can say no more than they are long."""

@@ -7,7 +7,7 @@ from typing import final
 
 import numpy as np
 
-from micah_plan.automaton.effects.form import EffectForm, Memory, Operations, Parameter, Shown, Start, Value, Values
+from micah_plan.automaton.effects.form import EffectForm, FitStart, Memory, Operations, Parameter, Shown, Value, Values
 
 LONGEST_DELAY = 12
 """The longest delay [steps]."""
@@ -36,8 +36,8 @@ class Delay(EffectForm):
             late = late + ops.maximum(0.0, 1.0 - ops.abs(p[0] - age)) * sent[age]
         return late, sent[:-1]
 
-    def begun(self, data: Shown) -> Start | None:
-        return Start([[0.4], [1.0], [2.0], [3.5], [6.0]], (0,), [1.0])
+    def begun(self, data: Shown) -> FitStart | None:
+        return FitStart([[0.4], [1.0], [2.0], [3.5], [6.0]], (0,), [1.0])
 
 
 @final
@@ -61,8 +61,8 @@ class Lag(EffectForm):
         out = memory[0] + (1.0 - ops.exp(-1.0 / ops.maximum(p[0], 1e-3))) * (v - memory[0])
         return out, (out,)
 
-    def begun(self, data: Shown) -> Start | None:
-        return Start([[0.3], [0.8], [2.0], [5.0]], (0,), [1.0])
+    def begun(self, data: Shown) -> FitStart | None:
+        return FitStart([[0.3], [0.8], [2.0], [5.0]], (0,), [1.0])
 
 
 @final
@@ -91,9 +91,9 @@ class Backlash(EffectForm):
         kept = ops.maximum(ops.minimum(ahead, 0.5 * p[0]), -0.5 * p[0])
         return ahead - kept, (kept,)
 
-    def begun(self, data: Shown) -> Start | None:
+    def begun(self, data: Shown) -> FitStart | None:
         size = data.command_size
-        return Start([[width * size, side] for width in (0.5, 2.0) for side in (-1.0, 0.0, 1.0)], (0,), [0.5 * size])
+        return FitStart([[width * size, side] for width in (0.5, 2.0) for side in (-1.0, 0.0, 1.0)], (0,), [0.5 * size])
 
 
 @final
@@ -117,14 +117,14 @@ class StickSlip(EffectForm):
         gone = ops.where(ops.abs(wound) < p[0], 0.0 * wound, wound)
         return gone, (wound - gone,)
 
-    def begun(self, data: Shown) -> Start | None:
+    def begun(self, data: Shown) -> FitStart | None:
         """The best of many grips: with a wrong one the part lets go in other rows, and nothing leads to the right."""
         grip = np.geomspace(0.2, 10.0, 200)[:, None] * data.command_size
         memory, missed = self.at_rest((grip,)), np.zeros(len(grip))
         for t in range(data.z.shape[1] - 1):
             arrived, memory = self.remember(np, data.u[:, t], memory, (grip,))
             missed += (np.abs(data.z[:, t + 1] - data.z[:, t] - arrived) * data.counted[:, t + 1]).sum(axis=1)
-        return Start(grip[np.argsort(missed, kind="stable")[:5]], (0,), [0.1 * data.command_size])
+        return FitStart(grip[np.argsort(missed, kind="stable")[:5]], (0,), [0.1 * data.command_size])
 
 
 @final

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import final
 
-from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Same, Shown, Start, Value, Values
+from micah_plan.automaton.effects.form import EffectForm, FitStart, Operations, Parameter, Same, Shown, Value, Values
 
 
 @final
@@ -64,8 +64,8 @@ class Drift(EffectForm):
     def measured(self, ops: Operations, c: Value, time: Value, p: Values) -> Value:
         return c + p[0] * time
 
-    def begun(self, data: Shown) -> Start | None:
-        return Start([[0.0]], (0,), [0.3 * data.command_size / data.period])
+    def begun(self, data: Shown) -> FitStart | None:
+        return FitStart([[0.0]], (0,), [0.3 * data.command_size / data.period])
 
     def same_as(self, data: Shown) -> Same | None:
         """Only at an end of the range can sensor and motion be told apart."""

@@ -13,7 +13,7 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
-from micah_plan.execution.mujoco.world import Flags, Latch, WorldJoint, latch_name, sensor_name
+from micah_plan.execution.mujoco.world import Flags, LatchState, WorldJoint, latch_name, sensor_name
 from micah_plan.execution.plant import PoseTracker, TrackerNoise
 from micah_plan.mujoco_library import import_mujoco
 from micah_plan.quantities import quantity
@@ -66,7 +66,7 @@ class PhysicalPlant:
         self.mujoco = import_mujoco()
         self.model, self.data = model, self.mujoco.MjData(model)
         self._shown = [(joint, int(model.joint(prefix + joint.name).qposadr[0])) for joint in joints]
-        self.latches: list[Latch] = []
+        self.latches: list[LatchState] = []
         for joint, address in self._shown:
             for number, latch in enumerate(joint.latches):
                 latch.equality = int(model.equality(prefix + latch_name(joint.name, number)).id)
@@ -228,7 +228,7 @@ class PhysicalPlant:
         showed (k, sensors)."""
         return np.zeros(len(measured), dtype=bool)
 
-    def _pull(self, _latch: Latch, _begin: int, measured: Floats) -> Floats:
+    def _pull(self, _latch: LatchState, _begin: int, measured: Floats) -> Floats:
         """(k,) static pull of the hand on a latch's joint in the steps from `begin` on [N m or N]."""
         return np.zeros(len(measured))
 

@@ -20,9 +20,9 @@ from micah_plan.execution.mujoco.held_object import HeldObject
 from micah_plan.execution.mujoco.parameters import PhysicalParameters, parameters_of
 from micah_plan.execution.mujoco.released import (
     Handover,
+    IncidentWatch,
     ReleasedPlant,
     Support,
-    Watch,
     add_contact_sensors,
     contact_force,
 )
@@ -90,7 +90,7 @@ class HeldPlant(PhysicalPlant):
             carry = partial(Carrier, joints=[OBJECT + axis for axis in AXES])
         add_contact_sensors(scene, touchable, grip)
         super().__init__(automaton, parameters, scene.spec.compile(), carried.joints, OBJECT)
-        self.carrier, self._watch, model = carry(self), Watch(self, touchable), self.model
+        self.carrier, self._watch, model = carry(self), IncidentWatch(self, touchable), self.model
         self._nominal = model.geom_friction.copy(), model.body_mass.copy(), model.body_inertia.copy()
         self._released = None if problem.release is None else ReleasedPlant(problem, parameters, posture)
         self.support = Support(problem, model)

@@ -14,7 +14,7 @@ from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward
 from micah_plan.errors import InputError
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
-from micah_plan.execution.mujoco.world import IN_HAND, MOVING, STOPS, Latch, World, WorldJoint, pose, rubbing
+from micah_plan.execution.mujoco.world import IN_HAND, MOVING, STOPS, LatchState, World, WorldJoint, pose, rubbing
 
 _HINGE = (0.0, 1.0, 0.0)
 
@@ -109,7 +109,7 @@ class HeldObject:
         lowest, highest = min([-grip.travel, *positions]), max([0.0, *positions])
         low = [-np.inf if position == lowest else position - capture for position in positions]
         high = [np.inf if position == highest else position + capture for position in positions]
-        latches = [Latch(*place) for place in zip(positions, low, high, strict=True)]
+        latches = [LatchState(*place) for place in zip(positions, low, high, strict=True)]
         self.modes = tuple(pins)
         kind, axis = ("hinge", (0.0, -1.0, 0.0)) if joint.kind == "revolute" else ("slide", (0.0, 0.0, 1.0))
         # Soft constraints creep: dry friction holds the part up only if it is stiff.

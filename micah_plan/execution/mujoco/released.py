@@ -40,7 +40,7 @@ from micah_plan.execution.mujoco.world import (
 )
 from micah_plan.quantities import quantity
 from micah_plan.task.problem import Problem
-from micah_plan.task.release import rest_of
+from micah_plan.task.release import resting_place
 
 # Fingers of a hand without an arm [m], and the gap that is left to the object until they close.
 _PAD, _GAP = (0.02, 0.01, 0.03), 0.002
@@ -154,11 +154,11 @@ class ReleasedPlant(PhysicalPlant):
         self._bodies = [model.body(_FREE + part.name).id for part in (grip.held, grip.moving)]
         self._hand = model.body(OBJECT + "hand").id
         self._support, self._carrier = Support(problem, model), carry(self)
-        self._watch = Watch(self, frozenset())
+        self._watch = IncidentWatch(self, frozenset())
         self._fingers = [int(model.actuator(name).id) for name, _ in self._goals]
         self._finger_places = [int(model.joint(name).qposadr[0]) for name, _ in self._goals]
         self._point, self._is_built = np.array(grip.point), True
-        rest = rest_of(problem)
+        rest = resting_place(problem)
         mode = problem.automaton.mode(rest.mode)
         in_hand = part_poses(problem.automaton, mode, np.zeros(problem.automaton.n))[grip.held.name].rotation
         self._upright = Rotation.from_rotvec(rest.turn) * in_hand
@@ -333,7 +333,7 @@ _COUNT, _LEAST_DISTANCE = [1 << 0, 0, 1], [1 << 3, 1, 1]
 
 
 def add_contact_sensors(scene: World, touchable: Collection[str], grip: Grip) -> None:
-    """Give a world the sensors of contacts that a `Watch` reads.
+    """Give a world the sensors of contacts that a `IncidentWatch` reads.
 
     Args:
         touchable: names of bodies that the object, but no arm, may push against.
@@ -367,7 +367,7 @@ def add_contact_sensors(scene: World, touchable: Collection[str], grip: Grip) ->
         add(_FORBIDDEN, _COUNT, "world", what=body)
 
 
-class Watch:
+class IncidentWatch:
     """Looks at what happens to a held object, and remembers the first incident of a trial."""
 
     def __init__(self, plant: PhysicalPlant, touchable: Collection[str]) -> None:

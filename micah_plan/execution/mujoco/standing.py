@@ -28,7 +28,7 @@ from micah_plan.automaton.kinematics import forward, jacobian
 from micah_plan.errors import InputError
 from micah_plan.execution.mujoco.core import LONGEST_STEP, PhysicalPlant
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
-from micah_plan.execution.mujoco.world import NOTHING, STOPS, Flags, Latch, World, WorldJoint, pose
+from micah_plan.execution.mujoco.world import NOTHING, STOPS, Flags, LatchState, World, WorldJoint, pose
 from micah_plan.execution.plant import Command, Measurement, Truth
 from micah_plan.quantities import quantity
 from micah_plan.task.body import vector3
@@ -157,7 +157,7 @@ class StandingPlant(PhysicalPlant):
         size = np.sqrt(np.square(forces).sum(axis=-1, keepdims=True))
         return np.asarray(forces * (self.parameters.max_force / np.maximum(size, self.parameters.max_force)))
 
-    def _pull(self, latch: Latch, begin: int, measured: Floats) -> Floats:
+    def _pull(self, latch: LatchState, begin: int, measured: Floats) -> Floats:
         """Of the hands' springs; without damping: the damper's kick when a latch snaps shut is no pull that would open
         it."""
         column, turns, hands = self._levers[latch.joint]
@@ -276,7 +276,7 @@ def _add_joint(
     pins = {pin.value for mode in automaton.modes for pin in mode.pins if pin.coordinate == link.coordinate}
     capture, release = parameters.latch_capture / arm, parameters.latch_force * arm
     latches = [
-        Latch(pin, pin - capture, pin + capture, release, pin - lower > capture, upper - pin > capture)
+        LatchState(pin, pin - capture, pin + capture, release, pin - lower > capture, upper - pin > capture)
         for pin in sorted(pins)
     ]
     attributes = {

@@ -46,7 +46,7 @@ _FINGER_INERTIA = 0.1
 
 
 @dataclass
-class Latch:
+class LatchState:
     """A latch and its state: it catches when armed and near, and opens when pulled hard enough in a free direction.
 
     Attributes:
@@ -101,7 +101,7 @@ class WorldJoint:
     coordinate: int
     scale: float = 1.0
     zero: float = 0.0
-    latches: Sequence[Latch] = ()
+    latches: Sequence[LatchState] = ()
     is_shown: bool = True
 
 

@@ -115,7 +115,7 @@ def estimate_channel(
     if command is None:
         return None
     white = max(white_std, 1e-9) ** 2
-    steps = steps_of(joint, pieces, track, counted, white, None)
+    steps = configuration_steps(joint, pieces, track, counted, white, None)
     if len(steps) < _FEWEST_STEPS or not np.any(steps.leverage) or not np.any(steps.size):
         return None
     still = fit_noise(steps, steps.size, np.zeros(len(steps)))
@@ -146,30 +146,30 @@ def with_delayed_actions(track: PartTrack, delay: float) -> PartTrack:
     return replace(track, action=action)
 
 
-def _quadratic(steps: Steps, predictors: Floats, noise: StepNoise) -> Quadratic:
+def _quadratic(steps: ConfigurationSteps, predictors: Floats, noise: StepNoise) -> Quadratic:
     """Likelihood for predictors (d, 9, m) of d delays."""
     solved = noise.solve(predictors.reshape(-1, len(steps))).reshape(predictors.shape)
     return Quadratic(np.matmul(predictors, solved.transpose(0, 2, 1)), np.matmul(solved, steps.size))
 
 
 def _searches(
-    joint: Joint, pieces: Sequence[tuple[int, int]], track: PartTrack, counted: Booleans, steps: Steps
-) -> list[tuple[Steps, Floats]]:
+    joint: Joint, pieces: Sequence[tuple[int, int]], track: PartTrack, counted: Booleans, steps: ConfigurationSteps
+) -> list[tuple[ConfigurationSteps, Floats]]:
     """Steps and delays to look for a channel at: for a motion that is slow compared to a row, and for one that is not.
 
     Of few rows these are the same.
     """
     if len(steps) <= 1.5 * _COARSE_STEPS:
         return [(steps, _COARSE_DELAYS)]
-    thinned = steps_of(joint, pieces, track, counted, steps.white, _COARSE_STEPS)
+    thinned = configuration_steps(joint, pieces, track, counted, steps.white, _COARSE_STEPS)
     row = np.median(steps.end - steps.start)
     near = (steps, row * np.arange(-_NEAR_ROWS, _NEAR_ROWS + 1.0))
     return [(thinned if len(thinned) >= _FEWEST_STEPS else steps, _COARSE_DELAYS), near]
 
 
 def _started(
-    steps: Steps, command: Command, walk: float, searches: list[tuple[Steps, Floats]]
-) -> tuple[Command, float, Floats, float]:
+    steps: ConfigurationSteps, command: CommandPath, walk: float, searches: list[tuple[ConfigurationSteps, Floats]]
+) -> tuple[CommandPath, float, Floats, float]:
     """Where to start, and the command as far as the part follows it.
 
     Actions jitter. If the part follows that, it tells the delay exactly; if it is an error of the log, a delay that
@@ -189,13 +189,15 @@ def _started(
     return maxima[int(np.argmax(scores))]
 
 
-def _searched(steps: Steps, command: Command, walk: float, tried: Floats) -> tuple[float, Floats, float]:
+def _searched(
+    steps: ConfigurationSteps, command: CommandPath, walk: float, tried: Floats
+) -> tuple[float, Floats, float]:
     """Where to start: delay, rotation and ln gain, from a grid over some delays and all rotations."""
     log_prior = -0.5 * (tried / DELAY_STD) ** 2
     predictors = steps.predictors(command, tried)
     normals, targets, rotations, gains, delays, densities = [], [], [], [], [], []
     for share in _WALK_SHARES:
-        noise = noise_of(steps, steps.size, np.zeros(len(steps)), share * walk, steps.white)
+        noise = step_noise_of(steps, steps.size, np.zeros(len(steps)), share * walk, steps.white)
         quadratic = _quadratic(steps, predictors, noise)
         index, rotation, log_gain = scan(quadratic, log_prior)
         normals.append(quadratic.normal[index])
@@ -211,7 +213,7 @@ def _searched(steps: Steps, command: Command, walk: float, tried: Floats) -> tup
 
 
 def _settled(
-    steps: Steps, command: Command, walk: float, delay: float, rotation: Floats, log_gain: float
+    steps: ConfigurationSteps, command: CommandPath, walk: float, delay: float, rotation: Floats, log_gain: float
 ) -> tuple[_Mode, list[tuple[StepNoise, float]], Floats]:
     """The mode with a grid of delays as wide as their posterior, the noise there, the variance of unknown actions."""
     width, center = 2.0 / _COARSE_STEPS, delay
@@ -238,8 +240,8 @@ def _settled(
 
 
 def _noises(
-    steps: Steps,
-    command: Command,
+    steps: ConfigurationSteps,
+    command: CommandPath,
     white: float,
     extra: Floats,
     walk: float,
@@ -266,11 +268,16 @@ def _noises(
 
 
 def _weighed(
-    steps: Steps, command: Command, white: float, extra: Floats, walks: Floats, at: tuple[float, Floats, float]
+    steps: ConfigurationSteps,
+    command: CommandPath,
+    white: float,
+    extra: Floats,
+    walks: Floats,
+    at: tuple[float, Floats, float],
 ) -> tuple[list[StepNoise], Floats]:
     """Noises with given walks (w,), and their ln posterior, rotation and gain integrated out by Laplace's method."""
     delay, rotation, log_gain = at
-    noises = [noise_of(steps, steps.size, extra, float(walk), white) for walk in walks]
+    noises = [step_noise_of(steps, steps.size, extra, float(walk), white) for walk in walks]
     predictors = steps.predictors(command, np.array([delay]))[0]
     solved = np.stack([noise.solve(predictors) for noise in noises])
     every = Quadratic(np.matmul(solved, predictors.T), np.matmul(solved, steps.size))
@@ -280,7 +287,7 @@ def _weighed(
 
 
 def _explored(
-    steps: Steps, command: Command, noise: StepNoise, delays: Floats, rotation: Floats, log_gain: float
+    steps: ConfigurationSteps, command: CommandPath, noise: StepNoise, delays: Floats, rotation: Floats, log_gain: float
 ) -> _Mode:
     """The mode over a grid of delays, starting everywhere at one rotation and gain."""
     d = len(delays)
@@ -298,7 +305,7 @@ def _explored(
 
 
 def _integrated(
-    steps: Steps, command: Command, noises: list[tuple[StepNoise, float]], mode: _Mode, none: float
+    steps: ConfigurationSteps, command: CommandPath, noises: list[tuple[StepNoise, float]], mode: _Mode, none: float
 ) -> Posterior:
     """Over rotations, gains, delays and random walks."""
     delays = mode.delays[::2]
@@ -344,18 +351,20 @@ def _spacings(walks: Floats) -> Floats:
     return np.full(len(walks), abs(np.log(walks[1] / walks[0])) if len(walks) > 1 else 1.0)
 
 
-def _predicted(steps: Steps, command: Command, delay: float, rotation: Floats, log_gain: float) -> Floats:
+def _predicted(
+    steps: ConfigurationSteps, command: CommandPath, delay: float, rotation: Floats, log_gain: float
+) -> Floats:
     m = np.exp(log_gain) * rotation_matrix(rotation).ravel()
     return np.asarray(m @ steps.predictors(command, np.array([delay]))[0])
 
 
-def _unknown(steps: Steps, delay: float, width: float, walk: float) -> Floats:
+def _unknown(steps: ConfigurationSteps, delay: float, width: float, walk: float) -> Floats:
     """(m,) variance of steps whose actions, at some delay of interest, are not recorded."""
     outside = (steps.start < max(delay + width, 0.0)) | (steps.end > 1.0 + min(delay - width, 0.0))
     return np.where(outside, walk * (steps.end - steps.start), 0.0)
 
 
-def _explained(steps: Steps, command: Command, mode: _Mode, noise: StepNoise) -> float:
+def _explained(steps: ConfigurationSteps, command: CommandPath, mode: _Mode, noise: StepNoise) -> float:
     """Share of the mean squared step, between blocks of the run, that the channel predicts; less measurement noise."""
     predicted = _predicted(steps, command, mode.delay, mode.rotation, mode.log_gain)
     block = np.minimum((0.5 * (steps.start + steps.end) * _BLOCKS).astype(np.int64), _BLOCKS - 1)
@@ -376,7 +385,7 @@ _LONGEST_GAPS = 16  # mean rows per median row
 
 
 @dataclass(frozen=True, eq=False)
-class Command:
+class CommandPath:
     """The running sum of the actions of a run as a path in time, base frame; beyond its ends it goes on as there.
 
     Attributes:
@@ -400,7 +409,7 @@ class Command:
             path += late[..., None] * self.after
         return path
 
-    def smoothed(self, rows: float) -> Command:
+    def smoothed(self, rows: float) -> CommandPath:
         """The same, each action spread over time by a normal distribution, its std so many rows."""
         row = max(float(np.median(np.diff(self.time))), 1 / (_LONGEST_GAPS * len(self.time)))
         # Four standard deviations beyond the ends, so that the path is what it is at the ends.
@@ -412,7 +421,7 @@ class Command:
 
 
 @dataclass(frozen=True, eq=False)
-class Steps:
+class ConfigurationSteps:
     """m steps of the configuration between measured rows.
 
     Attributes:
@@ -433,7 +442,7 @@ class Steps:
     def __len__(self) -> int:
         return len(self.size)
 
-    def predictors(self, command: Command, delays: Floats) -> Floats:
+    def predictors(self, command: CommandPath, delays: Floats) -> Floats:
         """(d, 9, m) what the entries of g R (row by row) make of the steps, for each delay (d,) [share of the run]."""
         ends = np.concatenate([self.start, self.end])
         path = command.at(ends - delays[:, None])
@@ -464,7 +473,7 @@ class StepNoise:
         return np.asarray(lapack.dpttrs(self.diagonal, self.below, signals.T)[0].T)
 
 
-def command_of(track: PartTrack) -> Command | None:
+def command_of(track: PartTrack) -> CommandPath | None:
     """What the run's actions command; None where there are none."""
     if track.action is None or track.duration <= 0 or not np.any(track.action):
         return None
@@ -472,7 +481,7 @@ def command_of(track: PartTrack) -> Command | None:
     time = (track.time - track.time[0]) / track.duration
     path = np.concatenate([np.zeros((1, 3)), np.cumsum(action[:-1], axis=0)])
     edge = min(max(3, len(time) // 32), len(time) - 1)
-    return Command(
+    return CommandPath(
         time,
         path,
         (path[edge] - path[0]) / (time[edge] - time[0]),
@@ -480,15 +489,15 @@ def command_of(track: PartTrack) -> Command | None:
     )
 
 
-def steps_of(
+def configuration_steps(
     joint: Joint, pieces: Sequence[tuple[int, int]], track: PartTrack, inlier: Booleans, white: float, most: int | None
-) -> Steps:
+) -> ConfigurationSteps:
     """Steps of the rows of pieces that count; with `most`, about that many per run, between averages of rows.
 
     Args:
         white: variance of one measured configuration [rad² or m²].
     """
-    configuration = configurations(joint, pieces, track, inlier)
+    configuration = configurations_along(joint, pieces, track, inlier)
     time = (track.time - track.time[0]) / track.duration
     group = 1 if most is None else max(1, round(len(track) / most))
     blocks = [
@@ -503,10 +512,10 @@ def steps_of(
     linked = np.ones(max(len(size) - 1, 0), dtype=bool)
     ends = np.cumsum(lengths)[:-1]
     linked[ends[(ends > 0) & (ends < len(size))] - 1] = False
-    return Steps(start, end, size, _leverage(joint, halfway), linked, white / group)
+    return ConfigurationSteps(start, end, size, _leverage(joint, halfway), linked, white / group)
 
 
-def fit_noise(steps: Steps, residual: Floats, extra: Floats) -> StepNoise:
+def fit_noise(steps: ConfigurationSteps, residual: Floats, extra: Floats) -> StepNoise:
     """The most probable random walk and white noise behind what is left (m,) of the steps.
 
     Args:
@@ -515,7 +524,7 @@ def fit_noise(steps: Steps, residual: Floats, extra: Floats) -> StepNoise:
     scale = max(float(np.mean(residual**2 / (steps.end - steps.start))), steps.white * 1e-6, 1e-24)
 
     def tried(walk: float, white: float) -> StepNoise:
-        return noise_of(steps, residual, extra, np.exp(walk) * scale, np.exp(white) * steps.white)
+        return step_noise_of(steps, residual, extra, np.exp(walk) * scale, np.exp(white) * steps.white)
 
     best, at = max(((tried(w, 0.0), (w, 0.0)) for w in _WALK_DECADES), key=lambda pair: pair[0].log_density)
     width = np.array([0.5, 0.4])
@@ -532,7 +541,7 @@ def fit_noise(steps: Steps, residual: Floats, extra: Floats) -> StepNoise:
     return best
 
 
-def noise_of(steps: Steps, residual: Floats, extra: Floats, walk: float, white: float) -> StepNoise:
+def step_noise_of(steps: ConfigurationSteps, residual: Floats, extra: Floats, walk: float, white: float) -> StepNoise:
     """Given noise (variances, see StepNoise), with its density of what is left (m,) of the steps."""
     diagonal = walk * (steps.end - steps.start) + extra + 2 * white * (1 + 1e-9)
     below = np.where(steps.linked, -white, 0.0)
@@ -568,7 +577,7 @@ _CALM = 64  # windows per run that configurations are averaged over
 _NEAR = 4  # rows on each side that a direction is compared with
 
 
-def configurations(
+def configurations_along(
     joint: Joint, pieces: Sequence[tuple[int, int]], track: PartTrack, inlier: Booleans
 ) -> list[tuple[Rows, Floats, Floats]]:
     """Per piece its rows that count, their measured configurations, and these without most of their noise.
@@ -594,7 +603,7 @@ def with_anchored_actions(
     """The track with the actions of the pieces' rows turned back by what follows the rows' own errors."""
     if not joint.turns or track.action is None:
         return track
-    configuration = configurations(joint, pieces, track, inlier)
+    configuration = configurations_along(joint, pieces, track, inlier)
     rows, error = (
         np.concatenate([r for r, _, _ in configuration]),
         np.concatenate([c - calm for _, c, calm in configuration]),

@@ -38,7 +38,7 @@ from micah_plan.learn.joints.joint_arrays import (
 )
 from micah_plan.learn.joints.likelihood import (
     UNKNOWN,
-    Fit,
+    JointFit,
     fit_likelihood,
     normal_equations,
     parameter_covariance,
@@ -46,7 +46,7 @@ from micah_plan.learn.joints.likelihood import (
 )
 from micah_plan.learn.joints.linear_fits import linear_fits
 from micah_plan.learn.joints.parametrization import seen_by
-from micah_plan.learn.joints.tracker_noise import ErrorPosterior, Scales, TrackerNoise, noise_of, white_noise
+from micah_plan.learn.joints.tracker_noise import ErrorPosterior, NoiseVariances, Scales, noise_of, white_noise
 from micah_plan.learn.settings import LearnSettings
 
 # Nats: one in fifteen joints is a screw. That a hinge is taken for one is the worse mistake of the two: real hinges are
@@ -170,7 +170,7 @@ def _deviation(posterior: ErrorPosterior, scales: Scales) -> Deviation:
     return Deviation(float(position), float(rotation), float(posterior.chance[unusual].sum()))
 
 
-def _left_by(fit: Fit, time: Floats, stds: tuple[float, float], scales: Scales) -> ErrorPosterior | None:
+def _left_by(fit: JointFit, time: Floats, stds: tuple[float, float], scales: Scales) -> ErrorPosterior | None:
     return noise_of(fit.contrasts, fit.chart.in_frame, time, fit.seen.configuration, stds, scales)
 
 
@@ -195,7 +195,7 @@ def _advancing(
     return screw, advanced.log_evidence - turned.log_evidence + log_prior
 
 
-def _is_loose(screw: Fit, noise: TrackerNoise) -> bool:
+def _is_loose(screw: JointFit, noise: NoiseVariances) -> bool:
     """Whether rows leave a pitch open, or the part hardly turns beyond noise."""
     if float(np.ptp(screw.seen.configuration)) < _TELLING_TURN * noise.stds[0]:
         return True
@@ -208,7 +208,7 @@ def _refined(
     before: Joint,
     position: Floats,
     quaternion: Floats | None,
-    noise: TrackerNoise,
+    noise: NoiseVariances,
     posterior: ErrorPosterior,
 ) -> Joint:
     """The likeliest joint, with its covariance; or the one before, if the likelihood leads astray."""
@@ -291,7 +291,7 @@ def _best_start(
 
 def _believed(
     joint: Joint, stds: tuple[float, float], rows: _Rows, used: NDArray[np.int64], trusting: bool
-) -> tuple[Fit, NDArray[np.int64], tuple[float, float]] | None:
+) -> tuple[JointFit, NDArray[np.int64], tuple[float, float]] | None:
     """A joint fitted to the rows that agree with it, those rows and their stds; None where too few do."""
     fit, kept = None, used[:0]
     for _ in range(_ROUNDS):

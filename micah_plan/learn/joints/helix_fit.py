@@ -25,12 +25,19 @@ from scipy.interpolate import PchipInterpolator
 from micah_plan.arrays import DIFFERENCE, Floats
 from micah_plan.automaton.joint import Joint, ParameterCovariance, screw
 from micah_plan.learn.joints.joint_arrays import rotated, rotation_quaternion
-from micah_plan.learn.joints.likelihood import UNKNOWN, Fit, descended, error_covariance, normal_equations, seen_with
-from micah_plan.learn.joints.parametrization import Chart, chart_of, cross, frame_of, seen_by
+from micah_plan.learn.joints.likelihood import (
+    UNKNOWN,
+    JointFit,
+    descended,
+    error_covariance,
+    normal_equations,
+    seen_with,
+)
+from micah_plan.learn.joints.parametrization import JointChart, chart_of, cross, frame_of, seen_by
 from micah_plan.learn.joints.tracker_noise import (
+    NoiseVariances,
     OrnsteinUhlenbeck,
     Scales,
-    TrackerNoise,
     conservative_covariance,
     log_evidence,
     noise_of,
@@ -52,7 +59,7 @@ class _Tried:
     """A helix fitted at one lead angle, with the slopes (p, 7) of its joint's free numbers."""
 
     helix: Helix
-    fit: Fit
+    fit: JointFit
     slopes: Floats
     information: Floats
     cost: float
@@ -67,8 +74,8 @@ class _Rows:
 
 
 def fit_helix(
-    start: Joint, position: Floats, time: Floats, noise: TrackerNoise, scales: Scales
-) -> tuple[Joint, TrackerNoise] | None:
+    start: Joint, position: Floats, time: Floats, noise: NoiseVariances, scales: Scales
+) -> tuple[Joint, NoiseVariances] | None:
     """The screw of the median lead angle, with its covariance, and the noise that it leaves; None of a straight path.
 
     Args:
@@ -110,13 +117,13 @@ def fit_helix(
     return _covered(median, tried, chance, spread, start), noise
 
 
-def _over_leads(start: _Tried, rows: _Rows, noise: TrackerNoise) -> list[_Tried]:
+def _over_leads(start: _Tried, rows: _Rows, noise: NoiseVariances) -> list[_Tried]:
     """Helices at angles all over the range, each fitted from its neighbour."""
     upwards = start.helix.lead < _LEADS
     return _at(start, _LEADS[upwards], rows, noise) + _at(start, _LEADS[~upwards][::-1], rows, noise)
 
 
-def _at(start: _Tried, leads: Floats, rows: _Rows, noise: TrackerNoise) -> list[_Tried]:
+def _at(start: _Tried, leads: Floats, rows: _Rows, noise: NoiseVariances) -> list[_Tried]:
     """Helices at lead angles, each fitted from the one before."""
     trials: list[_Tried] = []
     for lead in leads.tolist():
@@ -131,7 +138,7 @@ def _at(start: _Tried, leads: Floats, rows: _Rows, noise: TrackerNoise) -> list[
     return trials
 
 
-def _fitted(helix: Helix, rows: _Rows, noise: TrackerNoise, free: int, steps: int = _STEPS) -> _Tried:
+def _fitted(helix: Helix, rows: _Rows, noise: NoiseVariances, free: int, steps: int = _STEPS) -> _Tried:
     """The helix after Gauss-Newton steps of the first numbers."""
     return descended(_Descent(*_seen(helix, rows, noise), rows, noise, free), steps, _CONVERGED).tried
 
@@ -143,7 +150,7 @@ class _Descent:
     tried: _Tried
     whole_pull: Floats
     rows: _Rows
-    noise: TrackerNoise
+    noise: NoiseVariances
     free: int
 
     @property
@@ -173,7 +180,7 @@ def _shortened(step: Floats, helix: Helix) -> Floats:
     return share * step
 
 
-def _seen(helix: Helix, rows: _Rows, noise: TrackerNoise) -> tuple[_Tried, Floats]:
+def _seen(helix: Helix, rows: _Rows, noise: NoiseVariances) -> tuple[_Tried, Floats]:
     """A helix as it is, and the pull (7,) of the rows on its numbers."""
     joint = helix.joint(0.0, rows.like)
     fit = seen_with(joint, rows.position, None, noise)
@@ -229,7 +236,7 @@ def _covered(median: _Tried, tried: Sequence[_Tried], chance: Floats, spread: Fl
     return replace(joint, covariance=ParameterCovariance(chart.names, tuple(tuple(row) for row in rows)))
 
 
-def _counted_from(trial: _Tried, start: Joint) -> tuple[Joint, Chart, Floats]:
+def _counted_from(trial: _Tried, start: Joint) -> tuple[Joint, JointChart, Floats]:
     """A fitted screw whose origin is closest to that of another, its chart, and slopes (p, 7) there."""
     c = float(seen_by(trial.fit.joint, np.array([start.position]), None, 1.0).configuration[0])
     length = -c * trial.helix.width
@@ -238,7 +245,7 @@ def _counted_from(trial: _Tried, start: Joint) -> tuple[Joint, Chart, Floats]:
     return joint, chart, chart_slopes(trial.helix, length, joint, chart)
 
 
-def _carried(source: Joint, chart: Chart, joint: Joint, here: Chart) -> Floats:
+def _carried(source: Joint, chart: JointChart, joint: Joint, here: JointChart) -> Floats:
     """(k, p) named parameters of a joint with chart `here` per free number of another one's chart."""
     axis = np.array(source.axis)
     side = 1.0 if float(axis @ joint.axis) >= 0 else -1.0
@@ -252,7 +259,7 @@ def _carried(source: Joint, chart: Chart, joint: Joint, here: Chart) -> Floats:
     return carried
 
 
-def _difference(source: Joint, joint: Joint, chart: Chart) -> Floats:
+def _difference(source: Joint, joint: Joint, chart: JointChart) -> Floats:
     """(k,) named parameters of a screw less those of a joint, counted from where it comes closest to its origin."""
     compared = seen_by(source, np.array([joint.position]), None, 1.0)
     c = float(compared.configuration[0])
@@ -332,7 +339,7 @@ def helix_of(joint: Joint, length: float) -> Helix | None:
     return Helix(point, np.stack(rows), radius / square, float(np.clip(lead, -_STEEPEST, _STEEPEST)))
 
 
-def chart_slopes(helix: Helix, length: float, joint: Joint, chart: Chart) -> Floats:
+def chart_slopes(helix: Helix, length: float, joint: Joint, chart: JointChart) -> Floats:
     """(p, 7) free numbers of the screw (`chart_of` without orientations) per number of its helix."""
     slopes = np.zeros((chart.free.shape[1], NUMBERS))
     across = chart.free[5:, 5:].T

@@ -180,7 +180,7 @@ def compare_arrays(
     arm = joints.position - joints.center
     arm = (arm - np.sum(arm * joints.axis, axis=1, keepdims=True) * joints.axis) * turning[:, None]
     # Of every joint: its axis, and the arm from it to the origin with the direction in which that turns.
-    basis = np.stack([joints.axis, arm, cross(joints.axis, arm)], axis=1)
+    basis = np.stack([joints.axis, arm, cross_products(joints.axis, arm)], axis=1)
     from_start = np.ascontiguousarray(position.swapaxes(-1, -2)) - joints.position[..., None]
     along, real, imaginary = (basis @ from_start).swapaxes(0, 1)
     real += np.sum(arm**2, axis=1, keepdims=True)
@@ -239,7 +239,7 @@ def levers(joints: JointArrays, in_part: bool) -> Floats:
     In the part's frame (`in_part`) the direction in which a joint moves the part's origin is constant (MICAH, section
     IV-A); in the base frame it is the one at configuration 0.
     """
-    side = cross(joints.axis, joints.position - joints.center) + joints.pitch[:, None] * joints.axis
+    side = cross_products(joints.axis, joints.position - joints.center) + joints.pitch[:, None] * joints.axis
     direction = np.where(joints.turning[:, None], side, joints.axis)
     lever = direction / np.maximum(np.sum(direction**2, axis=1, keepdims=True), TINY)
     if not in_part:
@@ -305,8 +305,8 @@ def _turn_per_sine(square: Floats, scalar: Floats) -> Floats:
 
 def rotated(quaternion: Floats, vector: Floats) -> Floats:
     """Vectors (..., 3) turned by unit quaternions (..., 4)."""
-    double = 2 * cross(quaternion[..., :3], vector)
-    return np.asarray(vector + quaternion[..., 3:] * double + cross(quaternion[..., :3], double))
+    double = 2 * cross_products(quaternion[..., :3], vector)
+    return np.asarray(vector + quaternion[..., 3:] * double + cross_products(quaternion[..., :3], double))
 
 
 def rotation_quaternion(vector: Floats) -> Floats:
@@ -321,7 +321,7 @@ def rotation_matrix(q: Floats) -> Floats:
     return np.asarray((squares @ _ENTRIES).reshape(*q.shape[:-1], 3, 3))
 
 
-def cross(a: Floats, b: Floats) -> Floats:
+def cross_products(a: Floats, b: Floats) -> Floats:
     """Cross products (..., 3): like np.cross without its overhead."""
     return np.asarray(a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT])
 

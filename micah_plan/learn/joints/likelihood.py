@@ -18,11 +18,11 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import Joint, ParameterCovariance
-from micah_plan.learn.joints.parametrization import Chart, Seen, chart_of, seen_by, stepped
+from micah_plan.learn.joints.parametrization import JointChart, Seen, chart_of, seen_by, stepped
 from micah_plan.learn.joints.tracker_noise import (
     Contrasts,
     ErrorPosterior,
-    TrackerNoise,
+    NoiseVariances,
     conservative_covariance,
     contrasts_of,
 )
@@ -31,25 +31,25 @@ _STEPS = 25
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class JointFit:
     """A joint with the rows it was fitted to, as it sees them."""
 
     joint: Joint
-    chart: Chart
+    chart: JointChart
     seen: Seen
     contrasts: list[Contrasts]
 
 
-def seen_with(joint: Joint, position: Floats, quaternion: Floats | None, noise: TrackerNoise) -> Fit:
+def seen_with(joint: Joint, position: Floats, quaternion: Floats | None, noise: NoiseVariances) -> JointFit:
     """A joint as it is, with rows (n, 3), (n, 4)."""
     rotation_std, position_std = noise.stds
     compared = seen_by(joint, position, quaternion, position_std / rotation_std)
-    return Fit(joint, chart_of(joint, quaternion is not None), compared, contrasts_of(joint, compared, noise.stds))
+    return JointFit(joint, chart_of(joint, quaternion is not None), compared, contrasts_of(joint, compared, noise.stds))
 
 
 def fit_likelihood(
-    joint: Joint, position: Floats, quaternion: Floats | None, noise: TrackerNoise, converged: float = 1e-6
-) -> Fit:
+    joint: Joint, position: Floats, quaternion: Floats | None, noise: NoiseVariances, converged: float = 1e-6
+) -> JointFit:
     """The joint that makes rows (n, 3), (n, 4) most likely, from a start; its kind is kept.
 
     Args:
@@ -67,7 +67,7 @@ def fit_likelihood(
 class _Trial:
     """A joint on its way to the likeliest one, and how to look at another."""
 
-    fit: Fit
+    fit: JointFit
     information: Floats
     pull: Floats
     cost: float
@@ -78,7 +78,7 @@ class _Trial:
         return None if joint is None else self.look(joint)
 
 
-def parameter_covariance(fit: Fit, noise: TrackerNoise, posterior: ErrorPosterior) -> ParameterCovariance:
+def parameter_covariance(fit: JointFit, noise: NoiseVariances, posterior: ErrorPosterior) -> ParameterCovariance:
     """Covariance of a fitted joint's parameters: weights of one noise, errors of the posterior of errors.
 
     What the rows do not determine has a std of about 1 rad, 1 m or 1 m/rad.
@@ -95,7 +95,9 @@ def parameter_covariance(fit: Fit, noise: TrackerNoise, posterior: ErrorPosterio
     return ParameterCovariance(fit.chart.names, tuple(tuple(row) for row in rows))
 
 
-def error_covariance(fit: Fit, noise: TrackerNoise, posterior: ErrorPosterior, gain: Floats, besides: Floats) -> Floats:
+def error_covariance(
+    fit: JointFit, noise: NoiseVariances, posterior: ErrorPosterior, gain: Floats, besides: Floats
+) -> Floats:
     """(k, k) covariance of numbers that errors move by a gain (k, p) times the pull; its stds cover.
 
     Args:
@@ -116,7 +118,7 @@ def error_covariance(fit: Fit, noise: TrackerNoise, posterior: ErrorPosterior, g
     return conservative_covariance(matrix, posterior.chance, np.zeros_like(std), std)
 
 
-def normal_equations(fit: Fit, noise: TrackerNoise) -> tuple[Floats, Floats, float]:
+def normal_equations(fit: JointFit, noise: NoiseVariances) -> tuple[Floats, Floats, float]:
     """Information (p, p) on the free numbers, pull (p,) of the errors, and their cost [nats]."""
     size = fit.contrasts[0].design.shape[2] + 1
     gram = np.zeros((size, size))
@@ -127,7 +129,7 @@ def normal_equations(fit: Fit, noise: TrackerNoise) -> tuple[Floats, Floats, flo
     return within.T @ gram[:-1, :-1] @ within, within.T @ gram[:-1, -1], 0.5 * float(gram[-1, -1])
 
 
-def _weighted(columns: Floats, contrast: Contrasts, noise: TrackerNoise) -> Floats:
+def _weighted(columns: Floats, contrast: Contrasts, noise: NoiseVariances) -> Floats:
     """Σ⁻¹ times columns (n, k, m)."""
     white, wander = noise.of(contrast)
     if noise.process is None or wander <= 0:
@@ -136,7 +138,7 @@ def _weighted(columns: Floats, contrast: Contrasts, noise: TrackerNoise) -> Floa
     return np.asarray(noise.process.whiten(wander / white, flat).reshape(columns.shape) / white)
 
 
-def _pulled(fit: Fit, noise: TrackerNoise) -> tuple[Floats, Floats]:
+def _pulled(fit: JointFit, noise: NoiseVariances) -> tuple[Floats, Floats]:
     """(n, 3, 11) what errors of positions and of rotations pull, under weights of one noise."""
     n, _, p = fit.contrasts[0].design.shape
     by_position, by_rotation = np.zeros((n, 3, p)), np.zeros((n, 3, p))

@@ -1,9 +1,9 @@
 """The free numbers of a joint: what they are called and how they move it.
 
-A joint has fewer freedoms than named parameters, for its origin may be counted from any pose of the motion. A `Chart`
-spans those freedoms at one joint without singularity: tilts of the axis about the directions of `axis_basis`, turning
-about the centre (about the origin where there is none); shifts of the centre along them; the pitch; turn and shift of
-the origin, save the one along the motion.
+A joint has fewer freedoms than named parameters, for its origin may be counted from any pose of the motion. A
+`JointChart` spans those freedoms at one joint without singularity: tilts of the axis about the directions of
+`axis_basis`, turning about the centre (about the origin where there is none); shifts of the centre along them; the
+pitch; turn and shift of the origin, save the one along the motion.
 
 Rows in a joint's own frame: u1 towards the part at configuration 0, u2 = axis x u1, and the axis.
 
@@ -95,7 +95,7 @@ _LONGEST_STEP = 1.0  # rad, m, m/rad: no linearization holds further
 
 
 @dataclass(frozen=True, eq=False)
-class Chart:
+class JointChart:
     """Free numbers around a joint.
 
     Attributes:
@@ -114,7 +114,7 @@ class Chart:
     basis: Floats
 
 
-def chart_of(joint: Joint, has_orientation: bool) -> Chart:
+def chart_of(joint: Joint, has_orientation: bool) -> JointChart:
     """The free numbers of a joint; without orientations the part's is none of them."""
     before = KINDS[joint.kind].parameters
     after = (_ROTATION if has_orientation else ()) + _POSITION
@@ -136,10 +136,10 @@ def chart_of(joint: Joint, has_orientation: bool) -> Chart:
     change[8:, -3:] = frame
     if has_orientation:
         change[5:8, -6:-3] = frame
-    return Chart(before + after, free, change @ free, change, basis)
+    return JointChart(before + after, free, change @ free, change, basis)
 
 
-def stepped(joint: Joint, chart: Chart, numbers: Floats) -> Joint | None:
+def stepped(joint: Joint, chart: JointChart, numbers: Floats) -> Joint | None:
     """The joint after a step of the free numbers (p,); None where the step is too long to mean anything."""
     step = dict(zip(chart.names, (chart.free @ numbers).tolist(), strict=True))
     if not all(abs(value) <= _LONGEST_STEP for value in step.values()):

@@ -61,7 +61,7 @@ class Scales:
 
 
 @dataclass(frozen=True, eq=False)
-class TrackerNoise:
+class NoiseVariances:
     """Variances of a tracker's noise per axis [m², rad²] with a wander of one correlation time, if any."""
 
     position_white: float
@@ -101,7 +101,7 @@ class ErrorPosterior:
         log_evidence: ln density of what the fit leaves, its numbers (flat) and the noise integrated out.
     """
 
-    noises: tuple[tuple[float, TrackerNoise], ...]
+    noises: tuple[tuple[float, NoiseVariances], ...]
     modes: Floats
     chance: Floats
     position: Floats
@@ -109,14 +109,14 @@ class ErrorPosterior:
     log_evidence: float
 
     @property
-    def likeliest(self) -> TrackerNoise:
+    def likeliest(self) -> NoiseVariances:
         """The noise of the likeliest correlation time."""
         return max(self.noises, key=lambda pair: pair[0])[1]
 
 
-def white_noise(stds: tuple[float, float]) -> TrackerNoise:
+def white_noise(stds: tuple[float, float]) -> NoiseVariances:
     """Noise without wander, of a std of rotations [rad] and positions [m]."""
-    return TrackerNoise(stds[1] ** 2, 0.0, stds[0] ** 2, 0.0, None)
+    return NoiseVariances(stds[1] ** 2, 0.0, stds[0] ** 2, 0.0, None)
 
 
 def noise_of(
@@ -149,7 +149,7 @@ def noise_of(
     noises = tuple(
         (
             float(probability[i]),
-            TrackerNoise(
+            NoiseVariances(
                 float(position.white[i]),
                 float(position.wander[i]),
                 float(rotation.white[i]) if rotation else stds[0] ** 2,

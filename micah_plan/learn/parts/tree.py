@@ -59,7 +59,7 @@ from micah_plan.automaton.kinematics import ROTATION_LENGTH
 from micah_plan.errors import InputError, shown
 from micah_plan.learn.parts.relative import RelativeRows, branch_poses, in_whole_recording, relative_rows
 from micah_plan.learn.segmenting.posterior import LOG_ODDS_OVERSTATED
-from micah_plan.learn.track import bends, extent, white_std
+from micah_plan.learn.track import bends, extent, std_of_bends
 from micah_plan.quantities import Progress
 from micah_plan.recording.value import Recording
 
@@ -396,7 +396,7 @@ def moves_far(recording: Recording) -> bool:
     """Whether the only part of a recording moves so far that nobody need learn whether it is rigid."""
     for run in recording.runs:
         place = _places(recording.rows(recording.run == run))
-        if len(place) > 2 and extent(place, _FEW) > max(_FAR, _FAR_STDS * float(white_std(bends(place)))):
+        if len(place) > 2 and extent(place, _FEW) > max(_FAR, _FAR_STDS * float(std_of_bends(bends(place)))):
             return True
     return False
 
@@ -411,7 +411,7 @@ def moving_windows(recording: Recording, run: int, part: str) -> Booleans:
     place = _places(recording.rows(own))
     edges = np.linspace(recording.time[in_run].min(), recording.time[in_run].max(), _WINDOWS + 1)
     window = np.clip(np.searchsorted(edges, recording.time[own], side="right") - 1, 0, _WINDOWS - 1)
-    threshold = _MOTION_STDS * float(white_std(bends(place)))
+    threshold = _MOTION_STDS * float(std_of_bends(bends(place)))
     for k in range(_WINDOWS):
         # With its neighbours: a window between rows of a slow recording would have none or one.
         rows = place[np.abs(window - k) <= 1]

@@ -34,7 +34,7 @@ from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.joint import KINDS, JointKind
 from micah_plan.learn.joints.final_fit import PITCH, SCREW_CHOSEN
 from micah_plan.learn.joints.joint_arrays import JointArrays
-from micah_plan.learn.segmenting.motion import Motion, fit_motion
+from micah_plan.learn.segmenting.motion import StepModels, fit_motion
 from micah_plan.learn.segmenting.noise import NoiseModel, log_add, log_peak, stacked
 from micah_plan.learn.segmenting.pool import Hypotheses, Pool, all_of, pool_of
 from micah_plan.learn.segmenting.pool_fits import parameter_design
@@ -61,7 +61,7 @@ class EvidenceTable:
 
     likelihood_power: float
     pool: Pool
-    motion: Motion
+    motion: StepModels
     log_density: Floats
     ending: Floats
     parameters: Floats

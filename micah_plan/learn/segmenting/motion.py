@@ -58,7 +58,7 @@ class _StepModel:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class StepModels:
     """The step models of h hypotheses, and the density of every row's step.
 
     Attributes:
@@ -73,14 +73,14 @@ class Motion:
     gain: Floats
     parameters: Floats
 
-    def part(self, part: slice) -> Motion:
+    def part(self, part: slice) -> StepModels:
         """Of some hypotheses."""
-        return Motion(self.log_density[part], self.unled[part], self.gain[part], self.parameters[part])
+        return StepModels(self.log_density[part], self.unled[part], self.gain[part], self.parameters[part])
 
 
 def fit_motion(
     pool: Pool, action: Floats | None, rest: float, scale: Floats, likelihood_power: float, begun: bool = False
-) -> Motion:
+) -> StepModels:
     """Maximum-likelihood step models.
 
     Args:
@@ -91,7 +91,7 @@ def fit_motion(
     """
     count, n = pool.seen.configuration.shape
     members = np.flatnonzero(pool.moving)
-    result = Motion(np.zeros((count, n)), np.zeros((count, n)), np.zeros((count, 3)), np.zeros(count))
+    result = StepModels(np.zeros((count, n)), np.zeros((count, n)), np.zeros((count, 3)), np.zeros(count))
     if not len(members) or n < 2:
         return result
     c = pool.seen.configuration[members]

@@ -13,7 +13,7 @@ from micah_plan.arrays import ROUND_OFF, Floats, Ints
 from micah_plan.learn.segmenting.noise import MEMORY, NoiseModel, log_peak, predictors
 from micah_plan.learn.segmenting.pool import Pool
 from micah_plan.learn.settings import LearnSettings
-from micah_plan.learn.track import PartTrack, bends, white_std
+from micah_plan.learn.track import PartTrack, bends, std_of_bends
 
 _FINEST_POSITION = 1e-4  # m; no tracker is better, and a std of 0 would make likelihoods infinite
 _FINEST_ROTATION = 1e-3  # rad
@@ -185,7 +185,7 @@ def _rough(missed: Floats, size: ArrayLike = 3.0) -> Floats:
     finest = _finest(3 * missed.shape[1])
     if not missed.shape[2]:
         return np.broadcast_to(finest, missed.shape[:2])
-    return np.maximum(white_std(missed, size), finest)
+    return np.maximum(std_of_bends(missed, size), finest)
 
 
 def _finest(d: int) -> Floats:

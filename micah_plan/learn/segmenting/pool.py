@@ -16,7 +16,7 @@ from micah_plan.automaton.joint import JointKind
 from micah_plan.learn.joints.joint_arrays import Compared, JointArrays, compare_arrays, concatenated, levers
 from micah_plan.learn.joints.linear_fits import linear_fits
 from micah_plan.learn.segmenting.noise import NoiseModel, NoiseScales
-from micah_plan.learn.segmenting.pool_fits import fit_likelihood
+from micah_plan.learn.segmenting.pool_fits import fit_pool_likelihood
 from micah_plan.learn.track import PartTrack
 
 _LEVELS = 4  # of windows, each half as long
@@ -131,7 +131,7 @@ def window_hypotheses(track: PartTrack, kinds: Sequence[JointKind], noise: Noise
     return Hypotheses(joints, rows).take(np.flatnonzero(fixed))
 
 
-def refitted(kinds: Sequence[JointKind], used: Booleans, track: PartTrack, noise: NoiseModel) -> Hypotheses:
+def refitted_hypotheses(kinds: Sequence[JointKind], used: Booleans, track: PartTrack, noise: NoiseModel) -> Hypotheses:
     """Joints of maximum likelihood of given kinds on given rows (h, n), those that the rows determine."""
     return all_refitted([(kinds, used)], track, noise)[0]
 
@@ -146,7 +146,7 @@ def all_refitted(
     owner = np.repeat(np.arange(len(wanted)), [len(wanted_kinds) for wanted_kinds, _ in wanted])[fixed]
     chosen = Hypotheses(joints, used).take(np.flatnonzero(fixed))
     own_noise = noise.take(owner) if len(wanted) > 1 else noise
-    hypotheses = Hypotheses(fit_likelihood(chosen.joints, chosen.used, track, own_noise, _ITERATIONS), chosen.used)
+    hypotheses = Hypotheses(fit_pool_likelihood(chosen.joints, chosen.used, track, own_noise, _ITERATIONS), chosen.used)
     return [hypotheses.take(np.flatnonzero(owner == i)) for i in range(len(wanted))]
 
 

@@ -30,7 +30,7 @@ _DAMPING = 1e-6  # of the first step
 _ORDER = 3  # rows that a prediction looks back while fitting; the evidence looks further
 
 
-def fit_likelihood(
+def fit_pool_likelihood(
     joints: JointArrays, used: Booleans, track: PartTrack, noise: NoiseModel, iterations: int
 ) -> JointArrays:
     """The joints that make the innovations of their rows most likely, from a start; kinds are kept.

@@ -44,7 +44,7 @@ from micah_plan.learn.segmenting.held import along_joint, places_held
 from micah_plan.learn.segmenting.motion import FEWEST_ACTED
 from micah_plan.learn.segmenting.noise import NoiseModel, likelihood_power_of, stacked
 from micah_plan.learn.segmenting.noise_fit import fit_noise_to_residuals, initial_noise
-from micah_plan.learn.segmenting.pool import Hypotheses, all_refitted, pool_of, refitted, window_hypotheses
+from micah_plan.learn.segmenting.pool import Hypotheses, all_refitted, pool_of, refitted_hypotheses, window_hypotheses
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.learn.track import PartTrack
 
@@ -109,7 +109,7 @@ def best_single(answer: Segmented, settings: LearnSettings) -> Segmented:
     ones, noises = _singles(track, answer.noise, settings, any_slow=True)
     alone = all_tabulated(ones, track, noises, settings.rest, likelihood_power)
     noise = noises[_likeliest(alone, prior, settings)]
-    pool = refitted(list(settings.kinds), np.ones((len(settings.kinds), n), dtype=bool), track, noise)
+    pool = refitted_hypotheses(list(settings.kinds), np.ones((len(settings.kinds), n), dtype=bool), track, noise)
     table = tabulated(pool, track, noise, settings.rest, likelihood_power)
     totals = table.sums[:, 0, -1] - table.occam
     moving = table.pool.moving
@@ -145,7 +145,7 @@ def _singles(
     """
     kinds: list[JointKind] = [kind for kind in settings.kinds if kind != "rigid"]
     kinds = kinds or list(settings.kinds)
-    whole = refitted(kinds, np.ones((len(kinds), len(track)), dtype=bool), track, noise)
+    whole = refitted_hypotheses(kinds, np.ones((len(kinds), len(track)), dtype=bool), track, noise)
     pool, every = pool_of(whole, track, noise), np.zeros(len(track), dtype=np.int64)
     noises = (
         fit_noise_to_residuals([(pool, every + i) for i in range(len(whole))], settings, any_slow) if len(whole) else []
@@ -409,7 +409,7 @@ def with_rests(answer: Segmented, priors: Sequence[LengthPrior], settings: Learn
     if not len(inside) or outside.sum() < FEWEST_ACTED:
         return None
     pool = Hypotheses(table.pool.hypotheses.joints.take([joint]), outside)
-    pool = pool.joined(refitted(["rigid"] * len(inside), inside, track, answer.noise))
+    pool = pool.joined(refitted_hypotheses(["rigid"] * len(inside), inside, track, answer.noise))
     pool = pool.joined(table.pool.hypotheses.take([i for i in used if i != joint]))
     tried = tabulated(pool, track, answer.noise, settings.rest, table.likelihood_power)
     every = list(range(len(pool)))
@@ -434,7 +434,7 @@ def rests_in_the_end(
     longest = max(_LONGEST * n, _FEWEST_ROWS)
     lengths = np.unique(np.geomspace(_FEWEST_ROWS, longest, _LENGTHS).round().astype(int))
     ends: NDArray[np.bool_] = np.arange(n) >= n - lengths[lengths < n, None]
-    rests = refitted(["rigid"] * len(ends), ends, track, noise)
+    rests = refitted_hypotheses(["rigid"] * len(ends), ends, track, noise)
     pool = table.pool.hypotheses.take(moves).joined(rests)
     tried = tabulated(pool, track, noise, rest, table.likelihood_power)
     held = np.arange(len(moves), len(pool))

@@ -15,7 +15,7 @@ import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.learn.settings import LearnSettings
-from micah_plan.learn.track import PartTrack, bends, extent, white_std
+from micah_plan.learn.track import PartTrack, bends, extent, std_of_bends
 
 _BLOCKS, _FEWEST_BLOCKS = 2048, 8  # in which the length of the path is measured
 WINDOW_SWEEPS = 4.0  # there and back in a window; what moves more often is learned in several
@@ -208,7 +208,7 @@ def _noise(values: Floats, whole: float) -> tuple[int, float]:
     stds: list[float] = []
     lags = [2**i for i in range(16) if 4 * 2**i <= len(values)]
     for lag in lags:
-        stds.append(float(np.sqrt(3) * white_std(bends(values, lag))))
+        stds.append(float(np.sqrt(3) * std_of_bends(bends(values, lag))))
         if len(stds) > 1 and stds[-1] < _GROWTH * stds[-2] and stds[-2] < _LARGEST_NOISE * whole:
             return lags[len(stds) - 2], stds[-2]
     return 1, stds[0]

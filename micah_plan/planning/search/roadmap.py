@@ -225,7 +225,7 @@ def _grow_prm(states: Floats, deadline: Deadline) -> tuple[Floats, list[tuple[in
     ou.setLogLevel(ou.LogLevel.LOG_ERROR)
     space = ob.RealVectorStateSpace(states.shape[1])
     lower = states.min(axis=0)
-    space.setBounds(box(lower, np.maximum(states.max(axis=0), lower + EQUAL)))
+    space.setBounds(bounding_box(lower, np.maximum(states.max(axis=0), lower + EQUAL)))
     information = ob.SpaceInformation(space)
     samplers: list[_GivenStates] = []
 
@@ -249,7 +249,7 @@ def _grow_prm(states: Floats, deadline: Deadline) -> tuple[Floats, list[tuple[in
     return grown, [(i, j) for i in range(len(vertices)) for j in data.getEdges(i)]
 
 
-def box(lower: Floats, upper: Floats) -> Any:
+def bounding_box(lower: Floats, upper: Floats) -> Any:
     """Corners (n,) as OMPL wants them."""
     bounds = ob.RealVectorBounds(len(lower))
     for i, (low, high) in enumerate(zip(lower, upper, strict=True)):

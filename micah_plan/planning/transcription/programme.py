@@ -56,7 +56,7 @@ from micah_plan.planning.transcription.corridor import (
     path_rows,
 )
 from micah_plan.planning.transcription.guess import STRICT_SHARE, PhaseGuess, guard_need
-from micah_plan.planning.transcription.rows import Row, Rows, boundary_name, unit_of
+from micah_plan.planning.transcription.rows import ConstraintRows, Row, boundary_name, unit_of
 from micah_plan.planning.zero_time_transitions import stds_of
 from micah_plan.symbolic.compiled import CompiledEdge, CompiledMode, compiled_edge, compiled_mode
 from micah_plan.symbolic.square_root import norm as smooth_norm
@@ -107,7 +107,7 @@ class Transcription:
     w_upper: list[Floats] = field(default_factory=list)
     w_start: list[Floats] = field(default_factory=list)
     g: list[ca.MX] = field(default_factory=list)
-    rows: Rows = field(default_factory=Rows)
+    rows: ConstraintRows = field(default_factory=ConstraintRows)
     stds: list[ca.MX] = field(default_factory=list)
 
     @property

@@ -69,7 +69,7 @@ def unit_of(automaton: HybridAutomaton, half_space: HalfSpace) -> str:
     return units.pop() if len(units) == 1 else ""
 
 
-class Rows(list[Row]):
+class ConstraintRows(list[Row]):
     """The rows of a transcription, in the order of its constraint vector g."""
 
     @property

@@ -1,0 +1,224 @@
+"""Runs of a recording as they are compared with a model: which rows follow each other, and what moves them.
+
+A row that is missing takes its command with it, so what happened from the row before to the row after is not told:
+those are not consecutive, as time stamps show.
+
+**From when on effects act.** An object that changed is modelled as it was before and as it is now. An effect that began
+in a run of some recording acts in that run from then on and in all later ones. It is known by the rows of that run: in
+a recording without them, which was made later, it acts from the start. Another kind of effect begins anew in every run,
+so many seconds into it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from micah_plan.arrays import ROUND_OFF, Booleans, Floats, Ints, robust_std, white_std
+from micah_plan.automaton.effects.value import Effect, Since
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.tracks import Track, tracks
+from micah_plan.recording.value import Recording
+from micah_plan.residual.likelihood import robust_log_density
+
+Place = tuple[int, float]
+"""Of a part in its recording: number of its run's place, and its first time in that run [s]."""
+
+# Rows that a run needs to show its own noise.
+_ROWS_FOR_NOISE = 8
+# A pause that is so many times the usual one, and so many standard deviations longer, is a missing row.
+_LONGER, _STDS_LONGER = 1.5, 6.0
+# Actions are stored at most so many rows late; commands before one's own that a motion may remember.
+_MOST_LATE, _PAST = 3, 2
+# Columns of a constant and commands, latest first: those up to a motion's own row, and as many up to the next.
+_COMPARED = (0, 2, 3, 4), (0, 1, 2, 3)
+_FEWEST_STEPS, _FREEDOM = 20, 4.0
+# What a later row must foretell better [nats], altogether and per step, and its share of all that commands do.
+_LATE_EVIDENCE, _LATE_PER_ROW, _OWN_SHARE = 8.0, 0.05, 0.3
+
+
+def read_tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[tuple[Track, ...], int]:
+    """Every run of a recording from its first measured row to its last, with actions in the rows that they move.
+
+    Returns:
+        The runs, and by how many rows all actions were stored after those rows.
+
+    Raises:
+        InputError: see `tracks`.
+    """
+    excesses = []
+    for track in tracks(automaton, recording):
+        rows = np.flatnonzero(track.is_measured)
+        excesses.append(rows_of(track, int(rows[0]), int(rows[-1]) + 1) if len(rows) else track)
+    late = rows_late(excesses)
+    return tuple(_taken_back(track, late) for track in excesses if len(track.time) > late), late
+
+
+def _taken_back(track: Track, late: int) -> Track:
+    """A run whose actions are stored `late` rows after those that they move: the last rows then have none."""
+    if not late or track.u is None or track.action is None:
+        return track
+    shorter = rows_of(track, 0, len(track.time) - late)
+    return replace(shorter, u=track.u[late:], action=track.action[late:])
+
+
+def rows_late(runs: Sequence[Track]) -> int:
+    """By how many rows actions are stored after those that they move.
+
+    The action of a later row foretells a motion better than its own row's and those before it, and with their sign.
+    (Where commands follow what was measured, the next command foretells the noise of a motion with the other sign.)
+    """
+    late = 0
+    while late < _MOST_LATE and any(_is_foretold_later(runs, late, i) for i in range(runs[0].x.shape[1])):
+        late += 1
+    return late
+
+
+def _is_foretold_later(runs: Sequence[Track], late: int, i: int) -> bool:
+    """Whether a coordinate's motion follows the command `late` + 1 rows later, rather than those up to `late`."""
+    designs, moved = [], []
+    for track in runs:
+        if track.u is None or track.u.shape[1] != track.x.shape[1]:
+            return False
+        dx, u = np.diff(track.x[:, i]), track.u[:, i]
+        steps = np.arange(_PAST, len(dx) - late - 1)
+        if len(steps):
+            designs.append(np.stack([u[steps + late + 1 - k] for k in range(_PAST + 2)], axis=1))
+            moved.append(dx[steps])
+    if not designs:
+        return False
+    design, now = np.concatenate(designs), np.concatenate(moved)
+    is_finite = np.isfinite(design).all(axis=1)
+    design, now = np.column_stack([np.ones(is_finite.sum()), design[is_finite]]), now[is_finite]
+    if len(now) < _FEWEST_STEPS or not np.any(now):
+        return False
+    least = 1e-3 * float(np.std(now)) + ROUND_OFF
+    with_it, later = (robust_log_density(design[:, columns], now, _FREEDOM, least) for columns in _COMPARED)
+    if later - with_it < max(_LATE_EVIDENCE, _LATE_PER_ROW * len(now)):
+        return False
+    response = np.linalg.lstsq(design[:, _COMPARED[1]], now, rcond=None)[0][1:]
+    return bool(response[0] > _OWN_SHARE * np.abs(response).sum())
+
+
+def white_noise_of(x: Floats) -> Floats:
+    """(n,) std of measured configurations (T, n), as third differences show it: no smooth motion has any."""
+    if len(x) < _ROWS_FOR_NOISE:
+        return np.zeros(x.shape[1])
+    return white_std(x, 3)
+
+
+def sections(time: Floats) -> list[tuple[int, int]]:
+    """(first row, end) of the rows (T,) that follow one another without a gap."""
+    if len(time) < _ROWS_FOR_NOISE:
+        return [(0, len(time))]
+    pause = np.diff(time)
+    usual = float(np.median(pause))
+    missing = pause > max(_LONGER * usual, usual + _STDS_LONGER * float(robust_std(pause)))
+    edges = [0, *(np.flatnonzero(missing) + 1).tolist(), len(time)]
+    return list(pairwise(edges))
+
+
+def consecutive_parts(track: Track) -> list[Track]:
+    """The parts of a run in which rows are consecutive, of two rows or more."""
+    return [rows_of(track, a, b) for a, b in sections(track.time) if b - a > 1]
+
+
+def rows_of(track: Track, first: int, end: int) -> Track:
+    """Some rows of a run."""
+    steps = slice(first, end - 1)
+    u, action = (None if commands is None else commands[steps] for commands in (track.u, track.action))
+    return _taken(track, slice(first, end), u, action)
+
+
+def _taken(track: Track, rows: slice | Ints, u: Floats | None, action: Floats | None) -> Track:
+    """Some rows of a run, with the commands from each to the next."""
+    return replace(
+        track,
+        time=track.time[rows],
+        position=track.position[rows],
+        quaternion=None if track.quaternion is None else track.quaternion[rows],
+        x=track.x[rows],
+        u=u,
+        action=action,
+        believed=None if track.believed is None else track.believed[rows],
+        is_measured=track.is_measured[rows],
+    )
+
+
+def at_measurements(track: Track) -> Track:
+    """The measured rows of a run alone, with all that was commanded from each to the next."""
+    if track.is_measured.all():
+        return track
+    rows = np.flatnonzero(track.is_measured)
+
+    def between(commands: Floats | None) -> Floats | None:
+        if commands is None:
+            return None
+        so_far = np.concatenate([np.zeros_like(commands[:1]), np.cumsum(commands, axis=0)])
+        return np.asarray(np.diff(so_far[rows], axis=0))
+
+    return _taken(track, rows, between(track.u), between(track.action))
+
+
+def dated(effect: Effect, recording: Recording) -> Effect:
+    """The effect with the rows of the run in which it began, by which other recordings are told from this one."""
+    since = effect.since
+    if since is None or since.run is None:
+        return effect
+    return replace(effect, since=replace(since, digest=recording.select(run=since.run).digest()))
+
+
+def beginning(automaton: HybridAutomaton, recording: Recording) -> tuple[Effect, ...]:
+    """The effects of a model that do not act in all rows of a recording."""
+    began = [effect for effect in automaton.effects if effect.since is not None]
+    return tuple(effect for effect in began if _is_of(effect.since, recording))
+
+
+def _is_of(since: Since | None, recording: Recording) -> bool:
+    if since is None or since.run is None:
+        return since is not None
+    return since.run in recording.runs and recording.select(run=since.run).digest() == since.digest
+
+
+def acts(since: Since, run: int, time: Floats) -> Booleans:
+    """(T,) whether what began then acts at times (T,) of a run [s since its start]."""
+    if since.run is None or run == since.run:
+        return np.asarray(time >= since.time - ROUND_OFF)
+    return np.full(time.shape, run > since.run)
+
+
+def versions(
+    automaton: HybridAutomaton, recording: Recording
+) -> list[tuple[HybridAutomaton, list[tuple[Place, Track]]]]:
+    """The model as it was in each part of a recording, and these parts: runs, consecutive and with the same effects.
+
+    In the order of their places all parts follow each other.
+    """
+    gates = beginning(automaton, recording)
+    every = _parts(automaton, recording, gates)
+    result = []
+    for active in dict.fromkeys(active for _, active, _ in every):
+        idle = [effect for effect in gates if effect not in active]
+        model = replace(automaton, effects=tuple(e for e in automaton.effects if e not in idle)) if idle else automaton
+        parts = _parts(model, recording, gates) if idle else every
+        result.append((model, [(place, part) for place, acting, part in parts if acting == active]))
+    return result
+
+
+def _parts(
+    automaton: HybridAutomaton, recording: Recording, gates: Sequence[Effect]
+) -> list[tuple[Place, tuple[Effect, ...], Track]]:
+    parts = []
+    for number, track in enumerate(read_tracks(automaton, recording)[0]):
+        for piece in consecutive_parts(track):
+            time = piece.time - track.time[0]
+            acting = [acts(effect.since, track.run, time) for effect in gates if effect.since is not None]
+            changes = [row for acts_at in acting for row in np.flatnonzero(np.diff(acts_at)) + 1]
+            edges = sorted({0, len(time) - 1, *map(int, changes)})
+            for first, last in pairwise(edges):
+                active = tuple(effect for effect, acts_at in zip(gates, acting, strict=True) if acts_at[first])
+                parts.append(((number, float(time[first])), active, rows_of(piece, first, last + 1)))
+    return parts
