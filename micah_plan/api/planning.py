@@ -237,6 +237,16 @@ class RunsResult(Result):
         return self.planned.title
 
     @property
+    def problem(self) -> Problem:
+        """What was planned for."""
+        return self.planned.problem
+
+    @property
+    def automaton(self) -> HybridAutomaton:
+        """The problem's model."""
+        return self.planned.automaton
+
+    @property
     def trials(self) -> int:
         """How many there were."""
         return self.statistics.trials

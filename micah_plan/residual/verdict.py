@@ -59,62 +59,57 @@ class Outcome:
 
     Attributes:
         sentence: of a coordinate, in plain words.
-        holds: whether the facts allow it.
     """
 
     name: str
     verdict: Verdict
     sentence: str
-    holds: Callable[[Facts], bool]
 
 
-OUTCOMES: tuple[Outcome, ...] = (
-    Outcome("mode", "partly", "a mode of its own is missing", lambda f: f.modes > 0),
-    Outcome(
-        "unnamed",
-        "unexplained",
-        "what is left follows something that no effect names",
+OUTCOMES: tuple[tuple[Outcome, Callable[[Facts], bool]], ...] = (
+    (Outcome("mode", "partly", "a mode of its own is missing"), lambda f: f.modes > 0),
+    (
+        Outcome("unnamed", "unexplained", "what is left follows something that no effect names"),
         lambda f: f.smooth > _UNEXPLAINED or (not f.effects and (f.smooth > 0 or f.is_left or f.is_corrected)),
     ),
-    Outcome(
-        "remembered",
-        "partly",
-        "with runs like these the effect may as well come from earlier commands",
+    (
+        Outcome("remembered", "partly", "with runs like these the effect may as well come from earlier commands"),
         lambda f: f.is_open,
     ),
-    Outcome("over", "partly", "the last runs are predicted better without, so it is over", lambda f: f.is_over),
-    Outcome(
-        "more",
-        "partly",
-        "residuals after the added effects are not white",
+    (Outcome("over", "partly", "the last runs are predicted better without, so it is over"), lambda f: f.is_over),
+    (
+        Outcome("more", "partly", "residuals after the added effects are not white"),
         lambda f: f.smooth > _EXPLAINED or f.is_left or f.is_corrected,
     ),
-    Outcome(
-        "contradicted",
-        "partly",
-        "one of so few runs is predicted no better by what the others show, so more runs must tell",
+    (
+        Outcome(
+            "contradicted",
+            "partly",
+            "one of so few runs is predicted no better by what the others show, so more runs must tell",
+        ),
         lambda f: f.is_contradicted,
     ),
-    Outcome(
-        "single",
-        "partly",
-        "one run of a few motions shows it, and no other run can confirm it",
+    (
+        Outcome("single", "partly", "one run of a few motions shows it, and no other run can confirm it"),
         lambda f: f.effects > 0 and f.is_single,
     ),
-    Outcome(
-        "changing",
-        "partly",
-        "it changed more than once on the way, by steps or little by little, so it may go on changing",
+    (
+        Outcome(
+            "changing",
+            "partly",
+            "it changed more than once on the way, by steps or little by little, so it may go on changing",
+        ),
         lambda f: f.is_changing,
     ),
-    Outcome("named", "explained", "the effects leave noise alone", lambda f: f.effects > 0),
-    Outcome("nothing", "none", "the model leaves noise alone", lambda _: True),
+    (Outcome("named", "explained", "the effects leave noise alone"), lambda f: f.effects > 0),
+    (Outcome("nothing", "none", "the model leaves noise alone"), lambda _: True),
 )
+"""What may be said of a coordinate, and whether the facts allow it."""
 
 
 def outcome_of(facts: Facts) -> Outcome:
     """The first outcome that the facts allow."""
-    return next(outcome for outcome in OUTCOMES if outcome.holds(facts))
+    return next(outcome for outcome, holds in OUTCOMES if holds(facts))
 
 
 def overall(verdicts: list[Verdict]) -> Verdict:

@@ -258,10 +258,13 @@ def test_a_function_with_the_name_of_a_subpackage_is_both() -> None:
     assert said[:2] == ["recording", "method"]
 
 
-def test_results_go_from_process_to_process(learned: LearningResult, repository: Path) -> None:
-    again = pickle.loads(pickle.dumps(learned))  # noqa: S301  # our own bytes
-    assert str(again) == str(learned)
-    assert again.automaton == learned.automaton
+def test_results_go_from_process_to_process(
+    repository: Path, learned: LearningResult, solved: PlanningResult, runs: RunsResult
+) -> None:
+    for result in every_result(learned, solved, runs):
+        again = pickle.loads(pickle.dumps(result))  # noqa: S301  # our own bytes
+        assert (str(again), again.json()) == (str(result), result.json())
+        assert again.automaton == result.automaton
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         found = pool.submit(solve, repository / "problems" / "drawer_open.yaml").result()
     assert found.plan.outcome == "solved"
