@@ -272,6 +272,11 @@ class CalibrationResult(Result):
         return SENTENCES[self.found.verdict]
 
     @property
+    def title(self) -> str:
+        """What the page is about."""
+        return "measured runs"
+
+    @property
     def automaton(self) -> HybridAutomaton:
         """The model with the effects."""
         return self.found.automaton

@@ -120,19 +120,19 @@ def _setting(name: str, text: str, default: Any) -> Any:
     from micah_plan.recording.text import is_number
 
     expected: str
-    probability: float | None
+    value: float | None
     if isinstance(default, bool):
-        expected, probability = "true or false", {"true": True, "false": False}.get(text.lower())
+        expected, value = "true or false", {"true": True, "false": False}.get(text.lower())
     elif isinstance(default, int):
-        expected, probability = "a whole number", int(text) if text.isdecimal() and len(text) < 10 else None
+        expected, value = "a whole number", int(text) if text.isdecimal() and len(text) < 10 else None
     else:
-        expected, probability = "a number", float(text) if is_number(text) else None
+        expected, value = "a number", float(text) if is_number(text) else None
         if default is None and text.lower() == "none":
             return None
-    if probability is None:
+    if value is None:
         problem = f"expected {expected} for {name}, found {shown(text)}"
         raise InputError(problem, source="--set", remedy="e.g. --set position_wander=0.001")
-    return probability
+    return value
 
 
 def _list_topics(log: Path, as_json: bool) -> None:

@@ -49,12 +49,12 @@ def read_tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[tuple
     Raises:
         InputError: see `tracks`.
     """
-    excesses = []
+    measured = []
     for track in tracks(automaton, recording):
         rows = np.flatnonzero(track.is_measured)
-        excesses.append(rows_of(track, int(rows[0]), int(rows[-1]) + 1) if len(rows) else track)
-    late = rows_late(excesses)
-    return tuple(_taken_back(track, late) for track in excesses if len(track.time) > late), late
+        measured.append(rows_of(track, int(rows[0]), int(rows[-1]) + 1) if len(rows) else track)
+    late = rows_late(measured)
+    return tuple(_taken_back(track, late) for track in measured if len(track.time) > late), late
 
 
 def _taken_back(track: Track, late: int) -> Track:

@@ -8,10 +8,10 @@ from typing import Literal
 
 Verdict = Literal["none", "explained", "partly", "unexplained"]
 SENTENCES: dict[Verdict, str] = {
-    "none": "The model lacks nothing that this recording can show.",
-    "explained": "The effects below explain what the model lacked.",
-    "partly": "The effects below explain a part of what the model lacks.",
-    "unexplained": "The model lacks something that no effect of the library explains.",
+    "none": "the model lacks nothing that this recording can show",
+    "explained": "the effects explain what the model lacked",
+    "partly": "the effects explain a part of what the model lacks",
+    "unexplained": "the model lacks something that no effect of the library explains",
 }
 
 # Shares of the explainable residual that effects leave to a correction without a name: up to here it is explained, from

@@ -46,7 +46,7 @@ def calibration_page(calibration: Calibration, title: str) -> str:
         "kind": f"calibration with {title}",
         "badge": _badge(calibration),
         "headline": _headline(calibration),
-        "message": SENTENCES[calibration.verdict],
+        "message": f"{SENTENCES[calibration.verdict].capitalize()}.",
         "notes": calibration.notes,
         "modes": [f"{capital(str(mode))}. {gain.format(plain(mode.evidence))}" for mode in modes],
         "parameters": _parameters(calibration),
