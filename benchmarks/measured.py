@@ -66,8 +66,8 @@ def described(found: FoundEffect) -> str:
 
 def row(name: str, found: Calibration) -> str:
     sizes = (found.before.one_step, found.after.one_step, found.noise_floor, found.before.rollout, found.after.rollout)
-    said = "; ".join(described(one) for one in found.effects) or "nothing with a name"
-    modes = "".join(f"; {mode}" for one in found.traces for mode in one.missing_modes)
+    said = "; ".join(described(effect) for effect in found.effects) or "nothing with a name"
+    modes = "".join(f"; {mode}" for trace in found.traces for mode in trace.missing_modes)
     sizes += (final_error(found, is_after=False), final_error(found, is_after=True))
     return f"| {name} | {found.verdict} | {said}{modes} | " + " | ".join(f"{size:.2g}" for size in sizes) + " |"
 
@@ -75,9 +75,9 @@ def row(name: str, found: Calibration) -> str:
 def final_error(found: Calibration, *, is_after: bool) -> float:
     """Mean size of the roll-out's error in the last row of each stretch, held out from the fit [rad or m]."""
     ends = []
-    for one in found.traces:
-        errors = one.search.errors(one.final if is_after else one.nominal, "rollout")
-        last = one.data.counted.shape[1] - 1 - np.argmax(one.data.counted[:, ::-1], axis=1)
+    for trace in found.traces:
+        errors = trace.search.errors(trace.final if is_after else trace.nominal, "rollout")
+        last = trace.data.counted.shape[1] - 1 - np.argmax(trace.data.counted[:, ::-1], axis=1)
         ends.append(np.abs(errors[np.arange(len(last)), last]))
     return float(np.mean(np.concatenate(ends)))
 
@@ -85,8 +85,8 @@ def final_error(found: Calibration, *, is_after: bool) -> float:
 def errors_of(automaton: HybridAutomaton, recording: Recording) -> tuple[float, float]:
     """Root mean squares of one step and of the roll-out [rad or m]."""
     (run,) = predict_recording(automaton, recording)
-    one, rolled = (float(np.sqrt(np.mean(error.configuration**2))) for error in (run.one_step, run.rollout))
-    return one, rolled
+    stepped, rolled = (float(np.sqrt(np.mean(error.configuration**2))) for error in (run.one_step, run.rollout))
+    return stepped, rolled
 
 
 def two_numbers(automaton: HybridAutomaton, first: Recording, second: Recording) -> float:
@@ -98,17 +98,18 @@ def two_numbers(automaton: HybridAutomaton, first: Recording, second: Recording)
         joint = automaton.moving_joint(0)
         return z, inverse(joint, recording.position[:-1] + recording.action[:-1], near=z[:-1])
 
-    def left(numbers: np.ndarray, z: np.ndarray, place: np.ndarray) -> np.ndarray:
+    def misses(numbers: np.ndarray, z: np.ndarray, place: np.ndarray) -> np.ndarray:
         c, gone = z[0], []
         for to in place:
             c = c + numbers[0] * (to - c) + numbers[1]
             gone.append(c)
         return np.array(gone) - z[1:]
 
-    seen, unseen = places(first), places(second)
-    fits = [least_squares(left, [k, 0.0], args=seen, bounds=([0.0, -1.0], [1.9, 1.0])) for k in (0.02, 0.1, 0.5, 0.9)]
+    fitted, unseen = places(first), places(second)
+    bounds = [0.0, -1.0], [1.9, 1.0]
+    fits = [least_squares(misses, [k, 0.0], args=fitted, bounds=bounds) for k in (0.02, 0.1, 0.5, 0.9)]
     best = min(fits, key=lambda fit: float(fit.cost))
-    return float(np.sqrt(np.mean(left(best.x, *unseen) ** 2)))
+    return float(np.sqrt(np.mean(misses(best.x, *unseen) ** 2)))
 
 
 def left_out(automaton: HybridAutomaton, recording: Recording) -> np.ndarray:
@@ -117,8 +118,8 @@ def left_out(automaton: HybridAutomaton, recording: Recording) -> np.ndarray:
     for run in recording.runs:
         improved = calibrate(automaton, recording.rows(recording.run != run)).automaton
         runs = [predict_recording(model, recording.select(run=run)) for model in (automaton, improved)]
-        believed = [(estimate_errors(one) or (0.0, np.nan))[1] for one in runs]
-        ends.append([*believed, *(abs(float(one[0].rollout.configuration[-1, 0])) for one in runs)])
+        believed = [(estimate_errors(predictions) or (0.0, np.nan))[1] for predictions in runs]
+        ends.append([*believed, *(abs(float(predictions[0].rollout.configuration[-1, 0])) for predictions in runs)])
     return np.asarray(np.mean(ends, axis=0))
 
 
@@ -134,11 +135,12 @@ def print_halves(paths: list[Path]) -> None:
             several.append((path.stem, left_out(automaton, recording)))
             continue
         first, second = recording.rows(slice(None, half)), recording.rows(slice(half, None))
-        found = calibrate(automaton, first)
-        before, after = (errors_of(model, second) for model in (automaton, found.automaton))
+        calibration = calibrate(automaton, first)
+        before, after = (errors_of(model, second) for model in (automaton, calibration.automaton))
         sizes = (before[0], after[0], before[1], after[1], two_numbers(automaton, first, second))
-        said = "; ".join(described(one) for one in found.effects) or "nothing with a name"
-        print(f"| {path.stem} | " + " | ".join(f"{size:.2g}" for size in sizes) + f" | {found.verdict} | {said} |")
+        said = "; ".join(described(effect) for effect in calibration.effects) or "nothing with a name"
+        errors = " | ".join(f"{size:.2g}" for size in sizes)
+        print(f"| {path.stem} | {errors} | {calibration.verdict} | {said} |")
     print("\n| log, a run left out | belief's final error before | after | roll-out's before | after |")
     print("| --- " * 5 + "|")
     for name, ends in several:

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from micah_plan.residual.range_exceeded import RangeExceeded
     from micah_plan.residual.trace import CoordinateTrace
 
+_SHOWN = {"one_step": "one step", "rollout": "roll-out"}
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PredictionResult(Result):
@@ -64,7 +66,7 @@ class PredictionResult(Result):
         """What errors follow, in words."""
         return self.judgement.sentence
 
-    @property
+    @cached_property
     def excesses(self) -> tuple[RangeExceeded, ...]:
         """Where the motion went beyond the model's range."""
         from micah_plan.residual.range_exceeded import ranges_exceeded
@@ -76,12 +78,12 @@ class PredictionResult(Result):
         summary = self.json()
         coordinates = summary["per_coordinate"]
         rows = list[tuple[str, ...]]()
-        for k, (name, text) in enumerate((("one_step", "one step"), ("rollout", "roll-out"))):
+        for k, (name, text) in enumerate(_SHOWN.items()):
             floor, sizes = summary["noise_floor"][name], [(c[f"{name}_rmse"], c["unit"]) for c in coordinates]
             rows.append((text, *_amounts(summary[name], sizes)))
             if floor:
-                left = [(c["noise_floor"][k], c["unit"]) for c in coordinates]
-                rows.append(("  noise alone", *_amounts(floor, left)))
+                floors = [(c["noise_floor"][k], c["unit"]) for c in coordinates]
+                rows.append(("  noise alone", *_amounts(floor, floors)))
         names = ("root mean square error", "position", "rotation", *(c["name"] for c in coordinates))
         lines: list[str | Table] = [Table(names, tuple(rows)), self.reason]
         if "estimate" in summary:
@@ -207,11 +209,11 @@ def _per_coordinate(
 
 def _per_mode(runs: Sequence[RunPrediction]) -> dict[str, dict[str, float]]:
     """One-step errors of the configuration by the mode that a step ended in."""
-    found: dict[str, list[float]] = {}
+    steps_of: dict[str, list[float]] = {}
     for run in runs:
         for mode, errors in zip(run.one_step.modes, run.one_step.configuration, strict=True):
-            found.setdefault(mode, []).extend(np.square(errors).tolist())
-    return {m: {"configuration_rmse": float(np.sqrt(np.mean(v))), "steps": len(v)} for m, v in found.items()}
+            steps_of.setdefault(mode, []).extend(np.square(errors).tolist())
+    return {m: {"configuration_rmse": float(np.sqrt(np.mean(v))), "steps": len(v)} for m, v in steps_of.items()}
 
 
 def _rmse(errors: Sequence[PredictionError]) -> dict[str, float | None]:
@@ -249,7 +251,7 @@ def _changes_of_mode(judged: Judgement) -> list[str]:
 class CalibrationResult(Result):
     """What `calibrate` returns: the verdict, the effects found, and the model with them."""
 
-    found: Calibration
+    calibration: Calibration
     before: HybridAutomaton
     recording: Recording
     seconds: float = 0.0
@@ -262,14 +264,14 @@ class CalibrationResult(Result):
     @property
     def outcome(self) -> str:
         """``"none"``, ``"explained"``, ``"partly"`` or ``"unexplained"``."""
-        return self.found.verdict
+        return self.calibration.verdict
 
     @property
     def reason(self) -> str:
         """The outcome as a sentence."""
         from micah_plan.residual.verdict import SENTENCES
 
-        return SENTENCES[self.found.verdict]
+        return SENTENCES[self.calibration.verdict]
 
     @property
     def title(self) -> str:
@@ -279,12 +281,12 @@ class CalibrationResult(Result):
     @property
     def automaton(self) -> HybridAutomaton:
         """The model with the effects."""
-        return self.found.automaton
+        return self.calibration.automaton
 
     @property
     def effects(self) -> tuple[FoundEffect, ...]:
         """What was found, strongest first."""
-        return self.found.effects
+        return self.calibration.effects
 
     @cached_property
     def changes(self) -> tuple[Difference, ...]:
@@ -299,35 +301,35 @@ class CalibrationResult(Result):
         if self.effects:
             names = ("effect", "parameters", "evidence [nats]", "or instead")
             lines.append(Table(names, tuple(_effect_row(effect) for effect in self.effects)))
-        lines += _error_lines(self.found)
-        lines.append(f"  left unexplained: {percent(self.found.unexplained_fraction, 0)}")
-        lines += [f"  note: {note}" for note in self.found.notes]
-        lines.append(f"  next: {self.found.experiment}")
+        lines += _error_lines(self.calibration)
+        lines.append(f"  left unexplained: {percent(self.calibration.unexplained_fraction, 0)}")
+        lines += [f"  note: {note}" for note in self.calibration.notes]
+        lines.append(f"  next: {self.calibration.experiment}")
         lines.append("changes of the model:" if self.changes else "the model stays as it is")
         return [*lines, *(f"  {change}" for change in self.changes)]
 
     def json(self) -> dict[str, Any]:
         """Verdict, effects, errors before and after, what stays unexplained, and what changed."""
-        found = self.found
-        written = zip(self.automaton.coordinates, found.written, strict=bool(found.written))
+        calibration = self.calibration
+        written = zip(self.automaton.coordinates, calibration.written, strict=bool(calibration.written))
         return {
-            "verdict": found.verdict,
-            "effects": [_effect(effect) for effect in found.effects],
+            "verdict": calibration.verdict,
+            "effects": [_effect(effect) for effect in calibration.effects],
             "residual": {
-                "before": {"one_step_rmse": found.before.one_step, "rollout_rmse": found.before.rollout},
-                "after": {"one_step_rmse": found.after.one_step, "rollout_rmse": found.after.rollout},
+                "before": {"one_step_rmse": calibration.before.one_step, "rollout_rmse": calibration.before.rollout},
+                "after": {"one_step_rmse": calibration.after.one_step, "rollout_rmse": calibration.after.rollout},
                 "new_model": {
                     coordinate.name: {"one_step_rmse": size.one_step, "rollout_rmse": size.rollout}
                     for coordinate, size in written
                 },
-                "noise_floor": found.noise_floor,
-                "rollout_noise_floor": found.rollout_floor,
+                "noise_floor": calibration.noise_floor,
+                "rollout_noise_floor": calibration.rollout_floor,
             },
-            "unexplained_fraction": found.unexplained_fraction,
-            "missing_modes": [_missing_mode(mode) for trace in found.traces for mode in trace.missing_modes],
-            "coordinates": [_coordinate(trace) for trace in found.traces],
-            "notes": list(found.notes),
-            "next_experiment": found.experiment,
+            "unexplained_fraction": calibration.unexplained_fraction,
+            "missing_modes": [_missing_mode(mode) for trace in calibration.traces for mode in trace.missing_modes],
+            "coordinates": [_coordinate(trace) for trace in calibration.traces],
+            "notes": list(calibration.notes),
+            "next_experiment": calibration.experiment,
             "seconds": self.seconds,
             "changes": [asdict(change) for change in self.changes],
         }
@@ -337,13 +339,13 @@ class CalibrationResult(Result):
         from micah_plan.view.calibration_page import motion_charts
         from micah_plan.view.figures import chart_figure
 
-        return chart_figure(motion_charts(self.found), across=True)
+        return chart_figure(motion_charts(self.calibration), across=True)
 
     def page(self, title: str = "") -> str:
         """What was compared, what the model lacks, and how sure that is."""
         from micah_plan.view.calibration_page import calibration_page
 
-        return calibration_page(self.found, title=title or self.title)
+        return calibration_page(self.calibration, title=title or self.title)
 
     def save(self, path: str | Path) -> None:
         """Write the calibrated model (YAML)."""
@@ -365,68 +367,61 @@ def calibrate(model: Modelled, recording: Measured, *, progress: Progress | None
     automaton, measured = inputs.automaton_of(model), inputs.recording_of(recording, minimum_rows=2)
     begin = time.perf_counter()
     with inputs.located(recording):
-        found = calibrated(automaton, measured, progress)
-    return CalibrationResult(found, automaton, measured, time.perf_counter() - begin)
+        calibration = calibrated(automaton, measured, progress)
+    return CalibrationResult(calibration, automaton, measured, time.perf_counter() - begin)
 
 
-def _effect_row(found: FoundEffect) -> tuple[str, ...]:
+def _effect_row(row: FoundEffect) -> tuple[str, ...]:
     """Name, parameters, evidence, and what would do as well."""
     from micah_plan.residual.calibrate import began
 
-    effect = found.effect
-    units = dict(zip([name for name, _ in effect.parameters], found.units, strict=True))
+    effect = row.effect
+    units = dict(zip([name for name, _ in effect.parameters], row.units, strict=True))
     values = [(name, value, units[name]) for name, value in effect.parameters]
-    values += [(name, value, "s") for name, value in found.derived]
-    name = f"{effect.name} ({effect.coordinate})" + ("" if found.is_added else ", not added")
+    values += [(name, value, "s") for name, value in row.derived]
+    name = f"{effect.name} ({effect.coordinate})" + ("" if row.is_added else ", not added")
     name += f", began {began(effect.since)}" if effect.since else ""
     texts = ", ".join(f"{parameter} {quantity(value, unit)}" for parameter, value, unit in values)
-    return name, texts, plain(found.evidence), ", ".join(found.tied)
+    return name, texts, plain(row.evidence), ", ".join(row.tied)
 
 
-def _error_lines(found: Calibration) -> list[str]:
+def _error_lines(calibration: Calibration) -> list[str]:
     """Errors before and after, and those of noise alone, in one unit each."""
     lines = []
-    for coordinate_error in found.errors:
-        lines += [f"  {coordinate_error.of}"] if coordinate_error.of else []
-        for name in ("one_step", "rollout"):
-            before, after = (
-                quantity(getattr(size, name), coordinate_error.unit)
-                for size in (coordinate_error.before, coordinate_error.after)
-            )
-            lines.append(f"  {'one step' if name == 'one_step' else 'roll-out':9} {before} before, {after} after")
-        floors = (
-            quantity(floor, coordinate_error.unit)
-            for floor in (coordinate_error.noise_floor, coordinate_error.rollout_floor)
-        )
+    for error in calibration.errors:
+        lines += [f"  {error.of}"] if error.of else []
+        for name, text in _SHOWN.items():
+            sizes = (getattr(size, name) for size in (error.before, error.after))
+            before, after = (quantity(size, error.unit) for size in sizes)
+            lines.append(f"  {text:9} {before} before, {after} after")
+        floors = (quantity(floor, error.unit) for floor in (error.noise_floor, error.rollout_floor))
         lines.append(f"  noise     {' (one step), '.join(floors)} (roll-out)")
-    if found.automaton is found.nominal or not found.written:
+    if calibration.automaton is calibration.nominal or not calibration.written:
         return lines
-    for coordinate, size in zip(found.automaton.coordinates, found.written, strict=True):
-        sizes = (quantity(error, coordinate.unit) for error in (size.one_step, size.rollout))
-        sentence = (
-            "new model on these runs: " if found.automaton.n == 1 else f"new model on these runs, {coordinate.name}: "
-        )
-        lines.append(f"  {sentence}{' (one step), '.join(sizes)} (roll-out)")
+    for coordinate, size in zip(calibration.automaton.coordinates, calibration.written, strict=True):
+        sizes = (quantity(amount, coordinate.unit) for amount in (size.one_step, size.rollout))
+        whose = f", {coordinate.name}" if calibration.automaton.n > 1 else ""
+        lines.append(f"  new model on these runs{whose}: {' (one step), '.join(sizes)} (roll-out)")
     return lines
 
 
-def _effect(found: FoundEffect) -> dict[str, Any]:
-    effect, since = found.effect, found.effect.since
+def _effect(entry: FoundEffect) -> dict[str, Any]:
+    effect, since = entry.effect, entry.effect.since
     names = [name for name, _ in effect.parameters]
     return {
         "name": effect.name,
-        "parameters": dict(effect.parameters) | dict(found.derived),
-        "units": dict(zip(names, found.units, strict=True)) | {name: "s" for name, _ in found.derived},
-        "evidence": found.evidence,
-        "is_added": found.is_added,
-        "interval_95": {name: list(pair) for name, pair in zip(names, found.interval, strict=True)},
+        "parameters": dict(effect.parameters) | dict(entry.derived),
+        "units": dict(zip(names, entry.units, strict=True)) | {name: "s" for name, _ in entry.derived},
+        "evidence": entry.evidence,
+        "is_added": entry.is_added,
+        "interval_95": {name: list(pair) for name, pair in zip(names, entry.interval, strict=True)},
         "coordinate": effect.coordinate,
         "modes": list(effect.modes),
         "since": None if since is None else {"run": since.run, "time_s": since.time},
-        "tied_with": list(found.tied),
-        "separating_experiment": found.experiment or None,
-        "sentence": found.sentence,
-        "source": found.source,
+        "tied_with": list(entry.tied),
+        "separating_experiment": entry.experiment or None,
+        "sentence": entry.sentence,
+        "source": entry.source,
     }
 
 

@@ -261,7 +261,6 @@ def learn_settings(settings: LearnSettings | None, changes: Mapping[str, Any]) -
     Raises:
         InputError: for a name that is none, and a value that is none of it.
     """
-
     names = [item.name for item in fields(LearnSettings)]
     for name in changes:
         if name not in names:

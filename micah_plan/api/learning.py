@@ -85,18 +85,18 @@ class LearningResult(Result):
         """Segments of every part with how sure they are, how actions move it, and the modes made of them."""
         from micah_plan.view.learned import action_words, deviation_notes
 
-        found: list[str | Table] = []
+        lines: list[str | Table] = []
         for edge in self.graph.edges:
             rows = tuple(segment_row(segment) for segment in edge.segments)
-            found.append(Table(_COLUMNS, rows, self.heading(edge), firm=("joint", "rows", "P(kind)")))
-            found += deviation_notes(edge.segments)
+            lines.append(Table(_COLUMNS, rows, self.heading(edge), firm=("joint", "rows", "P(kind)")))
+            lines += deviation_notes(edge.segments)
             if edge.certainty is not None and edge.certainty.channel is not None:
-                found.append(f"actions: {action_words(edge.certainty.channel)}")
+                lines.append(f"actions: {action_words(edge.certainty.channel)}")
         if self.graph.probability is not None:
-            found.append(f"probability of this tree of parts: {percent(min(self.graph.probability, SUREST), 0)}")
+            lines.append(f"probability of this tree of parts: {percent(min(self.graph.probability, SUREST), 0)}")
         if self.automaton is None:
-            return [*found, f"no model: {self.reason}"]
-        return [*found, f"learned {count(len(self.automaton.modes), 'mode')} in {duration(self.seconds)}"]
+            return [*lines, f"no model: {self.reason}"]
+        return [*lines, f"learned {count(len(self.automaton.modes), 'mode')} in {duration(self.seconds)}"]
 
     def json(self) -> dict[str, Any]:
         """Segments, changepoints and actions of the part, seconds, seed.
@@ -300,12 +300,8 @@ def segment_row(segment: Segment) -> tuple[str, ...]:
     """One line of the table, short enough for 80 columns: kind of joint, rows, way, axis, radius, how sure, start."""
     from micah_plan.automaton.joint import axis_std, radius, radius_std
 
-    joint, rows, no_single_joint, sure = (
-        segment.joint,
-        f"{segment.start}-{segment.end}",
-        segment.no_single_joint,
-        segment.certainty,
-    )
+    joint, rows = segment.joint, f"{segment.start}-{segment.end}"
+    no_single_joint, sure = segment.no_single_joint, segment.certainty
     start = ""
     if sure is not None and sure.start is not None:
         first, last = sure.start.interval()
@@ -324,7 +320,6 @@ def segment_row(segment: Segment) -> tuple[str, ...]:
 
 def _passed(segment: Segment) -> str:
     """Where a moving segment begins and ends, and where it turns around if it comes back from further on."""
-
     ends = [segment.configuration_start, segment.configuration_end]
     low, high = segment.configuration_range
     furthest = max((low, high), key=lambda value: min(abs(value - end) for end in ends))
@@ -337,7 +332,7 @@ def _passed(segment: Segment) -> str:
 class ExplorationResult(Result):
     """What `explore` returns: what was found by moving, and the model of it if it moved."""
 
-    found: Exploration
+    exploration: Exploration
     seed: int = 0
 
     @property
@@ -348,47 +343,47 @@ class ExplorationResult(Result):
     @property
     def outcome(self) -> str:
         """``"opened"``, ``"held"`` or ``"gave_up"``."""
-        return self.found.outcome
+        return self.exploration.outcome
 
     @property
     def reason(self) -> str:
         """One sentence."""
-        return self.found.reason
+        return self.exploration.reason
 
     @property
     def automaton(self) -> HybridAutomaton | None:
         """The model; None where nothing moved."""
-        return self.found.model
+        return self.exploration.model
 
     def report(self) -> list[str | Table]:
         """What holds the handle, how it was found, and what went wrong on the way."""
-        found = self.found
-        said = {"opened": "opened", "held": "held", "gave_up": "gave up"}[found.outcome]
-        joints = ", then ".join(found.kinds) or "none moved"
-        went, force = quantity(found.travel, "m"), quantity(found.largest_force, "N")
+        exploration = self.exploration
+        said = {"opened": "opened", "held": "held", "gave_up": "gave up"}[exploration.outcome]
+        joints = ", then ".join(exploration.kinds) or "none moved"
+        went, force = quantity(exploration.travel, "m"), quantity(exploration.largest_force, "N")
         return [
-            f"{said}: {found.reason}",
-            f"  joints       {joints} (probability {percent(min(found.probability, SUREST), 0)})",
-            f"  {count(found.steps, 'step')}, {went} of way, at most {force}",
-            *(f"  note: {note}" for note in found.notes),
+            f"{said}: {exploration.reason}",
+            f"  joints       {joints} (probability {percent(min(exploration.probability, SUREST), 0)})",
+            f"  {count(exploration.steps, 'step')}, {went} of way, at most {force}",
+            *(f"  note: {note}" for note in exploration.notes),
         ]
 
     def json(self) -> dict[str, Any]:
         """Outcome, joints with their probability, steps, way and forces."""
-        found = self.found
+        exploration = self.exploration
         return {
-            "outcome": found.outcome,
-            "steps": found.steps,
-            "max_force_n": found.largest_force,
-            "joints": list(found.kinds),
-            "probability": found.probability,
-            "travel_m": found.travel,
-            "seconds": found.seconds,
-            "reason": found.reason,
-            "notes": list(found.notes),
-            "tried_n": found.tried,
-            "hand_stiffness_n_per_m": 1.0 / found.hand.compliance,
-            "slowest_step_cpu_s": found.thinking,
+            "outcome": exploration.outcome,
+            "steps": exploration.steps,
+            "max_force_n": exploration.largest_force,
+            "joints": list(exploration.kinds),
+            "probability": exploration.probability,
+            "travel_m": exploration.travel,
+            "seconds": exploration.seconds,
+            "reason": exploration.reason,
+            "notes": list(exploration.notes),
+            "tried_n": exploration.tried,
+            "hand_stiffness_n_per_m": 1.0 / exploration.hand.compliance,
+            "slowest_step_cpu_s": exploration.thinking,
             "seed": self.seed,
         }
 
@@ -397,13 +392,13 @@ class ExplorationResult(Result):
         from micah_plan.view.exploration_page import exploration_charts
         from micah_plan.view.figures import chart_figure
 
-        return chart_figure(exploration_charts(self.found))
+        return chart_figure(exploration_charts(self.exploration))
 
     def page(self, title: str = "") -> str:
         """The path of the hand, hypotheses, forces and probabilities."""
         from micah_plan.view.exploration_page import exploration_page
 
-        return exploration_page(self.found, title=title or self.title)
+        return exploration_page(self.exploration, title=title or self.title)
 
     def save(self, path: str | Path) -> None:
         """Write the model (YAML)."""

@@ -239,7 +239,7 @@ def calibrate(
     with progress_bar(as_json) as progress:
         result = calibrated(automaton, recordings[0] if len(recordings) == 1 else recordings, progress=progress)
     contents = {output: model_text(result.automaton).encode()}
-    designed = None if experiment is None else next_experiment(automaton, result.recording, result.found)
+    designed = None if experiment is None else next_experiment(automaton, result.recording, result.calibration)
     if experiment is not None and designed is not None:
         contents[experiment] = experiment_text(designed.experiment, model, experiment, str(designed)).encode()
     contents |= drawn(result, recordings[0].stem, html)

@@ -112,8 +112,8 @@ def test_a_latch_that_never_catches_is_pressed_again_until_it_stops_and_says_so(
 @pytest.mark.evidence
 def test_executions_in_physics_succeed_as_often_as_predicted():
     problem = load_problem(PROBLEM)
-    found = solve(problem)
-    assert found.arm is not None
-    statistics = run_trials(problem, found, plant="mujoco", trials=15)
+    planned = solve(problem)
+    assert planned.arm is not None
+    statistics = run_trials(problem, planned, plant="mujoco", trials=15)
     # At the planned 0.98 fewer than 13 of 15 would happen once in 400 times.
     assert statistics.successes >= 13, statistics.failures

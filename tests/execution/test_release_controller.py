@@ -34,9 +34,9 @@ def command(u, **changes) -> Command:
 @pytest.mark.slow
 def test_in_the_model_most_trials_end_with_the_object_on_the_books() -> None:
     problem, plan = solved()
-    found = run_trials(problem, plan, trials=20)
-    assert found.released == found.successes >= 16  # 97.8 % are predicted; fewer have a chance of 1 in 10,000
-    good = [result for result in found.results if result.released]
+    statistics = run_trials(problem, plan, trials=20)
+    assert statistics.released == statistics.successes >= 16  # 97.8 % are predicted; fewer have a chance of 1 in 10,000
+    good = [result for result in statistics.results if result.released]
     np.testing.assert_allclose([result.final_x[2] for result in good], 0.26, atol=0.01)
     # The heights differ as the books do.
     assert 0.001 < np.std([result.final_x[2] for result in good]) < 0.003
@@ -63,9 +63,9 @@ class Numb(NominalPlant):
 
 def test_a_hand_that_feels_nothing_does_not_let_go() -> None:
     problem, plan = solved()
-    found = run_trials(problem, plan, plant=Numb.of)
-    assert (found.released, found.successes) == (0, 0)
-    assert "no contact was felt" in found.results[0].reason
+    statistics = run_trials(problem, plan, plant=Numb.of)
+    assert (statistics.released, statistics.successes) == (0, 0)
+    assert "no contact was felt" in statistics.results[0].reason
 
 
 def test_a_plant_that_cannot_feel_is_told_so() -> None:
@@ -85,16 +85,16 @@ def test_without_a_referee_it_is_believed() -> None:
 
         return Blind()
 
-    found = run_trials(problem, plan, plant=blind, trials=3)
-    assert found.believed
-    assert found.released == found.successes == 3
+    statistics = run_trials(problem, plan, plant=blind, trials=3)
+    assert statistics.believed
+    assert statistics.released == statistics.successes == 3
 
 
 def test_a_plan_for_keeping_hold_lets_nothing_go() -> None:
     problem = load_problem(PROBLEM, {"release": None, "goal.target.z.value": 0.288, "robot": None, "grasp": None})
-    found = run_trials(problem, solve(problem), trials=3)
-    assert found.released is None
-    assert found.results[0].released is None
+    statistics = run_trials(problem, solve(problem), trials=3)
+    assert statistics.released is None
+    assert statistics.results[0].released is None
 
 
 pytest.importorskip("mujoco", reason="held objects are simulated in MuJoCo (extra 'sim')")
@@ -105,9 +105,9 @@ from micah_plan.execution.mujoco.held import HeldPlant  # noqa: E402
 @pytest.mark.parametrize("arm", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_in_mujoco_the_stapler_stands_on_the_books(arm: bool) -> None:
     problem, plan = solved(arm=arm)
-    found = run_trials(problem, plan, plant="mujoco", trials=2, seed=3)
-    assert found.released == 2, found.failures
-    for result in found.results:
+    statistics = run_trials(problem, plan, plant="mujoco", trials=2, seed=3)
+    assert statistics.released == 2, statistics.failures
+    for result in statistics.results:
         np.testing.assert_allclose(result.final_x[:3], [0.45, 0.0, 0.26], atol=0.01)
 
 

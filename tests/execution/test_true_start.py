@@ -41,9 +41,9 @@ def test_the_belief_does_not_know_of_it_and_the_plan_is_the_same() -> None:
     problem, elsewhere = load_problem(LIGHT), load_problem(LIGHT, {"start.true": {"x": 2.5, "y": 0.0}})
     plan = solve(elsewhere, advise=False)
     np.testing.assert_array_equal(plan.trajectory.inputs, solve(problem, advise=False).trajectory.inputs)
-    found = run_trials(elsewhere, plan, trials=10)
-    assert found.successes >= 8
-    assert {row.extra["true_x"][0] for row in (result.recording for result in found.results)} == {"2.5"}
+    statistics = run_trials(elsewhere, plan, trials=10)
+    assert statistics.successes >= 8
+    assert {row.extra["true_x"][0] for row in (result.recording for result in statistics.results)} == {"2.5"}
 
 
 def test_a_plan_file_keeps_it(tmp_path: Path) -> None:

@@ -156,9 +156,9 @@ def test_the_log_of_a_blind_step_repeats_the_pose_and_can_be_learned_from(drawer
 
 def test_a_dark_place_is_no_reason_to_wait() -> None:
     problem = load_problem(PROBLEMS / "light_dark.yaml")
-    found = run_trials(problem, solve(problem), trials=10)
-    assert found.successes == 10
-    assert max(result.steps for result in found.results) < 45
+    statistics = run_trials(problem, solve(problem), trials=10)
+    assert statistics.successes == 10
+    assert max(result.steps for result in statistics.results) < 45
 
 
 @pytest.mark.parametrize(("hidden", "missing"), [(0, [0, 1]), (1, [1, 2]), (2, [2])])

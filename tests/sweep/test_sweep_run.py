@@ -46,14 +46,14 @@ def test_a_row_says_what_solving_and_executing_by_hand_say(undisturbed: tuple[Sw
     overrides = {"start.std.drawer": 0.01, "planner.verification_trials": 40, "confidence": 0.8}
     problem = load_problem(ROOT / "problems" / "drawer_close.yaml", overrides)
     plan = solve(problem, seed=1)
-    found = run_trials(problem, plan, trials=1, seed=1)
+    statistics = run_trials(problem, plan, trials=1, seed=1)
     assert list(row)[:6] == ["case", "problem", *overrides, "seed"]
     assert (row["case"], row["seed"], row["start.std.drawer"], row["outcome"]) == ("3", "1", "0.01", "solved")
     assert row["modes"] == " > ".join(plan.mode_sequence)
     assert float(row["cost"]) == plan.cost
     assert float(row["success_probability"]) == plan.success_probability
-    assert int(row["successes"]) == found.successes
-    assert float(row["final_error_max"]) == found.final_error.max
+    assert int(row["successes"]) == statistics.successes
+    assert float(row["final_error_max"]) == statistics.final_error.max
 
 
 def test_any_executor_gives_the_same_bytes(undisturbed: tuple[Sweep, Path, bytes], tmp_path: Path) -> None:
