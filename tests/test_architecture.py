@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 import micah_plan
+from micah_plan.automaton.joint import JOINT_KINDS
 
 PACKAGE = Path(micah_plan.__file__).parent
 
@@ -386,6 +387,19 @@ def test_hardly_any_name_fits_everything() -> None:
 def test_no_two_classes_have_one_name() -> None:
     places = Counter(node.name for tree in _trees().values() for node in tree.body if isinstance(node, ast.ClassDef))
     assert {name for name, count in places.items() if count > 1 and not name.startswith("_")} == set()
+
+
+def test_how_a_joint_moves_is_asked_of_the_joint() -> None:
+    """Above the models nobody tells kinds of joint by their names: a new kind is a row of `KINDS`."""
+    named = [
+        f"{module}: {ast.unparse(node)}"
+        for module, tree in _trees().items()
+        if not module.startswith(("automaton.", "documents.", "learn."))
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Compare) and "joint.kind" in ast.unparse(node.left)
+        if {c.value for c in ast.walk(node) if isinstance(c, ast.Constant)} & set(JOINT_KINDS)
+    ]
+    assert named == []
 
 
 def test_every_package_and_module_has_a_page_in_the_reference(repository: Path) -> None:

@@ -262,13 +262,13 @@ def _parameters(joint: Joint) -> dict[str, Any]:
     from micah_plan.automaton.joint import radius
 
     parameters: dict[str, Any] = {"position": joint.position, "orientation": joint.quaternion}
-    if joint.kind == "path":
-        return parameters | {"knots": joint.knots}
-    if joint.moves:
+    if joint.knots:
+        parameters["knots"] = joint.knots
+    if joint.has_axis:
         parameters["axis"] = joint.axis
     if joint.turns:
         parameters |= {"center": joint.center, "radius": float(radius(joint))}
-    if joint.kind == "screw":
+    if joint.climbs:
         parameters["pitch"] = joint.pitch
     return parameters
 
@@ -308,7 +308,7 @@ def segment_row(segment: Segment) -> tuple[str, ...]:
         start = f"{first}" if first == last else f"{first}-{last}"
     if no_single_joint is not None:
         return ("none", rows, f"misses by {quantity(no_single_joint.position, 'm')}", "", "", "", start)
-    axis = "" if joint.kind in ("rigid", "path") else " ".join(f"{round(value, 2) + 0.0:.2f}" for value in joint.axis)
+    axis = " ".join(f"{round(value, 2) + 0.0:.2f}" for value in joint.axis) if joint.has_axis else ""
     arm = quantity(radius(joint), "m") if joint.turns else ""
     if joint.covariance is not None:
         axis += f"\n± {in_degrees(axis_std(joint), digits=2)}" if axis else ""

@@ -101,9 +101,24 @@ class Joint:
         return KINDS[self.kind].moves
 
     @property
+    def has_axis(self) -> bool:
+        """Whether its part moves along or about one axis, or both."""
+        return self.moves and self.kind in SCREW_KINDS
+
+    @property
     def turns(self) -> bool:
         """Whether its part turns about an axis."""
         return KINDS[self.kind].turns
+
+    @property
+    def slides(self) -> bool:
+        """Whether its part moves along an axis without turning about it."""
+        return self.has_axis and not self.turns
+
+    @property
+    def climbs(self) -> bool:
+        """Whether its part moves along an axis while it turns about it."""
+        return KINDS[self.kind].climbs
 
     @property
     def unit(self) -> str:

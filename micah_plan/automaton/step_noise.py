@@ -36,7 +36,7 @@ def gain_std(joint: Joint, handle: Vector3 = (0.0, 0.0, 0.0)) -> float:
     Returns:
         0 for a joint without covariance, for one that does not turn, and for a handle on the axis.
     """
-    if joint.covariance is None or joint.kind in ("rigid", "prismatic"):
+    if joint.covariance is None or not joint.turns:
         return 0.0
     slopes, squared = _slopes(joint, handle)
     if squared < EQUAL**2:

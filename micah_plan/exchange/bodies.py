@@ -21,8 +21,8 @@ DENSITY = 500.0
 """Of wood, kg/m^3: nobody has weighed the object."""
 JOINT_SUFFIX = "_joint"
 _REMEDY = "that format cannot say it; keep the YAML"
-DAMPING = {"revolute": 0.05, "screw": 0.05, "prismatic": 2.0}
-"""Of joints, so that the object comes to rest, N m s/rad or N s/m: nobody has measured it."""
+DAMPING = {"rad": 0.05, "m": 2.0}
+"""Of joints by their unit, so that the object comes to rest, N m s/rad or N s/m: nobody has measured it."""
 # A part without shapes must weigh something, or no engine can move it.
 _BARE_MASS, _BARE_RADIUS = 0.1, 0.02
 
@@ -100,9 +100,9 @@ def _moving_joint(automaton: HybridAutomaton, k: int, screws: bool) -> Joint:
     moving = list(dict.fromkeys(joint for joint in joints if joint.moves))
     if len(moving) > 1:
         raise InputError(f"part {part} has different joints in different modes", remedy=_REMEDY)
-    if any(joint.kind == "path" for joint in moving):
+    if not all(joint.has_axis for joint in moving):
         raise InputError(f"part {part} moves along a path", remedy=_REMEDY)
-    if not screws and any(joint.kind == "screw" for joint in moving):
+    if not screws and any(joint.climbs for joint in moving):
         raise InputError(f"part {part} moves on a screw", remedy=_REMEDY)
     return moving[0] if moving else joints[0]
 

@@ -54,7 +54,7 @@ def mjcf_text(automaton: HybridAutomaton, title: str, density: float = DENSITY) 
     for part in moving_parts(automaton, screws=True):
         bodies[part.child] = _body(part, density)
         bodies[part.parent].children.append(bodies[part.child])
-        if part.joint.kind == "screw":
+        if part.joint.climbs:
             pitch = {"joint1": f"{part.name}_slide", "joint2": part.name, "polycoef": f"0 {part.joint.pitch!r} 0 0 0"}
             equalities.append(Element("joint", pitch, 0))
         if part.joint.moves:
@@ -85,19 +85,19 @@ def _body(part: MovingPart, density: float) -> Element:
 
 def _joints(part: MovingPart) -> list[Element]:
     """In the frame of the part, as MJCF has them."""
-    joint, kind = part.joint, part.joint.kind
-    if kind == "rigid":
+    joint = part.joint
+    if not joint.moves:
         return []
     back = Rotation.from_quat(joint.quaternion).inv()
     axis = _words(back.apply(joint.axis))
     center = _words(back.apply(np.subtract(joint.center, joint.position)))
-    attributes = {"name": part.name, "axis": axis, "damping": repr(DAMPING[kind])}
+    attributes = {"name": part.name, "axis": axis, "damping": repr(DAMPING[joint.unit])}
     if all(map(math.isfinite, part.limits)):
         attributes["range"] = _words(part.limits)
-    if kind == "prismatic":
+    if joint.slides:
         return [Element("joint", {"type": "slide", **attributes}, 0)]
     elements = [Element("joint", {"type": "hinge", "pos": center, **attributes}, 0)]
-    if kind == "screw":
+    if joint.climbs:
         elements.insert(0, Element("joint", {"name": f"{part.name}_slide", "type": "slide", "axis": axis}, 0))
     return elements
 

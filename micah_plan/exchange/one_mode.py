@@ -55,7 +55,7 @@ def doubts(moving: Sequence[Moving], parts: Sequence[Part]) -> list[str]:
     lines = []
     for each in moving:
         widest = max((abs(end) for end in each.limits if abs(end) < NO_LIMIT), default=0.0)
-        if each.joint.kind != "prismatic" and widest > _MOST_TURNS * 2 * np.pi:
+        if each.joint.turns and widest > _MOST_TURNS * 2 * np.pi:
             low, high = each.limits
             turns = f"{widest / (2 * np.pi):.0f} turns; if they are degrees, write them in rad"
             lines.append(f"joint {each.called}: limits of {low:g} to {high:g} rad are up to {turns}")
@@ -89,7 +89,7 @@ def one_mode(
     n = len(moving)
     led = [i for i in range(n) if i not in followed]
     m = len(led)
-    units = ["m" if each.joint.kind == "prismatic" else "rad" for each in moving]
+    units = [each.joint.unit for each in moving]
     coordinates = tuple(Coordinate(each.name, unit) for each, unit in zip(moving, units, strict=True))
     rows: list[HalfSpace] = []
     edges: list[Edge] = []

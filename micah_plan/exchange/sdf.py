@@ -51,7 +51,7 @@ def _joint(model: _Node, part: MovingPart) -> None:
     joint, turn = part.joint, Rotation.from_quat(part.joint.quaternion)
     kind = {"rigid": "fixed"}.get(joint.kind, joint.kind)
     found = _add(model, "joint", {"name": part.name, "type": kind})
-    if joint.kind == "revolute":
+    if joint.turns:
         found.append(_pose(turn.inv().apply(np.subtract(joint.center, joint.position)), IDENTITY))
     _add(found, "parent", text=part.parent)
     _add(found, "child", text=part.child)
@@ -63,7 +63,7 @@ def _joint(model: _Node, part: MovingPart) -> None:
     for key, end in zip(("lower", "upper"), part.limits, strict=True):
         if np.isfinite(end):
             _add(limit, key, text=repr(float(end)))
-    _add(_add(axis, "dynamics"), "damping", text=repr(DAMPING[joint.kind]))
+    _add(_add(axis, "dynamics"), "damping", text=repr(DAMPING[joint.unit]))
 
 
 def _link(model: _Node, part: Part, density: float) -> _Node:

@@ -64,17 +64,17 @@ def _moved(part: MovingPart, density: float) -> list[Element]:
     if not joint.moves:
         return [link, _joint(part.name, "fixed", parent, child, joint.position, joint.quaternion)]
     axis = Element("axis", {"xyz": _words(turn.inv().apply(joint.axis))}, 0)
-    free = joint.kind == "revolute" and not np.isfinite(part.limits).any()
+    free = joint.turns and not np.isfinite(part.limits).any()
     low, high = (float(np.clip(end, -NO_LIMIT, NO_LIMIT)) for end in part.limits)
     bounds = {"lower": repr(low), "upper": repr(high), "effort": "100", "velocity": "1"}
     described = [axis] if free else [axis, Element("limit", bounds, 0)]
-    described.append(Element("dynamics", {"damping": repr(DAMPING[joint.kind]), "friction": "0"}, 0))
+    described.append(Element("dynamics", {"damping": repr(DAMPING[joint.unit]), "friction": "0"}, 0))
     if part.follows is not None:
         leader, times, offset_at = part.follows
         words = {"joint": leader, "multiplier": repr(times), "offset": repr(offset_at)}
         described = [*described, Element("mimic", words, 0)]
     kind = "continuous" if free else joint.kind
-    if joint.kind == "prismatic":
+    if joint.slides:
         return [link, _joint(part.name, kind, parent, child, joint.position, joint.quaternion, described)]
     carrier = f"{child}{AXIS_LINK}"
     offset = turn.inv().apply(np.subtract(joint.position, joint.center))

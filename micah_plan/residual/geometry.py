@@ -203,7 +203,7 @@ def _across(joint: Joint, tracks: Sequence[Track], link: int, coordinate: int) -
     for track in tracks:
         turned = None if track.quaternion is None else Rotation.from_quat(track.quaternion[:, link])
         angle = track.x[:, coordinate]
-        if turned is not None and joint.kind == "revolute":
+        if turned is not None and joint.turns and not joint.climbs:
             angle = inverse(joint, track.position[:, link], turned, _BY_ORIENTATION, near=angle)
         away = track.position[:, link] - forward(joint, angle).translation
         tangent = jacobian(joint, angle)[:, 3:]
@@ -216,7 +216,7 @@ def _across(joint: Joint, tracks: Sequence[Track], link: int, coordinate: int) -
         c.append(angle)
         out.append((away * outward).sum(axis=1))
         by_out.append((moved * outward[:, :, None]).sum(axis=1))
-        if turned is not None and joint.kind == "revolute":
+        if turned is not None and joint.turns and not joint.climbs:
             tangential.append((away * tangent).sum(axis=1))
             by_tangent.append((moved * tangent[:, :, None]).sum(axis=1))
     block, first = _blocks([len(track.x) for track in tracks])

@@ -54,9 +54,9 @@ def draw_joint(scene: DrawnScene, path: str, joint: Joint, limits: tuple[float, 
     """
     size, thickness, color = look.size, look.thickness, look.color
     curve = joint_curve(joint, *limits, look.point)
-    axis = joint_axis(joint, 1.1 * size if joint.kind == "prismatic" else 1.25 * size)
+    axis = joint_axis(joint, 1.1 * size if joint.slides else 1.25 * size)
     scene.reserve(curve)
-    if joint.kind == "path":
+    if joint.moves and axis is None:
         scene.mesh(f"{path}/path", tube(curve, 0.008 * thickness * size), color)
         return
     if axis is None:
@@ -185,13 +185,13 @@ def moving_shapes(joint: Joint, reach: float) -> tuple[Primitive, ...]:
     """
     pose = origin(joint)
     axis = np.array(joint.axis)
-    if joint.kind == "prismatic":
+    if joint.slides:
         length = max(reach, 2 * _SMALLEST)
         frame = _level_frame(axis)
         return (_box(pose, pose.translation, frame, (length, 0.7 * length, 0.35 * length)),)
     arm = np.array(joint.position) - joint.center
     radius = float(np.linalg.norm(arm))
-    if joint.kind in ("rigid", "path") or radius < _SMALLEST / 4:
+    if not joint.has_axis or radius < _SMALLEST / 4:
         return (_box(pose, pose.translation, np.eye(3), (_SMALLEST,) * 3),)
     frame = np.column_stack([arm / radius, np.cross(axis, arm / radius), axis])
     return (_box(pose, joint.center + arm / 2, frame, (radius, 0.05 * radius, 0.75 * radius)),)
@@ -200,9 +200,9 @@ def moving_shapes(joint: Joint, reach: float) -> tuple[Primitive, ...]:
 def base_shapes(joint: Joint, reach: float) -> tuple[Primitive, ...]:
     """Shapes of the base that carries a joint, in the base frame: a post on the axis, or a rail under the motion."""
     axis, position = np.array(joint.axis), np.array(joint.position)
-    if joint.kind in ("rigid", "path"):
+    if not joint.has_axis:
         return ()
-    if joint.kind == "prismatic":
+    if joint.slides:
         length = max(reach, 2 * _SMALLEST)
         frame = _level_frame(axis)
         center = position + axis * length / 2 - frame[:, 2] * 0.22 * length

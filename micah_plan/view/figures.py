@@ -206,7 +206,7 @@ def is_plane(automaton: HybridAutomaton) -> bool:
     if automaton.n != 2 or {c.unit for c in automaton.coordinates} != {"m"} or len(automaton.links) != 2:
         return False
     joints = automaton.modes[0].joints
-    slides = all(joint.kind == "prismatic" for joint in joints)
+    slides = all(joint.slides for joint in joints)
     return slides and abs(float(np.dot(joints[0].axis, joints[1].axis))) < 1e-9
 
 

@@ -124,16 +124,16 @@ def _same_joint(a: Joint, b: Joint, span: float) -> bool:
     if a.kind != b.kind:
         return False
     apart = np.subtract(b.position, a.position)
-    if a.kind == "rigid":
+    if not a.moves:
         by_pose = float(np.linalg.norm(apart)) <= _SAME_PLACE_M
         return abs(a.fixed_at - b.fixed_at) <= _SAME_SHARE * span if span > 0 else by_pose
-    if a.kind == "path":
+    if not a.has_axis:
         return a.knots == b.knots
     if abs(float(np.dot(a.axis, b.axis))) < _SAME_DIRECTION:
         return False
     between = np.subtract(b.center, a.center)
     aside = np.linalg.norm(between - np.dot(between, a.axis) * np.array(a.axis))
-    return a.kind == "prismatic" or float(aside) <= _SAME_SHARE * max(radius(a), radius(b)) + _SAME_PLACE_M
+    return a.slides or float(aside) <= _SAME_SHARE * max(radius(a), radius(b)) + _SAME_PLACE_M
 
 
 @dataclass(frozen=True, eq=False)
@@ -437,11 +437,11 @@ def joint_words(segment: Segment) -> str:
     if not joint.moves:
         return "at rest"
     travel = segment.configuration_range[1] - segment.configuration_range[0]
-    if joint.kind == "path":
+    if not joint.has_axis:
         return f"travels {quantity(travel, 'm')} along a curve"
-    words = [f"travels {quantity(travel, 'm')}" if joint.kind == "prismatic" else f"turns {in_degrees(travel)}"]
-    words += [] if joint.kind == "prismatic" else [f"radius {quantity(radius(joint), 'm')}"]
-    words += [f"pitch {quantity(joint.pitch, 'm/rad')}"] if joint.kind == "screw" else []
+    words = [f"travels {quantity(travel, 'm')}" if joint.slides else f"turns {in_degrees(travel)}"]
+    words += [] if joint.slides else [f"radius {quantity(radius(joint), 'm')}"]
+    words += [f"pitch {quantity(joint.pitch, 'm/rad')}"] if joint.climbs else []
     axis, center = _spread(joint, "axis"), _spread(joint, "center")
     words += [f"axis ± {in_degrees(axis, digits=2)}"] if axis is not None else []
     words += [f"centre ± {quantity(center, 'm', digits=2)}"] if center is not None else []
@@ -491,7 +491,7 @@ def channel_words(learned: RunPicture, *, recorded: bool) -> str:
     if not recorded:
         return "actions: none recorded"
     channel = learned.channel
-    if any(stretch.colored.segment.joint.kind == "path" for stretch in learned.stretches):
+    if any(stretch.colored.segment.joint.knots for stretch in learned.stretches):
         return "actions: their channel is not estimated along a path"
     if channel is None:
         return "actions: they do not explain the motion"

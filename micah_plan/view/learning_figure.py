@@ -205,15 +205,13 @@ def _plot_joint(space: Any, stretch: Stretch, size: float) -> list[Floats]:
         space.plot(*curve[:1].T, "o", ms=15, mfc="none", mec=INK, mew=1.4)
         return [curve]
     space.plot(*curve.T, color=INK, lw=1.6)
-    if joint.kind == "prismatic":
+    if joint.slides:
         # The arrow's head: the direction in which the configuration grows.
         space.quiver(*curve[0], *(1.12 * (curve[1] - curve[0])), color=INK, lw=1.6, arrow_length_ratio=0.08)
         return [curve]
     center = np.array(joint.center)
-    if joint.kind == "path" or float(np.linalg.norm(center - curve.mean(axis=0))) > _FAR * size:
-        return [curve]
     axis = joint_axis(joint, 0.55 * size)
-    if axis is None:
+    if axis is None or float(np.linalg.norm(center - curve.mean(axis=0))) > _FAR * size:
         return [curve]
     space.plot(*axis.T, color=INK, lw=1.3, ls=(0, (5, 2, 1, 2)))
     space.text(*axis[int(axis[:, 2].argmax())], " axis", color=INK, fontsize=9, va="bottom")

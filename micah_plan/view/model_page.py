@@ -166,9 +166,9 @@ def _draw_thresholds(scene: DrawnScene, automaton: HybridAutomaton, marks: tuple
             path = f"guards/{order}/{slug(link.child, number)}"
             draw_copy(scene, path, link_shapes(automaton, number), poses[link.child], GUARD, 0.22)
             handle = handle_in_part(automaton, link.child)
-            axis = np.array(mode.joints[number].axis)
-            if np.any(axis) and mode.joints[number].kind != "prismatic":
-                across = poses[link.child].rotation.inv().apply(axis) * 0.12 * size
+            joint = mode.joints[number]
+            if joint.turns:
+                across = poses[link.child].rotation.inv().apply(joint.axis) * 0.12 * size
                 scene.mesh(f"{path}/mark", tube(np.stack([handle - across, handle + across]), 0.012 * size), GUARD)
 
 

@@ -62,11 +62,11 @@ def joint_curve(joint: Joint, lower: float, upper: float, point: Floats | None =
 
 
 def joint_axis(joint: Joint, length: float) -> Floats | None:
-    """(2, 3) ends of the axis to draw, centred beside the part's origin; None for rigid and path."""
-    if joint.kind in ("rigid", "path"):
+    """(2, 3) ends of the axis to draw, centred beside the part's origin; None if it has none."""
+    if not joint.has_axis:
         return None
     axis = np.array(joint.axis)
-    middle = np.array(joint.position if joint.kind == "prismatic" else joint.center)
+    middle = np.array(joint.position if joint.slides else joint.center)
     return np.stack([middle - axis * length / 2, middle + axis * length / 2])
 
 

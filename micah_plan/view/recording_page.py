@@ -183,9 +183,9 @@ def _described(colored: ColoredSegment) -> str:
     words = []
     if joint.turns:
         words.append(f"radius {quantity(radius(joint), 'm')}")
-    if joint.kind == "screw":
+    if joint.climbs:
         words.append(f"pitch {quantity(joint.pitch, 'm/rad')}")
-    if joint.kind not in ("rigid", "path"):
+    if joint.has_axis:
         words.append(f"axis ({', '.join(plain(a) for a in joint.axis)})")
     if joint.moves:
         words.append(f"from {interval(*segment.configuration_range, joint.unit)}")

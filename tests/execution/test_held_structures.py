@@ -9,6 +9,7 @@ import pytest
 from held_examples import TRAVEL, pivoting, reordered, stamp, tool
 
 from micah_plan.automaton.joint import revolute, screw
+from micah_plan.automaton.path import path
 from micah_plan.errors import InputError
 from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import configuration
@@ -107,8 +108,12 @@ def test_what_cannot_be_built_is_refused_with_a_reason():
     turning = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.1, 0.0, 0.0))
     with pytest.raises(InputError, match="must move on slides that do not turn it"):
         HeldPlant(changed(problem, 0, turning))
-    with pytest.raises(InputError, match="cannot have a screw joint"):
+    with pytest.raises(InputError, match="hinges and slides, and no screw joint"):
         HeldPlant(changed(problem, 3, screw((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.01, (0.0, 0.0, 0.0))))
+    c = np.linspace(-0.1, 0.1, 5)
+    curve = path(np.column_stack([c, c, c**2, 0.0 * c, np.tile([0.0, 0.0, 0.0, 1.0], (5, 1))]))
+    with pytest.raises(InputError, match="hinges and slides, and no path joint"):
+        HeldPlant(changed(problem, 3, curve))
     with pytest.raises(InputError, match="turn in the hand about its point and the hinge's direction only"):
         HeldPlant(changed(pivoting(), 3, turning))
     grip = replace(problem.hold.grip, held=replace(problem.hold.grip.held, name="box"))

@@ -44,7 +44,7 @@ class HeldObject:
         self.hand = [automaton.links[number].coordinate for number in self.slides]
         slides = [_joint(automaton, number) for number in self.slides]
         turned = [joint for joint in slides if not np.allclose(joint.quaternion, (0.0, 0.0, 0.0, 1.0), atol=EQUAL)]
-        if turned or any(joint.kind != "prismatic" for joint in slides):
+        if turned or not all(joint.slides for joint in slides):
             raise InputError("the hand of a held object must move on slides that do not turn it")
         self.axes = np.array([joint.axis for joint in slides])
         self._steps = np.array([joint.position for joint in slides])
@@ -85,12 +85,12 @@ class HeldObject:
         spring = {"stiffness": parameters.pivot_stiffness, "damping": parameters.pivot_damping}
         in_hand, moving = (automaton.links[number].coordinate for number in self.parts)
         world.joint(body, "hinge", "pivot", axis=_HINGE, pos=grip.point, **spring)
-        if in_hand in self.hand or (in_hand == moving and _joint(automaton, self.parts[1]).kind != "rigid"):
+        if in_hand in self.hand or (in_hand == moving and _joint(automaton, self.parts[1]).moves):
             return
         nominal, joint = Rotation.from_rotvec(grip.rotation).inv(), _joint(automaton, self.parts[0])
         zero, unit = (nominal * forward(joint, [0.0, 1.0]).rotation).as_rotvec()
         sign, off = float((unit - zero) @ _HINGE), np.linalg.norm(np.cross(joint.center, joint.axis))
-        if joint.kind != "revolute" or abs(abs(sign) - 1.0) > EQUAL or off > EQUAL:
+        if not joint.turns or abs(abs(sign) - 1.0) > EQUAL or off > EQUAL:
             raise InputError("a held part can turn in the hand about its point and the hinge's direction only")
         world.show(WorldJoint("pivot", in_hand, round(sign), float(zero @ _HINGE)))
 
@@ -111,7 +111,7 @@ class HeldObject:
         high = [np.inf if position == highest else position + capture for position in positions]
         latches = [LatchState(*place) for place in zip(positions, low, high, strict=True)]
         self.modes = tuple(pins)
-        kind, axis = ("hinge", (0.0, -1.0, 0.0)) if joint.kind == "revolute" else ("slide", (0.0, 0.0, 1.0))
+        kind, axis = ("hinge", (0.0, -1.0, 0.0)) if joint.turns else ("slide", (0.0, 0.0, 1.0))
         # Soft constraints creep: dry friction holds the part up only if it is stiff.
         resistance = {"frictionloss": parameters.joint_friction, "damping": parameters.joint_damping}
         world.joint(body, kind, "joint", axis=axis, range=(lowest, highest), **STOPS, **resistance)
@@ -141,6 +141,7 @@ def _links(automaton: HybridAutomaton, grip: Grip) -> tuple[list[int], int, int]
 
 def _joint(automaton: HybridAutomaton, link: int) -> Joint:
     joint = automaton.moving_joint(link)
-    if joint.kind == "screw":
-        raise InputError("a held object cannot have a screw joint", remedy="use the nominal plant for this model")
+    if joint.climbs or (joint.moves and not joint.has_axis):
+        problem = f"a held object can have hinges and slides, and no {joint.kind} joint"
+        raise InputError(problem, remedy="use the nominal plant for this model")
     return joint

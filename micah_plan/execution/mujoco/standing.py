@@ -236,7 +236,7 @@ def standing_world(automaton: HybridAutomaton, parameters: PhysicalParameters) -
         body = bodies[link.child] = above.add_body(name=link.child, **pose(joint.position, joint.quaternion))
         world.solids(body, part.shapes or (_default_box(joint),), parameters.mass, NOTHING)
         body.add_site(name=link.child, pos=handle)
-        if joint.kind == "path":
+        if joint.moves and not joint.has_axis:
             guides.append(Guide(link.child, joint, handle))
             runner = guides[-1].build(world, above, body, parameters.mass)
             _add_joint(world, runner, automaton, number, arms[-1], parameters)
@@ -268,7 +268,7 @@ def _add_joint(
     """
     joint, link = automaton.moving_joint(number), automaton.links[number]
     axis, position = RUNS_ALONG, np.zeros(3)
-    if joint.kind != "path":
+    if joint.has_axis:
         to_part = Rotation.from_quat(joint.quaternion).inv()
         axis, position = to_part.apply(joint.axis), to_part.apply(np.subtract(joint.center, joint.position))
     intervals = [mode.interval(link.coordinate) for mode in automaton.modes]
@@ -288,14 +288,14 @@ def _add_joint(
         "range": np.clip([lower, upper], -_UNLIMITED, _UNLIMITED),
         **STOPS,
     }
-    world.joint(body, "slide" if joint.kind in ("prismatic", "path") else "hinge", link.child, **attributes)
+    world.joint(body, "hinge" if joint.turns else "slide", link.child, **attributes)
     world.show(WorldJoint(link.child, link.coordinate, latches=latches))
-    if joint.kind == "screw":
+    if joint.climbs:
         slide = WorldJoint(f"{link.child}/slide", link.coordinate, joint.pitch, is_shown=False)
         world.joint(body, "slide", slide.name, axis=axis)
         world.show(slide)
         world.tie(slide.name, (0.0, joint.pitch), link.child)
-    if latches and joint.kind != "path":
+    if latches and joint.has_axis:
         name, kinds = _lever(link.child), world.mujoco.mjtSensor
         at = {"objtype": world.mujoco.mjtObj.mjOBJ_SITE, "objname": name}
         along = body.add_site(name=name, pos=position).alt
@@ -323,7 +323,7 @@ def _arm(name: str, joint: Joint, handle: Vector3) -> float:
 
 def _default_box(joint: Joint) -> Primitive:
     """A default shape: a panel between the axis and the part's origin (hinge), or a box around it (slide)."""
-    if joint.kind in ("prismatic", "rigid", "path"):
+    if not joint.turns:
         return Primitive("box", (0.3, 0.3, 0.15))
     reach = np.array(joint.position) - np.array(joint.center)
     length = float(np.linalg.norm(reach))
