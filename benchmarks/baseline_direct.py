@@ -29,7 +29,7 @@ from micah_plan.arrays import SMALLEST_STD, Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.automaton.transition import step
-from micah_plan.belief.filter import initial_belief, predict, update
+from micah_plan.belief.filter import initial_belief, predict_belief, update
 from micah_plan.planning.attempt import Attempt, attempted
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.limits import Limits, NoWayError, limited_input
@@ -293,7 +293,7 @@ def nominal_trajectory(problem: Problem, limits: Limits, mode: str, inputs: Floa
     for u in inputs:
         cut = limited_input(automaton.mode(mode), x, u, limits.max_step)
         after = step(automaton, mode, x, cut)
-        belief = update(automaton, predict(automaton, belief, cut), after.x)
+        belief = update(automaton, predict_belief(automaton, belief, cut), after.x)
         entered = [event.target for event in after.events if event.source != event.target]
         knots += [(name, after.x, belief) for name in (mode, *entered)]
         steps += [(cut, False), *[(np.zeros(automaton.m), True)] * len(entered)]

@@ -21,8 +21,8 @@ import numpy as np
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.documents.model import load_model
 from micah_plan.documents.problem import load_problem
-from micah_plan.execution.closed_loop import Episode, execute, true_state
-from micah_plan.execution.log import concatenated
+from micah_plan.execution.closed_loop import Episode, execute_episode, true_state
+from micah_plan.execution.log import concatenated_recordings
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.standing import StandingPlant
 from micah_plan.execution.plant import Command, Measurement, Truth
@@ -177,14 +177,14 @@ def executed(problem: Problem, plan: Plan, plant: Tampered, seeds: range) -> Rou
         raise SystemExit(f"no plan: {plan.reason}")
     still = Command(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)))
     for run, seed in enumerate(seeds):
-        result = execute(Episode(problem, plan.trajectory, run=run), plant, np.random.default_rng([seed, 2]))
+        result = execute_episode(Episode(problem, plan.trajectory, run=run), plant, np.random.default_rng([seed, 2]))
         for _ in range(WAIT):
             plant.apply(still)
         mode, x = true_state(problem.automaton, plant.truth())
         errors.append(problem.goal.error(x))
         successes += problem.goal.contains(mode, x)
         logs.append(result.recording)
-    return Round(np.array(errors), successes, concatenated(logs))
+    return Round(np.array(errors), successes, concatenated_recordings(logs))
 
 
 def main(seeds: int = 20, first: int = 0, *names: str) -> None:

@@ -23,7 +23,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.documents.model import model_text
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.handle import HandlePlant as Checked
-from micah_plan.execution.log import concatenated
+from micah_plan.execution.log import concatenated_recordings
 from micah_plan.execution.plant import Measurement
 from micah_plan.execution.trials import run_trials
 from micah_plan.explore.run import explore
@@ -86,7 +86,7 @@ class Handover:
             start = _HIGH
             if closed is None or opened is None:
                 return
-            self.rounds.append(concatenated([closed, opened]))
+            self.rounds.append(concatenated_recordings([closed, opened]))
         went = self.plant.way - thing.start
         went, asked = abs(went), _HIGH * found.travel
         if abs(went - asked) > _TOLERANCE * found.travel + 0.015:
@@ -111,7 +111,7 @@ class Handover:
 
     def calibrated(self) -> tuple[str, float, float]:
         """The verdict on all rounds but the last, and how far off roll-outs of that one are before and after [m]."""
-        found = calibrate(self.model, concatenated(self.rounds[:-1]))
+        found = calibrate(self.model, concatenated_recordings(self.rounds[:-1]))
         before, after = (_rolled(model, self.rounds[-1]) for model in (self.model, found.automaton))
         return found.verdict, before, after
 

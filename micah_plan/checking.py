@@ -48,17 +48,17 @@ def check_file(path: str | Path) -> FileCheck:
 
 def _check_recording(file: Path) -> tuple[str, ...]:
     from micah_plan.exchange.load import load_recording
-    from micah_plan.recording.suspicion import suspicions
+    from micah_plan.recording.suspicion import suspicions_of_recording
 
     recording = load_recording(file)
-    return recording.notes + suspicions(recording)
+    return recording.notes + suspicions_of_recording(recording)
 
 
 def _check_model(file: Path) -> tuple[str, ...]:
-    from micah_plan.automaton.plausible import suspicions
+    from micah_plan.automaton.plausible import suspicions_of_automaton
     from micah_plan.documents.model import load_model
 
-    return suspicions(load_model(file))
+    return suspicions_of_automaton(load_model(file))
 
 
 def _check_parts(file: Path) -> tuple[str, ...]:
@@ -77,13 +77,12 @@ def _check_conventions(file: Path) -> tuple[str, ...]:
 
 def suspicions_of(problem: Problem) -> tuple[str, ...]:
     """What looks like a mistake in a problem, its model and its plant, one line each."""
-    from micah_plan.automaton.plausible import implausible
-    from micah_plan.automaton.plausible import suspicions as suspicions_of_model
+    from micah_plan.automaton.plausible import implausible, suspicions_of_automaton
     from micah_plan.execution.mujoco.parameters import amounts
-    from micah_plan.task.plausible import suspicions as suspicions_of_problem
+    from micah_plan.task.plausible import suspicions_of_problem
 
     # The modes of a held object are contacts of the hand's own model.
-    of_model = () if problem.hold is not None else suspicions_of_model(problem.automaton)
+    of_model = () if problem.hold is not None else suspicions_of_automaton(problem.automaton)
     of_plant = implausible(amounts(problem.plant, held=problem.hold is not None))
     return (*of_model, *suspicions_of_problem(problem), *of_plant)
 

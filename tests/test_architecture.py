@@ -389,6 +389,19 @@ def test_no_two_classes_have_one_name() -> None:
     assert {name for name, count in places.items() if count > 1 and not name.startswith("_")} == set()
 
 
+def test_functions_share_a_name_only_from_command_to_stage() -> None:
+    """What has one name is one thing: a command, the function behind it, and the stage that does the work."""
+    places: dict[str, list[str]] = {}
+    for module, tree in _trees().items():
+        for node in tree.body:
+            if isinstance(node, ast.FunctionDef) and not node.name.startswith("_") and node.name != "main":
+                places.setdefault(node.name, []).append(module)
+    shared = {name: modules for name, modules in places.items() if len(modules) > 1}
+    assert {name: modules for name, modules in shared.items() if not any(m.startswith("cli.") for m in modules)} == {}
+    below = {name: [m for m in modules if not m.startswith(("cli.", "api."))] for name, modules in shared.items()}
+    assert {name: modules for name, modules in below.items() if len(modules) > 1} == {}
+
+
 def test_how_a_joint_moves_is_asked_of_the_joint() -> None:
     """Above the models nobody tells kinds of joint by their names: a new kind is a row of `KINDS`."""
     named = [

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from micah_plan.checking import check_file
-from micah_plan.cli.files import checked
+from micah_plan.cli.files import check_keys
 from micah_plan.errors import InputError, together
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -133,7 +133,7 @@ def test_the_command_tells_people_and_programs_the_same(tmp_path: Path) -> None:
     told, data = run(), run("--json")
     assert (told.returncode, told.stderr, data.returncode, data.stderr) == (2, "", 2, "")
     found = json.loads(data.stdout)
-    assert found == checked([check_file(bad), check_file(good)])
+    assert found == check_keys([check_file(bad), check_file(good)])
     messages = [f"error: {fault['message']}" for fault in found["files"][0]["faults"]]
     assert told.stdout.splitlines() == [*messages, f"{good}: a model that can be used"]
     assert found["faults"] == len(messages) == 4

@@ -17,7 +17,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton, Part
 from micah_plan.errors import InputError, choices, located_in, shown
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.quantities import quantity
-from micah_plan.recording.checks import checked
+from micah_plan.recording.checks import checked_recording
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.value import Recording
 from micah_plan.task.problem import Problem
@@ -74,14 +74,14 @@ def recording_of(source: Measured, *, minimum_rows: int = 1, conventions: Conven
     if isinstance(source, Source):
         return load_recording(source, minimum_rows=minimum_rows, conventions=conventions)
     if isinstance(source, Result) and hasattr(source, "recording"):
-        return checked(source.recording, minimum_rows=minimum_rows)
+        return checked_recording(source.recording, minimum_rows=minimum_rows)
     if is_table(source) or isinstance(source, Mapping):
-        return checked(_of_table(source, conventions), minimum_rows=minimum_rows)
+        return checked_recording(_of_table(source, conventions), minimum_rows=minimum_rows)
     if isinstance(source, list | tuple) and source:
-        return joined([recording_of(recording, minimum_rows=minimum_rows) for recording in source])
+        return joined_recordings([recording_of(recording, minimum_rows=minimum_rows) for recording in source])
     if not isinstance(source, Recording):
         raise _other("a recording", source, "give the path of one, or a micah_plan.Recording")
-    return checked(source, minimum_rows=minimum_rows)
+    return checked_recording(source, minimum_rows=minimum_rows)
 
 
 def is_table(value: Any) -> bool:
@@ -118,9 +118,9 @@ def _of_table(table: Any, conventions: Conventions | None) -> Recording:
     return recording_of_columns({str(name): table[name] for name in names}, conventions)
 
 
-def joined(recordings: Sequence[Recording]) -> Recording:
+def joined_recordings(recordings: Sequence[Recording]) -> Recording:
     """One recording of all runs, numbered anew, with the further columns that all have."""
-    from micah_plan.execution.log import concatenated
+    from micah_plan.execution.log import concatenated_recordings
 
     common, numbered, number = set.intersection(*(set(each.extra) for each in recordings)), list[Recording](), 0
     for each in recordings:
@@ -128,7 +128,7 @@ def joined(recordings: Sequence[Recording]) -> Recording:
         extra = {name: column for name, column in each.extra.items() if name in common}
         numbered.append(replace(each, run=run + number, extra=extra))
         number += len(runs)
-    return checked(concatenated(numbered))
+    return checked_recording(concatenated_recordings(numbered))
 
 
 def demonstration_of(source: Measured, conventions: Conventions | None = None) -> Recording:

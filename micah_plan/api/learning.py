@@ -182,7 +182,7 @@ def _learned(
     from micah_plan.automaton.build import build_automaton, no_single_joint_error
     from micah_plan.learn.learn import learn_graph, small_motions
     from micah_plan.learn.parts.relative import relative_to
-    from micah_plan.recording.suspicion import suspicions
+    from micah_plan.recording.suspicion import suspicions_of_recording
 
     begin = time.perf_counter()
     if base is not None:
@@ -195,7 +195,7 @@ def _learned(
         provenance["conventions"] = "; ".join(f"{name} {text}" for name, text in recording.conventions.items())
     _check_names(graph, parts)
     refusal = no_single_joint_error(graph)
-    warnings = recording.notes + suspicions(recording) + small_motions(recording, settings)
+    warnings = recording.notes + suspicions_of_recording(recording) + small_motions(recording, settings)
     automaton = None if refusal is not None else build_automaton(graph, parts=parts, provenance=provenance)
     reason = "" if refusal is None else str(refusal)
     seconds = time.perf_counter() - begin

@@ -66,7 +66,7 @@ def implausible(amounts: Iterable[Amount]) -> Iterator[str]:
             yield f"{place_and_size} is less than the least, {quantity(amount.least, amount.unit)}; check the unit"
 
 
-def suspicions(automaton: HybridAutomaton) -> tuple[str, ...]:
+def suspicions_of_automaton(automaton: HybridAutomaton) -> tuple[str, ...]:
     """What looks wrong in an automaton, one line each, with its place; empty if nothing does."""
     jumps = (line for edge in automaton.edges if not edge.is_self_transition for line in _jumps(automaton, edge))
     sizes = implausible((*_distances(automaton), *part_amounts(automaton.parts), *_along_coordinates(automaton)))

@@ -47,7 +47,7 @@ from micah_plan.belief.gaussian import (
 )
 from micah_plan.belief.hybrid_belief import BeliefBatch, HybridBelief, batch_of
 from micah_plan.belief.layout import HalfSpaceRows, Layout, layout_of
-from micah_plan.belief.pieces import Ends, Pieces, joined, side_by_side
+from micah_plan.belief.pieces import Ends, Pieces, joined_pieces, side_by_side
 from micah_plan.belief.truncation import (
     NEGLIGIBLE,
     is_cut,
@@ -110,7 +110,7 @@ def repeated(automaton: HybridAutomaton, belief: HybridBelief, count: int) -> Be
     return BeliefBatch.of(weights, means, factors, batch.n)
 
 
-def predict(automaton: HybridAutomaton, belief: Belief, u: ArrayLike) -> Belief:
+def predict_belief(automaton: HybridAutomaton, belief: Belief, u: ArrayLike) -> Belief:
     """The belief, or beliefs, after one step: flow, process noise, guards, resets, clamps and pins.
 
     Args:
@@ -148,7 +148,7 @@ def update(automaton: HybridAutomaton, belief: Belief, z: ArrayLike) -> Belief:
 
 
 def predict_each(automaton: HybridAutomaton, beliefs: Sequence[HybridBelief], u: Floats) -> list[HybridBelief]:
-    """`predict` of several single beliefs in one go, with inputs (t, m)."""
+    """`predict_belief` of several single beliefs in one go, with inputs (t, m)."""
     layout = layout_of(automaton)
     after = _completed(layout, _predicted(layout, batch_of(beliefs, layout.stds), u.T))
     return [after.alone(number) for number in range(len(beliefs))]
@@ -220,7 +220,7 @@ def _predicted(layout: Layout, beliefs: BeliefBatch, u: Floats) -> BeliefBatch:
     while travelling:
         pending: dict[int, list[Pieces]] = {}
         for index, groups in travelling.items():
-            pieces = joined(groups)
+            pieces = joined_pieces(groups)
             event_limit_reached = events >= MOST_EVENTS
             ends = (
                 [pieces.ends()]

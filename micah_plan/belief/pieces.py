@@ -100,7 +100,7 @@ class Pieces:
         return Ends(self.owner, self.probability, self.mean[1], self.factor[1])
 
 
-def joined(groups: Sequence[Pieces]) -> Pieces:
+def joined_pieces(groups: Sequence[Pieces]) -> Pieces:
     """All pieces of several groups in one mode."""
     if len(groups) == 1:
         return groups[0]

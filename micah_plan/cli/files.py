@@ -234,18 +234,18 @@ def check(
         for i, file in enumerate(files):
             progress(f"checking {file.name}", i / len(files))
             checks.append(check_file(file))
-    print_summary(as_json, checked(checks), lambda: _print_checked(checks))
+    print_summary(as_json, check_keys(checks), lambda: _print_checked(checks))
     if any(item.faults for item in checks):
         raise typer.Exit(BAD_INPUT)
 
 
-def checked(checks: Sequence[FileCheck]) -> dict[str, Any]:
+def check_keys(checks: Sequence[FileCheck]) -> dict[str, Any]:
     """Keys of `check`: the number of faults, and per file its kind, faults and warnings."""
     files = [
         {
             "file": str(item.file),
             "kind": item.kind,
-            "faults": [fault(error) for error in item.faults],
+            "faults": [error_keys(error) for error in item.faults],
             "warnings": list(item.warnings),
         }
         for item in checks
@@ -253,7 +253,7 @@ def checked(checks: Sequence[FileCheck]) -> dict[str, Any]:
     return {"faults": sum(len(item.faults) for item in checks), "files": files}
 
 
-def fault(error: InputError) -> dict[str, Any]:
+def error_keys(error: InputError) -> dict[str, Any]:
     """An error in its pieces; line and column (from 1) are null where they are not known."""
     line, column = error.position or (None, None)
     place = {"source": error.source, "where": error.where, "line": line, "column": column}

@@ -208,10 +208,10 @@ def _broken_off(error: BaseException, logs: Sequence[Recording], output: Path) -
     """The error that says what broke an execution off and where its logs are, which are written now; a bug stays."""
     if not logs:
         return error
-    from micah_plan.execution.log import concatenated
+    from micah_plan.execution.log import concatenated_recordings
     from micah_plan.recording.read import write_recording
 
-    write_recording(concatenated(logs), output)
+    write_recording(concatenated_recordings(logs), output)
     kept = f"what was logged until then is in {output}"
     if isinstance(error, KeyboardInterrupt):
         return Interrupted(f"interrupted; {kept}")
@@ -246,7 +246,7 @@ def named_plant(text: str) -> str | PlantMaker:
 
 
 def _in_file(file: Path, name: str) -> PlantMaker:
-    from micah_plan.execution.checked_plant import fault
+    from micah_plan.execution.checked_plant import error_in_user_code
 
     source = str(file)
     if not file.is_file():
@@ -263,17 +263,17 @@ def _in_file(file: Path, name: str) -> PlantMaker:
     except MicahError:
         raise
     except (Exception, SystemExit) as error:
-        raise fault(error, path, "loading it") from error
+        raise error_in_user_code(error, path, "loading it") from error
     return _maker(getattr(module, name, None), name, source)
 
 
 def _registered(point: EntryPoint) -> PlantMaker:
-    from micah_plan.execution.checked_plant import fault
+    from micah_plan.execution.checked_plant import error_in_user_code
 
     try:
         maker = point.load()
     except (Exception, SystemExit) as error:
-        raise fault(error, None, f"loading the plant {shown(point.name)} ({point.value})") from error
+        raise error_in_user_code(error, None, f"loading the plant {shown(point.name)} ({point.value})") from error
     return _maker(maker, point.attr, point.value)
 
 

@@ -402,7 +402,7 @@ def model_of(data: Mapping[str, Any]) -> HybridAutomaton:
 
 
 def _usable(located: Located) -> HybridAutomaton:
-    automaton = automaton_of(located)
+    automaton = automaton_of_document(located)
     for place, check in checks(automaton):
         with located.at(*(("transitions", *place[1:]) if place[:1] == ("edges",) else place)).locating_errors():
             check()
@@ -418,7 +418,7 @@ def model_text(automaton: HybridAutomaton) -> str:
     return write_yaml(model_data(automaton), _HEADER, _remarks(automaton))
 
 
-def automaton_of(located: Located) -> HybridAutomaton:
+def automaton_of_document(located: Located) -> HybridAutomaton:
     """The automaton that the data of a model file describes.
 
     Raises:
@@ -429,14 +429,14 @@ def automaton_of(located: Located) -> HybridAutomaton:
 
 
 def model_data(automaton: HybridAutomaton) -> dict[str, Any]:
-    """The data of a model file that `automaton_of` reads back as exactly this automaton.
+    """The data of a model file that `automaton_of_document` reads back as exactly this automaton.
 
     Raises:
         InputError: if the automaton is not one that a file may hold (a name twice, a number that is not finite, sizes
             that disagree).
     """
     data = plain_data(ModelDocument, automaton, scope_of(automaton))
-    if automaton_of(Located(data, "automaton")) != automaton:
+    if automaton_of_document(Located(data, "automaton")) != automaton:
         problem = "automaton: sizes of its parts do not agree, so it cannot be written"
         raise InputError(problem, remedy="check its values")
     return data

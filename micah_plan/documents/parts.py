@@ -28,7 +28,7 @@ class ShapeDocument(Document):
     color: Color = doc("Colour as #rrggbb.", "#9aa5b1")
 
     def check(self, at: Located) -> None:
-        check_sizes(self.kind, self.size, at)
+        check_solid_sizes(self.kind, self.size, at)
 
 
 class PartDocument(Document):
@@ -59,7 +59,7 @@ def load_parts(path: str | Path) -> tuple[Part, ...]:
     return parts
 
 
-def check_sizes(kind: str, size: Sequence[float], located: Located) -> None:
+def check_solid_sizes(kind: str, size: Sequence[float], located: Located) -> None:
     """Raise an InputError unless a solid has as many sizes as its kind needs."""
     if len(size) != _SIZES[kind]:
         problem = f"expected {_SIZES[kind]} sizes of a {kind}, found {len(size)}"

@@ -36,8 +36,8 @@ from micah_plan.documents.fields import (
 )
 from micah_plan.documents.layout import Document, Mark, Scope, doc, plain_data
 from micah_plan.documents.located import Located
-from micah_plan.documents.model import automaton_of, model_data, scope_of
-from micah_plan.documents.problem import ProblemDocument, problem_data, problem_of
+from micah_plan.documents.model import automaton_of_document, model_data, scope_of
+from micah_plan.documents.problem import ProblemDocument, problem_data, problem_of_document
 from micah_plan.documents.validation import check_format, validated
 from micah_plan.errors import InputError, shown
 from micah_plan.files import read_bytes, replace_file
@@ -334,9 +334,9 @@ def require_executable(stored: StoredPlan) -> Trajectory:
 
 def _stored(located: Located) -> StoredPlan:
     document = validated(located, PlanDocument)
-    automaton = automaton_of(located.at("model"))
+    automaton = automaton_of_document(located.at("model"))
     stated = located.at("problem")
-    problem = problem_of(validated(stated, ProblemDocument), automaton, stated)
+    problem = problem_of_document(validated(stated, ProblemDocument), automaton, stated)
     problem = replace(problem, source=document.problem_file, digests=document.digests)
     means = () if document.trajectory is None else document.trajectory.means
     planned = with_memory_states(automaton) if means and len(means[0]) != automaton.n else automaton

@@ -182,7 +182,7 @@ def problem_from_text(content: bytes, source: str, automaton: HybridAutomaton) -
         InputError: as `load_problem` does.
     """
     located = read_yaml(content, source)
-    problem = problem_of(validated(located, ProblemDocument), automaton, located)
+    problem = problem_of_document(validated(located, ProblemDocument), automaton, located)
     _check_possible(problem, located)
     return replace(problem, source=source)
 
@@ -237,7 +237,7 @@ class ProblemReader:
         except InputError as error:
             raise located.at("model").error(f"model {model_path}: {error.problem}", error.remedy) from None
         automaton = self._automaton(model, model_path, document, located)
-        problem = problem_of(document, automaton, located)
+        problem = problem_of_document(document, automaton, located)
         digests = {"problem": _digest(content), "model": _digest(model)}
         if problem.robot is not None:
             digests["robot"] = _digest(problem.robot.text.encode())
@@ -257,7 +257,7 @@ class ProblemReader:
         return self._made[1]
 
 
-def problem_of(document: ProblemDocument, automaton: HybridAutomaton, located: Located) -> Problem:
+def problem_of_document(document: ProblemDocument, automaton: HybridAutomaton, located: Located) -> Problem:
     """The problem that a file describes, without its source and digests; whether it is possible is not checked here.
 
     Args:
@@ -282,7 +282,7 @@ def problem_of(document: ProblemDocument, automaton: HybridAutomaton, located: L
 
 
 def problem_data(problem: Problem, model: str) -> dict[str, Any]:
-    """The plain data of a problem file with every setting written out, which `problem_of` reads back.
+    """The plain data of a problem file with every setting written out, which `problem_of_document` reads back.
 
     Args:
         problem: its noise is that of its automaton and not repeated here.

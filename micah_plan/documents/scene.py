@@ -34,7 +34,7 @@ from micah_plan.documents.fields import (
 )
 from micah_plan.documents.layout import Document, Scope, doc
 from micah_plan.documents.located import Located
-from micah_plan.documents.parts import ShapeDocument, check_sizes
+from micah_plan.documents.parts import ShapeDocument, check_solid_sizes
 from micah_plan.documents.yaml_lines import LARGEST_TEXT_BYTES
 from micah_plan.errors import InputError, choices, pip_install, shown
 from micah_plan.files import contained, read_bytes
@@ -67,7 +67,7 @@ class BodyShapeDocument(Document):
                 raise at.at(key).error(f"a {self.kind} has no {key}", "write kind: mesh, or leave it out")
         if self.size is None:
             raise at.error("missing key 'size'", "add it")
-        check_sizes(self.kind, self.size, at)
+        check_solid_sizes(self.kind, self.size, at)
         return Primitive(self.kind, self.size, **pose)
 
     def _vertices(self, at: Located) -> tuple[tuple[float, float, float], ...]:

@@ -101,7 +101,7 @@ def _moving_joint(automaton: HybridAutomaton, k: int, screws: bool) -> Joint:
     if len(moving) > 1:
         raise InputError(f"part {part} has different joints in different modes", remedy=_REMEDY)
     if not all(joint.has_axis for joint in moving):
-        raise InputError(f"part {part} moves along a path", remedy=_REMEDY)
+        raise InputError(f"part {part} moves along or about no axis", remedy=_REMEDY)
     if not screws and any(joint.climbs for joint in moving):
         raise InputError(f"part {part} moves on a screw", remedy=_REMEDY)
     return moving[0] if moving else joints[0]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from micah_plan.documents.conventions import conventions_beside
 from micah_plan.errors import located_in
-from micah_plan.recording.checks import checked
+from micah_plan.recording.checks import checked_recording
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.read import read_columns, read_recording
 from micah_plan.recording.value import Recording
@@ -31,4 +31,4 @@ def load_recording(path: str | Path, *, minimum_rows: int = 1, conventions: Conv
     arm = arm_of(meant.robot, meant.tool)
     columns = read_columns(path)
     with located_in(path):
-        return checked(tool_recording(columns, arm, meant), minimum_rows=minimum_rows)
+        return checked_recording(tool_recording(columns, arm, meant), minimum_rows=minimum_rows)

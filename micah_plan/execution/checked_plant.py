@@ -1,4 +1,4 @@
-"""Plants as an execution meets them: made by `make_plant`, and every answer `checked`.
+"""Plants as an execution meets them: made by `make_plant`, and every answer `checked_measurement`.
 
 An exception in a plant's code becomes one line about that code, so that a mistake in a user's driver does not look like
 one of the planner.
@@ -119,7 +119,7 @@ class CheckedPlant:
         answer = self.ask(method, argument)
         if method == "apply" and self._last is not None:
             answer = _filled(answer, self._last)
-        self._last = checked(answer, self._parts, self._time)
+        self._last = checked_measurement(answer, self._parts, self._time)
         self._time = self._last.time
         return self._last
 
@@ -167,7 +167,7 @@ def _watched(what: str, patience: float | None) -> Iterator[None]:
             signal.setitimer(signal.ITIMER_REAL, *remaining)
 
 
-def checked(answer: object, parts: Sequence[str], after: float = -np.inf) -> Measurement:
+def checked_measurement(answer: object, parts: Sequence[str], after: float = -np.inf) -> Measurement:
     """A plant's answer, if it is a usable measurement, with copies of its arrays.
 
     Args:
@@ -232,7 +232,7 @@ def _flags(value: object, rows: int) -> Booleans:
     return flags
 
 
-def fault(error: BaseException, file: str | None, what: str) -> InputError:
+def error_in_user_code(error: BaseException, file: str | None, what: str) -> InputError:
     """An exception from a user's code as one line: what raised it, and the line of their file in which it did.
 
     Args:
@@ -260,7 +260,7 @@ def _called(culprit: object, what: str, call: Callable[..., Any], *arguments: ob
         file = None
         with suppress(TypeError):  # it was not defined in a file
             file = inspect.getsourcefile(culprit)  # type: ignore[arg-type]
-        raise fault(error, file, what) from error
+        raise error_in_user_code(error, file, what) from error
 
 
 def check_methods(plant: object, name: str) -> None:

@@ -1,6 +1,6 @@
 """Closed-loop execution: measure, filter, decide, command and log, until the goal is believed reached or steps end.
 
-`Episode` decides and logs; it calls neither a plant nor the filter. `execute` joins it with both. Episodes are
+`Episode` decides and logs; it calls neither a plant nor the filter. `execute_episode` joins it with both. Episodes are
 independent, so many can share one batched step of the filter.
 """
 
@@ -320,7 +320,7 @@ class Episode:
         return [*misses, *self._path.sentences()]
 
 
-def execute(episode: Episode, plant: Plant | CheckedPlant, rng: np.random.Generator) -> TrialResult:
+def execute_episode(episode: Episode, plant: Plant | CheckedPlant, rng: np.random.Generator) -> TrialResult:
     """Carry out an episode on a plant, which is reset first.
 
     If the plant is also a `Referee`, the result is scored by the truth; else by the belief, and says so.
@@ -342,7 +342,7 @@ def execute_batch(
     rngs: Sequence[np.random.Generator],
     ended: Callable[[TrialResult], None] | None = None,
 ) -> list[TrialResult]:
-    """Carry out episodes of one model in step with each other, each on a plant of its own, as `execute` does one.
+    """Carry out episodes of one model in step with each other, each on its own plant, as `execute_episode` does one.
 
     What the filter computes for all of them at once costs little more than for one. Several only in simulations: a
     machine does not wait for others.

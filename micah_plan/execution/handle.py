@@ -19,7 +19,7 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.kinematics import jacobian
 from micah_plan.automaton.transition import step
 from micah_plan.errors import InputError
-from micah_plan.execution.checked_plant import CheckedPlant, check_methods, checked, made
+from micah_plan.execution.checked_plant import CheckedPlant, check_methods, checked_measurement, made
 from micah_plan.execution.mujoco.parameters import parameters_of
 from micah_plan.execution.plant import Command, Measurement, Plant, PlantError, PoseTracker, TrackerNoise
 from micah_plan.execution.pose import chain, components, moving_joints
@@ -101,7 +101,7 @@ def usable(answer: object) -> Measurement:
         InputError: if anything else is wrong with it.
     """
     if not isinstance(answer, Measurement):
-        return checked(answer, [HANDLE])
+        return checked_measurement(answer, [HANDLE])
     if answer.force is None:
         remedy = "put into Measurement.force what the hand exerts at the handle [N], base frame"
         raise InputError("an exploration needs measured forces. Got None", remedy=remedy)
@@ -111,7 +111,7 @@ def usable(answer: object) -> Measurement:
         whole = replace(whole, position=np.zeros((1, 3)), quaternion=np.array([[0.0, 0.0, 0.0, 1.0]]))
     if numb:
         whole = replace(whole, force=np.zeros((1, 3)))
-    whole = checked(whole, [HANDLE])
+    whole = checked_measurement(whole, [HANDLE])
     if blind:
         whole = replace(whole, position=np.full((1, 3), np.nan), quaternion=np.full((1, 4), np.nan))
     return replace(whole, force=np.full((1, 3), np.nan)) if numb else whole

@@ -92,7 +92,7 @@ class RunLog:
         return {name: tuple(_texts(column)) for name, column in zip(ESTIMATE, columns, strict=True)}
 
 
-def concatenated(recordings: Sequence[Recording]) -> Recording:
+def concatenated_recordings(recordings: Sequence[Recording]) -> Recording:
     """Several recordings with the same columns, one after the other."""
     first = recordings[0]
     stacked: dict[str, Any] = {}

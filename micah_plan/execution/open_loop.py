@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from micah_plan.belief.filter import initial_belief, predict, update
+from micah_plan.belief.filter import initial_belief, predict_belief, update
 from micah_plan.execution.checked_plant import CheckedPlant, make_plant
 from micah_plan.execution.closed_loop import true_state
-from micah_plan.execution.log import RunLog, concatenated
+from micah_plan.execution.log import RunLog, concatenated_recordings
 from micah_plan.execution.plant import PlantError, PlantMaker
 from micah_plan.execution.pose import command, reading
 from micah_plan.planning.limits import with_input_memory
@@ -64,7 +64,7 @@ def carry_out(
                 logs.append(log.recording(run))
                 if progress is not None:
                     progress(f"run {run + 1} of {total}", (run + 1) / total)
-    return concatenated(logs), tuple(failures)
+    return concatenated_recordings(logs), tuple(failures)
 
 
 def _make(
@@ -88,4 +88,4 @@ def _make(
         order = command(plain, plain.modes[mode].name, belief.means[mode, : plain.n], u)
         log.add(measurement, belief, true_x, order.origin)
         measurement = machine.apply(order)
-        belief = predict(whole.automaton, belief, u)
+        belief = predict_belief(whole.automaton, belief, u)

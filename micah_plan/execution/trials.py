@@ -12,7 +12,7 @@ import numpy as np
 from micah_plan.errors import InputError
 from micah_plan.execution.checked_plant import CheckedPlant, make_plant
 from micah_plan.execution.closed_loop import Episode, TrialResult, execute_batch
-from micah_plan.execution.log import concatenated
+from micah_plan.execution.log import concatenated_recordings
 from micah_plan.execution.pilot import Replanning
 from micah_plan.execution.plant import Plant, PlantMaker
 from micah_plan.quantities import Progress
@@ -163,7 +163,7 @@ def summarise(results: list[TrialResult]) -> TrialStatistics:
         believed=any(result.believed for result in results),
         final_error=ErrorSummary(float(errors.mean()), float(errors.std()), float(errors.max())),
         failures=failures,
-        recording=concatenated([result.recording for result in results]),
+        recording=concatenated_recordings([result.recording for result in results]),
         results=tuple(results),
         released=None if results[0].released is None else sum(bool(result.released) for result in results),
     )

@@ -189,7 +189,7 @@ class OnlineLearner:
             return segments
         first, before = window.pieces[0].joint, self._entry.before[-1].joint
         goes_on = first.kind == before.kind and (first == before or self._entry.within)
-        return [joined(self._open, segments[0]), *segments[1:]] if goes_on else [self._open, *segments]
+        return [joined_segments(self._open, segments[0]), *segments[1:]] if goes_on else [self._open, *segments]
 
     def _learned(self) -> LearnedWindow | None:
         """The window as it is segmented now."""
@@ -377,7 +377,7 @@ class LearnedWindow:
         return segments
 
 
-def joined(first: Segment, second: Segment) -> Segment:
+def joined_segments(first: Segment, second: Segment) -> Segment:
     """Two neighbouring segments of one joint as one."""
     rows = np.array([segment.end - segment.start + 1.0 for segment in (first, second)])
     turns = first.configuration_end - second.configuration_start

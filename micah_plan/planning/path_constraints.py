@@ -99,7 +99,7 @@ class PathRecord:
         return findings
 
 
-def joined(records: Sequence[PathRecord]) -> PathRecord:
+def joined_records(records: Sequence[PathRecord]) -> PathRecord:
     """One record of all roll-outs of several (at least one)."""
     worst = {}
     for key in dict.fromkeys(key for record in records for key in record.worst):

@@ -29,7 +29,7 @@ from micah_plan.planning.roll_outs import departure
 from micah_plan.planning.search.mode_search import ModeSequence, SearchResult, search_modes
 from micah_plan.planning.transcription.guess import guess
 from micah_plan.planning.transcription.programme import transcribe
-from micah_plan.planning.transcription.solve import BeliefPath, solve, unmet
+from micah_plan.planning.transcription.solve import BeliefPath, solve_transcription, unmet
 from micah_plan.planning.zero_time_transitions import with_zero_time_transitions
 from micah_plan.quantities import Progress
 from micah_plan.task.plan import Candidate, Finding, Plan, Trajectory
@@ -224,7 +224,7 @@ def _optimised(attempt: Attempt, sequence: ModeSequence) -> _Tried:
             steps, state = longer, "was not tried with more knots"
             nlp = transcribe(problem, attempt.limits, phases)
         with clock.stage("optimise"):
-            path = solve(nlp, _time_limit(attempt))
+            path = solve_transcription(nlp, _time_limit(attempt))
         if path.feasible:
             return _Tried(sequence, path, path.message)
         deadline.check("optimisation", f"{name} was at {steps} steps", "candidates")

@@ -29,7 +29,7 @@ from micah_plan.planning.tightening import verified_plan
 from micah_plan.planning.transcription.corridor import pack
 from micah_plan.planning.transcription.guess import guess_again
 from micah_plan.planning.transcription.programme import Transcription, transcribe
-from micah_plan.planning.transcription.solve import BeliefPath, blocks_of, path_of, solve
+from micah_plan.planning.transcription.solve import BeliefPath, blocks_of, path_of, solve_transcription
 from micah_plan.planning.verification import verify
 from micah_plan.planning.zero_time_transitions import with_zero_time_transitions
 from micah_plan.task.plan import Plan, Trajectory
@@ -225,7 +225,7 @@ class RecedingHorizon:
 
 def from_new(here: Problem, trajectory: Trajectory, knot: int) -> BeliefPath:
     """What is left of a trajectory from a knot on, from a problem's start, by a programme of its own."""
-    return solve(_programme(here, limits_of(here), trajectory, knot), here.settings.time_limit_s)
+    return solve_transcription(_programme(here, limits_of(here), trajectory, knot), here.settings.time_limit_s)
 
 
 def _programme(problem: Problem, limits: Limits, trajectory: Trajectory, knot: int) -> Transcription:

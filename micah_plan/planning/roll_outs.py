@@ -17,7 +17,7 @@ from micah_plan.automaton.input_memory import InputChannel, towards
 from micah_plan.automaton.memo import sharing_motion
 from micah_plan.automaton.step_noise import drawn_gains
 from micah_plan.automaton.transition import TransitionBatch
-from micah_plan.belief.filter import initial_belief, predict, repeated, update
+from micah_plan.belief.filter import initial_belief, predict_belief, repeated, update
 from micah_plan.belief.hybrid_belief import BeliefBatch
 from micah_plan.planning.feedback import feedback_input, time_knots
 from micah_plan.planning.limits import (
@@ -118,13 +118,13 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
         modes, x = chances.objects.step(modes, x, commanded, chances.process[step])
         visited.append(modes)
         measured = x + measurement_std(problem, modes, x) * chances.observation[step]
-        beliefs = update(whole, predict(whole, beliefs, u), np.hstack([measured, unseen]))
+        beliefs = update(whole, predict_belief(whole, beliefs, u), np.hstack([measured, unseen]))
         if problem.constraints:
             path.add(modes, x, u, beliefs.factors[everyone, beliefs.most_likely])
     nothing = np.zeros((trials, automaton.m))
     for _ in range(steps_of_memory(whole, limits.max_step)[1]):
         modes, x = chances.objects.step(modes, x, channel.pass_on(nothing, modes, x), np.zeros_like(x))
-        beliefs = predict(whole, beliefs, nothing)
+        beliefs = predict_belief(whole, beliefs, nothing)
         if problem.constraints:
             path.add(modes, x, nothing, beliefs.factors[everyone, beliefs.most_likely])
     return RollOuts(modes, x, beliefs, path, np.array(visited).reshape(len(knots), trials))

@@ -18,7 +18,7 @@ from micah_plan.planning.findings import (
     lower_confidence,
     moved_target,
 )
-from micah_plan.planning.path_constraints import PathRecord, joined
+from micah_plan.planning.path_constraints import PathRecord, joined_records
 from micah_plan.planning.roll_outs import RollOuts, are_in_goal, departure, draw_chances, nearby, roll_out
 from micah_plan.quantities import percent, quantity
 from micah_plan.task.plan import Finding, Offer, Plan, Trajectory, least_share, least_trials
@@ -135,7 +135,7 @@ def _rolled(
     modes, states = (np.concatenate([getattr(turn, name) for turn in turns]) for name in ("modes", "states"))
     reached = {int(mode) for turn in turns for mode in (*np.unique(turn.visited), *np.unique(turn.modes))}
     visited = {problem.automaton.modes[mode].name for mode in reached}
-    return _Ends(modes, states, in_goal, joined([turn.path for turn in turns])), visited
+    return _Ends(modes, states, in_goal, joined_records([turn.path for turn in turns])), visited
 
 
 def plain_answer(successes: int, trials: int, confidence: float) -> bool | None:

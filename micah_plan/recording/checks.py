@@ -47,7 +47,7 @@ def row_and_column(row: int, column: str) -> str:
     return f"row {row}, column {shown(column)}"
 
 
-def checked(recording: Recording, *, minimum_rows: int = 1, place: Place = row_and_column) -> Recording:
+def checked_recording(recording: Recording, *, minimum_rows: int = 1, place: Place = row_and_column) -> Recording:
     """The recording with its quaternions normalised, if its rows are what a recording promises.
 
     Args:

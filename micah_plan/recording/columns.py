@@ -130,14 +130,14 @@ def counted(columns: Columns, rows: int) -> NDArray[np.float64]:
 
 def as_texts(columns: Columns) -> dict[str, tuple[str, ...]]:
     """Columns that mean nothing here, as text; empty where there is no number; each entry of a vector by itself."""
-    plain = {name: part for key, values in columns.items() for name, part in entries(key, values).items()}
+    plain = {name: part for key, values in columns.items() for name, part in entry_columns(key, values).items()}
     return {
         name: values if isinstance(values, tuple) else tuple("" if math.isnan(v) else repr(v) for v in values.tolist())
         for name, values in plain.items()
     }
 
 
-def entries(key: str, values: Any) -> dict[str, Any]:
+def entry_columns(key: str, values: Any) -> dict[str, Any]:
     """A column as columns of single values; a vector's entries without names are numbered."""
     if isinstance(values, tuple) or values.ndim == 1:
         return {key: values}

@@ -26,7 +26,7 @@ from micah_plan.recording.checks import (
     QUATERNION,
     Place,
     check_header,
-    checked,
+    checked_recording,
     numeric_columns,
 )
 from micah_plan.recording.columns import columns_by_name, counted, gathered
@@ -67,7 +67,7 @@ def read_csv(path: str | Path, *, minimum_rows: int = 1, conventions: Convention
         read = replace(as_recorded(_recording(table, place, meant), meant), notes=table.notes)
         recording, kept = without_gaps(read)
         line_numbers = [line_numbers[i] for i in kept.tolist()]
-        return checked(recording, minimum_rows=minimum_rows, place=place)
+        return checked_recording(recording, minimum_rows=minimum_rows, place=place)
 
 
 def csv_columns(path: str | Path) -> dict[str, Any]:
@@ -106,7 +106,7 @@ def csv_bytes(recording: Recording, path: str | Path) -> bytes:
         InputError: if the recording is not one that could be read back.
     """
     with located_in(path):
-        columns = _texts(checked(recording))
+        columns = _texts(checked_recording(recording))
     header = ",".join(_quoted(name) for name in columns)
     rows = (",".join(row) for row in zip(*columns.values(), strict=True))
     return ("\n".join((header, *rows)) + "\n").encode()

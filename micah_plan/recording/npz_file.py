@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import LARGEST_FILE_BYTES, read_bytes, replace_file
-from micah_plan.recording.checks import checked
+from micah_plan.recording.checks import checked_recording
 from micah_plan.recording.value import DEFAULT_PART, Recording
 
 _NUMBERS = {"time": 1, "position": 2, "quaternion": 2, "action": 2, "force": 2}
@@ -39,7 +39,7 @@ def read_npz(path: str | Path, *, minimum_rows: int = 1) -> Recording:
         raise InputError("the file is empty", source=path, remedy="write a recording into it")
     with located_in(path):
         try:
-            return checked(_recording(_arrays(data)), minimum_rows=minimum_rows)
+            return checked_recording(_recording(_arrays(data)), minimum_rows=minimum_rows)
         except InputError:
             raise
         except Exception as error:  # damaged archives make zipfile, its codecs and NumPy raise nearly anything
@@ -64,7 +64,7 @@ def npz_bytes(recording: Recording, path: str | Path) -> bytes:
         InputError: if the recording is not one that could be read back.
     """
     with located_in(path):
-        recording = checked(recording)
+        recording = checked_recording(recording)
     given = {name: getattr(recording, name) for name in _NUMBERS}
     arrays: dict[str, NDArray[Any]] = {name: array for name, array in given.items() if array is not None}
     if recording.has_run or recording.run.any():

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from micah_plan.arrays import Floats
 from micah_plan.errors import InputError, MissingDependencyError, located_in, shown
 from micah_plan.files import LARGEST_FILE_BYTES, read_bytes
-from micah_plan.recording.checks import POSITION, QUATERNION, checked
-from micah_plan.recording.columns import Columns, as_texts, entries, recording_of_columns
+from micah_plan.recording.checks import POSITION, QUATERNION, checked_recording
+from micah_plan.recording.columns import Columns, as_texts, entry_columns, recording_of_columns
 from micah_plan.recording.conventions import Conventions, as_recorded
 from micah_plan.recording.value import COLUMNS, DEFAULT_PART, Recording
 
@@ -45,10 +45,10 @@ def read_parquet(path: str | Path, *, minimum_rows: int = 1, conventions: Conven
     with located_in(path):
         table = _table(read_bytes(path))
         if "episode_index" not in table:
-            return checked(recording_of_columns(table, conventions), minimum_rows=minimum_rows)
+            return checked_recording(recording_of_columns(table, conventions), minimum_rows=minimum_rows)
         meant = conventions or Conventions()
         meant.require_open(("columns", "rate"), "the episodes of LeRobot name their columns and times")
-        return checked(as_recorded(_episodes(table, _names(Path(path))), meant), minimum_rows=minimum_rows)
+        return checked_recording(as_recorded(_episodes(table, _names(Path(path))), meant), minimum_rows=minimum_rows)
 
 
 def parquet_columns(path: str | Path) -> dict[str, Any]:
@@ -68,7 +68,7 @@ def parquet_columns(path: str | Path) -> dict[str, Any]:
         if not isinstance(values, tuple) and values.ndim == 2 and len(shape_names) == values.shape[1]:
             columns |= {f"{key}.{name}": entry for name, entry in zip(shape_names, values.T, strict=True)}
         else:
-            columns |= entries(called.get(key, key), values)
+            columns |= entry_columns(called.get(key, key), values)
     return columns
 
 
@@ -148,7 +148,7 @@ def _episodes(table: Columns, names: Mapping[str, Sequence[str]]) -> Recording:
             continue
         shape_names = names.get(key, ())
         if isinstance(values, tuple) or values.ndim == 1 or len(shape_names) != values.shape[1]:
-            rest |= entries(key, values)
+            rest |= entry_columns(key, values)
             continue
         target = commanded if key == "action" else states if key.startswith("observation") else {}
         for name, entry in zip(shape_names, values.T, strict=True):

@@ -7,7 +7,7 @@ from typing import Any
 
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import read_bytes, replace_file
-from micah_plan.recording.checks import checked
+from micah_plan.recording.checks import checked_recording
 from micah_plan.recording.conventions import Conventions, as_recorded
 from micah_plan.recording.csv_file import csv_bytes, csv_columns, read_csv
 from micah_plan.recording.npz_file import npz_bytes, read_npz
@@ -58,7 +58,7 @@ def read_recording(path: str | Path, *, minimum_rows: int = 1, conventions: Conv
             read_bytes(path)  # that it does not exist or is a directory is the better message
             raise _unknown(path, suffix)
         recording = _READERS[suffix](path, minimum_rows=minimum_rows)
-        return checked(as_recorded(recording, meant)) if meant.stated() else recording
+        return checked_recording(as_recorded(recording, meant)) if meant.stated() else recording
 
 
 def read_columns(path: str | Path) -> dict[str, Any]:

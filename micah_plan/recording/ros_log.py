@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from micah_plan.arrays import EQUAL, Booleans, Floats, Ints
 from micah_plan.errors import InputError, choices, located_in, shown
 from micah_plan.quantities import count, quantity
-from micah_plan.recording.checks import checked
+from micah_plan.recording.checks import checked_recording
 from micah_plan.recording.conventions import Conventions, as_recorded
 from micah_plan.recording.ros_bags import messages_of, topics_of
 from micah_plan.recording.ros_mcap import NANOSECONDS, Logged, stamp_ns
@@ -70,7 +70,7 @@ def read_ros_log(path: str | Path, *, minimum_rows: int = 1, conventions: Conven
                 remedy += ", or say whose joints they are: --robot NAME --tool FRAME"
             raise InputError(f"expected poses ({kinds}), found {_listed(path)}", remedy=remedy)
         recording = as_recorded(log.recording(meant.topics, meant.frame), meant)
-        return checked(recording, minimum_rows=minimum_rows)
+        return checked_recording(recording, minimum_rows=minimum_rows)
 
 
 def joint_columns(path: str | Path) -> dict[str, Any]:

@@ -28,7 +28,7 @@ import numpy as np
 
 from micah_plan.errors import InputError, MissingDependencyError, located_in, shown
 from micah_plan.files import LARGEST_FILE_BYTES
-from micah_plan.recording.checks import checked, row_and_column
+from micah_plan.recording.checks import checked_recording, row_and_column
 from micah_plan.recording.value import Recording
 
 NANOSECONDS = 1_000_000_000
@@ -291,7 +291,7 @@ def mcap_bytes(recording: Recording, path: str | Path) -> bytes:
         MissingDependencyError: without the extra ``ros``.
     """
     with located_in(path):
-        recording = checked(recording)
+        recording = checked_recording(recording)
         _check_fits(recording)
     kinds = {name: _kind(column) for name, column in recording.extra.items() if not name.startswith(_JOINT)}
     return write_log([message for row in range(len(recording)) for message in _messages_of_row(recording, row, kinds)])

@@ -79,7 +79,7 @@ _FAR_MORE = 100.0
 _FAR_LESS = 1000.0
 
 
-def suspicions(recording: Recording) -> tuple[str, ...]:
+def suspicions_of_recording(recording: Recording) -> tuple[str, ...]:
     """What looks wrong in a recording, one line each; empty if nothing does."""
     lines: list[str] = [*misread(recording)]
     for part in recording.parts:

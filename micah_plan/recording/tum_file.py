@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from micah_plan.errors import InputError, located_in, shown
-from micah_plan.recording.checks import POSITION, QUATERNION, checked
+from micah_plan.recording.checks import POSITION, QUATERNION, checked_recording
 from micah_plan.recording.text import UnreadableValue, floats, read_lines
 from micah_plan.recording.value import Recording
 
@@ -38,7 +38,7 @@ def tum_bytes(recording: Recording, path: str | Path) -> bytes:
             parts, actions, forces, further columns, or no orientation. Nothing is left out silently.
     """
     with located_in(path):
-        recording = checked(recording)
+        recording = checked_recording(recording)
         surplus = {
             "several runs": len(recording.runs) > 1,
             "several parts": len(recording.parts) > 1,
@@ -91,4 +91,4 @@ def _parsed(lines: list[str], minimum_rows: int) -> Recording:
         has_run=number != 0 or said.get("run") == "0",
         has_part="part" in said,
     )
-    return checked(recording, minimum_rows=minimum_rows, place=place)
+    return checked_recording(recording, minimum_rows=minimum_rows, place=place)

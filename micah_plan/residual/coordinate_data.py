@@ -28,7 +28,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.link_motion import LinkMotion, link_motions
 from micah_plan.automaton.tracks import Track, in_base_frame, measuring_links
 from micah_plan.automaton.transition import TransitionBatch
-from micah_plan.belief.filter import predict, update
+from micah_plan.belief.filter import predict_belief, update
 from micah_plan.errors import InputError
 from micah_plan.residual.compared_runs import sections
 from micah_plan.residual.prediction import first_belief, inputs_of
@@ -432,7 +432,7 @@ def rows_as_seen(automaton: HybridAutomaton, track: Track) -> RowsSeen:
     found = [belief.most_likely]
     stds = [sensing[belief.most_likely].std_over(belief.mean, belief.covariance)]
     for u, x in zip(inputs_of(track), track.x[1:], strict=True):
-        ahead = predict(plain, belief, u)
+        ahead = predict_belief(plain, belief, u)
         belief = update(plain, ahead, x)
         found.append(belief.most_likely)
         stds.append(sensing[belief.most_likely].std_over(ahead.mean, ahead.covariance))

@@ -48,7 +48,7 @@ def solid(shape: Shape) -> tuple[Any, Any]:
     return _PRIMITIVES[shape.kind](*shape.size), placement
 
 
-def link_shapes(arm: Arm) -> tuple[LinkShape, ...]:
+def arm_shapes(arm: Arm) -> tuple[LinkShape, ...]:
     """The solids of the arm's clearances, as shapes to draw."""
     solids = []
     for item in arm.geometry.geometryObjects:

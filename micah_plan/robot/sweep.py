@@ -1,4 +1,4 @@
-"""Clearance all along a motion between two configurations, not only at its ends: `sweep`.
+"""Clearance all along a motion between two configurations, not only at its ends: `sweep_between`.
 
 The joints move in a straight line. Around a configuration no point of a solid moves further than its speed there times
 the time, plus a bound on what its acceleration adds; a distance greater than that proves the stretch free, elsewhere it
@@ -71,7 +71,7 @@ class MotionBound:
             self.joints[number], self.levers[number] = joint, _levers(arm, joint, distance)
 
 
-def sweep(
+def sweep_between(
     model: ClearanceModel,
     bound: MotionBound,
     start: tuple[Floats, PartPoses],

@@ -23,7 +23,7 @@ from micah_plan.quantities import plain, quantity
 from micah_plan.robot.arm import Arm
 from micah_plan.robot.clearance import Clearance, ClearanceModel, Pair, PartPoses
 from micah_plan.robot.inverse_kinematics import Reached, next_pose, pose_error, reach_pose
-from micah_plan.robot.sweep import MotionBound, sweep
+from micah_plan.robot.sweep import MotionBound, sweep_between
 from micah_plan.task.plan import ArmTrajectory
 from micah_plan.task.settings import NEVER, Deadline, TimeLimitError
 
@@ -382,7 +382,7 @@ class _Follower:
     def _sweep(self, path: ToolPath, knot: int, before: Floats, after: Floats, margin: float | None) -> Clearance:
         ends = (before, path.at(knot)), (after, path.at(knot + 1))
         allowed = path.allowed(knot, knot + 1)
-        return sweep(self.model, self._bound, *ends, margin, allowed).clearance
+        return sweep_between(self.model, self._bound, *ends, margin, allowed).clearance
 
     def _collision(self, knot: int, clearance: Clearance) -> ArmFailure:
         first, second = clearance.pair

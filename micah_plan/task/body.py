@@ -83,12 +83,8 @@ def vector3(values: Floats) -> Vector3:
 
 def corners(shape: Shape) -> Floats:
     """(k, 3) corners of a hull, or of the box around a primitive, in the frame of the body [m]."""
+    from micah_plan.automaton.contacts.touch import box_corners
+
     if isinstance(shape, Hull):
-        points = np.array(shape.vertices)
-    else:
-        size = np.array(shape.size)
-        half = size / 2 if shape.kind == "box" else np.full(3, size[0])
-        if shape.kind == "cylinder":
-            half[2] = size[1] / 2
-        points = half * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-    return np.asarray(transform(shape.position, shape.quaternion).apply(points))
+        return np.asarray(transform(shape.position, shape.quaternion).apply(shape.vertices))
+    return box_corners((shape,))

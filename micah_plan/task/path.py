@@ -109,7 +109,7 @@ def path_function(function: PathFunction) -> PathFunction:
     return function
 
 
-def unregister(name: str) -> None:
+def remove_path_function(name: str) -> None:
     """Take out a function that `path_function` added."""
     if name not in _LIBRARY:
         _FUNCTIONS.pop(name, None)

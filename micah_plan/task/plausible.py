@@ -38,7 +38,7 @@ _DENSEST, _LIGHTEST = 25_000.0, 1.0
 _WHOLE_TURN = 2.0 * math.pi
 
 
-def suspicions(problem: Problem) -> tuple[str, ...]:
+def suspicions_of_problem(problem: Problem) -> tuple[str, ...]:
     """What looks wrong in a problem beside its model, one line each, with its key."""
     amounts = [*_along_coordinates(problem), *_places(problem), *_of_scene(problem.scene)]
     amounts += [] if problem.hold is None else _of_hold(problem.hold)

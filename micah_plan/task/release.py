@@ -18,14 +18,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import EQUAL, Floats
-from micah_plan.automaton.contacts.touch import corners
+from micah_plan.automaton.contacts.touch import box_corners
 from micah_plan.automaton.contacts.values import AXES
 from micah_plan.automaton.joint import Vector3
 from micah_plan.automaton.kinematics import part_poses
 from micah_plan.errors import InputError
 from micah_plan.quantities import quantity
-from micah_plan.task.body import corners as body_corners
-from micah_plan.task.body import vector3
+from micah_plan.task.body import corners, vector3
 from micah_plan.task.goal import Goal
 from micah_plan.task.problem import Problem
 
@@ -112,7 +111,7 @@ def support_height(problem: Problem) -> float:
     body = next((body for body in problem.scene if body.name == name), None)
     if body is None:
         raise InputError(f"release.support: the scene has no body '{name}'", remedy="name what the object is put on")
-    return float(max(body.pose.apply(body_corners(shape))[:, 2].max() for shape in body.shapes))
+    return float(max(body.pose.apply(corners(shape))[:, 2].max() for shape in body.shapes))
 
 
 def pre_release_problem(problem: Problem) -> Problem:
@@ -145,10 +144,10 @@ def _shape(problem: Problem, mode: str) -> tuple[Floats, Floats]:
         raise InputError("the problem does not say how the object is held", remedy="add the block 'hold'")
     poses = part_poses(problem.automaton, problem.automaton.mode(mode), np.zeros(problem.automaton.n))
     parts = (problem.hold.grip.held, problem.hold.grip.moving)
-    points = [np.asarray(poses[part.name].apply(corners(part.shapes))) for part in parts]
+    points = [np.asarray(poses[part.name].apply(box_corners(part.shapes))) for part in parts]
     centers = []
     for part in parts:  # which weigh the same
-        volumes = np.array([np.prod(np.ptp(corners((shape,)), axis=0)) for shape in part.shapes])
+        volumes = np.array([np.prod(np.ptp(box_corners((shape,)), axis=0)) for shape in part.shapes])
         middles = np.array([shape.position for shape in part.shapes])
         centers.append(poses[part.name].apply(volumes @ middles / volumes.sum()))
     return np.concatenate(points), np.mean(centers, axis=0)

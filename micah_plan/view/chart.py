@@ -185,7 +185,7 @@ def _encoded(mark: Mark) -> dict[str, Any]:
     return entries
 
 
-def aligned(charts: Sequence[Chart]) -> list[Chart]:
+def with_common_ranges(charts: Sequence[Chart]) -> list[Chart]:
     """Charts of the same panels, those that stand in one row with one range of y."""
     rows = [
         (min(panel.low for panel in row), max(panel.high for panel in row))

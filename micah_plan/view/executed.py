@@ -84,7 +84,7 @@ def executed_runs(
         InputError: if the recording has other parts than the model.
     """
     tracks_read, values = tracks(problem.automaton, recording), []
-    for track, x in zip(tracks_read, configurations(problem, recording, tracks_read), strict=True):
+    for track, x in zip(tracks_read, run_configurations(problem, recording, tracks_read), strict=True):
         rows = recording.select(run=track.run)
         modes = rows.select(part=rows.parts[0]).extra.get("mode", ())
         is_true = x is not track.x
@@ -104,7 +104,7 @@ def executed_runs(
     return tuple(values)
 
 
-def configurations(problem: Problem, recording: Recording, tracks_read: tuple[Track, ...] = ()) -> list[Floats]:
+def run_configurations(problem: Problem, recording: Recording, tracks_read: tuple[Track, ...] = ()) -> list[Floats]:
     """(T, n) configurations [rad or m] of every run: the true ones if the recording has them, else the measured.
 
     Args:

@@ -25,8 +25,20 @@ from micah_plan.recording.value import Recording
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import pre_release_problem
-from micah_plan.view.chart import Area, Change, Chart, Columns, Curve, Level, Mark, Range, Span, Words, aligned
-from micah_plan.view.executed import configurations
+from micah_plan.view.chart import (
+    Area,
+    Change,
+    Chart,
+    Columns,
+    Curve,
+    Level,
+    Mark,
+    Range,
+    Span,
+    Words,
+    with_common_ranges,
+)
+from micah_plan.view.executed import run_configurations
 from micah_plan.view.palette import BELIEF, EXECUTED, GOAL, GRID, GUARD, INK, MUTED, mode_colors
 from micah_plan.view.placement import thresholds
 from micah_plan.view.plan_charts import belief_chart
@@ -131,7 +143,7 @@ def chart_figure(charts: Sequence[Chart], *, across: bool = False) -> Figure:
     figure = empty_figure(size, layout="constrained")
     grid = figure.subplots(len(rows), len(charts) if across else 1, squeeze=False, height_ratios=rows)
     first = 0
-    for number, chart in enumerate(aligned(charts) if across else charts):
+    for number, chart in enumerate(with_common_ranges(charts) if across else charts):
         axes = list(grid[:, number] if across else grid[first : first + len(chart.panels), 0])
         draw(chart, axes)
         first += len(chart.panels)
@@ -157,7 +169,7 @@ def belief_figure(problem: Problem, plan: Plan, runs: Recording | None = None) -
             f"a plan with outcome '{plan.outcome}' has no belief to draw", remedy="solve the problem first"
         )
     automaton, trajectory = problem.automaton, plan.trajectory.of_first(problem.automaton.n)
-    executed = [] if runs is None else configurations(problem, runs)
+    executed = [] if runs is None else run_configurations(problem, runs)
     chart = belief_chart(problem, trajectory, list(enumerate(executed)), spreads=False)
     if not is_plane(automaton):
         return chart_figure([chart])

@@ -46,7 +46,7 @@ def model_page(automaton: HybridAutomaton, *, title: str = "Model") -> str:
     """The page as HTML text."""
     scene = DrawnScene()
     size = object_size(automaton)
-    keys, bands = sweep(automaton)
+    keys, bands = motion_through_modes(automaton)
     moved = poses_over_time(automaton, keys)
     draw_object(scene, automaton, keys, moved)
     draw_mode_joints(scene, automaton, keys, moved, size)
@@ -74,7 +74,7 @@ def model_page(automaton: HybridAutomaton, *, title: str = "Model") -> str:
     return render_scene(page, scene)
 
 
-def sweep(automaton: HybridAutomaton) -> tuple[Keyframes, tuple[Band, ...]]:
+def motion_through_modes(automaton: HybridAutomaton) -> tuple[Keyframes, tuple[Band, ...]]:
     """Every mode in turn: each coordinate it moves goes through its range and back, the others rest."""
     times: list[Floats] = []
     modes: list[str] = []

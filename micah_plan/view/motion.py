@@ -73,7 +73,7 @@ def times_of_steps(trajectory: Trajectory, steps: Floats) -> Floats:
     return np.asarray(np.interp(steps, durations, times) + beyond)
 
 
-def duration(trajectory: Trajectory, steps: float = 0.0) -> float:
+def shown_duration(trajectory: Trajectory, steps: float = 0.0) -> float:
     """[s] on the page's clock: the end rests a moment, so that a mode that is entered last is seen.
 
     Args:

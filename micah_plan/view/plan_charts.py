@@ -13,7 +13,7 @@ from micah_plan.quantities import count, percent, plain, quantity
 from micah_plan.task.plan import ArmTrajectory, Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.view.chart import Area, Chart, Curve, Level, Mark, Panel, Range, Span, Words, widened
-from micah_plan.view.motion import duration, knot_times, mode_stretches, step_times, times_of_steps
+from micah_plan.view.motion import knot_times, mode_stretches, shown_duration, step_times, times_of_steps
 from micah_plan.view.page import Block
 from micah_plan.view.palette import BELIEF, EXECUTED, GOAL, mode_colors
 from micah_plan.view.placement import guards_of
@@ -38,7 +38,7 @@ def plan_charts(plan: Plan, problem: Problem, runs: Runs = ()) -> list[Block]:
     times = [
         *knot_times(trajectory),
         float(times_of_steps(trajectory, np.array([last]))[0]),
-        duration(trajectory, last),
+        shown_duration(trajectory, last),
     ]
     frames = {float(time): float(step) for time, step in zip(times, [*steps, last, last], strict=True)}
     keyframes = tuple(sorted(frames.items()))

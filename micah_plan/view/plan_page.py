@@ -41,19 +41,19 @@ from micah_plan.view.motion import (
     Keyframes,
     Moved,
     belief_ellipsoids,
-    duration,
     handle_path,
     keyframes,
     knot_times,
     mode_stretches,
     poses_over_time,
+    shown_duration,
     step_times,
 )
 from micah_plan.view.page import Band, LegendEntry, ScenePage, Status, Timeline, render_scene
 from micah_plan.view.palette import BELIEF, GOAL, INK, MUTED, START, mode_colors
 from micah_plan.view.placement import chain_coordinates
 from micah_plan.view.plan_charts import plan_charts
-from micah_plan.view.release import ReleaseMotion, goal_poses, joined, release_facts, release_motion_of
+from micah_plan.view.release import ReleaseMotion, goal_poses, joined_keyframes, release_facts, release_motion_of
 from micah_plan.view.scene import DrawnScene, slug, transforms
 from micah_plan.view.solids import Mesh, straightened, tube
 
@@ -134,7 +134,9 @@ def _whole(problem: Problem, keys: Keyframes, after: ReleaseMotion | None) -> tu
     moved = poses_over_time(automaton, keys) if problem.hold is None else settled_over_time(problem, keys)
     if after is None:
         return keys, moved
-    return joined(keys, after), {name: transforms([*poses, *after.moved[name]]) for name, poses in moved.items()}
+    return joined_keyframes(keys, after), {
+        name: transforms([*poses, *after.moved[name]]) for name, poses in moved.items()
+    }
 
 
 def _executed(
@@ -275,7 +277,7 @@ def _details(plan: Plan, problem: Problem) -> list[tuple[str, list[str]]]:
 
 def _end(trajectory: Trajectory, runs: Sequence[ExecutedRun]) -> float:
     """Duration of a plan and of runs that may take longer [s]."""
-    return duration(trajectory, max((len(run.x) - 1.0 for run in runs), default=0.0))
+    return shown_duration(trajectory, max((len(run.x) - 1.0 for run in runs), default=0.0))
 
 
 def _timeline(
@@ -372,7 +374,7 @@ def draw_arm(
     if problem.robot is None:
         return
     from micah_plan.robot.load_arm import load_arm
-    from micah_plan.robot.solids import link_shapes
+    from micah_plan.robot.solids import arm_shapes
 
     model = load_arm(problem.robot)
     positions = arm.positions
@@ -380,9 +382,9 @@ def draw_arm(
         knot_times, positions = np.concatenate([knot_times, after.arm_times]), np.vstack([positions, after.arm])
     q = np.stack([np.interp(times, knot_times, column) for column in positions.T], axis=1)
     poses = np.stack([model.joint_matrices(row) for row in q])
-    shapes = link_shapes(model)
+    shapes = arm_shapes(model)
     robot = None if after is None else after.open_robot
-    opened = shapes if robot is None else link_shapes(load_arm(robot))
+    opened = shapes if robot is None else arm_shapes(load_arm(robot))
     for number, ((joint, shape), (_, away)) in enumerate(zip(shapes, opened, strict=True)):
         path = f"{ROBOT_LAYER}/{joint}/{number}"
         if after is not None and away != shape:  # a finger, which slides as the gripper opens

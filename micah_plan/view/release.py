@@ -79,7 +79,7 @@ def release_motion_of(plan: Plan, problem: Problem, last: Keyframes, begin: floa
     return ReleaseMotion(keys, moved, tuple(bands), arm_times, arm, robot, ends[1:3])
 
 
-def joined(first: Keyframes, then: ReleaseMotion | None) -> Keyframes:
+def joined_keyframes(first: Keyframes, then: ReleaseMotion | None) -> Keyframes:
     """The frames of a plan and those that follow."""
     if then is None:
         return first

@@ -11,7 +11,7 @@ from micah_plan.automaton.check import contradictions
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Reset
-from micah_plan.automaton.plausible import suspicions
+from micah_plan.automaton.plausible import suspicions_of_automaton
 from micah_plan.automaton.region import Region
 from micah_plan.documents.model import load_model
 from micah_plan.errors import InputError
@@ -127,7 +127,7 @@ def test_a_part_that_jumps_from_mode_to_mode_is_suspected() -> None:
     automaton = door()
     far = replace(automaton.modes[1].joints[0], position=(51.2, 0.0, 0.0))
     automaton = replace(automaton, modes=(automaton.modes[0], replace(automaton.modes[1], joints=(far,))))
-    millimetres, there, back = suspicions(automaton)
+    millimetres, there, back = suspicions_of_automaton(automaton)
     assert millimetres.startswith("modes.rigid.joints.door: 51.2 m is farther than a room is wide")
     assert there.startswith("transition revolute -> rigid: part door jumps by 5")
     assert back.startswith("transition rigid -> revolute: part door jumps by 5")
@@ -138,7 +138,7 @@ def test_a_number_of_one_step_that_is_larger_than_the_range_is_suspected() -> No
         return replace(door(), effects=(Effect("bias", "door", (("bias", by),), modes=("revolute",)),))
 
     def beyond(automaton: HybridAutomaton) -> list[str]:
-        return [line for line in suspicions(automaton) if "the whole range of" in line]
+        return [line for line in suspicions_of_automaton(automaton) if "the whole range of" in line]
 
     assert beyond(drifting(-0.05)) == []
     (drift,) = beyond(drifting(-5.0))
@@ -150,15 +150,15 @@ def test_a_number_of_one_step_that_is_larger_than_the_range_is_suspected() -> No
 
 @pytest.mark.parametrize("automaton", [two_rails(), detent(), plain({"a": ONE}, [])])
 def test_parts_that_stay_where_they_are_are_not_suspected(automaton: HybridAutomaton) -> None:
-    assert suspicions(automaton) == ()
+    assert suspicions_of_automaton(automaton) == ()
 
 
 def test_a_transition_behind_a_more_general_one_is_never_taken(repository):
     """A hand lets go: anywhere the thing falls, only on the shelf it stays. The more general one comes last."""
     picking = load_model(repository / "models" / "picking.yaml")
-    assert suspicions(picking) == ()
+    assert suspicions_of_automaton(picking) == ()
     falls = next(edge for edge in picking.edges if edge.target == "dropped")
     wrong = replace(picking, edges=(falls, *(edge for edge in picking.edges if edge is not falls)))
-    lines = suspicions(wrong)
+    lines = suspicions_of_automaton(wrong)
     assert len(lines) == 2
     assert all("holds -> free" in line and "never taken" in line for line in lines)

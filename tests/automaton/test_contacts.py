@@ -9,11 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.augmented import threshold_stds
 from micah_plan.automaton.contacts.product import COLLIDED, with_contacts
-from micah_plan.automaton.contacts.touch import collision_regions, corners, moved, touch_pieces
+from micah_plan.automaton.contacts.touch import box_corners, collision_regions, moved, touch_pieces
 from micah_plan.automaton.contacts.values import Face
 from micah_plan.automaton.hybrid import Part, Primitive
 from micah_plan.automaton.transition import TransitionBatch, simulate, step
-from micah_plan.belief.filter import initial_belief, predict, repeated, update
+from micah_plan.belief.filter import initial_belief, predict_belief, repeated, update
 from micah_plan.errors import InputError
 from micah_plan.symbolic.compiled import compiled_mode
 
@@ -23,7 +23,7 @@ TASK = with_contacts(stapler(), GRIP, AROUND, NOISE)
 def lowest_point(grip, hand, displacement, turn=0.0):
     """Height of the lowest corner of the moving part, from the pose of every corner: a second derivation."""
     rotation = Rotation.from_rotvec(grip.rotation) * Rotation.from_rotvec([0.0, turn, 0.0])
-    points = moved(corners(grip.moving.shapes), displacement, True)
+    points = moved(box_corners(grip.moving.shapes), displacement, True)
     return (hand + rotation.apply(points - np.array(grip.point)))[:, 2].min()
 
 
@@ -134,7 +134,7 @@ def test_batched_steps_are_the_scalar_ones_in_contact():
 def test_contact_is_information():
     belief = initial_belief(TASK, [-0.1, 0.0, 0.13, 0.2], [0.01, 0.01, 0.01, 0.1], "free")
     for _ in range(5):
-        belief = predict(TASK, belief, [0.0, 0.0, -0.007])
+        belief = predict_belief(TASK, belief, [0.0, 0.0, -0.007])
     line = [mode.name for mode in TASK.modes].index("line")
     assert belief.weights[line] > 0.5
     factor, tie = belief.factors[line], TASK.mode("line").ties[0]
@@ -149,8 +149,8 @@ def test_batched_filter_is_the_scalar_one_in_contact():
     belief = initial_belief(TASK, [-0.1, 0.0, 0.13, 0.2], [0.01, 0.01, 0.01, 0.1], "free")
     many = repeated(TASK, belief, 2)
     for _ in range(8):
-        belief = predict(TASK, belief, [0.01, 0.0, -0.008])
-        many = predict(TASK, many, np.array([[0.01, 0.0, -0.008]] * 2))
+        belief = predict_belief(TASK, belief, [0.01, 0.0, -0.008])
+        many = predict_belief(TASK, many, np.array([[0.01, 0.0, -0.008]] * 2))
     np.testing.assert_allclose(many.weights[1], belief.weights, atol=1e-6)
     best = belief.most_likely
     np.testing.assert_allclose(many.means[1, best], belief.means[best], atol=1e-6)
@@ -163,7 +163,7 @@ def test_no_true_overlap_is_outside_of_the_collision_sets():
     inside_some, outside_all = 0, 0
     for _ in range(2000):
         hand, c = rng.uniform(AROUND.lower, AROUND.upper), rng.uniform(0.0, LATCH)
-        parts = (corners(GRIP.held.shapes), moved(corners(GRIP.moving.shapes), c - LATCH, True))
+        parts = (box_corners(GRIP.held.shapes), moved(box_corners(GRIP.moving.shapes), c - LATCH, True))
         solid = AROUND.solids[rng.integers(2)]
         part = parts[rng.integers(2)]
         # Points inside a part: mixtures of its corners.

@@ -9,7 +9,7 @@ from reference_step import step
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import Region, above, below, box, input_below
-from micah_plan.belief.filter import initial_belief, predict, repeated
+from micah_plan.belief.filter import initial_belief, predict_belief, repeated
 
 SLIDE = (Joint("prismatic", (0.0, 0.0, 0.0), axis=(0.0, 0.0, 1.0)),)
 OPENS = input_below(1, -0.5, 1, 2, strict=True, name="input grip")
@@ -48,17 +48,17 @@ def test_the_filter_is_the_automatons_own_step(case: str, mean: float, way: floa
     starts = mean + std * rng.standard_normal(4000)
     starts = starts[starts > 0.0] if case == "a touch beside" else starts
     ends = [step(automaton, "held", [z], u) for z in starts]
-    after = predict(automaton, belief, u)
+    after = predict_belief(automaton, belief, u)
     for number, name in enumerate(automaton.mode_names):
         own = np.array([end.x[0] for end in ends if end.mode == name])
         assert after.weights[number] == pytest.approx(len(own) / len(ends), abs=0.03), name
         if len(own) > 200 and case != "a touch beside":  # the filter keeps that tail
             assert after.means[number, 0] == pytest.approx(own.mean(), abs=2e-4), name
-    both = predict(automaton, repeated(automaton, belief, 2), np.array([u, u]))
+    both = predict_belief(automaton, repeated(automaton, belief, 2), np.array([u, u]))
     assert both.weights[0] == pytest.approx(after.weights)
 
 
 def test_without_that_input_nothing_changes() -> None:
     automaton = hand(*CASES["high first"])
-    after = predict(automaton, initial_belief(automaton, [0.02], [0.002], "held"), [0.01, 0.0])
+    after = predict_belief(automaton, initial_belief(automaton, [0.02], [0.002], "held"), [0.01, 0.0])
     assert after.weights == pytest.approx([1.0, 0.0, 0.0, 0.0])

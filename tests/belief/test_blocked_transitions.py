@@ -13,7 +13,7 @@ from reference_step import step
 
 from micah_plan import load
 from micah_plan.automaton.hybrid import HybridAutomaton, Pin
-from micah_plan.belief.filter import initial_belief, predict, repeated, update
+from micah_plan.belief.filter import initial_belief, predict_belief, repeated, update
 
 
 def model(modes: dict, transitions: list, **noise: float) -> HybridAutomaton:
@@ -44,7 +44,7 @@ def both(automaton: HybridAutomaton, x: list[float], inputs: np.ndarray, mode: s
     for u in inputs:
         now = step(automaton, mode, true, u)
         mode, true = now.mode, now.x
-        belief = update(automaton, predict(automaton, belief, u), true)
+        belief = update(automaton, predict_belief(automaton, belief, u), true)
         likely = belief.most_likely
         found.append((mode, true, automaton.mode_names[likely], belief.means[likely, :2]))
     return found
@@ -64,7 +64,7 @@ def test_a_wall_at_an_uncertain_place_stays_where_it_is() -> None:
     clamp = {"source": "a", "target": "a", "guard": ["c1 < 0"], "reset": {"c0": 0.3}, "threshold_std": 0.01}
     automaton = model({"a": {"c0": "input c0", "c1": "input c1"}}, [clamp], process=0.001)
     belief = initial_belief(automaton, [0.3, 0.05], [0.001, 0.001], "a")
-    after = predict(automaton, belief, [0.0, -0.2])
+    after = predict_belief(automaton, belief, [0.0, -0.2])
     assert after.means[0, 1] == pytest.approx(0.0, abs=1e-6)
     assert np.linalg.norm(after.factors[0, 1]) == pytest.approx(0.01, rel=0.01)
 

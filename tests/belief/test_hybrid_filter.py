@@ -12,7 +12,7 @@ from reference_step import step
 
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Pin, Reset
 from micah_plan.automaton.region import Region, above, below, input_below
-from micah_plan.belief.filter import initial_belief, predict, update
+from micah_plan.belief.filter import initial_belief, predict_belief, update
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError
 
@@ -143,7 +143,7 @@ def both(
     for u in inputs:
         truth.predict(u)
         cloud.predict(u)
-        belief = predict(automaton, belief, [u])
+        belief = predict_belief(automaton, belief, [u])
         if sees:
             z = float(truth.x[0] + rng.normal(0.0, cloud.observation))
             belief = update(automaton, belief, [z])
@@ -203,7 +203,7 @@ def test_errors_match_the_predicted_spread(
         for u in inputs:
             truth.predict(u)
             z = truth.x[0] + rng.normal(0.0, truth.observation)
-            belief = update(automaton, predict(automaton, belief, [u]), [z])
+            belief = update(automaton, predict_belief(automaton, belief, [u]), [z])
             # At a stop the variance is zero by the model and so is the error: the floor keeps 0/0 out.
             ratios.append((belief.mean[0] - truth.x[0]) ** 2 / (belief.covariance[0, 0] + 1e-7))
             right.append((belief.weights[truth.mode[0]], belief.most_likely == truth.mode[0]))
@@ -249,7 +249,7 @@ def test_a_sharp_belief_moves_as_the_automaton_does(make: Callable[[], HybridAut
             u = u * 8
         taken = step(automaton, mode, x, u)
         mode, x, events = taken.mode, taken.x, events + len(taken.events)
-        belief = predict(automaton, belief, u)
+        belief = predict_belief(automaton, belief, u)
         assert automaton.modes[belief.most_likely].name == mode, (k, taken)
         assert belief.weights.max() > 1 - 1e-6
         assert np.allclose(belief.mean, x, atol=1e-5), (k, taken)
@@ -260,26 +260,26 @@ def test_at_rest_without_noise_nothing_leaks() -> None:
     automaton = door(process=0.0)
     belief = initial_belief(automaton, [SHUT - 0.002], [0.01], "swing")
     for _ in range(20):
-        belief = predict(automaton, belief, [0.0])
+        belief = predict_belief(automaton, belief, [0.0])
     assert belief.weights[0] == 1.0
     assert np.allclose(belief.means[0], SHUT - 0.002, atol=1e-12)
 
 
 def test_a_start_inside_the_guard_crosses_at_once() -> None:
-    belief = predict(door(), initial_belief(door(), [SHUT + 0.1], [0.01], "swing"), [0.0])
+    belief = predict_belief(door(), initial_belief(door(), [SHUT + 0.1], [0.01], "swing"), [0.0])
     assert belief.weights[1] > 0.999
 
 
 def test_weights_follow_the_likelihood() -> None:
     automaton = door()
-    belief = predict(automaton, initial_belief(automaton, [0.55], [0.03], "swing"), [0.05])
+    belief = predict_belief(automaton, initial_belief(automaton, [0.55], [0.03], "swing"), [0.05])
     share = belief.weights[1]
     assert 0.3 < share < 0.7
     assert update(automaton, belief, [0.53]).weights[1] < share < update(automaton, belief, [0.61]).weights[1]
 
 
 def test_a_mode_without_probability_has_its_pins_and_finite_values() -> None:
-    belief = predict(door(), initial_belief(door(), [0.1], [0.01], "swing"), [0.01])
+    belief = predict_belief(door(), initial_belief(door(), [0.1], [0.01], "swing"), [0.01])
     assert belief.weights.tolist() == [1.0, 0.0]
     assert np.allclose([belief.means[1, 0], belief.factors[1, 0, 0]], [SHUT, 0.004])
     updated = update(door(), belief, [0.12])
@@ -291,7 +291,7 @@ def test_functions_are_pure_and_repeatable() -> None:
     automaton = slider()
     start = initial_belief(automaton, [0.28], [0.02], "first")
     kept = start.weights.copy(), start.means.copy(), start.factors.copy()
-    first, second = (update(automaton, predict(automaton, start, [0.03]), [0.31]) for _ in range(2))
+    first, second = (update(automaton, predict_belief(automaton, start, [0.03]), [0.31]) for _ in range(2))
     for name in ("weights", "means", "factors"):
         assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
     for before, name in zip(kept, ("weights", "means", "factors"), strict=True):
@@ -351,7 +351,7 @@ def test_coupled_guards_clamps_and_chains_equal_samples_of_the_automaton() -> No
     for k, u in enumerate(inputs):
         moved = [step(automaton, mode, x, u, rng.normal(0.0, [0.01, 0.005])) for mode, x in samples]
         samples = [(taken.mode, taken.x) for taken in moved]
-        belief = predict(automaton, belief, u)
+        belief = predict_belief(automaton, belief, u)
         shares = np.array([np.mean([mode == name for mode, _ in samples]) for name in names])
         states = np.array([x for _, x in samples])
         assert np.allclose(belief.weights, shares, atol=0.12), (k, belief.weights, shares)
@@ -362,6 +362,6 @@ def test_coupled_guards_clamps_and_chains_equal_samples_of_the_automaton() -> No
 def test_wrong_shapes_are_named() -> None:
     belief = initial_belief(door(), [0.1], [0.1])
     with pytest.raises(InputError, match=r"input must have shape \(1,\)"):
-        predict(door(), belief, [0.1, 0.2])
+        predict_belief(door(), belief, [0.1, 0.2])
     with pytest.raises(InputError, match=r"measurement must have shape \(1,\)"):
         update(door(), belief, [0.1, 0.2])

@@ -43,16 +43,16 @@ def test_leaving_a_wall_does_not_bump_into_it(
     walls: HybridAutomaton, mode: str, u: tuple[float, float], offset: tuple[float, float]
 ) -> None:
     belief = at_contact(mode, offset)
-    after = batch.predict(walls, belief, u)
+    after = batch.predict_belief(walls, belief, u)
     wanted = LEAVING[mode, u]
     assert after.weights[MODES.index(wanted)] > 1 - 1e-6
     at_wall = np.array([-20.0 if abs(value + 20.0) < 1 else 30.0 for value in belief.means[0]])
     assert step(walls, mode, at_wall, u).mode == wanted
-    together = batch.predict(walls, batch.repeated(walls, belief, 3), np.tile(u, (3, 1)))
+    together = batch.predict_belief(walls, batch.repeated(walls, belief, 3), np.tile(u, (3, 1)))
     np.testing.assert_allclose(together.weights, np.tile(after.weights, (3, 1)), atol=1e-12)
 
 
 def test_pressing_on_stays_at_the_wall(walls: HybridAutomaton) -> None:
-    after = batch.predict(walls, at_contact("corner", (0.03, 0.03)), (-3.0, -3.0))
+    after = batch.predict_belief(walls, at_contact("corner", (0.03, 0.03)), (-3.0, -3.0))
     assert after.weights[MODES.index("corner")] == pytest.approx(1.0)
     np.testing.assert_allclose(after.means[MODES.index("corner")], [-19.97, -19.97])

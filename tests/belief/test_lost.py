@@ -9,7 +9,7 @@ import pytest
 
 from micah_plan import load
 from micah_plan.automaton.hybrid import HybridAutomaton, Pin, Tie
-from micah_plan.belief.filter import initial_belief, most_evidence, predict, reinitialise, repeated, update
+from micah_plan.belief.filter import initial_belief, most_evidence, predict_belief, reinitialise, repeated, update
 from micah_plan.belief.hybrid_belief import batch_of
 from micah_plan.belief.layout import layout_of
 from micah_plan.belief.truncation import NEGLIGIBLE
@@ -89,7 +89,7 @@ def test_a_likely_measurement_is_no_reason_to_begin_anew_and_the_bound_is_one() 
         assert told(PINNED, list(z))[3] <= most_evidence(layout, z[:, None])[0]
     belief = initial_belief(PINNED, [0.1, 0.1], [0.01, 0.01], "free")
     for away in (0.0, 0.03, 0.05, 0.2):
-        after = update(PINNED, predict(PINNED, belief, [0.0, 0.0]), [0.1 + away, 0.1])
+        after = update(PINNED, predict_belief(PINNED, belief, [0.0, 0.0]), [0.1 + away, 0.1])
         assert after.was_reinitialised == (away > 0.1)
 
 
@@ -112,6 +112,6 @@ def test_a_part_that_slipped_away_is_found_where_it_is() -> None:
     assert belief.was_reinitialised
     assert belief.most_likely == 0
     for k in range(3):
-        belief = update(PINNED, predict(PINNED, belief, [0.0, 0.02]), [0.1, 0.1 + 0.02 * (k + 1)])
+        belief = update(PINNED, predict_belief(PINNED, belief, [0.0, 0.02]), [0.1, 0.1 + 0.02 * (k + 1)])
         assert not belief.was_reinitialised
     assert belief.mean == pytest.approx([0.1, 0.16], abs=0.002)

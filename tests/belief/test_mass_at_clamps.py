@@ -18,7 +18,7 @@ from test_uncertain_boundaries import noisy_cabinet, thrown
 from micah_plan.automaton.hybrid import HybridAutomaton, Noise
 from micah_plan.automaton.region import box
 from micah_plan.automaton.transition import TransitionBatch
-from micah_plan.belief.filter import initial_belief, predict, update
+from micah_plan.belief.filter import initial_belief, predict_belief, update
 from micah_plan.belief.hybrid_belief import HybridBelief
 
 OUTSIDE, WITH_JUMPS = 0.08, 0.12
@@ -62,7 +62,7 @@ def worst(name: str, every: int, seed: int, count: int) -> float:
     for k in range(24):
         u = np.array(step) * rng.uniform(0.3, 1.0) * (1.0 if (k // 6) % 2 == 0 else -1.0)
         particles.predict(u.tolist())
-        belief = predict(automaton, belief, u)
+        belief = predict_belief(automaton, belief, u)
         noise = np.array(automaton.noise.process_std) * rng.standard_normal((1, automaton.n))
         mode, x = true.step(mode, x, u[None], noise)
         if k % every == every - 1:

@@ -11,7 +11,7 @@ from particles import ParticleFilter
 from test_hybrid_filter import cabinet, door, mirror, slider
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Noise, Reset
-from micah_plan.belief.filter import initial_belief, predict, update
+from micah_plan.belief.filter import initial_belief, predict_belief, update
 from micah_plan.belief.hybrid_belief import HybridBelief
 
 STD = 0.03
@@ -78,7 +78,7 @@ def compared(name: str, seed: int, particles: int) -> dict[str, np.ndarray]:
     for u in inputs:
         truth.predict(u)
         z = truth.x[0] + rng.normal(0.0, automaton.noise.observation_std)
-        belief = update(automaton, predict(automaton, belief, u), z)
+        belief = update(automaton, predict_belief(automaton, belief, u), z)
         for other in (cloud, models):
             other.predict(u)
             other.update(z)
@@ -114,7 +114,7 @@ def test_without_measurements_it_equals_particles(name: str) -> None:
     belief = initial_belief(automaton, mean, std, automaton.modes[0].name)
     for k, u in enumerate(inputs):
         cloud.predict(u)
-        belief = predict(automaton, belief, u)
+        belief = predict_belief(automaton, belief, u)
         assert np.allclose(belief.weights, cloud.shares, atol=0.06), k
         assert abs(belief.mean[0] - cloud.x.mean()) < 0.1 * STD, k
         assert abs(np.sqrt(belief.covariance[0, 0]) - cloud.x.std()) < 0.1 * STD, k
@@ -126,15 +126,17 @@ def test_what_a_latch_shows_of_its_place_is_remembered() -> None:
     belief = initial_belief(automaton, [0.5], [0.01], "swing")
     assert np.allclose(belief.shift_stds, STD)
     for _ in range(4):
-        belief = predict(automaton, belief, [0.06])
+        belief = predict_belief(automaton, belief, [0.06])
     for _ in range(8):
-        belief = update(automaton, predict(automaton, belief, [0.0]), stays)
+        belief = update(automaton, predict_belief(automaton, belief, [0.0]), stays)
     assert belief.weights[1] > 0.999
     assert belief.shifts[1, 0] == pytest.approx(0.04, abs=0.006)
     assert belief.shift_stds[1, 0] < 0.008
     for _ in range(3):
-        belief = predict(automaton, belief, [-0.04])
-    pushed = predict(automaton, predict(automaton, belief, [0.05]), [0.05])  # to 2 cm behind the model's 0.6 rad
+        belief = predict_belief(automaton, belief, [-0.04])
+    pushed = predict_belief(
+        automaton, predict_belief(automaton, belief, [0.05]), [0.05]
+    )  # to 2 cm behind the model's 0.6 rad
     assert pushed.weights[0] > 0.7
 
 
@@ -142,7 +144,7 @@ def test_staying_open_where_the_model_has_the_latch_says_that_it_is_further_on()
     automaton = blurred(door())
     belief = initial_belief(automaton, [0.55], [0.005], "swing")
     for z in (0.57, 0.59, 0.61):
-        belief = update(automaton, predict(automaton, belief, [0.02]), [z])
+        belief = update(automaton, predict_belief(automaton, belief, [0.02]), [z])
     assert belief.shifts[0, 0] > 0.01
     assert belief.shift_stds[0, 0] < 0.8 * STD
 
@@ -151,7 +153,7 @@ def test_a_hand_made_belief_knows_of_boundaries_what_the_model_does() -> None:
     automaton = blurred(door())
     start = initial_belief(automaton, [0.5], [0.02], "swing")
     bare = HybridBelief(start.weights, start.means, start.factors)
-    ours, same = (predict(automaton, belief, [0.08]) for belief in (start, bare))
+    ours, same = (predict_belief(automaton, belief, [0.08]) for belief in (start, bare))
     assert np.allclose(ours.weights, same.weights, atol=1e-12)
     assert np.allclose(ours.means[0], same.means[0], atol=1e-12)
 
@@ -162,6 +164,6 @@ def test_a_place_held_already_is_no_news() -> None:
     modes = tuple(replace(q, pins=tuple(replace(p, std=0.05) for p in q.pins)) for q in automaton.modes)
     automaton = replace(automaton, modes=modes)
     belief = initial_belief(automaton, [1.0, 0.25], [0.05, 0.001], "drawer")
-    moved = predict(automaton, belief, [0.0, 0.1])
+    moved = predict_belief(automaton, belief, [0.0, 0.1])
     assert moved.weights[2] > 0.999
     assert moved.factors[2, 0, 0] == pytest.approx(belief.factors[1, 0, 0], rel=1e-6)

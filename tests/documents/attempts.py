@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.documents.model import automaton_of
+from micah_plan.documents.model import automaton_of_document
 from micah_plan.documents.yaml_lines import read_yaml
 from micah_plan.errors import InputError
 
@@ -29,4 +29,4 @@ def told(reader: Callable[..., Any], *arguments: Any) -> str:
 
 def parse_model(content: bytes, source: str) -> HybridAutomaton:
     """The automaton that the content of a model file describes, usable or not."""
-    return automaton_of(read_yaml(content, source))
+    return automaton_of_document(read_yaml(content, source))

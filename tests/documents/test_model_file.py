@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Noise, Reset
 from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.documents.located import Located
-from micah_plan.documents.model import automaton_of, dump_model, load_model, model_data, model_text
+from micah_plan.documents.model import automaton_of_document, dump_model, load_model, model_data, model_text
 from micah_plan.errors import InputError
 
 
@@ -257,6 +257,8 @@ def test_covariances_come_last_and_may_be_at_the_joints_as_in_older_files(door: 
     older = json.loads(json.dumps(data))
     own = older.pop("covariances")["revolute"]["door"]
     older["modes"]["revolute"]["joints"]["door"]["covariance"] = own
-    assert automaton_of(Located(older, "older")) == automaton_of(Located(data, "newer")) == door
+    assert automaton_of_document(Located(older, "older")) == automaton_of_document(Located(data, "newer")) == door
     twice = data | {"modes": older["modes"]}
-    assert "its joint has a covariance already; keep one of them" in told(automaton_of, Located(twice, "twice"))
+    assert "its joint has a covariance already; keep one of them" in told(
+        automaton_of_document, Located(twice, "twice")
+    )

@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 from micah_plan.checking import check_file
 from micah_plan.documents.model import load_model
 from micah_plan.documents.problem import load_problem
-from micah_plan.task.plausible import suspicions
+from micah_plan.task.plausible import suspicions_of_problem
 
 ROOT = Path(__file__).resolve().parents[2]
 # One edit of a shipped file each: what is replaced, by what, where the line says it is, and what it says.
@@ -217,4 +217,4 @@ def test_fingers_slide_or_turn(position: float, lines: int) -> None:
     assert problem.release is not None
     (name, _), *others = problem.release.fingers
     opened = replace(problem, release=replace(problem.release, fingers=((name, position), *others)))
-    assert [line.startswith(f"release.fingers.{name}: ") for line in suspicions(opened)] == [True] * lines
+    assert [line.startswith(f"release.fingers.{name}: ") for line in suspicions_of_problem(opened)] == [True] * lines

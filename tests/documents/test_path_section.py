@@ -13,7 +13,7 @@ from micah_plan.documents.plan import load_plan, plan_text, write_plan
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.planning.solver import solve
-from micah_plan.task.path import PathConstraint, Require, path_function, unregister
+from micah_plan.task.path import PathConstraint, Require, path_function, remove_path_function
 
 ROOT = Path(__file__).resolve().parents[2]
 ABOVE = PathConstraint("stay_above", (("coordinate", "door"), ("value", 0.2)), ("revolute",))
@@ -32,7 +32,7 @@ def gentle() -> Iterator[None]:
         return [Require("gentle", largest - ops.abs(step.u["door"]), step.unit["door"])]
 
     yield
-    unregister("gentle")
+    remove_path_function("gentle")
 
 
 def test_a_file_names_a_function_with_arguments_and_modes(tmp_path: Path) -> None:
@@ -48,7 +48,7 @@ def test_a_plan_file_has_the_constraints_of_its_problem(tmp_path: Path) -> None:
     write_plan(solve(problem), problem, tmp_path / "plan.json")
     stored = load_plan(tmp_path / "plan.json")
     assert stored.problem.constraints == problem.constraints == (PathConstraint("gentle", (("largest", 0.05),)),)
-    unregister("gentle")  # as in a process that has not imported the function: the file brings none along
+    remove_path_function("gentle")  # as in a process that has not imported the function: the file brings none along
     with pytest.raises(InputError, match=r"key 'problem\.path\.0': unknown path constraint 'gentle'; register it"):
         load_plan(tmp_path / "plan.json")
     with pytest.raises(InputError, match="unknown path constraint 'gentle'"):

@@ -17,7 +17,7 @@ from micah_plan.automaton.input_memory import InputChannel
 from micah_plan.automaton.joint import prismatic, revolute, rigid
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.transition import TransitionBatch, simulate, step
-from micah_plan.belief.filter import initial_belief, predict
+from micah_plan.belief.filter import initial_belief, predict_belief
 from micah_plan.documents.model import model_text, usable_model
 from micah_plan.errors import InputError
 from micah_plan.symbolic.compiled import CasadiOperations, compiled_mode
@@ -86,7 +86,7 @@ def test_step_batch_filter_and_compiled_functions_move_alike(door, name) -> None
     assert moved[0, 0] == pytest.approx(expected, abs=1e-14)
     compiled = compiled_mode(changed, "revolute")
     assert float(compiled.step(c, u)) == pytest.approx(expected, abs=1e-14)
-    belief = predict(changed, initial_belief(changed, [c], [0.01]), [u])
+    belief = predict_belief(changed, initial_belief(changed, [c], [0.01]), [u])
     assert belief.means[0, 0] == pytest.approx(expected, abs=1e-9)
     _, factor = compiled.predict(c, 0.01, u)
     slope = 1 + (_displacement(name, c + 1e-6, u) - _displacement(name, c - 1e-6, u)) / 2e-6

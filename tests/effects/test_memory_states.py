@@ -29,7 +29,7 @@ from micah_plan.automaton.joint import revolute, rigid
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.transition import simulate, step
 from micah_plan.belief import filter as batch_filter
-from micah_plan.belief.filter import initial_belief, predict, update
+from micah_plan.belief.filter import initial_belief, predict_belief, update
 from micah_plan.symbolic.compiled import compiled_edge, compiled_mode
 
 SHUT = 1.0
@@ -138,8 +138,10 @@ def test_the_filter_knows_the_memory_exactly(door, name) -> None:
     many = batch_filter.repeated(whole, belief, 3)
     for u, x in zip(inputs, run.states[1:], strict=True):
         z = np.array([x[0] + 0.003 * rng.standard_normal(), *[np.nan] * (whole.n - 1)])
-        belief = update(whole, predict(whole, belief, u), z)
-        many = batch_filter.update(whole, batch_filter.predict(whole, many, np.tile(u, (3, 1))), np.tile(z, (3, 1)))
+        belief = update(whole, predict_belief(whole, belief, u), z)
+        many = batch_filter.update(
+            whole, batch_filter.predict_belief(whole, many, np.tile(u, (3, 1))), np.tile(z, (3, 1))
+        )
         np.testing.assert_allclose(belief.means[:, 1:], np.tile(x[1:], (2, 1)), atol=1e-12)
         np.testing.assert_allclose(belief.covariance[1:], 0.0, atol=1e-15)
         assert np.all(np.linalg.eigvalsh(belief.covariance) > -1e-15)

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from execution_objects import drawer, pulling
 
-from micah_plan.belief.filter import predict, update
+from micah_plan.belief.filter import predict_belief, update
 from micah_plan.errors import InputError
-from micah_plan.execution.checked_plant import CheckedPlant, checked, make_plant
-from micah_plan.execution.closed_loop import Episode, execute
+from micah_plan.execution.checked_plant import CheckedPlant, checked_measurement, make_plant
+from micah_plan.execution.closed_loop import Episode, execute_episode
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.plant import Measurement, Plant, PlantError, Referee
 from micah_plan.execution.trials import run_trials
@@ -124,13 +124,13 @@ def trials(kind, **options):
 
 def test_a_usable_measurement_comes_through_as_it_is_in_arrays_of_its_own():
     given = replace(SEEN, force=np.ones((2, 3)), joints=np.arange(4.0), unseen=np.array([True, False]))
-    taken = checked(given, PARTS)
+    taken = checked_measurement(given, PARTS)
     for name in ("position", "quaternion", "force", "joints", "unseen"):
         np.testing.assert_array_equal(getattr(taken, name), getattr(given, name))
     given.position[:] = 7.0  # as a driver does that fills the same array again
     assert not taken.position.any()
     nearly = replace(SEEN, quaternion=1.009 * SEEN.quaternion)
-    assert checked(nearly, PARTS).quaternion[0, 3] == 1.009
+    assert checked_measurement(nearly, PARTS).quaternion[0, 3] == 1.009
 
 
 @pytest.mark.parametrize(
@@ -157,14 +157,14 @@ def test_a_usable_measurement_comes_through_as_it_is_in_arrays_of_its_own():
 )
 def test_what_is_no_measurement_is_one_line_that_says_what_was_expected(change, said):
     with pytest.raises(InputError) as caught:
-        checked(replace(SEEN, **change), PARTS, after=0.2)
+        checked_measurement(replace(SEEN, **change), PARTS, after=0.2)
     assert said in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
 
 
 def test_what_is_no_measurement_at_all_is_named():
     with pytest.raises(InputError, match="a plant must answer with a Measurement. Got tuple"):  # noqa: RUF043
-        checked((0.0, np.zeros((2, 3))), PARTS)
+        checked_measurement((0.0, np.zeros((2, 3))), PARTS)
 
 
 def test_simulations_are_referees_and_machines_need_not_be():
@@ -213,7 +213,7 @@ def test_a_simulated_failure_keeps_the_last_truth():
         def apply(self, command):
             raise PlantError(f"stalled at {command.input}")
 
-    result = execute(Episode(PULL, pulling()), Stalls.of(PULL), np.random.default_rng(0))
+    result = execute_episode(Episode(PULL, pulling()), Stalls.of(PULL), np.random.default_rng(0))
     assert not result.believed
     assert not result.success
     assert result.final_error == pytest.approx(0.23, abs=0.05)
@@ -334,7 +334,7 @@ def test_many_episodes_share_the_calls_to_filter_and_plants():
         running = [i for i in running if orders[i] is not None]
         for i in running:
             seen[i] = plants[i].apply(orders[i])
-        beliefs = [predict(drawer(), b, orders[i].input) if i in running else b for i, b in enumerate(beliefs)]
+        beliefs = [predict_belief(drawer(), b, orders[i].input) if i in running else b for i, b in enumerate(beliefs)]
     together = [episode.result() for episode in episodes]
     assert [one.recording.digest() for one in together] == [one.recording.digest() for one in alone.results]
     assert [one.reason for one in together] == [one.reason for one in alone.results]

@@ -10,12 +10,12 @@ from micah_plan.automaton.hybrid import Noise
 from micah_plan.automaton.tracks import tracks
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution.checked_plant import make_plant
-from micah_plan.execution.closed_loop import Episode, execute
+from micah_plan.execution.closed_loop import Episode, execute_episode
 from micah_plan.execution.pilot import PlanFollower, Replanning
 from micah_plan.recording.csv_file import read_csv, write_csv
 from micah_plan.robot.tool_path import ArmFailure
 from micah_plan.task.goal import Goal
-from micah_plan.task.path import PathConstraint, Require, path_function, unregister
+from micah_plan.task.path import PathConstraint, Require, path_function, remove_path_function
 from micah_plan.task.problem import Problem
 from micah_plan.task.settings import PlannerSettings
 from micah_plan.task.start import Start
@@ -31,7 +31,7 @@ TASKS = [(CLOSE, closing()), (OPEN, opening()), (PULL, pulling())]
 def run(problem, trajectory, kind="nominal", seed=0, **options):
     asked = {name: options.pop(name) for name in ("replan", "continue_plan", "ask_arm") if name in options}
     episode = Episode(problem, trajectory, replanning=Replanning(**asked), **options)
-    return execute(episode, make_plant(problem, kind), np.random.default_rng(seed))
+    return execute_episode(episode, make_plant(problem, kind), np.random.default_rng(seed))
 
 
 def quiet(problem):
@@ -271,7 +271,7 @@ def test_an_execution_that_breaks_a_constraint_on_the_path_fails_and_names_it():
         kept = run(asking(2.0 * most), pulling())
         broken = run(asking(0.5 * most), pulling())
     finally:
-        unregister("slowly")
+        remove_path_function("slowly")
     assert kept.success, kept.reason
     assert not broken.success
     assert "of the goal, but 'slowly' was broken by" in broken.reason

@@ -13,7 +13,7 @@ from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.tracks import displacements
 from micah_plan.documents.plan import load_plan, write_plan
 from micah_plan.documents.problem import load_problem
-from micah_plan.execution.closed_loop import Episode, execute
+from micah_plan.execution.closed_loop import Episode, execute_episode
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.pilot import Replanning
 from micah_plan.execution.plant import Command
@@ -123,7 +123,7 @@ def test_a_plan_with_memory_is_written_read_and_shown(drawer, plans, tmp_path) -
 def test_replanning_knows_what_is_on_its_way(drawer, plans) -> None:
     late = problem_with(drawer, EFFECTS["delay"])
     plant, rng = NominalPlant(late.automaton, late.start), np.random.default_rng(0)
-    result = execute(Episode(late, plans["delay"].trajectory, max_steps=6), plant, rng)
+    result = execute_episode(Episode(late, plans["delay"].trajectory, max_steps=6), plant, rng)
     belief = result.beliefs[-1]
     assert np.all(belief.means[0, 1:] > 0.01)
     planned = plans["delay"].trajectory
@@ -138,7 +138,7 @@ def settled_error(problem, plan, truth, seed):
     plant = NominalPlant(truth, replace(problem.start, mode=plan.trajectory.modes[0]))
     rng = np.random.default_rng(seed)
     episode = Episode(problem, plan.trajectory, replanning=Replanning(partial(replan, problem)))
-    steps = execute(episode, plant, rng).steps
+    steps = execute_episode(episode, plant, rng).steps
     nothing = np.zeros((len(truth.links), 3))
     for _ in range(20):
         plant.apply(Command(np.zeros(truth.m), nothing, nothing))
@@ -166,7 +166,9 @@ def test_execution_reads_its_sensors_as_the_model_says(drawer, name, values) -> 
     errors = {}
     for key, problem in (("not known", drawer), ("known", wrong)):
         plant = NominalPlant(wrong.automaton, replace(drawer.start, mode="prismatic"))
-        results = [execute(Episode(problem, plan.trajectory), plant, np.random.default_rng(seed)) for seed in range(3)]
+        results = [
+            execute_episode(Episode(problem, plan.trajectory), plant, np.random.default_rng(seed)) for seed in range(3)
+        ]
         errors[key] = max(result.final_error for result in results)
     assert errors["known"] < 0.01
     assert errors["not known"] > 0.02

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from micah_plan.documents.problem import load_problem
-from micah_plan.execution.closed_loop import Episode, execute
-from micah_plan.execution.log import concatenated
+from micah_plan.execution.closed_loop import Episode, execute_episode
+from micah_plan.execution.log import concatenated_recordings
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.standing import StandingPlant
 from micah_plan.execution.plant import Command
@@ -37,14 +37,14 @@ def executed(problem, plan, seeds):
     plant = LatePlant(problem.automaton, problem.start, PhysicalParameters.from_mapping(problem.plant))
     logs, errors, steps = [], [], []
     for run, seed in enumerate(seeds):
-        result = execute(Episode(problem, plan.trajectory, run=run), plant, np.random.default_rng(seed))
+        result = execute_episode(Episode(problem, plan.trajectory, run=run), plant, np.random.default_rng(seed))
         logs.append(result.recording)
         steps.append(result.steps)
         for _ in range(LATE + 1):
             plant.apply(Command(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3))))
         errors.append(problem.goal.error(plant.truth().x))
     plant.close()
-    return concatenated(logs), np.array(errors), np.array(steps)
+    return concatenated_recordings(logs), np.array(errors), np.array(steps)
 
 
 @pytest.mark.slow

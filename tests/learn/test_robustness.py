@@ -18,7 +18,7 @@ from micah_plan.errors import InputError
 from micah_plan.learn.learn import METHODS, Method, learn_graph
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.recording.read import read_recording, write_recording
-from micah_plan.recording.suspicion import suspicions
+from micah_plan.recording.suspicion import suspicions_of_recording
 from micah_plan.recording.value import Recording
 
 Change = Callable[[Recording, np.random.Generator], Recording]
@@ -250,10 +250,10 @@ def test_actions_that_are_missing_here_and_there_are_no_actions() -> None:
 
 def test_millimetres_and_milliseconds_raise_the_suspicion() -> None:
     original = planted("revolute")
-    assert suspicions(original) == ()
-    (line,) = suspicions(replace(original, position=1000 * original.position))
+    assert suspicions_of_recording(original) == ()
+    (line,) = suspicions_of_recording(replace(original, position=1000 * original.position))
     assert "millimetres" in line
-    late = suspicions(replace(original, time=1000 * original.time))
+    late = suspicions_of_recording(replace(original, time=1000 * original.time))
     assert any("if they are in ms" in line for line in late)
 
 

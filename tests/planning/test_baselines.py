@@ -15,7 +15,7 @@ from planning_examples import DOOR_SHUT, door_problem, drawer_problem, planar_pr
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.transition import simulate
-from micah_plan.belief.filter import initial_belief, predict, update
+from micah_plan.belief.filter import initial_belief, predict_belief, update
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.planning.limits import limits_of
@@ -134,7 +134,7 @@ def test_the_mixture_step_agrees_with_the_filter_far_from_guards_and_moves_weigh
     belief = initial_belief(automaton, [0.5], [0.02], "swings")
     z = np.array([0.5, 0.02, 1.0, 0.0])
     for _ in range(4):
-        predicted = predict(automaton, belief, [0.03])
+        predicted = predict_belief(automaton, belief, [0.03])
         belief = update(automaton, predicted, predicted.means[0])
         z = np.array(step(z, [0.03])).ravel()
     np.testing.assert_allclose(z, [belief.means[0, 0], belief.factors[0, 0, 0], 1.0, 0.0], atol=1e-5)

@@ -38,7 +38,7 @@ from micah_plan.task.path import (
     check_constraint,
     path_function,
     path_terms,
-    unregister,
+    remove_path_function,
 )
 from micah_plan.task.problem import Problem
 
@@ -75,7 +75,7 @@ def registered() -> Iterator[None]:
         path_function(function)
     yield
     for function in functions:
-        unregister(function.__name__)
+        remove_path_function(function.__name__)
 
 
 def asking(problem: Problem, name: str, modes: tuple[str, ...] = (), **arguments: float | str) -> Problem:
@@ -148,7 +148,7 @@ def test_the_room_of_a_constraint_is_that_of_simulated_filters_and_feedback() ->
         (phase,) = guess(problem, limits, sequence)
         (rows,) = path_rows(problem, limits, (phase,), ca.Sparsity.lower(1))
     finally:
-        unregister("place_and_input")
+        remove_path_function("place_and_input")
     assert rows is not None
     states = pack(phase.means[rows.knots], phase.factors[rows.knots], ca.Sparsity.lower(1))
     planned = np.array(rows.terms.function.map(len(rows.knots))(states, phase.inputs.T, rows.covariances)[1]).ravel()
@@ -341,7 +341,7 @@ def test_mistakes_in_a_function_are_said_before_anything_is_planned(function, me
         with pytest.raises(InputError, match=message):
             plan(asking(door_problem(0.2, 1.0), function.__name__))
     finally:
-        unregister(function.__name__)
+        remove_path_function(function.__name__)
 
 
 def test_names_and_arguments_must_fit() -> None:
@@ -358,5 +358,5 @@ def test_names_and_arguments_must_fit() -> None:
         path_function(creep)
     with pytest.raises(InputError, match="expected \\(ops, step, \\*, keywords\\)"):
         path_function(lambda ops, step, more: [])  # noqa: ARG005
-    unregister("stay_above")  # the library's own stay
+    remove_path_function("stay_above")  # the library's own stay
     check_constraint(PathConstraint("stay_above", (("coordinate", "door"), ("value", 0.1))), automaton)

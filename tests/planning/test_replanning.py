@@ -10,7 +10,7 @@ from planning_examples import DOOR_SHUT, door_automaton, door_problem, planar_pr
 
 from micah_plan.automaton.augmented import boundary_stds, with_boundaries
 from micah_plan.automaton.transition import simulate
-from micah_plan.belief.filter import initial_belief, predict, update
+from micah_plan.belief.filter import initial_belief, predict_belief, update
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.feedback import time_knots
 from micah_plan.planning.limits import limits_of
@@ -34,7 +34,7 @@ def still_open(problem: Problem) -> HybridBelief:
     """Measured to be open at 1.23 rad, where the model has it shut."""
     belief = initial_belief(problem.automaton, [1.13], [0.01], "swings")
     for z in (1.18, 1.23):
-        belief = update(problem.automaton, predict(problem.automaton, belief, [0.05]), [z])
+        belief = update(problem.automaton, predict_belief(problem.automaton, belief, [0.05]), [z])
     return belief
 
 

@@ -19,7 +19,7 @@ from reference_step import step
 
 from micah_plan.automaton.augmented import threshold_stds, with_boundaries
 from micah_plan.automaton.hybrid import HybridAutomaton, Light, Noise, Reset
-from micah_plan.belief.filter import initial_belief, predict, update
+from micah_plan.belief.filter import initial_belief, predict_belief, update
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.feedback import feedback_input, time_knots
 from micah_plan.planning.limits import limited_input, limits_of
@@ -59,7 +59,7 @@ def one_roll_out(
         u = limited_input(automaton.modes[belief.most_likely], estimate, wanted, limits.max_step)
         after = step(truth, mode, x, u, chances.process[number, trial])
         mode, x = after.mode, after.x
-        predicted = predict(automaton, belief, u)
+        predicted = predict_belief(automaton, belief, u)
         std = automaton.sensing(automaton.mode(mode)).std_at(x)
         belief = update(automaton, predicted, x + std * chances.observation[number, trial])
     return mode, x, belief

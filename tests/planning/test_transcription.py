@@ -23,7 +23,7 @@ from micah_plan.planning.transcription.corridor import factor_pattern, pack, unp
 from micah_plan.planning.transcription.guess import guess
 from micah_plan.planning.transcription.programme import Transcription, transcribe
 from micah_plan.planning.transcription.rows import ConstraintRows, Row, Shortfall
-from micah_plan.planning.transcription.solve import BeliefPath, solve, unmet
+from micah_plan.planning.transcription.solve import BeliefPath, solve_transcription, unmet
 from micah_plan.task.problem import Problem
 
 LIMIT_S = 20.0
@@ -40,7 +40,7 @@ def transcription(problem: Problem, start_mode: str, modes: tuple[str, ...]) -> 
 
 
 def optimised(problem: Problem, start_mode: str, modes: tuple[str, ...]) -> BeliefPath:
-    return solve(transcription(problem, start_mode, modes), LIMIT_S)
+    return solve_transcription(transcription(problem, start_mode, modes), LIMIT_S)
 
 
 def rows_at_start(nlp: Transcription) -> np.ndarray:
@@ -181,7 +181,7 @@ def test_a_gate_too_narrow_for_the_belief_is_named_with_the_amount() -> None:
     )
     problem = replace(problem, automaton=automaton)
     nlp = transcription(problem, "left", ("left", "right"))
-    assert not solve(nlp, LIMIT_S).feasible
+    assert not solve_transcription(nlp, LIMIT_S).feasible
     # Both boundaries ask for k-sigma, together they leave 0.01 m: the sum of what is missed is known.
     k, phase = norm.ppf(0.95), nlp.guess[0]
     std = np.sqrt((phase.factors[-1] @ phase.factors[-1].T + phase.spreads[-1])[1, 1])
@@ -194,7 +194,7 @@ def test_a_start_point_that_is_not_a_number_is_found_before_the_solver_runs() ->
     problem = drawer_problem(0.05, 0.3)
     nlp = transcription(problem, "slides", ("slides",))
     nlp.w_start[0] = nlp.w_start[0] * np.nan
-    path = solve(nlp, LIMIT_S)
+    path = solve_transcription(nlp, LIMIT_S)
     assert not path.feasible
     assert path.message.startswith(
         "the start of the optimisation is unusable: the dynamics of 'drawer' is not a number"

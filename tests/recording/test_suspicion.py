@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from micah_plan.errors import InputError
 from micah_plan.exchange.load import load_recording
 from micah_plan.recording.checks import QUATERNION
-from micah_plan.recording.suspicion import breaks, require_conventions, suspicions
+from micah_plan.recording.suspicion import breaks, require_conventions, suspicions_of_recording
 from micah_plan.recording.value import Recording
 
 ROWS = 80
@@ -47,43 +47,43 @@ def walk(size: float, seed: int, rows: int = 400) -> Recording:
 
 
 def test_an_ordinary_door_is_not_suspicious() -> None:
-    assert suspicions(door()) == ()
-    assert suspicions(replace(door(), quaternion=None)) == ()
+    assert suspicions_of_recording(door()) == ()
+    assert suspicions_of_recording(replace(door(), quaternion=None)) == ()
 
 
 def test_millimetres_are_named() -> None:
-    (line,) = suspicions(in_millimetres(door()))
+    (line,) = suspicions_of_recording(in_millimetres(door()))
     assert line.startswith("part 'part' moves over ")
     assert "if these are millimetres, say so: --units mm" in line
 
 
 def test_a_part_that_hardly_moves_shows_millimetres_by_its_distance() -> None:
     still = replace(door(), position=np.tile([0.8, 0.1, 0.3], (ROWS, 1)))
-    assert suspicions(still) == ()
-    (line,) = suspicions(in_millimetres(still))
+    assert suspicions_of_recording(still) == ()
+    (line,) = suspicions_of_recording(in_millimetres(still))
     assert "is 860 m from the origin" in line
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_robot_in_a_room_of_ten_metres_is_not_suspicious(seed: int) -> None:
-    assert suspicions(walk(10.0, seed)) == ()
+    assert suspicions_of_recording(walk(10.0, seed)) == ()
 
 
 def test_one_in_a_hall_of_a_hundred_is() -> None:
-    assert "millimetres" in suspicions(walk(100.0, 0))[0]
+    assert "millimetres" in suspicions_of_recording(walk(100.0, 0))[0]
 
 
 def test_outliers_alone_are_no_unit() -> None:
     position = door().position.copy()
     position[::10] += 500.0
-    (line,) = suspicions(replace(door(), position=position, quaternion=None))
+    (line,) = suspicions_of_recording(replace(door(), position=position, quaternion=None))
     assert line.startswith("part 'part' is 866 m away in row 0 (t = 0 s) (and in 7 more pieces), where it cannot get")
 
 
 def test_one_row_far_away_is_told_with_its_time() -> None:
     position = door().position.copy()
     position[40, 1] += 100.0
-    (line,) = suspicions(replace(door(), position=position, quaternion=None))
+    (line,) = suspicions_of_recording(replace(door(), position=position, quaternion=None))
     assert line.startswith("part 'part' is 100 m away in row 40 (t = 4.051 s), and comes back: was it lost by the")
 
 
@@ -93,25 +93,30 @@ def with_actions(factor: float) -> Recording:
 
 
 def test_actions_in_millimetres_are_named() -> None:
-    assert suspicions(with_actions(1.0)) == suspicions(with_actions(50.0)) == suspicions(with_actions(0.0)) == ()
-    (line,) = suspicions(with_actions(1000.0))
+    assert (
+        suspicions_of_recording(with_actions(1.0))
+        == suspicions_of_recording(with_actions(50.0))
+        == suspicions_of_recording(with_actions(0.0))
+        == ()
+    )
+    (line,) = suspicions_of_recording(with_actions(1000.0))
     assert "per row where actions ask for " in line
     assert line.endswith("if these are millimetres, say so: --columns ax=0.001*ax,ay=0.001*ay,az=0.001*az")
 
 
 def test_a_time_that_jumps_is_told() -> None:
     year = 3.15e7
-    (line,) = suspicions(replace(door(), time=door().time + year * (np.arange(ROWS) > 40)))
+    (line,) = suspicions_of_recording(replace(door(), time=door().time + year * (np.arange(ROWS) > 40)))
     assert "after the one before it; was a clock set, or are these two recordings?" in line
-    assert suspicions(replace(door(), time=door().time + 60.0 * (np.arange(ROWS) > 40))) == ()
+    assert suspicions_of_recording(replace(door(), time=door().time + 60.0 * (np.arange(ROWS) > 40))) == ()
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_quaternions_with_the_scalar_first_are_named(seed: int) -> None:
     axis = np.random.default_rng(seed).normal(size=3)
     recording = door(tuple((axis / np.linalg.norm(axis)).tolist()), seed=seed)
-    assert suspicions(recording) == ()
-    (line,) = suspicions(scalar_first(recording))
+    assert suspicions_of_recording(recording) == ()
+    (line,) = suspicions_of_recording(scalar_first(recording))
     assert "scalar first" in line
     assert line.endswith("say so: --quaternion wxyz")
 
@@ -123,7 +128,7 @@ def test_quaternions_of_the_inverse_or_of_a_mirrored_frame_are_named(names: tupl
     recording = door(tuple((axis / np.linalg.norm(axis)).tolist()), seed=seed)
     assert recording.quaternion is not None
     signs = np.array([-1.0 if name in names else 1.0 for name in QUATERNION])
-    (line,) = suspicions(replace(recording, quaternion=signs * recording.quaternion))
+    (line,) = suspicions_of_recording(replace(recording, quaternion=signs * recording.quaternion))
     assert line.endswith("say so: --columns " + ",".join(f"{name}=-{name}" for name in names))
 
 
@@ -136,7 +141,7 @@ def test_what_is_stated_is_not_doubted_and_what_is_left_open_is_not_learned() ->
     require_conventions(door())
     # Screws and free motions can look like another order: that is said, and nothing is refused.
     require_conventions(scalar_first(door()))
-    assert suspicions(replace(scalar_first(door()), conventions={"quaternion": "xyzw"})) == ()
+    assert suspicions_of_recording(replace(scalar_first(door()), conventions={"quaternion": "xyzw"})) == ()
     require_conventions(with_actions(1000.0))  # the poses are right, and actions do not make joints
 
 
@@ -150,28 +155,28 @@ def test_a_part_that_slides_or_moves_freely_does_not_show_the_order() -> None:
     slide = replace(door(), position=np.linspace([0.5, 0, 0], [0.9, 0, 0], ROWS))
     steady = replace(slide, quaternion=np.tile([0.1, 0.7, 0.1, 0.7], (ROWS, 1)) / np.linalg.norm([0.1, 0.7, 0.1, 0.7]))
     for recording in (steady, walk(2.0, 1)):
-        assert suspicions(recording) == suspicions(scalar_first(recording)) == ()
+        assert suspicions_of_recording(recording) == suspicions_of_recording(scalar_first(recording)) == ()
 
 
 @pytest.mark.parametrize(("factor", "clock"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
 def test_times_in_other_units_are_named(factor: float, clock: str) -> None:
-    (line,) = suspicions(replace(door(), time=factor * door().time))
+    (line,) = suspicions_of_recording(replace(door(), time=factor * door().time))
     assert line.endswith(f"if they are in {clock}, say so: --units {clock}")
 
 
 def test_a_clock_since_the_epoch_and_a_slow_recorder_are_not_suspicious() -> None:
-    assert suspicions(replace(door(), time=1.7e9 + door().time)) == ()
-    assert suspicions(replace(door(), time=np.arange(ROWS) * 2.0)) == ()
+    assert suspicions_of_recording(replace(door(), time=1.7e9 + door().time)) == ()
+    assert suspicions_of_recording(replace(door(), time=np.arange(ROWS) * 2.0)) == ()
 
 
 def test_pauses_between_runs_and_rows_that_alternate_between_parts_are_no_clock() -> None:
     runs = np.repeat(np.arange(40), 3)
     time = np.arange(120) % 3 * 0.1 + 1000.0 * runs
     still = np.tile([0.5, 0.0, 0.0], (120, 1))
-    assert suspicions(Recording(time, still, run=runs, has_run=True)) == ()
+    assert suspicions_of_recording(Recording(time, still, run=runs, has_run=True)) == ()
     alternating = Recording(np.repeat(np.arange(60) * 0.1, 2), still, part=("door", "drawer") * 60)
-    assert suspicions(alternating) == ()
-    assert suspicions(replace(alternating, time=1e3 * alternating.time))
+    assert suspicions_of_recording(alternating) == ()
+    assert suspicions_of_recording(replace(alternating, time=1e3 * alternating.time))
 
 
 def test_every_part_is_looked_at_and_named() -> None:
@@ -182,14 +187,14 @@ def test_every_part_is_looked_at_and_named() -> None:
         np.concatenate([r.quaternion for r in both if r.quaternion is not None]),
         part=("door",) * ROWS + ("drawer",) * ROWS,
     )
-    (line,) = suspicions(recording)
+    (line,) = suspicions_of_recording(recording)
     assert "'drawer'" in line
 
 
 def test_one_row_shows_no_motion_and_two_do() -> None:
-    (line,) = suspicions(door().rows(slice(1)))
+    (line,) = suspicions_of_recording(door().rows(slice(1)))
     assert line.startswith("no run has two rows of one part")
-    assert suspicions(door().rows(slice(2))) == ()
+    assert suspicions_of_recording(door().rows(slice(2))) == ()
 
 
 def recordings_in(folder: Path) -> list[Recording]:
@@ -205,8 +210,10 @@ def test_measured_recordings_are_as_they_should_be(shared_data: Path, repository
     found = recordings_in(shared_data) + recordings_in(repository / "examples" / "demonstrations")
     assert len(found) > 30
     of_films = {line for recording in filmed for line in breaks(recording)}
-    assert {line for recording in found for line in suspicions(recording)} == of_films
-    assert all(any("millimetres" in line for line in suspicions(in_millimetres(recording))) for recording in found)
+    assert {line for recording in found for line in suspicions_of_recording(recording)} == of_films
+    assert all(
+        any("millimetres" in line for line in suspicions_of_recording(in_millimetres(recording))) for recording in found
+    )
 
 
 def test_measured_doors_show_a_wrong_order(shared_data: Path) -> None:
@@ -217,6 +224,9 @@ def test_measured_doors_show_a_wrong_order(shared_data: Path) -> None:
         rotation = Rotation.from_quat(recording.quaternion)
         if np.quantile((rotation * rotation[len(recording) // 2].inv()).magnitude(), 0.95) > 0.6:
             turning.append(recording)
-    noticed = [any("scalar first" in line for line in suspicions(scalar_first(recording))) for recording in turning]
+    noticed = [
+        any("scalar first" in line for line in suspicions_of_recording(scalar_first(recording)))
+        for recording in turning
+    ]
     assert len(turning) > 10
     assert np.mean(noticed) >= 0.9

@@ -12,7 +12,7 @@ from micah_plan.automaton.tracks import tracks
 from micah_plan.cli.application import app
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.checked_plant import make_plant
-from micah_plan.execution.closed_loop import Episode, execute
+from micah_plan.execution.closed_loop import Episode, execute_episode
 from micah_plan.recording.csv_file import write_csv
 from micah_plan.residual.prediction import predict_recording
 from micah_plan.task.plan import Trajectory
@@ -33,7 +33,7 @@ def led(problem):
     means[1:, :3] += np.cumsum(STEPS, axis=0)
     still = np.zeros((knots, 4, 4)), STEPS, np.zeros((knots - 1, 3, 4))
     ahead = Trajectory(("free",) * knots, means, *still, np.zeros(knots - 1, dtype=bool))
-    result = execute(
+    result = execute_episode(
         Episode(problem, ahead, max_steps=knots - 1), make_plant(problem, "nominal"), np.random.default_rng(1)
     )
     return result.recording

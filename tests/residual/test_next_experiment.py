@@ -11,7 +11,7 @@ import numpy as np
 import planted_effects as plants
 import pytest
 
-from micah_plan.api.inputs import joined
+from micah_plan.api.inputs import joined_recordings
 from micah_plan.documents.experiment import load_experiment
 from micah_plan.documents.model import dump_model
 from micah_plan.recording.read import write_recording
@@ -54,7 +54,7 @@ def test_what_was_tied_is_told_apart(door, tied) -> None:
     assert any(one.tied for one in found.effects)
     designed = next_experiment(door, recording, found)
     assert designed is not None
-    after = calibrate(door, joined([recording, carried_out(designed.experiment, plants.late)]))
+    after = calibrate(door, joined_recordings([recording, carried_out(designed.experiment, plants.late)]))
     assert after.verdict == "explained"
     assert [(one.effect.name, one.tied) for one in after.effects] == [("delay", ())]
 

@@ -11,7 +11,7 @@ from micah_plan.automaton.hybrid import Part, Primitive
 from micah_plan.errors import InputError
 from micah_plan.robot.clearance import ClearanceModel, clearance_model
 from micah_plan.robot.load_arm import describe_robot, load_arm
-from micah_plan.robot.sweep import MotionBound, sweep
+from micah_plan.robot.sweep import MotionBound, sweep_between
 from micah_plan.task.body import Body, Hull
 
 TABLE = Body("table", (Primitive("box", (1.2, 1.2, 0.02), (0.5, 0.0, -0.011)),))
@@ -132,7 +132,7 @@ def test_a_sweep_finds_what_lies_between_two_free_postures() -> None:
     post = Body("post", (Primitive("cylinder", (0.01, 2.0)),), position=(float(hand[0]), float(hand[1]), 0.5))
     model = clearance_model(arm, [post])
     assert min(model.at(q).distance for q in (start, end)) > 0.05
-    found = sweep(model, MotionBound(model), (start, {}), (end, {}))
+    found = sweep_between(model, MotionBound(model), (start, {}), (end, {}))
     assert found.clearance.distance < 0
     assert found.clearance.pair[1] == "post"
     assert 0.2 < found.share < 0.8
@@ -152,7 +152,7 @@ def test_a_sweep_is_never_more_hopeful_than_a_dense_check() -> None:
             (row, {"stick": arm.poses(row)[0] * turn})
             for row, turn in ((q, RigidTransform.identity()), (other, relative))
         ]
-        found = sweep(model, bound, *ends)
+        found = sweep_between(model, bound, *ends)
         screw = relative.as_exp_coords()
         dense = np.inf
         for share in np.linspace(0, 1, 40):

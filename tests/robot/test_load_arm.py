@@ -13,7 +13,7 @@ from robot_examples import ARM7, SLIDER, TWO_LINKS, arm7, described
 
 from micah_plan.errors import InputError
 from micah_plan.robot.load_arm import load_arm
-from micah_plan.robot.solids import link_shapes
+from micah_plan.robot.solids import arm_shapes
 
 MESH = SLIDER.replace('<sphere radius="0.1"/>', '<mesh filename="NAME" scale="0.5 0.5 0.5"/>')
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
@@ -97,14 +97,14 @@ def test_the_base_pose_moves_everything() -> None:
     base = np.array([[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1.0]])
     q = np.array([0.2, -1.0])
     np.testing.assert_allclose(placed.matrix(q), base @ plain.matrix(q), atol=1e-12)
-    rail = next(shape for joint, shape in link_shapes(placed) if joint == 0)
+    rail = next(shape for joint, shape in arm_shapes(placed) if joint == 0)
     np.testing.assert_allclose(rail.position, [1.0, 2.0, 3.0])
 
 
 def test_meshes_become_their_convex_hulls(tmp_path: Path) -> None:
     (tmp_path / "t.obj").write_text(TETRAHEDRON)
     arm = load_arm(described(MESH.replace("NAME", "t.obj"), "finger", folder=str(tmp_path)))
-    hull = next(shape for _, shape in link_shapes(arm) if hasattr(shape, "vertices"))
+    hull = next(shape for _, shape in arm_shapes(arm) if hasattr(shape, "vertices"))
     assert {tuple(vertex) for vertex in hull.vertices} == {(0, 0, 0), (0.5, 0, 0), (0, 0.5, 0), (0, 0, 0.5)}
 
 

@@ -16,8 +16,8 @@ from view_objects import OPEN_AT, door, measured, problem, solved, trajectory
 from micah_plan.errors import InputError
 from micah_plan.recording.value import Recording
 from micah_plan.task.plan import Plan
-from micah_plan.view.chart import Chart, Curve, Level, Panel, aligned, widened
-from micah_plan.view.executed import configurations
+from micah_plan.view.chart import Chart, Curve, Level, Panel, widened, with_common_ranges
+from micah_plan.view.executed import run_configurations
 from micah_plan.view.figures import belief_figure, chart_figure, save_figure
 from micah_plan.view.learning_figure import learning_figure
 from micah_plan.view.palette import BELIEF, EXECUTED
@@ -62,7 +62,7 @@ def test_each_run_is_one_line_of_measured_configurations() -> None:
 
 
 def test_true_columns_are_preferred_to_measurements() -> None:
-    x = configurations(problem(), executed(2, true_column=True))
+    x = run_configurations(problem(), executed(2, true_column=True))
     np.testing.assert_allclose(x[1][:, 0], 0.01 * np.arange(22, 44))
 
 
@@ -103,7 +103,7 @@ def test_charts_beside_each_other_share_their_ranges_and_one_legend() -> None:
     assert [axes.get_ylim() for axes in figure.axes] == [(0.0, 4.0)] * 2
     assert [axes.get_ylabel() for axes in figure.axes] == ["y", ""]
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["guard", "way"]
-    assert [panel.low for chart in aligned(charts) for panel in chart.panels] == [0.0, 0.0]
+    assert [panel.low for chart in with_common_ranges(charts) for panel in chart.panels] == [0.0, 0.0]
     assert len(chart_figure(charts).axes) == 2, "below each other each keeps its own"
 
 

@@ -9,7 +9,7 @@ from view_objects import OPEN_AT, marks, problem, solved, trajectory, words_of
 
 from micah_plan.task.plan import ArmTrajectory, Plan
 from micah_plan.view.chart import Area, Curve, Level, Range, Span, Words
-from micah_plan.view.motion import duration, knot_times, mode_stretches, step_times
+from micah_plan.view.motion import knot_times, mode_stretches, shown_duration, step_times
 from micah_plan.view.page import Block
 from micah_plan.view.plan_charts import plan_charts
 
@@ -47,7 +47,7 @@ def test_the_line_of_the_player_stands_at_the_step_that_is_shown() -> None:
     cursor, (curve,) = np.array(block.keyframes), marks(block.chart, Curve, 0)
     np.testing.assert_allclose(cursor[:-1, 0], knot_times(trajectory()))
     np.testing.assert_allclose(cursor[:-1, 1], curve.x)
-    assert cursor[-1].tolist() == pytest.approx([duration(trajectory()), cursor[-2, 1]]), "it rests at the end"
+    assert cursor[-1].tolist() == pytest.approx([shown_duration(trajectory()), cursor[-2, 1]]), "it rests at the end"
     assert (np.diff(cursor[:, 0]) > 0).all()
 
 

@@ -65,7 +65,7 @@ class TouchPiece:
         return 1 if self.end > self.begin else -1
 
 
-def corners(shapes: tuple[Primitive, ...]) -> Floats:
+def box_corners(shapes: tuple[Primitive, ...]) -> Floats:
     """(k, 3) corners of the boxes around shapes, in their part's frame [m]."""
     lines = []
     for shape in shapes:
@@ -133,9 +133,9 @@ class _Geometry:
         outward = face.sign * np.eye(3)[face.axis]
         normal = Rotation.from_rotvec(grip.rotation).inv().apply(outward)
         point = np.array(grip.point)
-        held = corners(grip.held.shapes)
+        held = box_corners(grip.held.shapes)
         held_height = float(np.max(-(held - point) @ normal, initial=-np.inf))
-        return _Geometry(point, normal, corners(grip.moving.shapes), held_height, datum, turns)
+        return _Geometry(point, normal, box_corners(grip.moving.shapes), held_height, datum, turns)
 
     def heights(self, c: float) -> Floats:
         """(k,) hand's height at which each corner touches."""
@@ -230,8 +230,8 @@ def collision_regions(
         placed = rotation.apply(points - np.array(grip.point))
         return np.stack([placed.min(axis=0), placed.max(axis=0)])
 
-    held = np.tile(box(corners(grip.held.shapes)), (grid.size, 1, 1))
-    swinging = np.array([box(moved(corners(grip.moving.shapes), c - datum, turns)) for c in grid])
+    held = np.tile(box(box_corners(grip.held.shapes)), (grid.size, 1, 1))
+    swinging = np.array([box(moved(box_corners(grip.moving.shapes), c - datum, turns)) for c in grid])
     regions = [
         _overlap(solid, part, grid, boxes, surroundings)
         for solid in surroundings.solids

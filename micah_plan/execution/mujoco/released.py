@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats
-from micah_plan.automaton.contacts.touch import corners
+from micah_plan.automaton.contacts.touch import box_corners
 from micah_plan.automaton.contacts.values import AXES, Grip
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.automaton.kinematics import part_poses
@@ -306,7 +306,7 @@ def contact_force(plant: PhysicalPlant, bodies: Sequence[int]) -> Floats:
 def _add_pads(world: World, hand: Any, grip: Grip, parameters: PhysicalParameters) -> None:
     """Two fingers beside the held part, on slides along the hinge's direction."""
     rotation = Rotation.from_rotvec(grip.rotation)
-    wide = corners(grip.held.shapes)[:, 1]
+    wide = box_corners(grip.held.shapes)[:, 1]
     for name, sign, edge in zip(_PADS, (1.0, -1.0), (wide.max(), wide.min()), strict=True):
         middle = np.array([0.0, edge - grip.point[1] + sign * (_GAP + _PAD[1] / 2), 0.0])
         turn = rotation.as_quat()

@@ -237,6 +237,9 @@ def standing_world(automaton: HybridAutomaton, parameters: PhysicalParameters) -
         world.solids(body, part.shapes or (_default_box(joint),), parameters.mass, NOTHING)
         body.add_site(name=link.child, pos=handle)
         if joint.moves and not joint.has_axis:
+            if not joint.knots:
+                problem = f"physics cannot build the {joint.kind} joint of part '{link.child}'"
+                raise InputError(problem, remedy="use the nominal plant for this model")
             guides.append(Guide(link.child, joint, handle))
             runner = guides[-1].build(world, above, body, parameters.mass)
             _add_joint(world, runner, automaton, number, arms[-1], parameters)

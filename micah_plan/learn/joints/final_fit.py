@@ -31,7 +31,7 @@ from micah_plan.learn.joints.joint_arrays import (
     JointArrays,
     arrays_of,
     compare_arrays,
-    concatenated,
+    concatenated_joints,
     conjugate,
     rotation_vector,
     times,
@@ -279,7 +279,7 @@ def _best_start(
     p, q = rows.of(sample)
     linear, fixed = linear_fits([guess.kind], np.ones((1, len(sample)), dtype=bool), p, q)
     drawn = joints_through(guess.kind, p, q, rng, draws)
-    starts = concatenated([arrays_of([guess, _carried(guess, p, q)]), drawn, linear.take(np.flatnonzero(fixed))])
+    starts = concatenated_joints([arrays_of([guess, _carried(guess, p, q)]), drawn, linear.take(np.flatnonzero(fixed))])
     error = compare_arrays(starts, p, q, ROTATION_LENGTH).error
     squares = [(error[:, -3:] ** 2).sum(axis=1)]
     if q is not None:

@@ -111,7 +111,7 @@ def arrays_of(joints: Sequence[Joint]) -> JointArrays:
     )
 
 
-def concatenated(several: Sequence[JointArrays]) -> JointArrays:
+def concatenated_joints(several: Sequence[JointArrays]) -> JointArrays:
     """All of their joints, one after another."""
     names = ("axis", "center", "position", "quaternion", "pitch")
     arrays = (np.concatenate([getattr(part, name) for part in several]) for name in names)

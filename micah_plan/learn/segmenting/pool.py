@@ -13,7 +13,7 @@ import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.joint import JointKind
-from micah_plan.learn.joints.joint_arrays import Compared, JointArrays, compare_arrays, concatenated, levers
+from micah_plan.learn.joints.joint_arrays import Compared, JointArrays, compare_arrays, concatenated_joints, levers
 from micah_plan.learn.joints.linear_fits import linear_fits
 from micah_plan.learn.segmenting.noise import NoiseModel, NoiseScales
 from micah_plan.learn.segmenting.pool_fits import fit_pool_likelihood
@@ -49,7 +49,9 @@ def all_of(pools: Sequence[Hypotheses]) -> Hypotheses:
     """The hypotheses of one pool after those of another."""
     if len(pools) == 1:
         return pools[0]
-    return Hypotheses(concatenated([pool.joints for pool in pools]), np.concatenate([pool.used for pool in pools]))
+    return Hypotheses(
+        concatenated_joints([pool.joints for pool in pools]), np.concatenate([pool.used for pool in pools])
+    )
 
 
 @dataclass(frozen=True, eq=False)

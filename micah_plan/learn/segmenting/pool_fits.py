@@ -14,7 +14,7 @@ from micah_plan.learn.joints.joint_arrays import (
     Compared,
     JointArrays,
     compare_arrays,
-    concatenated,
+    concatenated_joints,
     cross_matrix,
     cross_of_units,
 )
@@ -55,7 +55,7 @@ def fit_pool_likelihood(
         now = now.after(step)
     done.append((now.joints, now.place))
     order = np.argsort(np.concatenate([place for _, place in done]))
-    return concatenated([part for part, _ in done]).take(order)
+    return concatenated_joints([part for part, _ in done]).take(order)
 
 
 @dataclass(frozen=True, eq=False)

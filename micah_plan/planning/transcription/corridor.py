@@ -368,7 +368,7 @@ def factor_pattern(
     return pattern
 
 
-def entries(pattern: ca.Sparsity) -> tuple[Ints, Ints]:
+def pattern_entries(pattern: ca.Sparsity) -> tuple[Ints, Ints]:
     """Rows and columns of a pattern's entries in CasADi's (column-major) order."""
     rows, columns = pattern.get_triplet()
     return np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64)
@@ -376,13 +376,13 @@ def entries(pattern: ca.Sparsity) -> tuple[Ints, Ints]:
 
 def pack(means: Floats, factors: Floats, pattern: ca.Sparsity) -> Floats:
     """(n + l, K) states of the transcription from means (K, n) and factors (K, n, n)."""
-    row, column = entries(pattern)
+    row, column = pattern_entries(pattern)
     return np.asarray(np.hstack([means, factors[:, row, column]]).T)
 
 
 def unpack(states: Floats, pattern: ca.Sparsity) -> tuple[Floats, Floats]:
     """Means (K, n) and factors (K, n, n) from states (n + l, K)."""
-    (row, column), n = entries(pattern), pattern.rows()
+    (row, column), n = pattern_entries(pattern), pattern.rows()
     factors = np.zeros((states.shape[1], n, n))
     factors[:, row, column] = states[n:].T
     return np.ascontiguousarray(states[:n].T), factors

@@ -46,7 +46,6 @@ from micah_plan.planning.transcription.corridor import (
     CorridorRow,
     PathRows,
     corridor,
-    entries,
     factor_of,
     factor_pattern,
     kept_out,
@@ -54,6 +53,7 @@ from micah_plan.planning.transcription.corridor import (
     pack,
     packed,
     path_rows,
+    pattern_entries,
 )
 from micah_plan.planning.transcription.guess import STRICT_SHARE, PhaseGuess, guard_need
 from micah_plan.planning.transcription.rows import ConstraintRows, Row, boundary_name, unit_of
@@ -198,7 +198,7 @@ def _defect_rows(automaton: HybridAutomaton, guess: PhaseGuess, pattern: ca.Spar
     units = [coordinate.unit for coordinate in automaton.coordinates]
     names = [f"the dynamics of '{coordinate.name}'" for coordinate in automaton.coordinates]
     labels = list(zip(names, units, strict=True))
-    for i, j in zip(*entries(pattern), strict=True):
+    for i, j in zip(*pattern_entries(pattern), strict=True):
         labels.append((f"the covariance of '{automaton.coordinates[i].name}', '{automaton.coordinates[j].name}'", ""))
     knots = range(guess.first_knot + 1, guess.first_knot + guess.steps + 1)
     return [Row(guess.mode, knot, name, unit, 0.0, 0.0) for knot in knots for name, unit in labels]

@@ -47,7 +47,7 @@ class BeliefPath:
     in_part: tuple[Shortfall, ...] = ()
 
 
-def solve(nlp: Transcription, time_limit_s: float) -> BeliefPath:
+def solve_transcription(nlp: Transcription, time_limit_s: float) -> BeliefPath:
     """The locally optimal belief path. A problem without a solution does not raise: `feasible` and `message` say so."""
     solution = Solver(nlp.programme, time_limit_s).solve()
     if not solution.is_number:
