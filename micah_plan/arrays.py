@@ -27,6 +27,12 @@ VANISHING = 1e-300
 
 STDS_PER_MAD = 1.4826
 """Standard deviations of a normal distribution per median absolute deviation."""
+INTERVAL = 0.95
+"""Probability that an interval holds, half of the rest on each side."""
+INTERVAL_STDS = 1.959964
+"""Standard deviations of a normal distribution from its mean to the ends of such an interval."""
+NEAR_STDS, SURE_STDS = 3.0, 4.0
+"""What is normal may be as far away as the first; it is further away than the second once in 16,000 times."""
 
 
 def robust_std(values: Floats) -> Floats:

@@ -79,8 +79,6 @@ from micah_plan.errors import InputError
 from micah_plan.quantities import quantity
 
 SMALLEST_STD = 1e-6
-# Decimals of a stored probability.
-_PROBABILITY_DIGITS = 6
 _MISFIT_REMEDY = (
     "check that the part is stiff, moves in one way at a time and is tracked relative to what it is mounted on, or "
     "leave these rows out"
@@ -331,7 +329,7 @@ def _rounded(certainty: SegmentCertainty | None) -> SegmentCertainty | None:
 
 def _probability(value: float) -> float:
     """Rounded, and without what arithmetic left outside of 0 to 1."""
-    return min(1.0, max(0.0, round(float(value), _PROBABILITY_DIGITS)))
+    return min(1.0, max(0.0, round(float(value), DIGITS)))
 
 
 DIGITS = 6

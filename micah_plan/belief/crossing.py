@@ -22,9 +22,7 @@ from micah_plan.automaton.step_noise import step_noise_std
 from micah_plan.belief.gaussian import condition_on_pins, lower_factors, put_at_pins, those, weighted
 from micah_plan.belief.layout import Exit, ExitBounds, Layout, ModeLayout
 from micah_plan.belief.pieces import Binding, Ends, Pieces
-from micah_plan.belief.truncation import NEGLIGIBLE, REACH, Shares, split, truncated
-
-_NOTHING = 1e-30
+from micah_plan.belief.truncation import NEGLIGIBLE, NOTHING, REACH, Shares, split, truncated
 
 
 def whole_step(
@@ -265,14 +263,14 @@ def _within_others(shares: Shares, exit_taken: Exit, binding: Binding, u: Floats
     mean, factor = shares.mean[0], shares.factor[0]
     within = np.ones(mean.shape[-1])
     before, after = binding.along(mean.swapaxes(0, 1)) - binding.offset
-    way_there = np.where(before < 0.0, np.clip(before / np.minimum(before - after, -_NOTHING), 0.0, 1.0), 0.0)
+    way_there = np.where(before < 0.0, np.clip(before / np.minimum(before - after, -NOTHING), 0.0, 1.0), 0.0)
     for number, offset in enumerate(exit_taken.on_state.offsets(u) + SMALLEST_STD):
         weights = exit_taken.on_state.a[number]
         start, end = (weights @ place - offset for place in mean)
         at = np.where(end < start, way_there, 1.0)
         ahead = start + at * (end - start)
         rows = weighted(weights, factor[0]) * (1.0 - at) + weighted(weights, factor[1]) * at
-        std = np.maximum(np.sqrt(np.einsum("kp,kp->p", rows, rows)), _NOTHING)
+        std = np.maximum(np.sqrt(np.einsum("kp,kp->p", rows, rows)), NOTHING)
         cut = ((binding.number != number) & (ahead < REACH * std) & (within > 0.0)).nonzero()[0]
         if not cut.size:
             continue

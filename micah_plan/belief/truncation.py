@@ -34,7 +34,7 @@ NEGLIGIBLE = 1e-10
 REACH = 9.0
 # At this many standard deviations a Gaussian underflows to 0.
 _SURELY = 40.0
-_NOTHING = 1e-30
+NOTHING = 1e-30
 # Closed forms are exact to 1e-16 times what lies beyond the wedge's lines: for shares above this part of it they are as
 # good as quadrature, and for those that are dropped. Where the margins move nearly as one, the point is far out.
 _SURE = 1e-9
@@ -97,9 +97,9 @@ def split(mean: Floats, factor: Floats, margins: Margins) -> Shares:
     probability = np.empty(margins.mean.shape)
     np.minimum(1.0, moments[MASS, 0], out=probability[0])
     # Without any mass to fit moments to, nothing crosses.
-    probability[0, moments[MASS, 0] < _NOTHING] = 0.0
+    probability[0, moments[MASS, 0] < NOTHING] = 0.0
     np.subtract(1.0, probability[0], out=probability[1])
-    lost = ((probability < NEGLIGIBLE) | (moments[MASS] < _NOTHING)).nonzero()
+    lost = ((probability < NEGLIGIBLE) | (moments[MASS] < NOTHING)).nonzero()
     if lost[0].size:
         probability[lost] = 0.0
         moments[:, *lost] = WHOLE

@@ -144,4 +144,3 @@ EachCoordinate = Annotated[dict[Name, T], each("coordinate")]
 EachInput = Annotated[dict[Name, T], each("input")]
 
 ZERO: tuple[float, float, float] = (0.0, 0.0, 0.0)
-IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)

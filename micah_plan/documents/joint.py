@@ -8,10 +8,9 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 
 from micah_plan.arrays import EQUAL
-from micah_plan.automaton.joint import Joint, JointKind, ParameterCovariance
+from micah_plan.automaton.joint import IDENTITY, Joint, JointKind, ParameterCovariance
 from micah_plan.automaton.path import path
 from micah_plan.documents.fields import (
-    IDENTITY,
     ZERO,
     Listed,
     Matrix,

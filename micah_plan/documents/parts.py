@@ -9,7 +9,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from micah_plan.automaton.hybrid import Part, Primitive
-from micah_plan.documents.fields import BY_NAME, IDENTITY, ZERO, Color, Name, Quaternion, Sizes, Vector3
+from micah_plan.automaton.joint import IDENTITY
+from micah_plan.documents.fields import BY_NAME, ZERO, Color, Name, Quaternion, Sizes, Vector3
 from micah_plan.documents.layout import Document, Scope, doc
 from micah_plan.documents.located import Located
 from micah_plan.documents.validation import validated

@@ -15,8 +15,8 @@ from pydantic import Field
 
 from micah_plan.automaton.contacts.values import AXES, Grip
 from micah_plan.automaton.hybrid import Part, Primitive
+from micah_plan.automaton.joint import IDENTITY
 from micah_plan.documents.fields import (
-    IDENTITY,
     ITEMS,
     ZERO,
     Color,

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import SURE_STDS, Floats
 from micah_plan.automaton.kinematics import placements
 from micah_plan.automaton.tracks import read_by_sensors
 from micah_plan.automaton.transition import step
@@ -22,8 +22,6 @@ from micah_plan.quantities import count, quantity, with_spread
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import start_mode
 
-# How many standard deviations of the model's noise count as noise: a right plant has more once in 16,000 times.
-_SIGMAS = 4.0
 # Errors granted beyond that: of a tracker [m], [rad], and of a start in its coordinates [rad or m].
 _PLACE, _TURN, _START = 0.05, 0.3, 0.05
 # A motion may differ by this share of the command: friction and compliance.
@@ -133,7 +131,7 @@ class _Trial:
         noise = pose_noise(self._plain, self._noise(x))
         measured = relative(self._plain, measurement.position, measurement.quaternion)
         for row, part in enumerate(self._parts):
-            place, turn = (_SIGMAS * float(np.ravel(std)[row]) for std in (noise.position, noise.rotation))
+            place, turn = (SURE_STDS * float(np.ravel(std)[row]) for std in (noise.position, noise.rotation))
             between = np.linalg.solve(expected[row], measured[row])
             away = float(np.linalg.norm(between[:3, 3]))
             angle = float(Rotation.from_matrix(between[:3, :3]).magnitude())
@@ -144,7 +142,7 @@ class _Trial:
     def _off_start(self, measurement: Measurement) -> Iterator[str]:
         start, noise, x = self._problem.start, self._noise(self._x), self._measured(measurement)
         for i, coordinate in enumerate(self._plain.coordinates):
-            if abs(x[i] - start.mean[i]) > _SIGMAS * float(np.hypot(start.std[i], noise[i])) + _START:
+            if abs(x[i] - start.mean[i]) > SURE_STDS * float(np.hypot(start.std[i], noise[i])) + _START:
                 stated = f"the problem starts at {with_spread(start.mean[i], start.std[i], coordinate.unit)}"
                 yield f"{coordinate.name} is measured at {quantity(x[i], coordinate.unit)} after a reset, but {stated}"
 
@@ -175,7 +173,7 @@ class _Trial:
             before = self._x[: self._plain.n].copy()
             asked, moved, std = self._commanded(u, steps) - before, self._x[: self._plain.n] - before, self._std(steps)
             for i in np.flatnonzero(np.abs(asked) >= _TELLING * std):
-                if abs(moved[i] - asked[i]) > _SHARE * abs(asked[i]) + _SIGMAS * std[i]:
+                if abs(moved[i] - asked[i]) > _SHARE * abs(asked[i]) + SURE_STDS * std[i]:
                     of, unit = self._plain.coordinates[i].name, self._plain.coordinates[i].unit
                     hint = "a command is a displacement in m, in the base frame, from where the part is"
                     went = f"it moved by {quantity(moved[i], unit)}"
@@ -199,7 +197,7 @@ class _Trial:
 
     def _moves_by_itself(self) -> Iterator[str]:
         n, expected = self._plain.n, self._commanded(np.zeros(self._plain.m), 1)
-        room = _SIGMAS * self._std(1) + _SHARE * self._limits.speed[:n]
+        room = SURE_STDS * self._std(1) + _SHARE * self._limits.speed[:n]
         for i in np.flatnonzero(np.abs(self._x[:n] - expected) > room):
             coordinate = self._plain.coordinates[i]
             moved = quantity(self._x[i] - expected[i], coordinate.unit)

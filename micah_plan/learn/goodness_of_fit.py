@@ -41,7 +41,7 @@ from micah_plan.learn.segmenting.free import (
     trend_of,
 )
 from micah_plan.learn.segmenting.noise import MeasurementNoise, NoiseModel
-from micah_plan.learn.segmenting.noise_fit import initial_noise, misses
+from micah_plan.learn.segmenting.noise_fit import WANDER_DURATIONS, initial_noise, misses
 from micah_plan.learn.segmenting.segmentation import Segmented, best_single, log_probability_at_most
 from micah_plan.learn.segments import FittedPiece, left_by, segment_configurations
 from micah_plan.learn.settings import LearnSettings
@@ -204,7 +204,6 @@ _SCATTER = np.array([1.0, 4.0, 8.0])  # stds of a row beside its curve that are 
 # Of a Gaussian process beside a curve, in the roughness of rows: change of slope, and std of the tracker's wander.
 _BENDS = np.geomspace(0.01, 3.0, 6)
 _WANDERS = (1.0, 3.0, 9.0)  # sizes, over the white noise
-_WANDER_DURATIONS = (1 / 100, 1 / 30, 1 / 10)  # in runs
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,7 +307,7 @@ def _beside(vector: Floats, std: float, c: Floats, row: Ints) -> tuple[Trend, fl
     begun = (max(extent(vector), FINEST_EXTENT) / std) ** 2 * (1 + np.outer(s, s) / (n - 1) ** 2)
     apart = np.abs(np.subtract.outer(row, row))
     wanders = [np.zeros((n, n))]
-    wanders += [w**2 * np.exp(-apart / (tau * n)) for tau in _WANDER_DURATIONS for w in _WANDERS]
+    wanders += [w**2 * np.exp(-apart / (tau * n)) for tau in WANDER_DURATIONS for w in _WANDERS]
     away, white = vector - vector.mean(axis=0), np.eye(n)
     tried = []
     for wander in wanders:

@@ -34,7 +34,8 @@ from micah_plan.task.release import pre_release_problem
 from micah_plan.task.settings import NEVER, Deadline
 from micah_plan.task.start import draw_states
 
-# With more modes than this only those near a plan are rolled out, so many transitions away.
+# With more modes than this only those near a shortest sequence of transitions are searched first, as roadmaps of so
+# many take a second or two, and only those near a plan are rolled out, so many transitions away.
 FEW_MODES, _NEAR = 32, 2
 # Of the noise, where there is none: what moves may not be known exactly.
 _HARDLY = 1e-6

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtri
 
-from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.arrays import INTERVAL, Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.planning.cuts import with_scene
 from micah_plan.planning.findings import (
@@ -26,8 +26,6 @@ from micah_plan.task.problem import Problem
 from micah_plan.task.release import pre_release_problem
 from micah_plan.task.settings import NEVER, Deadline, TimeLimitError
 
-# Coverage of the interval of the success probability.
-INTERVAL = 0.95
 # Where a sequential verification ends early it errs with at most this probability.
 _ERRORS = 0.01
 # Roll-outs that are made at once, and at most.

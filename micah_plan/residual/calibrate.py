@@ -14,9 +14,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import ndtri
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import INTERVAL_STDS, Floats
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.ends import range_of
 from micah_plan.automaton.effects.registry import form
@@ -31,19 +30,16 @@ from micah_plan.residual.compared_runs import dated, sections
 from micah_plan.residual.coordinate_data import MOST_ROWS, CoordinateData, coordinate_data_of
 from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.faulty_runs import faulty_runs
-from micah_plan.residual.fit import CONFIDENCE
 from micah_plan.residual.geometry import DirectFinding, systematic_transverse_error, transverse_rms
+from micah_plan.residual.likelihood import FEWEST_ROWS, LEAST_EVIDENCE
 from micah_plan.residual.missing_mode import MissingMode
 from micah_plan.residual.prediction import RunPrediction, predict_recording, refused, rmse, rmse_of_coordinates
 from micah_plan.residual.range_exceeded import RangeExceeded, with_range_ends, with_shifts, without_old_ends
 from micah_plan.residual.search import Search, TermCandidate
 from micah_plan.residual.simulation import GATES
-from micah_plan.residual.trace import A_LINE, LEAST_EVIDENCE, CoordinateFinding, CoordinateTrace, may_remember, trace
+from micah_plan.residual.trace import A_LINE, CoordinateFinding, CoordinateTrace, may_remember, trace
 from micah_plan.residual.verdict import Verdict, overall
 
-FEWEST_ROWS = 8
-# Width of an interval in standard deviations.
-_STDS_WIDE = 2.0 * float(ndtri(0.5 + 0.5 * CONFIDENCE))
 # Poses this far beside the joints [m], and this share of the lever arm, are those of another object.
 _FAR = 0.08
 _FAR_SHARE = 0.25
@@ -371,7 +367,7 @@ def _experiment(data: CoordinateData, finding: CoordinateFinding) -> str:
 def _direct_effect(direct: DirectFinding) -> FoundEffect:
     effect, std, evidence = direct.effect, direct.std, direct.evidence
     effect_form = form(effect.name)
-    reach = 0.5 * _STDS_WIDE
+    reach = INTERVAL_STDS
     interval = tuple((v - reach * s, v + reach * s) for v, s in zip(effect.values, std, strict=True))
     units = tuple(parameter.unit for parameter in effect_form.parameters)
     return FoundEffect(effect, units, interval, evidence, (), (), effect_form.sentence, effect_form.source, "")
@@ -387,7 +383,9 @@ def effect_of(data: CoordinateData, part: TermCandidate, interval: Floats | None
     ]
     pairs = tuple(zip([parameter.name for parameter in effect_form.parameters], values, strict=True))
     since = _since(data, part.starts[0])
-    spread = () if interval is None else tuple(float(high - low) / _STDS_WIDE for low, high in interval[:count])
+    spread = (
+        () if interval is None else tuple(float(high - low) / (2.0 * INTERVAL_STDS) for low, high in interval[:count])
+    )
     return Effect(effect_form.name, data.coordinate, pairs, spread, part.term.modes, since=since)
 
 

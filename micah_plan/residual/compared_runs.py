@@ -22,22 +22,20 @@ from micah_plan.automaton.effects.value import Effect, Since
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import Track, tracks
 from micah_plan.recording.value import Recording
-from micah_plan.residual.likelihood import robust_log_density
+from micah_plan.residual.likelihood import FEWEST_ROWS, FREEDOM, LEAST_EVIDENCE, robust_log_density
 
 Place = tuple[int, float]
 """Of a part in its recording: number of its run's place, and its first time in that run [s]."""
 
-# Rows that a run needs to show its own noise.
-_ROWS_FOR_NOISE = 8
 # A pause that is so many times the usual one, and so many standard deviations longer, is a missing row.
 _LONGER, _STDS_LONGER = 1.5, 6.0
 # Actions are stored at most so many rows late; commands before one's own that a motion may remember.
 _MOST_LATE, _PAST = 3, 2
 # Columns of a constant and commands, latest first: those up to a motion's own row, and as many up to the next.
 _COMPARED = (0, 2, 3, 4), (0, 1, 2, 3)
-_FEWEST_STEPS, _FREEDOM = 20, 4.0
-# What a later row must foretell better [nats], altogether and per step, and its share of all that commands do.
-_LATE_EVIDENCE, _LATE_PER_ROW, _OWN_SHARE = 8.0, 0.05, 0.3
+_FEWEST_STEPS = 20
+# What a later row must foretell better per step [nats], and its share of all that commands do.
+_LATE_PER_ROW, _OWN_SHARE = 0.05, 0.3
 
 
 def read_tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[tuple[Track, ...], int]:
@@ -96,8 +94,8 @@ def _is_foretold_later(runs: Sequence[Track], late: int, i: int) -> bool:
     if len(now) < _FEWEST_STEPS or not np.any(now):
         return False
     least = 1e-3 * float(np.std(now)) + ROUND_OFF
-    with_it, later = (robust_log_density(design[:, columns], now, _FREEDOM, least) for columns in _COMPARED)
-    if later - with_it < max(_LATE_EVIDENCE, _LATE_PER_ROW * len(now)):
+    with_it, later = (robust_log_density(design[:, columns], now, FREEDOM, least) for columns in _COMPARED)
+    if later - with_it < max(LEAST_EVIDENCE, _LATE_PER_ROW * len(now)):
         return False
     response = np.linalg.lstsq(design[:, _COMPARED[1]], now, rcond=None)[0][1:]
     return bool(response[0] > _OWN_SHARE * np.abs(response).sum())
@@ -105,14 +103,14 @@ def _is_foretold_later(runs: Sequence[Track], late: int, i: int) -> bool:
 
 def white_noise_of(x: Floats) -> Floats:
     """(n,) std of measured configurations (T, n), as third differences show it: no smooth motion has any."""
-    if len(x) < _ROWS_FOR_NOISE:
+    if len(x) < FEWEST_ROWS:
         return np.zeros(x.shape[1])
     return white_std(x, 3)
 
 
 def sections(time: Floats) -> list[tuple[int, int]]:
     """(first row, end) of the rows (T,) that follow one another without a gap."""
-    if len(time) < _ROWS_FOR_NOISE:
+    if len(time) < FEWEST_ROWS:
         return [(0, len(time))]
     pause = np.diff(time)
     usual = float(np.median(pause))

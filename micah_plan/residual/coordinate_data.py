@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from micah_plan.arrays import Booleans, Floats, Ints, robust_std
+from micah_plan.arrays import NEAR_STDS, Booleans, Floats, Ints, robust_std
 from micah_plan.automaton.augmented import threshold_stds
 from micah_plan.automaton.effects.ends import range_of
 from micah_plan.automaton.effects.registry import form
@@ -360,8 +360,6 @@ def _ends(automaton: HybridAutomaton, i: int) -> dict[str, Any]:
     return {**ends, "holds": (holds[0], holds[1]), "release": (release[0], release[1])}
 
 
-# Standard deviations of a measurement within which another coordinate may be.
-_WITHIN = 3.0
 _FAR = 10.0
 
 
@@ -451,7 +449,7 @@ def _alternatives(automaton: HybridAutomaton, x: Floats, i: int) -> list[Floats]
     """The rows, and the same with each other coordinate as far off as noise may have it."""
     configurations = [x]
     for j in range(automaton.n):
-        for side in (-_WITHIN, _WITHIN) if j != i else ():
+        for side in (-NEAR_STDS, NEAR_STDS) if j != i else ():
             configurations.append(x.copy())
             configurations[-1][:, j] += side * automaton.noise.observation_std[j]
     return configurations

@@ -32,11 +32,10 @@ from micah_plan.recording.value import Recording
 from micah_plan.residual.compared_runs import at_measurements, beginning, read_tracks
 from micah_plan.residual.coordinate_data import ENOUGH_RUNS, CoordinateData, coordinate_data_of
 from micah_plan.residual.geometry import DirectFinding, OffJointError, geometry_findings, off_joint_errors
-from micah_plan.residual.likelihood import student_t_log_density
+from micah_plan.residual.likelihood import LEAST_EVIDENCE, TIE, student_t_log_density
 from micah_plan.residual.range_exceeded import RangeExceeded, ranges_exceeded, with_extended_range
 from micah_plan.residual.residual_test import ResidualTest
 from micah_plan.residual.search import Search
-from micah_plan.residual.trace import LEAST_EVIDENCE, TIE
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from micah_plan.arrays import ROUND_OFF, Booleans, Floats, Ints
+from micah_plan.arrays import INTERVAL, ROUND_OFF, Booleans, Floats, Ints
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.likelihood import Fitness, fitness, log_density
 from micah_plan.residual.simulation import Kind, Model, columns, simulate_terms
@@ -240,8 +240,6 @@ class _State:
         return bool((~stays | (self.step > _SMALLEST_STEP)).any()) if not self.smooth else bool((~stays).any())
 
 
-# Probability inside, half of the rest on each side.
-CONFIDENCE = 0.95
 # The profile is bracketed by steps that double, up to four times what is large for the parameter, then read on a grid.
 _DOUBLINGS = np.arange(-18.0, 3.0)
 _GRID = 61
@@ -259,7 +257,7 @@ def independent_share(correlation: float) -> float:
 
 
 def intervals(problem: FitProblem, fit: Fit, share_of_rows: float) -> Floats:
-    """(k, 3) lower end, median and upper end at `CONFIDENCE` of the free parameters of one fit to all rows.
+    """(k, 3) lower end, median and upper end at `INTERVAL` of the free parameters of one fit to all rows.
 
     Args:
         share_of_rows: which count as independent, 0 to 1.
@@ -278,7 +276,7 @@ def _interval(problem: FitProblem, fit: Fit, j: int, share_of_rows: float) -> Fl
     loss = share_of_rows * _profile(problem, fit, j, grid)
     density = np.exp(loss.min() - loss)
     below = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
-    tail = 0.5 * (1.0 - CONFIDENCE)
+    tail = 0.5 * (1.0 - INTERVAL)
     return np.asarray(np.interp([tail, 0.5, 1.0 - tail], below / below[-1], grid))
 
 

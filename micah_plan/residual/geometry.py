@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from micah_plan.arrays import Floats, Ints
+from micah_plan.arrays import SURE_STDS, Floats, Ints
 from micah_plan.automaton.build import DIGITS
 from micah_plan.automaton.effects.add import is_possible
 from micah_plan.automaton.effects.value import Effect
@@ -26,9 +26,10 @@ from micah_plan.automaton.kinematics import ROTATION_LENGTH, forward, inverse, j
 from micah_plan.automaton.link_motion import link_motions
 from micah_plan.automaton.tracks import Track, measuring_links
 from micah_plan.quantities import quantity
+from micah_plan.residual.likelihood import EVIDENCE_PER_ROW
 
 # Evidence [nats] that a change of geometry must have, in all and per row; what wanders can look like one.
-_LEAST_EVIDENCE, _PER_ROW = 20.0, 0.01
+_LEAST_EVIDENCE = 20.0
 # Share of the squared residual that held-out rows may keep with the changed joint alone.
 _MOST_LEFT = 0.6
 _FOLDS = 4
@@ -39,8 +40,6 @@ _BY_ORIENTATION = 1e3
 _DEGREES = (0, 1, 3, 5)
 # What the digits of a model leave of exact data.
 _EXACT = 10.0**-DIGITS
-# Standard errors by which poses lie beside a joint for sure.
-_SURELY = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +109,7 @@ def systematic_transverse_error(automaton: HybridAutomaton, tracks: Sequence[Tra
         away = [off_joint_error(automaton, track, number)[:, :3] for track in tracks]
         products = np.concatenate([(series[1:] * series[:-1]).sum(axis=1) for series in away])
         if len(products) > 1:
-            lasting2.append(float(products.mean() - _SURELY * products.std() / np.sqrt(len(products))))
+            lasting2.append(float(products.mean() - SURE_STDS * products.std() / np.sqrt(len(products))))
     return float(np.sqrt(max(float(np.mean(lasting2)), 0.0))) if lasting2 else 0.0
 
 
@@ -183,7 +182,7 @@ def off_joint_error_of(coordinate: str, places: Sequence[Floats], away: Sequence
             rows = _Rows(every[:, k], curves, block, starts, np.zeros(len(c), dtype=np.int64))
             tried.append((*_held_out(rows, np.zeros((len(c), 0))), curves, rows))
         evidence, residual, curves, rows = max(tried, key=lambda trial: trial[0])
-        if evidence > max(_LEAST_EVIDENCE, _PER_ROW * len(c)) and residual < _MOST_LEFT:
+        if evidence > max(_LEAST_EVIDENCE, EVIDENCE_PER_ROW * len(c)) and residual < _MOST_LEFT:
             total += evidence
             fitted[:, k] = curves @ _regression(rows, curves, np.ones(len(c), dtype=bool))[0]
     sizes = np.sqrt((fitted**2).reshape(-1, 2, 3).sum(axis=2).mean(axis=0))
@@ -240,7 +239,7 @@ def _finding(name: str, coordinate: str, names: tuple[str, ...], rows: _Rows) ->
     everything = np.ones(len(rows.residual), dtype=bool)
     beta, covariance, _, _ = _regression(rows, with_it, everything)
     evidence, residual = _held_out(rows, without)
-    if evidence < max(_LEAST_EVIDENCE, _PER_ROW * len(rows.residual)) or residual > _MOST_LEFT:
+    if evidence < max(_LEAST_EVIDENCE, EVIDENCE_PER_ROW * len(rows.residual)) or residual > _MOST_LEFT:
         return None
     std = np.sqrt(np.maximum(np.diag(covariance)[count:], 0.0))
     pairs = tuple(zip(names, (float(b) for b in beta[count:]), strict=True))

@@ -16,6 +16,15 @@ from micah_plan.arrays import ROUND_OFF, Booleans, Floats
 if TYPE_CHECKING:
     from micah_plan.residual.simulation import Prediction
 
+FEWEST_ROWS = 8
+"""Rows that a run needs to show its noise, and a recording to be compared."""
+LEAST_EVIDENCE, EVIDENCE_PER_ROW = 8.0, 0.01
+"""Evidence [nats] that whatever is added must have: odds of 3000 to 1, more than what two dozen candidates take to be
+safe; and so much per row (1 % of the innovations' std)."""
+TIE = 3.0
+"""What is within this of the best is as good as it [nats]."""
+FREEDOM = 4.0
+"""Degrees of freedom of residuals among which some are far off."""
 _ROUNDS, _REGRESSION_ROUNDS = 12, 30
 _CONVERGED = 1e-6  # relative: likelihoods then differ by less than a row's rounding
 

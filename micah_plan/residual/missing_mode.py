@@ -21,21 +21,18 @@ from micah_plan.learn.segmenting.changepoints import LengthPrior, length_terms, 
 from micah_plan.quantities import percent, quantity
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.fit import independent_share
-from micah_plan.residual.likelihood import robust_log_density
+from micah_plan.residual.likelihood import FEWEST_ROWS, FREEDOM, robust_log_density
 
 # Rows that the recursion reads, evenly over the configuration.
 _MOST_ROWS = 800
 _FEWEST_ROWS = 40
 _BUMPS = 12
-# Evidence by which the pieces must be ahead [nats], how many cuts there may be, and rows and share of the range that a
-# piece must have.
+# Evidence by which the pieces must be ahead [nats], how many cuts there may be, and the share of the range that a piece
+# must have.
 _CLEARLY = 10.0
 _MOST_CUTS = 4
-_FEWEST_IN_PIECE = 8
 _NARROWEST = 0.05
 _OUTLIER = 12.0
-# Degrees of freedom of a residual's distribution.
-_FREEDOM = 4.0
 _AS_THE_MODEL, _OTHERWISE = 0, 1
 
 
@@ -143,7 +140,7 @@ def _pieces(place: Floats, line: Floats, e: Floats, low: float, high: float) -> 
     for first, last in spans:
         end = high if last == len(c) - 1 else 0.5 * float(c[last] + c[last + 1])
         width, rows = float(c[last] - c[first]), last - first + 1
-        is_short = rows < _FEWEST_IN_PIECE or width < _NARROWEST * (high - low)
+        is_short = rows < FEWEST_ROWS or width < _NARROWEST * (high - low)
         differs = int(np.argmax(evidence[:, first, last])) == _OTHERWISE
         if kept and (is_short or (not differs and not kept[-1][1])):
             kept[-1] = end, kept[-1][1]
@@ -171,7 +168,7 @@ def _held_out(e: Floats, design: Floats, held: Ints) -> Floats:
 
 def _log_density(residual: Floats) -> float:
     """Log density [nats] of residuals under Student's t with their own scale: the measure that all are compared by."""
-    return robust_log_density(np.zeros((len(residual), 0)), residual, _FREEDOM, ROUND_OFF)
+    return robust_log_density(np.zeros((len(residual), 0)), residual, FREEDOM, ROUND_OFF)
 
 
 def _evidence(line: Floats, e: Floats) -> tuple[Floats, Floats]:

@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 from scipy.special import chdtrc
 
-from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.arrays import NEAR_STDS, Booleans, Floats, Ints
 from micah_plan.automaton.effects.forces import SMOOTH_BUMPS
 from micah_plan.automaton.effects.form import EffectForm, FitStart
 from micah_plan.automaton.effects.registry import form, forms
@@ -29,7 +29,7 @@ from micah_plan.residual.fit import (
     optimise,
     process_share,
 )
-from micah_plan.residual.likelihood import log_density
+from micah_plan.residual.likelihood import TIE, log_density
 from micah_plan.residual.residual_test import LAGS, Circumstances, ResidualTest, lagged, whiteness_test
 from micah_plan.residual.simulation import GATES, Kind, Model, Term, columns, simulate_terms
 
@@ -43,10 +43,6 @@ _POLISH_ROUNDS = 5
 _START_SHARES = (-1.0, 2.0)
 _FREEDOMS = (60.0, 10.0, 4.0)
 _MOTION_NOISES = (0.0, 0.6, 0.97)
-# Likelihood by which a less plain kind of noise must fit better [nats].
-_CLEARLY = 3.0
-# Standard deviations of a measurement within which a part may be at an end.
-_NEAR = 3.0
 # Half of a difference quotient, as a share of what is large for a parameter.
 _SLOPE_STEP = 0.01
 # The prior of a parameter is this many times wider than what is large for it: it only keeps searches from wandering.
@@ -387,7 +383,7 @@ class Search:
             suited = replace(problem, data=data, freedom=freedom)
             fit = optimise(suited, start, share, self._all(1), rounds)
             share, start, rounds = fit.share, fit.parameters, 2  # the next kind of noise changes little
-            if best is None or fit.loss[0] < best[0] - _CLEARLY:
+            if best is None or fit.loss[0] < best[0] - TIE:
                 best = float(fit.loss[0]), data, freedom
         return (self.data, self.freedom) if best is None else best[1:]
 
@@ -415,7 +411,7 @@ def _spread(problem: FitProblem, fit: Fit) -> Floats:
 
 def _away(data: CoordinateData, place: Floats) -> Floats:
     """(S, T, 2) commands that lead away from the lower and the upper end, where a part is within the blur of it."""
-    reach = _NEAR * data.blur * np.sqrt(data.noise)
+    reach = NEAR_STDS * data.blur * np.sqrt(data.noise)
     at_low, at_high = place < data.lower + reach, place > data.upper - reach
     return np.stack([at_low * np.maximum(data.u, 0.0), at_high * np.minimum(data.u, 0.0)], axis=-1)
 

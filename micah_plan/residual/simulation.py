@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from micah_plan.arrays import DIFFERENCE, Floats, Ints
+from micah_plan.arrays import DIFFERENCE, SURE_STDS, Floats, Ints
 from micah_plan.automaton.effects.form import EffectForm
 from micah_plan.residual.coordinate_data import CoordinateData
 
@@ -24,8 +24,6 @@ Kind = Literal["filter", "one_step", "rollout"]
 GATES = 2
 # Share of the variance that is left where a stop holds the part: a stop is no perfect pin.
 _HELD_VARIANCE = 0.05
-# Standard deviations of a measurement by which a part is not where it was predicted.
-_CLEARLY_AWAY = 4.0
 
 
 @dataclass(frozen=True)
@@ -201,7 +199,7 @@ class _Run:
         Whether a part arrived at an end, and whether a command was just enough to leave it, noise decides. What is
         measured afterwards tells, as soon as it is no noise; else one wrong guess would last for many rows.
         """
-        noise = _CLEARLY_AWAY * self.data.blur * np.sqrt(self.data.noise[:, t])
+        noise = SURE_STDS * self.data.blur * np.sqrt(self.data.noise[:, t])
         changed = np.zeros_like(error, dtype=bool)
         low, high = self._ends_at(t - 1)
         ends = []

@@ -39,7 +39,13 @@ from micah_plan.arrays import ROUND_OFF, Floats
 from micah_plan.automaton.effects.registry import form
 from micah_plan.quantities import Progress
 from micah_plan.residual.coordinate_data import CoordinateData
-from micah_plan.residual.likelihood import robust_log_density, student_t_log_density
+from micah_plan.residual.likelihood import (
+    EVIDENCE_PER_ROW,
+    LEAST_EVIDENCE,
+    TIE,
+    robust_log_density,
+    student_t_log_density,
+)
 from micah_plan.residual.missing_mode import MissingMode, missing_modes
 from micah_plan.residual.residual_test import ResidualTest
 from micah_plan.residual.search import (
@@ -74,7 +80,7 @@ class CoordinateFinding:
 
     Attributes:
         part: its term and parameters, gates included; a median where one was fitted, the best fit of several.
-        interval: (size, 2) at `fit.CONFIDENCE`; low = high for those that were not fitted.
+        interval: (size, 2) at `arrays.INTERVAL`; low = high for those that were not fitted.
         evidence: what predictions lose without it [nats].
         tied: names of other effects that would do as well in its place.
         is_added: whether the model takes it in; not if it may as well come from earlier commands, nor if one of few
@@ -364,16 +370,9 @@ def _is_tied(best: Scored, rival: Scored) -> bool:
     return gap < max(TIE, min(_ERRORS * error, _SLACK * rival.density.size)) or (bool(fits) and gap < LEAST_EVIDENCE)
 
 
-# Evidence [nats] that an effect must have: odds of 3000 to 1, more than what two dozen candidates take to be safe.
-LEAST_EVIDENCE = 8.0
-# ... of which so much outside of the run that gains most (of the only run: the segment), by so many times what others
-# lose (as a root of squares), and so much per row (1 % of the innovations' std).
+# Of an effect's evidence, so much outside of the run that gains most (of the only run: the segment), by so many times
+# what others lose (as a root of squares).
 _ELSEWHERE = 4.0
-_PER_ROW = 0.01
-# A more complicated variant (only in a mode, only since a time) must gain this much over the plain one [nats].
-_VARIANT_EVIDENCE = 8.0
-# Candidates within this of the best are as good as it [nats].
-TIE = 3.0
 # What one-step errors may be of those before.
 _SHORTER = 0.999
 _WIDE = 3
@@ -476,7 +475,7 @@ def _since_a_change(search: Search, model: Scored, library: Sequence[TermCandida
         again = [search.score((*model.parts, gated(candidate, [place], [])), model) for candidate in more]
         best = min(again, key=lambda changed: float(changed.fit.loss[0]))
         place = search.begins(best)[0]
-    if place <= order.min() or _gain_since(best, model, search.data) <= _VARIANT_EVIDENCE:
+    if place <= order.min() or _gain_since(best, model, search.data) <= LEAST_EVIDENCE:
         return []
     return [gated(candidate, [place], []) for candidate in library if candidate.term.form.layer != "guard"]
 
@@ -538,7 +537,7 @@ def _variants(search: Search, model: Scored, base: Scored) -> list[Scored]:
             place, time = search.begins(began[-1])
             began.append(search.score((*before, gated(began[-1].parts[-1], [place], [time]))))
         variants += began[1:]
-    return [variant for variant in variants if variant.over(model)[0] > _VARIANT_EVIDENCE]
+    return [variant for variant in variants if variant.over(model)[0] > LEAST_EVIDENCE]
 
 
 def ranked(scored: Sequence[Scored]) -> list[Scored]:
@@ -559,7 +558,7 @@ def is_worth(better: Scored, base: Scored, data: CoordinateData) -> bool:
     """Whether held-out rows are predicted so much better that it is no chance, and not in a single run alone."""
     gains = better.density - base.density
     gain = float(gains.sum())
-    if better.squared >= base.squared or gain <= max(LEAST_EVIDENCE, _PER_ROW * int(data.counted.sum())):
+    if better.squared >= base.squared or gain <= max(LEAST_EVIDENCE, EVIDENCE_PER_ROW * int(data.counted.sum())):
         return False
     losses = float(np.sqrt((np.minimum(gains, 0.0) ** 2).sum()))
     if gain <= _ERRORS * losses or _elsewhere(gains, data) <= _ELSEWHERE:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.arrays import Floats
-from micah_plan.automaton.contacts.values import Face, Grip
+from micah_plan.automaton.contacts.values import HINGE, Face, Grip
 from micah_plan.automaton.hybrid import HybridAutomaton, Tie
 from micah_plan.automaton.kinematics import part_poses
 from micah_plan.task.body import corners
@@ -22,7 +22,6 @@ from micah_plan.task.surroundings import faces_of
 
 Pair = tuple[str, str]
 
-_HINGE = (0.0, 1.0, 0.0)
 _MOST_TURN = 0.6
 _TOUCHING = 0.004
 _ANGLES = 1201
@@ -83,7 +82,7 @@ def _rested(poses: dict[str, RigidTransform], grip: Grip, face: Face) -> dict[st
     if _gap(poses, grip, face) >= 0:
         return poses
     hand = poses[grip.held.name].apply(grip.point)
-    axis = poses[grip.held.name].rotation.apply(_HINGE)
+    axis = poses[grip.held.name].rotation.apply(HINGE)
     angles = np.linspace(-_MOST_TURN, _MOST_TURN, _ANGLES)
     turned = Rotation.from_rotvec(angles[:, None] * axis).as_matrix() @ (_corners(poses, grip) - hand).T
     gaps = (face.sign * (turned[:, face.axis] + hand[face.axis] - face.position)).min(axis=1)

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import EQUAL, Floats
 from micah_plan.automaton.contacts.touch import box_corners
-from micah_plan.automaton.contacts.values import AXES
+from micah_plan.automaton.contacts.values import AXES, HINGE
 from micah_plan.automaton.joint import Vector3
 from micah_plan.automaton.kinematics import part_poses
 from micah_plan.errors import InputError
@@ -31,7 +31,6 @@ from micah_plan.task.problem import Problem
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
-_HINGE = (0.0, 1.0, 0.0)
 # An object that turns further than this after it was released is dropped rather than put down [rad].
 _MOST_TURN = 0.25
 # Before it is lowered, the object is held so far above its support, give or take as much [m].
@@ -92,7 +91,7 @@ def resting_place(problem: Problem) -> Rest:
         raise InputError(problem_text, remedy="admit a mode in which the joint is latched, or leave 'release' out")
     top = support_height(problem)
     points, center = _shape(problem, latched[0].name)
-    touching, turn, drop = _settled(points, center, Rotation.from_rotvec(hold.grip.rotation).apply(_HINGE))
+    touching, turn, drop = _settled(points, center, Rotation.from_rotvec(hold.grip.rotation).apply(HINGE))
     fingers = np.zeros(3) if problem.grasp is None else np.array(problem.grasp.position)
     shift = fingers + Rotation.from_rotvec(turn).apply(-fingers)
     shift[2] = drop

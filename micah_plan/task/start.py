@@ -6,14 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from micah_plan.arrays import EQUAL, SMALLEST_STD, Booleans, Floats
+from micah_plan.arrays import EQUAL, NEAR_STDS, SMALLEST_STD, Booleans, Floats
 from micah_plan.automaton.augmented import threshold_stds, with_boundary_states
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.region import Region
 from micah_plan.errors import InputError
 
-# A start this many standard deviations outside of a mode's range still counts as inside: the mean is uncertain too.
-_START_SIGMAS = 3.0
 _MOST_DRAWS = 200
 
 
@@ -44,7 +42,7 @@ def start_mode(automaton: HybridAutomaton, start: Start) -> tuple[str | None, st
     modes = modes_to_be_in(automaton) if start.mode is None else (automaton.mode(start.mode),)
     outside = {mode.name: _sigmas_outside(automaton, start, mode) for mode in modes}
     nearest = min(outside, key=outside.__getitem__)
-    if outside[nearest] <= _START_SIGMAS:
+    if outside[nearest] <= NEAR_STDS:
         return nearest, ""
     values = zip(automaton.coordinates, start.mean, start.std, strict=True)
     text = f"the start {', '.join(f'{c.name} = {mean:g} ± {std:g} {c.unit}' for c, mean, std in values)} lies"

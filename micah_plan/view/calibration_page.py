@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import INTERVAL_STDS, Floats
 from micah_plan.quantities import Table, count, interval, listed, percent, plain, quantity, with_spread
 from micah_plan.residual.calibrate import Calibration, FoundEffect, began
 from micah_plan.residual.coordinate_data import CoordinateData
@@ -29,8 +29,6 @@ _BADGES: dict[Verdict, tuple[str, Status]] = {
 _MOST_RUNS, _MOST_BARS, _MOST_DRAWN = 60, 12, 4
 _HEIGHT = 140.0
 _SHARE_SHOWN = 0.995
-_SIGMAS = 1.96
-"""From the middle of a 95 % interval to its ends."""
 _SIDE = 1.5
 """Where the axis of directions ends: dots of commands forward lie around 1, those backward around -1."""
 
@@ -83,7 +81,7 @@ def _values(effect: FoundEffect) -> str:
     """The parameters of an effect, each with its spread where it was fitted."""
     texts = []
     for (name, value), unit, (low, high) in zip(effect.effect.parameters, effect.units, effect.interval, strict=True):
-        std = (high - low) / (2.0 * _SIGMAS)
+        std = (high - low) / (2.0 * INTERVAL_STDS)
         number = with_spread(value, std, unit, degrees=False) if std > 0 else quantity(value, unit, degrees=False)
         texts.append(f"{name} {number}")
     return ", ".join(texts)

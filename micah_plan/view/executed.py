@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import SURE_STDS, Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.kinematics import poses_of_states
 from micah_plan.automaton.tracks import Track, tracks
@@ -30,8 +30,6 @@ from micah_plan.view.scene import DrawnScene, slug
 from micah_plan.view.solids import beads
 
 TRUE_COLUMN = "true_{}"
-# A belief that is right holds the state within so many standard deviations but once in 16,000 steps.
-_LEFT_SIGMAS = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +182,7 @@ def _leaving(problem: Problem, trajectory: Trajectory, x: Floats, modes: tuple[s
     noise = 0.0 if is_true else np.array(problem.automaton.noise.observation_std)
     std = np.hypot(_spread(problem, trajectory)[knots[:rows]], noise)
     away = x[:rows] - trajectory.means[knots[:rows]]
-    far = np.abs(away) > _LEFT_SIGMAS * np.maximum(std, 1e-9)
+    far = np.abs(away) > SURE_STDS * np.maximum(std, 1e-9)
     stays = far & np.vstack([far[1:], far[-1:]])
     remaining = np.flatnonzero(stays.any(axis=1))
     if not len(remaining):

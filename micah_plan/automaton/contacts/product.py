@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.check import check_automaton
 from micah_plan.automaton.contacts.touch import TouchPiece, collision_regions, resting_height, touch_pieces
-from micah_plan.automaton.contacts.values import AXES, COLLIDED, Face, Grip, HandNoise, Surroundings
+from micah_plan.automaton.contacts.values import AXES, COLLIDED, HINGE, Face, Grip, HandNoise, Surroundings
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Pin, Reset, Tie
 from micah_plan.automaton.joint import IDENTITY, Joint, JointKind, prismatic, revolute, rigid
@@ -296,7 +296,6 @@ def _beyond(coordinate: int, value: float, direction: int, name: str, *, strict:
 
 HAND = "hand"
 _CARRIAGES = ("hand_x", "hand_y", HAND)
-_HINGE = (0.0, 1.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -414,7 +413,7 @@ def mode_joints(
     if turned_from is None:
         in_hand = rigid(position, quaternion, 0.0 if rigid_at is None else rigid_at)
     else:
-        axis = rotation.apply(_HINGE)
+        axis = rotation.apply(HINGE)
         start = Rotation.from_rotvec(-turned_from * axis)
         in_hand = revolute(axis, (0.0, 0.0, 0.0), start.apply(position), (start * rotation).as_quat())
     offset = (0.0 if rigid_at is None else rigid_at) - joint.datum

@@ -21,6 +21,10 @@ AXES = ("x", "y", "z")
 COLLIDED = "collided"
 
 
+HINGE: Vector3 = (0.0, 1.0, 0.0)
+"""Direction, in the frame of the hinge, about which a held part turns in the hand."""
+
+
 @dataclass(frozen=True)
 class Grip:
     """How a hand holds an object: by one of its two parts, the held one, while the other swings freely.

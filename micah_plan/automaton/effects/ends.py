@@ -9,7 +9,7 @@ from typing import final
 
 import numpy as np
 
-from micah_plan.arrays import EQUAL
+from micah_plan.arrays import EQUAL, NEAR_STDS
 from micah_plan.automaton.augmented import mapped
 from micah_plan.automaton.effects.form import (
     EffectForm,
@@ -26,8 +26,6 @@ from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin, Reset
 from micah_plan.automaton.region import HalfSpace, Region, above, below
 from micah_plan.errors import InputError
 
-# Standard deviations of a measurement within which a part may be where it is held.
-_NEAR = 3.0
 # A threshold that lies further away than this share of the range is no shifted one but another stop.
 _LARGEST_SHIFT = 0.15
 
@@ -226,7 +224,7 @@ def _with_hold(automaton: HybridAutomaton, mode: Mode, i: int, end: float, side:
         for link, joint in zip(automaton.links, mode.joints, strict=True)
     )
     others = tuple(h for h in mode.invariant.half_spaces if h.bound is None or h.bound.coordinate != i)
-    near = (above(i, end - _NEAR * std, n, m, name=label), below(i, end + _NEAR * std, n, m, name=label))
+    near = (above(i, end - NEAR_STDS * std, n, m, name=label), below(i, end + NEAR_STDS * std, n, m, name=label))
     held = replace(
         mode,
         name=f"{mode.name} held at {end:.3g}",

@@ -8,15 +8,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import EQUAL, Floats
-from micah_plan.automaton.contacts.values import Grip
+from micah_plan.automaton.contacts.values import HINGE, Grip
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward
 from micah_plan.errors import InputError
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.world import IN_HAND, MOVING, STOPS, LatchState, World, WorldJoint, pose, rubbing
-
-_HINGE = (0.0, 1.0, 0.0)
 
 
 class HeldObject:
@@ -84,15 +82,15 @@ class HeldObject:
         automaton, grip, parameters = self._automaton, self._grip, self._parameters
         spring = {"stiffness": parameters.pivot_stiffness, "damping": parameters.pivot_damping}
         in_hand, moving = (automaton.links[number].coordinate for number in self.parts)
-        world.joint(body, "hinge", "pivot", axis=_HINGE, pos=grip.point, **spring)
+        world.joint(body, "hinge", "pivot", axis=HINGE, pos=grip.point, **spring)
         if in_hand in self.hand or (in_hand == moving and _joint(automaton, self.parts[1]).moves):
             return
         nominal, joint = Rotation.from_rotvec(grip.rotation).inv(), _joint(automaton, self.parts[0])
         zero, unit = (nominal * forward(joint, [0.0, 1.0]).rotation).as_rotvec()
-        sign, off = float((unit - zero) @ _HINGE), np.linalg.norm(np.cross(joint.center, joint.axis))
+        sign, off = float((unit - zero) @ HINGE), np.linalg.norm(np.cross(joint.center, joint.axis))
         if not joint.turns or abs(abs(sign) - 1.0) > EQUAL or off > EQUAL:
             raise InputError("a held part can turn in the hand about its point and the hinge's direction only")
-        world.show(WorldJoint("pivot", in_hand, round(sign), float(zero @ _HINGE)))
+        world.show(WorldJoint("pivot", in_hand, round(sign), float(zero @ HINGE)))
 
     def _add_joint(self, world: World, body: Any, joint: Joint) -> None:
         """The joint of the other part.

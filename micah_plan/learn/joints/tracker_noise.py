@@ -40,7 +40,7 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import lapack
 from scipy.special import ndtr
 
-from micah_plan.arrays import ROUND_OFF, TINY, Floats
+from micah_plan.arrays import INTERVAL, INTERVAL_STDS, ROUND_OFF, TINY, Floats
 from micah_plan.automaton.joint import Joint
 from micah_plan.learn.joints.parametrization import FRAME_NUMBERS, Seen
 
@@ -577,8 +577,6 @@ def _solved(diagonal: Floats, beside: Floats, columns: Floats) -> Floats:
     return np.asarray(lapack.dpttrs(diagonal, beside, columns)[0])
 
 
-_SURE = 0.95  # share that intervals are to hold
-_QUANTILE = 1.959964  # of the normal distribution, for that share
 _BISECTIONS = 30
 
 
@@ -589,7 +587,7 @@ def conservative_covariance(matrix: Floats, chance: Floats, off: Floats, std: Fl
         chance: (m,) probabilities of the components.
         off, std: (m, k) their means and stds.
     """
-    scale = _half_width(chance, off, std) / _QUANTILE / np.maximum(np.sqrt(np.diag(matrix)), 1e-300)
+    scale = _half_width(chance, off, std) / INTERVAL_STDS / np.maximum(np.sqrt(np.diag(matrix)), 1e-300)
     return np.asarray(matrix * scale[:, None] * scale)
 
 
@@ -600,5 +598,5 @@ def _half_width(chance: Floats, off: Floats, std: Floats) -> Floats:
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         inside = chance @ (ndtr((middle - off) / std) - ndtr((-middle - off) / std))
-        low, high = np.where(inside < _SURE, middle, low), np.where(inside < _SURE, high, middle)
+        low, high = np.where(inside < INTERVAL, middle, low), np.where(inside < INTERVAL, high, middle)
     return np.asarray(high)

@@ -21,7 +21,7 @@ _WHITE_SHARES = np.array([0.1, 0.3, 0.6, 1.0, 1.5])  # candidate stds, in those 
 # A smooth error that is large against the roughness of the rows is no tracker's: it is motion that a joint misses.
 _FAST_SHARES = np.array([0.0, 0.5, 1.0, 2.0, 4.0])
 # Candidate correlation times of the fast wander, in runs; the slow one is next, with more than a run.
-_FAST_DURATIONS = np.array([1 / 100, 1 / 30, 1 / 10])
+WANDER_DURATIONS = np.array([1 / 100, 1 / 30, 1 / 10])
 _FAST_MOST = 1.75  # stds of the slow wander; more is motion as well
 # The slow wander is as large as is expected; or, where answers are doubted, as small as the rows tell it.
 _ANY_SLOW = np.array([1.0, 0.25, 0.0625])
@@ -82,7 +82,7 @@ def _scales(
     share = (along**2).sum(axis=2) / _rough(missed, 3.0)[..., None] ** 2
     size = 3 - share / np.maximum(share.sum(axis=1, keepdims=True), 1e-300)
     rough = _rough(missed, size.mean(axis=2))
-    tried = product(_WHITE_SHARES, _FAST_SHARES, _FAST_DURATIONS, slow_shares)
+    tried = product(_WHITE_SHARES, _FAST_SHARES, WANDER_DURATIONS, slow_shares)
     white_shares, fast_shares, durations, slow_shares = np.array(list(tried)).T
     fast_kept = np.exp(-1 / np.maximum(n * durations, 1e-9))
     slow, slow_kept = _slow(n, d, settings)

@@ -29,6 +29,7 @@ from micah_plan.automaton.hybrid import Mode
 from micah_plan.planning.findings import why_disconnected, why_unreachable
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.path_constraints import goal_cost, in_steps
+from micah_plan.planning.roll_outs import FEW_MODES
 from micah_plan.planning.search.leaves import leaves_of
 from micah_plan.planning.search.mode_paths import VertexPath, cheapest_sequences
 from micah_plan.planning.search.path_beliefs import PathBeliefs
@@ -37,9 +38,6 @@ from micah_plan.planning.search.samples import Samples, sample_modes
 from micah_plan.task.problem import Problem
 from micah_plan.task.settings import NEVER, Deadline, TimeLimitError
 
-# With more modes than this, those near a shortest sequence of transitions are searched first; roadmaps of so many take
-# a second or two.
-_FEW_MODES = 32
 # Transitions more than the shortest sequence has: there and back once.
 _MORE_TRANSITIONS = 2
 
@@ -107,7 +105,7 @@ def search_modes(
 def _modes_near_the_way(problem: Problem, start_mode: str) -> set[str]:
     """The modes of sequences with at most so many more transitions than the shortest to the goal; all, if few."""
     automaton, names = problem.automaton, set(problem.automaton.mode_names)
-    if len(names) <= _FEW_MODES:
+    if len(names) <= FEW_MODES:
         return names
     onward, back = dict[str, set[str]](), dict[str, set[str]]()
     for edge in automaton.edges:
