@@ -37,11 +37,10 @@ from micah_plan.learn.joints.joint_arrays import (
     times,
 )
 from micah_plan.learn.joints.likelihood import (
-    UNKNOWN,
     JointFit,
     fit_likelihood,
-    normal_equations,
     parameter_covariance,
+    pitch_log_odds,
     seen_with,
 )
 from micah_plan.learn.joints.linear_fits import linear_fits
@@ -49,11 +48,8 @@ from micah_plan.learn.joints.parametrization import seen_by
 from micah_plan.learn.joints.tracker_noise import ErrorPosterior, NoiseVariances, Scales, noise_of, white_noise
 from micah_plan.learn.settings import LearnSettings
 
-# Nats: one in fifteen joints is a screw. That a hinge is taken for one is the worse mistake of the two: real hinges are
-# not ideal. So a screw is chosen as if there were one in a hundred.
-RARE_SCREW, SCREW_CHOSEN = 2.7, 4.6
+RARE_SCREW = 2.7  # nats: one in fifteen joints is a screw
 PITCH = 0.1  # m/rad; prior std of a screw's pitch
-_TELLING_TURN = 10.0  # stds of a rotation
 _LEAST_STDS = (1e-5, 1e-6)  # rad, m
 _ROTATION_SPAN = 2 * np.pi
 _POSITION_SPAN = 1.0  # m, where the rows span less
@@ -70,7 +66,7 @@ class LackOfFit:
     """What all rows say against a joint that was fitted to them.
 
     Attributes:
-        screw_log_odds: of a screw against the hinge, as likely before; None where no hinge was asked for.
+        screw_log_odds: of a screw against the hinge, as likely before; None where neither was asked for.
         deviation: how far the part leaves the joint; None where it does not move, or the rows are too few.
     """
 
@@ -117,8 +113,8 @@ def fit_joint(
 
     Args:
         guess: a joint of the kind to fit; it competes with the other starts, is the answer where rows are too few, and
-            says where configurations are counted from and in which direction. Where orientations are measured, a hinge
-            becomes a screw if all rows say so; without them a short arc says little of its lead angle (`helix_fit`).
+            says where configurations are counted from and in which direction. Where orientations are measured, all rows
+            say whether it is a hinge or a screw; without them a short arc says little of its lead angle (`helix_fit`).
         position, quaternion: (n, 3) [m] and (n, 4) scalar last, of any sign; quaternion None if not measured.
         time: (n,) [s] of the rows, in any order; pauses between segments are welcome.
         weight: (n,) probability that a row can be trusted at all; rows of 0.5 or less are not looked at.
@@ -144,11 +140,11 @@ def fit_joint(
     if posterior is None:
         return rows.judged(fit.joint)
     log_odds = None
-    if rows.quaternion is not None and guess.kind == "revolute" and "screw" in settings.kinds:
-        screw = _advancing(fit.joint, (position[kept], rows.quaternion[kept]), time[kept], stds, scales)
-        log_odds = None if screw is None else screw[1]
-        if screw is not None and screw[1] > SCREW_CHOSEN:
-            fit = fit_likelihood(screw[0], *rows.of(kept), white_noise(stds), _ROUGH)
+    if rows.quaternion is not None and KINDS[guess.kind].turns and {"revolute", "screw"} <= set(settings.kinds):
+        chosen = _hinge_or_screw(fit.joint, (position[kept], rows.quaternion[kept]), time[kept], stds, scales)
+        log_odds = None if chosen is None else chosen[1]
+        if chosen is not None and chosen[0].kind != fit.joint.kind:
+            fit = fit_likelihood(chosen[0], *rows.of(kept), white_noise(stds), _ROUGH)
             posterior = _left_by(fit, time[kept], stds, scales) or posterior
     noise = posterior.likeliest
     before = _counted_as(fit.joint, guess, quaternion is not None)
@@ -174,34 +170,26 @@ def _left_by(fit: JointFit, time: Floats, stds: tuple[float, float], scales: Sca
     return noise_of(fit.contrasts, fit.chart.in_frame, time, fit.seen.configuration, stds, scales)
 
 
-def _advancing(
-    hinge: Joint, rows: tuple[Floats, Floats], time: Floats, stds: tuple[float, float], scales: Scales
+def _hinge_or_screw(
+    joint: Joint, rows: tuple[Floats, Floats], time: Floats, stds: tuple[float, float], scales: Scales
 ) -> tuple[Joint, float] | None:
-    """The screw near a hinge, and its log odds by rows (n, 3), (n, 4) at times (n,) [s]; None if too few tell.
+    """The hinge or the screw near a joint that turns, and the log odds of the screw; None if rows are too few to tell.
 
-    The evidence of the two differs by one number, the pitch: tracker and joint err under both, by what each leaves.
+    Args:
+        rows, time: positions (n, 3), quaternions (n, 4) and their times (n,) [s].
     """
     # Rows that are interpolated, or filtered by the tracker, repeat one another.
     sample = np.linspace(0, len(time) - 1, min(len(time), _TELLING_ROWS)).round().astype(int)
-    start = twisting("screw", hinge.axis, hinge.center, 0.0, hinge.position, hinge.quaternion)
-    fits = [
-        fit_likelihood(start, rows[0][sample], rows[1][sample], white_noise(stds), _ROUGH) for start in (hinge, start)
-    ]
-    turned, advanced = (_left_by(fit, time[sample], stds, scales) for fit in fits)
-    if turned is None or advanced is None or _is_loose(fits[1], advanced.likeliest):
+    start = twisting("screw", joint.axis, joint.center, joint.pitch, joint.position, joint.quaternion)
+    fit = fit_likelihood(start, rows[0][sample], rows[1][sample], white_noise(stds), _ROUGH)
+    posterior = _left_by(fit, time[sample], stds, scales)
+    if posterior is None:
         return None
-    screw = fits[1].joint
-    log_prior = -0.5 * (screw.pitch / PITCH) ** 2 - float(np.log(np.sqrt(2 * np.pi) * PITCH))
-    return screw, advanced.log_evidence - turned.log_evidence + log_prior
-
-
-def _is_loose(screw: JointFit, noise: NoiseVariances) -> bool:
-    """Whether rows leave a pitch open, or the part hardly turns beyond noise."""
-    if float(np.ptp(screw.seen.configuration)) < _TELLING_TURN * noise.stds[0]:
-        return True
-    information, _, _ = normal_equations(screw, noise)
-    variance = np.diag(np.linalg.inv(information + np.eye(len(information)) / UNKNOWN**2))
-    return float(variance[screw.chart.names.index("pitch")]) > PITCH**2
+    fit = fit_likelihood(fit.joint, rows[0][sample], rows[1][sample], posterior.likeliest, _ROUGH)
+    log_odds = pitch_log_odds(fit, posterior.likeliest, posterior, PITCH)
+    kind: JointKind = "screw" if log_odds > RARE_SCREW else "revolute"
+    at = fit.joint if kind == "screw" else joint
+    return twisting(kind, at.axis, at.center, at.pitch, at.position, at.quaternion), log_odds
 
 
 def _refined(

@@ -16,9 +16,9 @@ from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import VANISHING, Floats
 from micah_plan.automaton.joint import Joint, ParameterCovariance
-from micah_plan.learn.joints.parametrization import JointChart, Seen, chart_of, seen_by, stepped
+from micah_plan.learn.joints.parametrization import PITCH_NUMBER, JointChart, Seen, chart_of, seen_by, stepped
 from micah_plan.learn.joints.tracker_noise import (
     Contrasts,
     ErrorPosterior,
@@ -103,19 +103,50 @@ def error_covariance(
     Args:
         besides: (k, k) covariance that they have anyway.
     """
-    by_position, by_rotation = _pulled(fit, noise)
-    within = gain @ fit.chart.in_frame.T
-    noisy = within @ _noise_pull(by_position, by_rotation, posterior) @ within.T + besides
-    missed = [
-        within @ _misfit_pull(posterior_of_axis, posterior.modes) @ within.T
-        for posterior_of_axis in (by_position, by_rotation)
-    ]
-    sizes = np.stack([posterior.position, posterior.rotation])
+    noisy, missed, sizes = _errors(fit, noise, posterior, gain)
+    noisy = noisy + besides
     mean = sizes @ posterior.chance
     matrix = noisy + mean[0] * missed[0] + mean[1] * missed[1]
     variances = np.diag(noisy) + sizes.T @ np.stack([np.diag(variance) for variance in missed])
     std = np.sqrt(np.maximum(variances, 0.0))
     return conservative_covariance(matrix, posterior.chance, np.zeros_like(std), std)
+
+
+def pitch_log_odds(fit: JointFit, noise: NoiseVariances, posterior: ErrorPosterior, typical: float) -> float:
+    """Log odds of the screw that was fitted against the hinge that it is with pitch 0, as likely before [nats].
+
+    Both have the other parameters and the errors in common, so the odds are the density of pitch 0 before and after
+    the rows were seen (Dickey, Annals of Mathematical Statistics 1971).
+
+    Args:
+        typical: std of the pitch of a screw, before anything is seen [m/rad].
+    """
+    information, _, _ = normal_equations(fit, noise)
+    prior = np.eye(len(information)) / UNKNOWN**2
+    gain = (fit.chart.in_frame @ np.linalg.inv(information + prior))[PITCH_NUMBER][None]
+    noisy, missed, sizes = _errors(fit, noise, posterior, gain)
+    noisy = noisy + gain @ prior @ gain.T
+    variances = noisy[0, 0] + sizes[0] * missed[0][0, 0] + sizes[1] * missed[1][0, 0]
+
+    def log_density(variance: Floats) -> float:
+        weighed = posterior.chance * np.exp(-0.5 * (fit.joint.pitch**2 / variance)) / np.sqrt(variance)
+        return float(np.log(max(weighed.sum(), VANISHING)))
+
+    return log_density(variances + typical**2) - log_density(variances)
+
+
+def _errors(
+    fit: JointFit, noise: NoiseVariances, posterior: ErrorPosterior, gain: Floats
+) -> tuple[Floats, list[Floats], Floats]:
+    """(k, k) covariances of numbers that errors move by a gain (k, p) times the pull, and (2, s) variances of misfits.
+
+    By noise, and by misfits of variance 1 of positions and of rotations.
+    """
+    by_position, by_rotation = _pulled(fit, noise)
+    within = gain @ fit.chart.in_frame.T
+    noisy = within @ _noise_pull(by_position, by_rotation, posterior) @ within.T
+    missed = [within @ _misfit_pull(pull, posterior.modes) @ within.T for pull in (by_position, by_rotation)]
+    return noisy, missed, np.stack([posterior.position, posterior.rotation])
 
 
 def normal_equations(fit: JointFit, noise: NoiseVariances) -> tuple[Floats, Floats, float]:

@@ -87,7 +87,7 @@ def cross(a: Floats, b: Floats) -> Floats:
 
 
 # Tilt (2), shift of the centre (2), pitch, turn of the origin (3) and its shift (3), along the axes of a joint's frame.
-FRAME_NUMBERS = 11
+FRAME_NUMBERS, PITCH_NUMBER = 11, 4
 
 _ROTATION = ("rotation_1", "rotation_2", "rotation_3")
 _POSITION = ("position_1", "position_2", "position_3")

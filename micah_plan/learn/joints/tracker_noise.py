@@ -42,7 +42,7 @@ from scipy.special import ndtr
 
 from micah_plan.arrays import INTERVAL, INTERVAL_STDS, ROUND_OFF, TINY, Floats
 from micah_plan.automaton.joint import Joint
-from micah_plan.learn.joints.parametrization import FRAME_NUMBERS, Seen
+from micah_plan.learn.joints.parametrization import FRAME_NUMBERS, PITCH_NUMBER, Seen
 
 _UNLIKELY = 0.05  # of the likeliest correlation time; others add little but time
 
@@ -98,7 +98,6 @@ class ErrorPosterior:
         modes: (n, m) of a misfit of the joint at the rows (`misfit_modes`).
         chance: (s,) probabilities of sizes of that misfit.
         position, rotation: (s,) its variances [m², rad²].
-        log_evidence: ln density of what the fit leaves, its numbers (flat) and the noise integrated out.
     """
 
     noises: tuple[tuple[float, NoiseVariances], ...]
@@ -106,7 +105,6 @@ class ErrorPosterior:
     chance: Floats
     position: Floats
     rotation: Floats
-    log_evidence: float
 
     @property
     def likeliest(self) -> NoiseVariances:
@@ -161,14 +159,13 @@ def noise_of(
         if probability[i]
     )
     chance, size = _sizes(position, probability)
-    evidence = _log_density(posteriors, contrasts, within, scales)
     if rotation is None:
-        return ErrorPosterior(noises, modes, chance, size, np.zeros_like(size), evidence)
+        return ErrorPosterior(noises, modes, chance, size, np.zeros_like(size))
     turning_chance, turning_size = _sizes(rotation, probability)
     # A position and a rotation miss by sizes of their own: every pair of these.
     both = np.outer(chance, turning_chance).ravel()
     sizes = np.repeat(size, len(turning_size)), np.tile(turning_size, len(size))
-    return ErrorPosterior(noises, modes, both, *sizes, evidence)
+    return ErrorPosterior(noises, modes, both, *sizes)
 
 
 def _sizes(posterior: NoisePosterior, probability: Floats) -> tuple[Floats, Floats]:
@@ -189,7 +186,7 @@ def log_evidence(
     configuration: Floats,
     scales: Scales,
 ) -> float:
-    """`ErrorPosterior.log_evidence` alone, 0 where rows are too few to tell.
+    """Ln density of what a fit to positions leaves, its numbers (flat) and the noise integrated out; 0 of too few rows.
 
     Args:
         contrasts, configuration, scales: those of `noise_of`.
@@ -197,13 +194,9 @@ def log_evidence(
         tried: `wanders` at the times of the rows.
     """
     posteriors = _posteriors(contrasts, within, tried, misfit_modes(configuration), scales)
-    return 0.0 if posteriors is None else _log_density(posteriors, contrasts, within, scales)
-
-
-def _log_density(
-    posteriors: Sequence[NoisePosterior], contrasts: Sequence[Contrasts], within: Floats, scales: Scales
-) -> float:
-    columns = np.concatenate([c.design.reshape(-1, FRAME_NUMBERS) @ within for c in contrasts if not c.reach])
+    if posteriors is None:
+        return 0.0
+    columns = np.concatenate([c.design.reshape(-1, FRAME_NUMBERS) @ within for c in contrasts])
     # The posteriors integrate over orthonormal numbers. What rows tell less of than a metre or a radian has no volume.
     squares = np.linalg.eigvalsh(columns.T @ columns)
     volume = 0.5 * float(np.log(np.maximum(squares, scales.least[1] ** 2)).sum())
@@ -232,7 +225,7 @@ def _posteriors(
 
 
 # Columns of a design: tilt 0, 1; shift of the centre 2, 3; pitch 4; turn of the origin 5, 6, 7; its shift 8, 9, 10.
-_TILT, _SHIFT, _PITCH, _TURN, _MOVE = 0, 2, 4, 5, 8
+_TILT, _SHIFT, _PITCH, _TURN, _MOVE = 0, 2, PITCH_NUMBER, 5, 8
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,9 @@ from scipy.special import expit
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import JointKind
-from micah_plan.learn.joints.final_fit import NO_LACK_OF_FIT, RARE_SCREW, SCREW_CHOSEN, LackOfFit
+from micah_plan.learn.joints.final_fit import NO_LACK_OF_FIT, RARE_SCREW, LackOfFit
 from micah_plan.learn.segmenting.changepoints import LengthPrior, reached
+from micah_plan.learn.segmenting.evidence import SCREW_COST
 from micah_plan.learn.segmenting.segmentation import ANOTHER_JOINT, Alternative, Segmented, rests_in_the_end
 from micah_plan.learn.settings import LearnSettings
 
@@ -230,7 +231,7 @@ def kind_probabilities(
     beside = {b if a == hypothesis else a for a, b in pairwise([piece.hypothesis for piece in pieces])}
     another = moving & moving[elsewhere].any() & ~np.isin(np.arange(len(names)), elsewhere)
     another |= ~moving & any(not moving[neighbour] for neighbour in beside - {hypothesis})
-    evidence = sums + SCREW_CHOSEN * twisting - ANOTHER_JOINT * another
+    evidence = sums + SCREW_COST * twisting - ANOTHER_JOINT * another
     worth = evidence / LOG_ODDS_OVERSTATED - RARE_SCREW * twisting
     # Rivals are those fitted to much the same rows: others were paid for by other rows.
     used = table.pool.hypotheses.used
