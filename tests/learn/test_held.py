@@ -170,3 +170,18 @@ def test_a_part_moved_there_and_back_between_its_ends_has_none(kind: str) -> Non
     assert stops == []
     (edge,) = learn_graph(recording).edges
     assert [segment.joint.kind for segment in edge.segments] == [kind]
+
+
+@pytest.mark.parametrize(
+    ("kind", "number", "seed"), [("revolute", 1, 60), ("revolute", 2, 61), ("prismatic", 1, 66), ("prismatic", 2, 63)]
+)
+def test_actions_that_were_not_logged_hide_no_stop(kind: str, number: int, seed: int) -> None:
+    """A part that moves once without being asked is no part that actions do not lead."""
+    recording, stops = cycles.recording_of(kind, number, cycles.Variant(), seed)
+    action = np.array(recording.action)
+    asked = np.flatnonzero(np.linalg.norm(np.nan_to_num(action), axis=1) > 0)
+    action[asked[5::25]] = 0.0
+    segments = learn_graph(replace(recording, action=action)).edges[0].segments
+    rests = [segment.start for segment in segments if segment.joint.kind == "rigid"]
+    assert len(rests) == len(stops) == 2 * number
+    assert np.abs(np.subtract(rests, stops)).max() <= 6

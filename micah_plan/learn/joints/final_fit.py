@@ -48,7 +48,9 @@ from micah_plan.learn.joints.parametrization import seen_by
 from micah_plan.learn.joints.tracker_noise import ErrorPosterior, NoiseVariances, Scales, noise_of, white_noise
 from micah_plan.learn.settings import LearnSettings
 
-RARE_SCREW = 2.7  # nats: one in fifteen joints is a screw
+# Nats: one in fifteen joints is a screw. That a hinge is taken for one is the worse mistake of the two: real hinges are
+# not ideal. So a screw is chosen as if there were one in a hundred.
+RARE_SCREW, SCREW_COST = 2.7, 4.6
 PITCH = 0.1  # m/rad; prior std of a screw's pitch
 _LEAST_STDS = (1e-5, 1e-6)  # rad, m
 _ROTATION_SPAN = 2 * np.pi
@@ -187,7 +189,7 @@ def _hinge_or_screw(
         return None
     fit = fit_likelihood(fit.joint, rows[0][sample], rows[1][sample], posterior.likeliest, _ROUGH)
     log_odds = pitch_log_odds(fit, posterior.likeliest, posterior, PITCH)
-    kind: JointKind = "screw" if log_odds > RARE_SCREW else "revolute"
+    kind: JointKind = "screw" if log_odds > SCREW_COST else "revolute"
     at = fit.joint if kind == "screw" else joint
     return twisting(kind, at.axis, at.center, at.pitch, at.position, at.quaternion), log_odds
 

@@ -32,7 +32,7 @@ from scipy.special import digamma
 
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.joint import KINDS, JointKind
-from micah_plan.learn.joints.final_fit import PITCH
+from micah_plan.learn.joints.final_fit import PITCH, SCREW_COST
 from micah_plan.learn.joints.joint_arrays import JointArrays
 from micah_plan.learn.segmenting.motion import StepModels, fit_motion
 from micah_plan.learn.segmenting.noise import NoiseModel, log_add, log_peak, stacked
@@ -227,9 +227,6 @@ def segment_sums(log_density: Floats, ending: Floats) -> Floats:
     return np.asarray(sums)
 
 
-# Nats: one in a hundred joints is a screw. One in fifteen is, but that a hinge is taken for one is the worse mistake of
-# the two, and what segments say of it knows of no hinge that is not ideal.
-SCREW_COST = 4.6
 _SAMPLES = 10  # rows at which the information is looked at
 _HELD_SHARE = 4  # a joint that explains so much of the recording may hold the part elsewhere on it
 _DENIED = 10.0  # nats: a joint along which nothing moved beyond noise is no joint; a rest with a motion in it, no rest

@@ -3,7 +3,7 @@
 c_{t+1} = c_t + h·a_t + w_t. Without actions (CHAMP) h = 0, and w_t is 0 with probability ρ, the prior share of rest,
 and N(μ, q) otherwise, with μ the typical step of the demonstration. With them w_t is what the action leaves
 unexplained: nothing while the part follows exactly, N(0, q |a_t|²) while it does so loosely, two states that rarely
-change. So a part that is left alone is explained at no cost, however long it rests, and a slow push that moves nothing
+change. Few steps are others than asked for. So a part that is left alone is explained at no cost, however long it rests, and a slow push that moves nothing
 tells a stop as a quick one does. A part may also wait for the hand, whatever
 that does, but the hand has it the sooner, the further it gets the way that the part then goes: pushed in vain for
 longer, it is locked. That holds where actions explain too little to predict steps from, too.
@@ -35,6 +35,7 @@ _LEAST_INFORMATION = 1e-8  # relative; in a direction of less, actions say nothi
 _TRACKED = 3  # steps over which a speed is followed
 _SLOWEST = 0.5  # of the typical speed; slower is rest
 _UNASKED = 0.1  # of the mean square action, at least, as which a step counts for how loosely it moves a part
+_UNLED = 0.002  # probability that a step is not the one asked for: something else moved the part, or nothing was logged
 _OTHER_SPEED = 0.1  # probability that the speed is neither the typical one nor that before
 _TINY = 1e-16
 _TURNING = 0.01  # probability that a step goes the other way than the one before
@@ -116,7 +117,8 @@ def fit_motion(
         # A prior, which is not tempered as what rows say is.
         contact_rate = _onward(c) / (likelihood_power * _GAP * np.maximum(np.ptp(c, axis=1), 1e-9))
         signals, quiet = np.ascontiguousarray(innovations[..., of_led]), np.ascontiguousarray(quiet[:, :, of_led])
-        arguments = led, weight, pool.lever[members], not_yet_grasped, enough, action, contact_rate
+        unled = log_add(models[0].forth, models[0].back) + np.log(0.5 * _UNLED)
+        arguments = led, weight, pool.lever[members], not_yet_grasped, unled, enough, action, contact_rate
         by_actions = _action_driven_model(signals[0], signals[2:], quiet, *arguments)
         # However little they explain: a hand that pushes does not wait.
         models = [replace(models[0], not_yet_grasped=by_actions[0].not_yet_grasped), *by_actions]
@@ -313,6 +315,7 @@ def _action_driven_model(
     weight: Floats,
     lever: Floats,
     not_yet_grasped: Floats,
+    unled: Floats,
     enough: Floats,
     action: Floats,
     contact_rate: Floats,
@@ -322,6 +325,7 @@ def _action_driven_model(
     Args:
         steps, commanded: (n - 1, h, g) and (3, n - 1, h, g) innovations of the configuration and of what was commanded.
         action: (n, 3) in the part's frame [m].
+        unled: (n - 1, h) ln density of a step that actions do not lead, with how rare it is.
         contact_rate: (h,) with which a hand has the part [per rad or m that it gets], signed as the part then goes.
         enough: (h,) how many steps there are to tell from.
     """
@@ -333,7 +337,8 @@ def _action_driven_model(
     strength = np.einsum("hi,hgi->hg", lever, pull) / np.where(information > 0, information, 1.0)
     gains = np.stack([strength[..., None] * lever[:, None], least_norm(normal, pull, _LEAST_INFORMATION)])
     residual = steps - (gains[..., None, :] @ pushes)[..., 0, :].transpose(0, 3, 1, 2)
-    exactly, loosely = _quiet_density(residual, quiet), _quiet_density(residual, quiet + grid)
+    exactly = _quiet_density(residual, quiet)
+    loosely = log_add(_quiet_density(residual, quiet + grid) + np.log1p(-_UNLED), unled[..., None])
     best = np.argmax((np.maximum(exactly, loosely) * weight).sum(axis=1), axis=2)
     at = np.arange(len(lever))
     along, turned = (gains[i, at, row] for i, row in enumerate(best))

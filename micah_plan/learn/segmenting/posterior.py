@@ -17,9 +17,8 @@ from scipy.special import expit
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import JointKind
-from micah_plan.learn.joints.final_fit import NO_LACK_OF_FIT, RARE_SCREW, LackOfFit
+from micah_plan.learn.joints.final_fit import NO_LACK_OF_FIT, RARE_SCREW, SCREW_COST, LackOfFit
 from micah_plan.learn.segmenting.changepoints import LengthPrior, reached
-from micah_plan.learn.segmenting.evidence import SCREW_COST
 from micah_plan.learn.segmenting.segmentation import ANOTHER_JOINT, Alternative, Segmented, rests_in_the_end
 from micah_plan.learn.settings import LearnSettings
 
