@@ -3,10 +3,10 @@
 c_{t+1} = c_t + h·a_t + w_t. Without actions (CHAMP) h = 0, and w_t is 0 with probability ρ, the prior share of rest,
 and N(μ, q) otherwise, with μ the typical step of the demonstration. With them w_t is what the action leaves
 unexplained: nothing while the part follows exactly, N(0, q |a_t|²) while it does so loosely, two states that rarely
-change. Few steps are others than asked for. So a part that is left alone is explained at no cost, however long it rests, and a slow push that moves nothing
-tells a stop as a quick one does. A part may also wait for the hand, whatever
-that does, but the hand has it the sooner, the further it gets the way that the part then goes: pushed in vain for
-longer, it is locked. That holds where actions explain too little to predict steps from, too.
+change; a few steps are others than those asked for. So a part that is left alone is explained at no cost, however long
+it rests, and a slow push that moves nothing tells a stop as a quick one does. A part may also wait for the hand,
+whatever that does, but the hand has it the sooner, the further it gets the way that the part then goes: pushed in vain
+for longer, it is locked. That holds where actions explain too little to predict steps from, too.
 
 The action channel h is linear in three numbers whatever frame, gain or side of the joint the actions were given at: in
 the part's frame every joint's direction of motion is constant, so J⁻¹ R g is one row vector (MICAH, equation for the
