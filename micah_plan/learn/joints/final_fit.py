@@ -49,7 +49,7 @@ from micah_plan.learn.joints.tracker_noise import ErrorPosterior, NoiseVariances
 from micah_plan.learn.settings import LearnSettings
 
 # Nats: one in fifteen joints is a screw. That a hinge is taken for one is the worse mistake of the two: real hinges are
-# not ideal. So a screw is chosen as if there were one in a hundred.
+# not ideal. So a screw is chosen as if there were one in a hundred, and said so where all poses are asked.
 RARE_SCREW, SCREW_COST = 2.7, 4.6
 PITCH = 0.1  # m/rad; prior std of a screw's pitch
 _LEAST_STDS = (1e-5, 1e-6)  # rad, m

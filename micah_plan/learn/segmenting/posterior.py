@@ -248,7 +248,7 @@ def kind_probabilities(
             share[there] = max(share[there], _odds(other_answer, answer) * share[index])
     if lack_of_fit.screw_log_odds is not None:
         hinge_or_screw = [list(kinds).index("revolute"), list(kinds).index("screw")]
-        advancing = float(expit(lack_of_fit.screw_log_odds - RARE_SCREW))
+        advancing = float(expit(lack_of_fit.screw_log_odds - SCREW_COST))
         share[hinge_or_screw] = share[hinge_or_screw].sum() * np.array([1 - advancing, advancing])
     share = share / share.sum() / (1 + np.exp(min(free / LOG_ODDS_OVERSTATED, 700.0)))
     share = share * (1 - other_mechanism(lack_of_fit))
