@@ -31,7 +31,8 @@ class Variant:
     """Noise of the tracker [m], and of the actions: their gain, how they are turned [rad] and how late they are; the
     share by which the part slips; whether it is pushed against its ends, or moved between them only; whether its
     orientation is measured; how fast it is pushed, of how fast it is moved; how many times slower than shut it is
-    opened; for how many rows it is left alone before the first motion, at the first end and at last."""
+    opened; for how many rows it is left alone before the first motion, at the first end and at last; of how many
+    actions one is not logged (0: none is missing), and for how many rows each is."""
 
     white: float = 0.001
     gain: float = 1.0
@@ -43,6 +44,8 @@ class Variant:
     softly: float = 1.0
     slow: int = 1
     alone: tuple[int, int, int] = (0, 0, 0)
+    lost: int = 0
+    held: int = 1
 
 
 VARIANTS = {
@@ -55,6 +58,8 @@ VARIANTS = {
     "not pushed": Variant(pushed=False),
     "pushed a fifth as fast": Variant(softly=0.2),
     "opened 8 times slower": Variant(slow=8),
+    "1 of 25 actions lost": Variant(lost=25),
+    "actions held 3 rows": Variant(held=3),
     "1,000 rows before": Variant(alone=(1000, 0, 0)),
     "1,000 rows at an end": Variant(alone=(0, 1000, 0)),
     "1,000 rows after": Variant(alone=(0, 0, 1000)),
@@ -88,6 +93,9 @@ def recording_of(kind: str, cycles: int, variant: Variant, seed: int) -> tuple[R
     axis = variant.turned * rng.standard_normal(3)
     frame = Rotation.from_rotvec(variant.turned * axis / max(float(np.linalg.norm(axis)), 1e-9))
     action = written_actions(np.array(command), frame, variant.gain, variant.late, 0.03, rng)
+    action = action[np.arange(len(action)) // variant.held * variant.held]
+    if variant.lost:
+        action[np.flatnonzero(np.linalg.norm(command, axis=1) > 0)[5 :: variant.lost]] = 0.0
     quaternion = (Rotation.from_rotvec(turns) * Rotation.from_matrix(rotation)).as_quat()
     columns = position + shifts, quaternion if variant.oriented else None, action
     return Recording(np.arange(len(position)) / RATE, *columns), stops

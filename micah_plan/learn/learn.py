@@ -31,6 +31,7 @@ from micah_plan.errors import InputError, shown
 from micah_plan.learn.online import METHODS, Method, OnlineLearner
 from micah_plan.learn.parts.tree import learn_tree
 from micah_plan.learn.run import LearnedRun, learn_acted_run
+from micah_plan.learn.segmenting.evidence import BLOCKS, TRAVEL
 from micah_plan.learn.segmenting.noise import MeasurementNoise, likelihood_power_of
 from micah_plan.learn.segmenting.noise_fit import initial_noise
 from micah_plan.learn.segmenting.steps import MOST_SWEEPS, activity_of, is_long, steps_of
@@ -304,8 +305,6 @@ def cut_into_runs(
 
 
 _TELLING = 10.0  # wanders; a larger motion shows its joint
-_BLOCKS = 8  # in which rows are averaged to see whether anything moves
-_BEYOND_NOISE = 7.0  # times the noise of these means
 _FEW = 0.02  # share of the rows that do not count
 
 
@@ -341,12 +340,12 @@ def _reach(track: PartTrack) -> tuple[float, float] | None:
     inlier = find_inliers(track)
     position = track.position[inlier]
     noise = float(np.sqrt(3) * std_of_bends(bends(position)))
-    blocks = np.array_split(position, min(_BLOCKS, len(position)))
+    blocks = np.array_split(position, min(BLOCKS, len(position)))
     apart = extent(np.array([block.mean(axis=0) for block in blocks]))
     turned = 0.0
     if track.quaternion is not None:
         rotation = Rotation.from_quat(track.quaternion[inlier])
         turned = float(np.quantile((rotation * rotation[0].inv()).magnitude(), 1 - _FEW))
-    if apart < _BEYOND_NOISE * noise / np.sqrt(len(position) / len(blocks)):
+    if apart < TRAVEL * noise / np.sqrt(len(position) / len(blocks)):
         return None
     return extent(position, _FEW), turned

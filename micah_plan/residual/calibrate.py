@@ -383,9 +383,8 @@ def effect_of(data: CoordinateData, part: TermCandidate, interval: Floats | None
     ]
     pairs = tuple(zip([parameter.name for parameter in effect_form.parameters], values, strict=True))
     since = _since(data, part.starts[0])
-    spread = (
-        () if interval is None else tuple(float(high - low) / (2.0 * INTERVAL_STDS) for low, high in interval[:count])
-    )
+    ends = () if interval is None else interval[:count]
+    spread = tuple(float(high - low) / (2.0 * INTERVAL_STDS) for low, high in ends)
     return Effect(effect_form.name, data.coordinate, pairs, spread, part.term.modes, since=since)
 
 

@@ -188,7 +188,7 @@ def _hinge_or_screw(
     if posterior is None:
         return None
     fit = fit_likelihood(fit.joint, rows[0][sample], rows[1][sample], posterior.likeliest, _ROUGH)
-    log_odds = pitch_log_odds(fit, posterior.likeliest, posterior, PITCH)
+    log_odds = pitch_log_odds(fit, posterior, PITCH)
     kind: JointKind = "screw" if log_odds > SCREW_COST else "revolute"
     at = fit.joint if kind == "screw" else joint
     return twisting(kind, at.axis, at.center, at.pitch, at.position, at.quaternion), log_odds

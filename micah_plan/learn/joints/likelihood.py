@@ -112,15 +112,17 @@ def error_covariance(
     return conservative_covariance(matrix, posterior.chance, np.zeros_like(std), std)
 
 
-def pitch_log_odds(fit: JointFit, noise: NoiseVariances, posterior: ErrorPosterior, typical: float) -> float:
+def pitch_log_odds(fit: JointFit, posterior: ErrorPosterior, typical: float) -> float:
     """Log odds of the screw that was fitted against the hinge that it is with pitch 0, as likely before [nats].
 
     Both have the other parameters and the errors in common, so the odds are the density of pitch 0 before and after
     the rows were seen (Dickey, Annals of Mathematical Statistics 1971).
 
     Args:
+        fit: under the likeliest noise of the posterior.
         typical: std of the pitch of a screw, before anything is seen [m/rad].
     """
+    noise = posterior.likeliest
     information, _, _ = normal_equations(fit, noise)
     prior = np.eye(len(information)) / UNKNOWN**2
     gain = (fit.chart.in_frame @ np.linalg.inv(information + prior))[PITCH_NUMBER][None]

@@ -230,8 +230,8 @@ def segment_sums(log_density: Floats, ending: Floats) -> Floats:
 _SAMPLES = 10  # rows at which the information is looked at
 _HELD_SHARE = 4  # a joint that explains so much of the recording may hold the part elsewhere on it
 _DENIED = 10.0  # nats: a joint along which nothing moved beyond noise is no joint; a rest with a motion in it, no rest
-_BLOCKS = 8  # in which the rows are averaged to see so
-_TRAVEL = 7.0  # a motion, in the noise of these means
+BLOCKS = 8  # in which rows are averaged to see whether anything moves
+TRAVEL = 7.0  # a motion, in the noise of these means
 _DRIFT = 14.0  # more than a tracker wanders during a rest, in the noise of these means
 # Prior stds of `JointArrays.moved`'s step: turns [rad] and shifts [m] of both sides, pitch [m/rad].
 _WIDTHS = np.array([1.0] * 12 + [PITCH])
@@ -296,23 +296,23 @@ def _denied(pool: Pool, noise: NoiseModel) -> Floats:
     """(h,) what it costs that the rows of a moving joint do not move beyond noise, or that those of a rigid one do."""
     used = pool.hypotheses.used
     rows = np.maximum(used.sum(axis=1), 1)[:, None]
-    block = np.maximum(rows / _BLOCKS, 1.0)
+    block = np.maximum(rows / BLOCKS, 1.0)
     inside, count = _blocks(used)
     travel = _span(inside, count, pool.seen.configuration[:, None])
-    noises = np.sqrt(pool.along.white[:, None] / block + pool.along.renewed[:, None] * rows / _BLOCKS / 3)
+    noises = np.sqrt(pool.along.white[:, None] / block + pool.along.renewed[:, None] * rows / BLOCKS / 3)
     travel = travel / np.where(pool.moving, noises[:, 0], 1.0)
     # The wander of a tracker goes on over all rows of a rest.
     drift = pool.seen.error / np.sqrt(noise.white / block + noise.renewed * rows)[..., None]
     drifts = [_span(inside, count, drift[:, i : i + 3]) for i in range(0, drift.shape[1], 3)]
-    denied = np.where(pool.moving, travel < _TRAVEL, np.max(drifts, axis=0) > _DRIFT)
+    denied = np.where(pool.moving, travel < TRAVEL, np.max(drifts, axis=0) > _DRIFT)
     return np.asarray(_DENIED * denied)
 
 
 def _blocks(used: Booleans) -> tuple[Floats, Floats]:
     """(h, n, b) which block of the used rows (h, n) a row is in, 0 or 1; and (h, 1, b) how many rows a block has."""
     rows = np.maximum(used.sum(axis=1, keepdims=True), 1)
-    block = np.minimum(_BLOCKS * (np.cumsum(used, axis=1) - 1) // rows, _BLOCKS - 1)
-    inside = (used[..., None] & (block[..., None] == np.arange(_BLOCKS))).astype(float)
+    block = np.minimum(BLOCKS * (np.cumsum(used, axis=1) - 1) // rows, BLOCKS - 1)
+    inside = (used[..., None] & (block[..., None] == np.arange(BLOCKS))).astype(float)
     return inside, inside.sum(axis=1, keepdims=True)
 
 
