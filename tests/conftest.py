@@ -9,6 +9,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
+from extras import skip_without
 from hypothesis import HealthCheck, settings
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -19,6 +20,23 @@ _UNTIMED = (HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.functi
 settings.register_profile("evidence", deadline=None, suppress_health_check=_UNTIMED)
 settings.register_profile("gate", settings.get_profile("evidence"), derandomize=True)
 settings.load_profile("gate")
+
+
+@pytest.hookimpl(tryfirst=True)  # before -m chooses by the marks
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    swept = set[tuple[object, ...]]()
+    for item in items:
+        if item.get_closest_marker("sweep") is None:
+            continue
+        function = (item.path, item.parent and item.parent.nodeid, getattr(item, "originalname", item.name))
+        if function in swept:
+            item.add_marker(pytest.mark.slow)
+        swept.add(function)
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    for mark in item.iter_markers("requires_extra"):
+        skip_without(mark.kwargs["name"])
 
 
 @pytest.fixture(scope="session")

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from extras import requires
 from scipy.spatial.transform import Rotation
 
 from micah_plan import Recording, execute, learn, load, solve
@@ -54,7 +55,8 @@ def tum(folder: Path) -> Recording:
 
 
 def data_frame(_: Path) -> Recording:
-    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
+    import pandas
+
     time, places, turns = door()
     names = ["Time", "TX", "TY", "TZ", "RX", "RY", "RZ"]
     frame = pandas.DataFrame(np.column_stack([time, 1e3 * places, turns.as_rotvec(degrees=True)]), columns=names)
@@ -64,8 +66,8 @@ def data_frame(_: Path) -> Recording:
 
 def vicon_bag(folder: Path) -> Recording:
     """TransformStamped, as the bridge of Vicon logs it."""
-    log = pytest.importorskip("micah_plan.recording.ros_mcap")
-    pytest.importorskip("rosbags.typesys", reason="ROS logs need the extra 'ros'")
+    from micah_plan.recording import ros_mcap as log
+
     messages = []
     for k, (place, turn) in enumerate(zip(*door()[1:], strict=True)):
         header = log.header_at(1_700_000_000_000_000_000 + 50_000_000 * k, "world")
@@ -81,8 +83,8 @@ def vicon_bag(folder: Path) -> Recording:
 
 def tag_seen_from_the_hand(folder: Path) -> Recording:
     """AprilTags on /tf, seen by a camera on a hand that moves."""
-    log = pytest.importorskip("micah_plan.recording.ros_mcap")
-    pytest.importorskip("rosbags.typesys", reason="ROS logs need the extra 'ros'")
+    from micah_plan.recording import ros_mcap as log
+
     _, places, turns = door()
     messages = []
 
@@ -106,7 +108,7 @@ def tag_seen_from_the_hand(folder: Path) -> Recording:
 
 def joints_of_lerobot(folder: Path) -> Recording:
     """An arm that opens the door with its shoulder, logged as joints in degrees."""
-    pa = pytest.importorskip("pyarrow", reason="needs the extra 'parquet'")
+    import pyarrow as pa
     from pyarrow import parquet
 
     from micah_plan.robot.joint_log import arm_of
@@ -136,7 +138,12 @@ def loaded(source: Any, **conventions: Any) -> Recording:
     return recording
 
 
-@pytest.mark.parametrize("raw", [motive, tum, data_frame, vicon_bag, tag_seen_from_the_hand, joints_of_lerobot])
+ROS_LOGS = [pytest.param(raw, marks=requires("ros")) for raw in (vicon_bag, tag_seen_from_the_hand)]
+LEROBOT = pytest.param(joints_of_lerobot, marks=requires("parquet"))
+
+
+@pytest.mark.sweep
+@pytest.mark.parametrize("raw", [motive, tum, data_frame, *ROS_LOGS, LEROBOT])
 def test_a_raw_file_becomes_an_executed_plan(raw: Callable[[Path], Recording], tmp_path: Path) -> None:
     recording = raw(tmp_path)
     assert recording.parts == ("door",)

@@ -159,6 +159,12 @@ def _trees() -> Mapping[str, ast.Module]:
 
 
 @cache
+def _libraries() -> Mapping[str, frozenset[str]]:
+    """Of every module of the package, the top-level packages that it imports anywhere."""
+    return {module: frozenset(name.split(".")[0] for name in _imported(tree)) for module, tree in _trees().items()}
+
+
+@cache
 def _imports() -> Mapping[str, set[str]]:
     return _edges(_trees())
 
@@ -175,6 +181,7 @@ def test_the_tools_of_this_file_see_cycles_hidden_in_functions_but_not_those_of_
     assert set(_cycle(_edges(_sources(tmp_path), "p"))) == {"a", "b"}
 
 
+@pytest.mark.slow
 def test_every_imported_module_of_the_package_exists() -> None:
     unknown = {name: targets - _trees().keys() for name, targets in _imports().items()}
     assert {name: targets for name, targets in unknown.items() if targets} == {}
@@ -223,7 +230,7 @@ def test_imports_only_go_down_the_layers() -> None:
 @pytest.mark.parametrize("library", IMPORTERS)
 def test_each_heavy_library_has_one_importer(library: str) -> None:
     allowed, one_file = IMPORTERS[library]
-    users = {module for module, tree in _trees().items() if library in {name.split(".")[0] for name in _imported(tree)}}
+    users = {module for module, libraries in _libraries().items() if library in libraries}
     assert not {module for module in users if not module.startswith(allowed)}
     assert not one_file or len(users) <= 1
 
@@ -279,10 +286,9 @@ def test_the_lower_layers_import_without_any_heavy_library() -> None:
     assert _import_without(SLOW_TO_LOAD, [_full(module) for module in light]) == ""
 
 
+@pytest.mark.slow
 def test_all_but_one_file_imports_without_the_extra_for_simulation() -> None:
-    users = {
-        module for module, tree in _trees().items() if "mujoco" in {name.split(".")[0] for name in _imported(tree)}
-    }
+    users = {module for module, libraries in _libraries().items() if "mujoco" in libraries}
     assert _import_without(("mujoco",), [_full(module) for module in _trees() if module not in users]) == ""
 
 
@@ -317,6 +323,7 @@ NOT_LOADED: dict[str, tuple[str, ...]] = {
 }
 
 
+@pytest.mark.slow
 def test_each_command_loads_only_what_it_needs(repository: Path, tmp_path: Path) -> None:
     code = (
         "import sys; from micah_plan.cli import main\n"
@@ -377,6 +384,7 @@ def stored_names(source: str) -> list[str]:
     return stored + [node.arg for node in nodes if isinstance(node, ast.arg)]
 
 
+@pytest.mark.slow
 def test_hardly_any_name_fits_everything() -> None:
     assert stored_names("def f(own, x):\n    found = [one for one in x]") == ["found", "one", "own", "x"]
     names = [name for path in PACKAGE.rglob("*.py") for name in stored_names(path.read_text(encoding="utf-8"))]

@@ -31,6 +31,7 @@ SHIPPED = [
 ]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("kind", "file"), SHIPPED, ids=[file.stem for _, file in SHIPPED])
 def test_files_that_ship_can_be_used(kind: str, file: Path) -> None:
     found = check_file(file)
@@ -149,6 +150,7 @@ def test_errors_that_come_together_are_told_apart_again() -> None:
     assert str(together([second])) == "b"
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("command", "said"),
     [

@@ -54,6 +54,7 @@ def road(micah, tmp_path_factory):
     return folder, {name: micah(*command.split(), "--json") for name, command in commands.items()}
 
 
+@pytest.mark.slow
 def test_every_step_of_the_road_ends_well(road):
     for name, done in road[1].items():
         assert done.returncode == 0, (name, done.stderr)
@@ -104,6 +105,7 @@ def test_predict_reports_errors_per_run(road):
         assert 0 < found[kind]["configuration_rmse"] < 0.1
 
 
+@pytest.mark.slow
 def test_an_executed_run_can_be_learned_from(micah, road, tmp_path):
     runs = read_recording(road[0] / "runs.csv")
     assert len(runs) > 10
@@ -111,6 +113,7 @@ def test_an_executed_run_can_be_learned_from(micah, road, tmp_path):
     assert "revolute" in [segment["model"] for segment in found["segments"]]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("shown", ["model.yaml", "plan.json", "runs.csv"])
 def test_show_writes_a_page(micah, road, shown, tmp_path):
     done = micah("show", road[0] / shown, "-o", tmp_path / "page.html", "--json")
@@ -131,6 +134,7 @@ def test_names_are_printed_as_they_are(micah, repository, tmp_path, name):
     assert "\x1b" not in done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes(micah, road, tmp_path):
     micah("learn", "examples/demonstrations/microwave.csv", "--parts", "models/parts/microwave.yaml", "--seed", 3,
           "-o", tmp_path / "model.yaml")  # fmt: skip
@@ -158,6 +162,7 @@ def edited(repository, tmp_path):
     return edit
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
@@ -178,6 +183,7 @@ def test_a_bad_problem_is_one_line_that_says_what_and_where(micah, edited, tmp_p
     assert not (tmp_path / "plan.json").exists()
 
 
+@pytest.mark.slow
 def test_without_a_plan_the_exit_code_is_1(micah, tmp_path, repository):
     model = (repository / "models" / "microwave.yaml").read_text()
     before, latch = model.split("  - source: rigid\n")
@@ -201,6 +207,7 @@ def test_without_a_plan_the_exit_code_is_1(micah, tmp_path, repository):
     assert told["lines"] == micah("explain", tmp_path / "plan.json").stdout.splitlines()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -223,6 +230,7 @@ def test_bad_arguments_are_one_line(micah, repository, arguments, said):
     assert not (repository / "page.html").exists()
 
 
+@pytest.mark.slow
 def test_an_error_is_json_too_when_asked(micah):
     done = micah("learn", "nowhere.csv", "-o", "model.yaml", "--json")
     assert done.returncode == 2
@@ -249,6 +257,7 @@ def demonstration(repository, path, rows=None, part="door"):
     return path
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("rows", [1, 2, 4])
 def test_too_few_rows_to_learn_from_are_one_line_but_can_be_shown(micah, repository, tmp_path, rows):
     short = demonstration(repository, tmp_path / "short.csv", rows)
@@ -260,11 +269,13 @@ def test_too_few_rows_to_learn_from_are_one_line_but_can_be_shown(micah, reposit
         assert only_json(micah("show", short, "-o", tmp_path / "page.html", "--json"))["kind"] == "recording"
 
 
+@pytest.mark.slow
 def test_the_fewest_rows_suffice_to_learn(micah, repository, tmp_path):
     short = demonstration(repository, tmp_path / "short.csv", 5)
     assert only_json(micah("learn", short, "-o", tmp_path / "model.yaml", "--json"))["segments"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("command", "written"), [("learn", "out.yaml"), ("show", "out.html")])
 def test_a_part_named_as_the_base_is_refused_not_hidden(micah, repository, tmp_path, command, written):
     recording = demonstration(repository, tmp_path / "named.csv", 8, part="base")
@@ -274,6 +285,7 @@ def test_a_part_named_as_the_base_is_refused_not_hidden(micah, repository, tmp_p
     assert not (tmp_path / written).exists()
 
 
+@pytest.mark.slow
 def test_a_recording_of_another_object_does_not_fit_the_model(micah, repository, tmp_path):
     header, *rows = demonstration(repository, tmp_path / "other.csv").read_text().splitlines()
     reversed_rows = [row.split(",") for row in rows]
@@ -287,12 +299,14 @@ def test_a_recording_of_another_object_does_not_fit_the_model(micah, repository,
         assert words in line
 
 
+@pytest.mark.slow
 def test_a_list_is_no_plan(micah, tmp_path):
     (tmp_path / "list.json").write_text("[1, 2]")
     line = only_error(micah("show", tmp_path / "list.json", "-o", tmp_path / "page.html"))
     assert "list.json: expected a plan, found a list of 2" in line
 
 
+@pytest.mark.slow
 def test_no_output_overwrites_what_an_input_names(micah, tmp_path, repository):
     (tmp_path / "problems").mkdir()
     for name in ("models/microwave.yaml", "problems/microwave_close.yaml"):
@@ -309,10 +323,12 @@ def test_no_output_overwrites_what_an_input_names(micah, tmp_path, repository):
     assert (tmp_path / "models" / "microwave.yaml").read_text() == before
 
 
+@pytest.mark.slow
 def test_what_the_system_refuses_is_one_line(micah):
     assert "file name too long; give a shorter path" in only_error(micah("check", "a" * 10_000 + ".csv"))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -345,6 +361,7 @@ def test_outputs_never_destroy_files_or_have_the_wrong_kind(micah, tmp_path, arg
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == before
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -366,6 +383,7 @@ def test_wrong_usage_is_one_line_and_json_when_asked(micah, tmp_path, arguments,
     assert line == "error: " + only_json(done)["error"]
 
 
+@pytest.mark.slow
 def test_help_is_shown_without_arguments_and_for_commands(micah):
     done = micah()
     assert (done.returncode, done.stdout) == (2, "")

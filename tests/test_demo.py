@@ -44,6 +44,7 @@ def test_the_wheel_has_the_folders(repository: Path) -> None:
     assert included == {name: f"micah_plan/shipped/{name}" for name in FOLDERS}
 
 
+@pytest.mark.slow
 def test_only_copying_is_quick(tmp_path: Path) -> None:
     done = run(tmp_path / "new", "--copy-only", "--json")
     assert done.returncode == 0, done.stderr

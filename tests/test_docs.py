@@ -14,6 +14,7 @@ from pathlib import Path
 import generate_reference
 import pytest
 import write_outputs
+from extras import requires
 from write_outputs import PAGES, SHIPPED, Command
 
 from micah_plan.documents.kind import schema
@@ -96,6 +97,7 @@ def test_the_tools_of_this_file_find_examples() -> None:
     assert list(printed_lines("print(1)  # 1\nx = 2  # why\n# two\n")) == ["1", "two"]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("page", WITH_PYTHON)
 @pytest.mark.usefixtures("workplace")
 def test_python_examples_print_what_they_show(page: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -107,6 +109,7 @@ def test_python_examples_print_what_they_show(page: str, capsys: pytest.CaptureF
     assert capsys.readouterr().out.splitlines() == expected
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("page", WITH_COMMANDS)
 def test_commands_have_known_names_and_options_and_read_shipped_files(page: str) -> None:
     for command in commands(page):
@@ -174,10 +177,10 @@ def test_outputs_are_compared_by_words_and_roughly_by_numbers() -> None:
     assert not alike("2 modes", "2 joints")
 
 
+@requires("sim")
 @pytest.mark.slow
 @pytest.mark.parametrize("page", WITH_COMMANDS)
 def test_commands_work_one_after_the_other_and_print_what_is_shown(page: str, workplace: Path) -> None:
-    pytest.importorskip("mujoco", reason="the pages execute plans in MuJoCo (extra 'sim')")
     for command in commands(page):
         output = write_outputs.printed(command.line, workplace)  # fails if the command does
         if command.output is not None:
@@ -245,6 +248,7 @@ def test_every_benchmark_is_listed_with_what_it_measures_and_is_on_the_page_of_e
     assert [name for name in listed if not re.search(rf"-m benchmarks {name}\b|benchmarks/{name}\.py", page)] == []
 
 
+@pytest.mark.slow
 def test_a_benchmark_is_run_by_its_name() -> None:
     assert "usage: cycles.py" in benchmark("cycles", "--help").stdout
     unknown = benchmark("cylces")
@@ -259,6 +263,7 @@ def test_generated_pages_link_to_places_of_their_own(generated: dict[str, str]) 
         assert set(re.findall(r"\]\(#([\w-]+)\)", text)) <= anchors, place
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["model", "parts", "problem", "scene", "sweep", "experiment", "conventions", "plan"])
 def test_the_page_on_a_file_has_every_key(kind: str, generated: dict[str, str]) -> None:
     described = schema(kind)

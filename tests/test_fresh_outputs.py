@@ -67,6 +67,7 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_fresh_files_pass_check_without_a_warning(here: Path) -> None:
     read = {".yaml", ".json", ".csv", ".npz"}
     files = sorted(path for path in here.rglob("*.*") if path.suffix in read and path.stem.count(".") == 0)
@@ -76,6 +77,7 @@ def test_fresh_files_pass_check_without_a_warning(here: Path) -> None:
         assert (code, found["faults"], found["files"][0]["warnings"]) == (0, 0, []), found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", FOLLOWING)
 def test_fresh_files_go_into_the_next_command(here: Path, line: str) -> None:
     code, found, errors = _given(line, here)
@@ -83,6 +85,7 @@ def test_fresh_files_go_into_the_next_command(here: Path, line: str) -> None:
     assert found
 
 
+@pytest.mark.slow
 def test_a_fresh_plan_that_was_changed_is_refused(here: Path, tmp_path: Path) -> None:
     """The neighbour of those that pass."""
     text = (here / "plan.json").read_text(encoding="utf-8")

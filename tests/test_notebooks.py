@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from extras import requires
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "notebooks"
 NOTEBOOKS = sorted(file.stem for file in FOLDER.glob("*.ipynb"))
@@ -64,11 +65,12 @@ def test_links_of_a_notebook_lead_somewhere(name: str) -> None:
 
 
 @pytest.mark.evidence  # the docs of every landing run the notebooks; here their numbers are those of the prose
+@requires("notebooks")
 @pytest.mark.parametrize("name", NOTEBOOKS)
 def test_a_notebook_runs_offline_and_tells_what_its_prose_says(name: str) -> None:
-    pytest.importorskip("ipykernel", reason="needs the extra 'notebooks' or 'docs'")
-    nbclient = pytest.importorskip("nbclient", reason="needs the extra 'notebooks' or 'docs'")
-    nbformat = pytest.importorskip("nbformat")
+    import nbclient
+    import nbformat
+
     notebook = nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
     notebook.cells.insert(0, nbformat.v4.new_code_cell(OFFLINE))
     client = nbclient.NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(FOLDER)}})

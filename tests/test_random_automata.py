@@ -206,6 +206,7 @@ def tried(automaton: HybridAutomaton, seed: int, folder: Path) -> None:
         assert code == 0 or not line.startswith(("diff", "show")), f"{line} ended with {code}"
 
 
+@pytest.mark.slow
 @settings(max_examples=1, suppress_health_check=list(HealthCheck))
 @given(automata(), st.integers(0, 1000))
 def test_what_the_check_accepts_every_command_takes(

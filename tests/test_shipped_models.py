@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from extras import requires
 from scipy.stats import binom
 
 from micah_plan.api.learning import learn
@@ -33,6 +34,7 @@ def thresholds(automaton):
     return np.array([half_space.c for edge in automaton.edges for half_space in edge.guard.half_spaces])
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", OBJECTS)
 def test_a_shipped_model_is_learned_from_the_shipped_demonstration(repository, name):
     shipped = load_model(repository / "models" / f"{name}.yaml")
@@ -92,8 +94,8 @@ def test_the_learned_cabinet_is_the_true_cabinet(repository):
         if name != WITHOUT_A_PLAN
     ],
 )
+@requires("sim")
 def test_a_shipped_problem_is_solved_and_its_plan_holds_in_the_model_and_in_physics(repository, name):
-    pytest.importorskip("mujoco", reason="plans are executed in MuJoCo (extra 'sim')")
     problem = load_problem(repository / "problems" / name)
     plan = solve(problem)
     assert plan.outcome == "solved", plan.reason

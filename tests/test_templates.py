@@ -29,6 +29,7 @@ from micah_plan.templates.first_problem import first_problem
 from micah_plan.templates.write import write_template
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("kind", "modes", "has_arm"), [("problem", ("shut", "slides"), False), ("robot", ("slides",), True)]
 )
@@ -77,6 +78,7 @@ def test_the_effect_conforms_and_runs(tmp_path: Path) -> None:
     assert ends[1] == pytest.approx(0.05 + 5 * 0.04 / 1.4, abs=1e-4)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["problem", "effect", "robot", "sweep"])
 def test_every_yaml_file_is_good_and_names_a_schema_that_says_so(tmp_path: Path, kind: str) -> None:
     written = write_template(kind, tmp_path / kind)  # type: ignore[arg-type]
@@ -90,6 +92,7 @@ def test_every_yaml_file_is_good_and_names_a_schema_that_says_so(tmp_path: Path,
         jsonschema.validate(read_yaml(path.read_bytes(), str(path)).data, described)
 
 
+@pytest.mark.slow
 def test_the_command_writes_and_never_overwrites(tmp_path: Path) -> None:
     def run(*arguments: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "micah_plan", "new", *arguments]
@@ -106,6 +109,7 @@ def test_the_command_writes_and_never_overwrites(tmp_path: Path) -> None:
     assert not (tmp_path / "mine" / "robot.urdf").exists()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", ["cabinet", "stapler"])
 def test_a_problem_for_a_learned_model_solves_as_it_is(tmp_path: Path, repository: Path, name: str) -> None:
     written = write_template("problem", tmp_path / "mine", model=repository / "models" / f"{name}.yaml")

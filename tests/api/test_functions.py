@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from extras import requires
 
 import micah_plan
 from micah_plan import (
@@ -63,6 +64,7 @@ def test_the_loop_in_five_lines(learned: LearningResult, solved: PlanningResult,
     assert found.automaton == learned.automaton
 
 
+@pytest.mark.slow
 def test_paths_and_values_give_the_same(
     repository: Path, tmp_path: Path, learned: LearningResult, solved: PlanningResult, runs: RunsResult
 ) -> None:
@@ -97,6 +99,7 @@ def every_result(learned: LearningResult, solved: PlanningResult, runs: RunsResu
     return [learned, solved, runs, predict(learned, runs), calibrate(learned, runs)]
 
 
+@pytest.mark.slow
 def test_values_and_results_print_in_a_few_lines(
     learned: LearningResult, solved: PlanningResult, runs: RunsResult
 ) -> None:
@@ -110,6 +113,7 @@ def test_values_and_results_print_in_a_few_lines(
         assert text.splitlines()[0].replace("&", "&amp;").replace(">", "&gt;") in value._repr_html_()
 
 
+@pytest.mark.slow
 def test_results_draw_and_show_themselves(
     tmp_path: Path, learned: LearningResult, solved: PlanningResult, runs: RunsResult
 ) -> None:
@@ -162,8 +166,9 @@ def test_no_plan_is_a_result_with_its_reason(repository: Path) -> None:
         execute(refused)
 
 
+@pytest.mark.slow
+@requires("sim")
 def test_failed_trials_say_why(solved: PlanningResult) -> None:
-    pytest.importorskip("mujoco", reason="needs the extra 'sim'")
     stuck = execute(solved, plant="mujoco", trials=2, plant_parameters={"friction": 500.0})
     assert stuck.outcome == "missed"
     assert stuck.reason.startswith("trial 0: ")
@@ -258,6 +263,7 @@ def test_a_function_with_the_name_of_a_subpackage_is_both() -> None:
     assert said[:2] == ["recording", "method"]
 
 
+@pytest.mark.slow
 def test_results_go_from_process_to_process(
     repository: Path, learned: LearningResult, solved: PlanningResult, runs: RunsResult
 ) -> None:

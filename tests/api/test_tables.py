@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from extras import requires
 from numpy.testing import assert_allclose, assert_array_equal
 
 from micah_plan import Recording, learn, load
@@ -35,7 +36,7 @@ def drawer() -> dict[str, Any]:
     return {"t": np.arange(N) / 20, "x": pulled, "y": np.zeros(N), "z": np.full(N, 0.4)}
 
 
-@pytest.mark.parametrize("make", [dict, Frame, "arrow"])
+@pytest.mark.parametrize("make", [dict, Frame, pytest.param("arrow", marks=requires("parquet"))])
 def test_tables_are_recordings(make: Any) -> None:
     columns = drawer() | {
         "part": ["drawer"] * N,
@@ -44,7 +45,7 @@ def test_tables_are_recordings(make: Any) -> None:
         "count": range(N),
     }
     if make == "arrow":
-        make = pytest.importorskip("pyarrow", reason="needs the extra 'parquet'").table
+        from pyarrow import table as make
     recording = load(make({name: list(values) for name, values in columns.items()}))
     assert isinstance(recording, Recording)
     assert_allclose(recording.position, np.column_stack([columns[axis] for axis in "xyz"]))
@@ -155,7 +156,6 @@ def test_a_recording_as_columns_and_as_a_data_frame(repository: Any, monkeypatch
 
 
 def test_a_data_frame_of_pandas(repository: Any) -> None:
-    pytest.importorskip("pandas", reason="pandas is not installed")
     original = read_recording(repository / "examples" / "demonstrations" / "cabinet.csv")
     again = load(original.to_pandas())
     assert isinstance(again, Recording)

@@ -63,6 +63,7 @@ def shifted_object(automaton: HybridAutomaton, by: np.ndarray) -> HybridAutomato
 OBJECTS = {"two rails": two_rails, "door": door, "cabinet": cabinet, "detent": detent, "thrown": thrown}
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", OBJECTS)
 @settings(max_examples=25)
 @given(seed=st.integers(0, 10_000))

@@ -165,6 +165,7 @@ class TestLocalModels:
         assert [m.name for m in models] == ["prismatic_1", "prismatic_2", "revolute"]
         assert [m.lower for m in models] == pytest.approx([-0.3, 0.0, 0.21])
 
+    @pytest.mark.slow
     def test_a_door_that_was_opened_and_shut_two_thousand_times(self) -> None:
         segments = []
         for k in range(2000):

@@ -60,6 +60,7 @@ def test_the_std_is_that_of_the_tangent_by_finite_differences_wherever_the_joint
     assert gain_std(joint, HANDLE) == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["revolute", "screw"])
 def test_a_hand_told_the_models_displacement_turns_the_true_joint_by_so_much(kind: str) -> None:
     """Joints drawn from the covariance, each displaced from where its own handle is."""

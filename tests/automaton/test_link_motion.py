@@ -45,6 +45,7 @@ def test_every_pose_of_the_path_has_its_configuration(axis, with_rotation):
     assert found == pytest.approx(c, abs=1e-9)
 
 
+@pytest.mark.slow
 @given(start=st.floats(0.0, SLIDE + TURN), by=st.floats(-0.2, 0.2), across=st.booleans())
 def test_a_displacement_along_the_path_is_read_back_from_its_chord_also_over_the_change(start, by, across):
     path = path_of((1.0, 0.0, 0.0) if across else (0.0, 0.0, 1.0))

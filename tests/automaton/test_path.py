@@ -53,6 +53,7 @@ def test_the_inverse_of_a_path_gives_the_configuration_back(joint: Joint, turned
     np.testing.assert_allclose(inverse(joint, poses.translation, poses.rotation if turned else None), C, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_the_inverse_of_a_path_is_the_closest_of_all_poses(joint: Joint) -> None:
     rng = np.random.default_rng(0)
     poses = forward(joint, rng.uniform(-0.2, 0.6, 20))

@@ -19,6 +19,7 @@ def model_and_place(request, repository):
     return load_model(repository / "models" / f"{name}.yaml"), place
 
 
+@pytest.mark.sweep
 def test_motion_stays_as_it_was_and_the_mode_says_on_which_side_it_is(model_and_place) -> None:
     model, place = model_and_place
     split = with_split(model, 0, place)
@@ -36,6 +37,7 @@ def test_motion_stays_as_it_was_and_the_mode_says_on_which_side_it_is(model_and_
                 assert y[0] >= place - 1e-9
 
 
+@pytest.mark.sweep
 def test_a_split_model_is_a_model_file(model_and_place, tmp_path) -> None:
     split = with_split(model_and_place[0], 0, model_and_place[1])
     dump_model(split, tmp_path / "split.yaml")

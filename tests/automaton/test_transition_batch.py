@@ -73,6 +73,7 @@ def around_guards(problem: Problem, automaton: HybridAutomaton, rng: np.random.G
     return modes, x, u, pushed
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_objects_near_the_guards_of_a_shipped_problem(repository: Path, name: str) -> None:
     problem = load_problem(repository / "problems" / name)

@@ -73,6 +73,7 @@ def assert_in_invariant(automaton: HybridAutomaton, result: Step) -> None:
 
 
 class TestOnRandomObjects:
+    @pytest.mark.slow
     @given(situations(), st.integers(0, 1000))
     @settings(max_examples=40)
     def test_a_naive_simulation_on_a_fine_grid_ends_nearby(
@@ -90,6 +91,7 @@ class TestOnRandomObjects:
         if min((abs(xi - t) for xi in result.x for t in thresholds), default=1.0) > 2 * resolution:
             assert result.mode == naive_mode
 
+    @pytest.mark.slow
     @given(situations(release=0.0), st.floats(0.01, 0.99))
     @lawful
     def test_two_parts_of_a_step_end_where_the_whole_does(
@@ -102,6 +104,7 @@ class TestOnRandomObjects:
         assert second.mode == whole.mode
         np.testing.assert_allclose(second.x, whole.x, atol=1e-9)
 
+    @pytest.mark.slow
     @given(situations(), st.integers(0, 1000))
     @lawful
     def test_the_state_ends_in_the_invariant_of_its_mode(
@@ -111,6 +114,7 @@ class TestOnRandomObjects:
         assert_in_invariant(automaton, step(automaton, mode, x, u))
         assert_in_invariant(automaton, step(automaton, mode, x, u, pushes(automaton, seed)))
 
+    @pytest.mark.slow
     @given(situations(), st.integers(0, 1000))
     @lawful
     def test_events_are_few_ordered_and_justified(
@@ -172,6 +176,7 @@ class TestSimulate:
         assert [event.target for _, event in run.events] == ["rigid", "prismatic_2"]
 
 
+@pytest.mark.slow
 def test_10_000_random_steps_are_those_of_the_reference() -> None:
     """Of automata whose guards, resets, pins and ties chain, chatter and meet at walls."""
     rng, events, walls = np.random.default_rng(0), 0, 0

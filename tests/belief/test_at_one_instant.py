@@ -38,6 +38,7 @@ CASES = {
 }
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("way", [0.02, -0.02, 0.0])
 @pytest.mark.parametrize("mean", [0.001, 0.0045, 0.02])
 @pytest.mark.parametrize("case", CASES)

@@ -157,6 +157,7 @@ OPEN_TO_THE_STOP = [-0.05] * 5 + [0.0] * 3 + [0.05] * 4
 THERE_AND_BACK = [0.04] * 14 + [0.0] * 3 + [-0.04] * 12
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("seed", [3, 4])
 @pytest.mark.parametrize(
     ("automaton", "particles", "start", "inputs"),
@@ -232,6 +233,7 @@ def cabinet() -> HybridAutomaton:
     return HybridAutomaton(names, names, (), (), modes, edges, Noise((0.0, 0.0), (0.01, 0.01)))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("make", [door, slider, cabinet, mirror, one_way_mirror])
 def test_a_sharp_belief_moves_as_the_automaton_does(make: Callable[[], HybridAutomaton], seed: int) -> None:
@@ -340,6 +342,7 @@ def test_a_noisy_start_just_outside_takes_the_most_probable_mode() -> None:
     assert initial_belief(slider(), [-0.01], [0.01]).most_likely == 0
 
 
+@pytest.mark.slow
 def test_coupled_guards_clamps_and_chains_equal_samples_of_the_automaton() -> None:
     """The cabinet with noise, in two coordinates, against 3000 samples moved by the automaton's own step."""
     automaton = replace(cabinet(), noise=Noise((0.01, 0.005), (0.01, 0.01)))

@@ -50,6 +50,7 @@ def told(automaton: HybridAutomaton, z: list[float]) -> tuple[np.ndarray, np.nda
     return found.weights[0], found.means[0], found.factors[0], evidence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("automaton", [PINNED, FOLLOWING, TIED], ids=["pinned", "following", "tied"])
 def test_its_evidence_is_a_density_of_measurements(automaton: HybridAutomaton) -> None:
     """Over all measurements it sums to what filters drop: one hypothesis, that improbable."""

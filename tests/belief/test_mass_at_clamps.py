@@ -73,6 +73,7 @@ def worst(name: str, every: int, seed: int, count: int) -> float:
     return found
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("every", MEASURED.values(), ids=list(MEASURED))
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_little_mass_lies_outside(name: str, every: int) -> None:

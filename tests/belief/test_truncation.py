@@ -101,6 +101,7 @@ def before_the_cut(ahead: float) -> tuple[float, float, float]:
     return -place * scale, scale, 1.0
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("ahead", [0.2, 0.4, 0.8, 1.2, 1.4, 2.0, 3.5])
 @pytest.mark.parametrize(("motion", "noise"), [(0.0, 0.3), (0.8, 0.0), (0.8, 0.5), (-0.5, 0.4), (2.5, 1.0)])
 def test_what_crosses_is_that_of_samples_of_the_density_that_ends_at_the_guard(

@@ -89,6 +89,7 @@ def compared(name: str, seed: int, particles: int) -> dict[str, np.ndarray]:
     return {key: np.mean(rows, axis=0) for key, rows in found.items()}
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_belief_is_near_that_of_particles(name: str) -> None:
     variation, distance = compared(name, 1, 1500)["ours"]
@@ -106,6 +107,7 @@ def test_belief_is_nearer_to_particles_than_interacting_models_are(name: str) ->
     assert ours[1] < 0.1
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", ["uncertain door", "uncertain slider"])
 def test_without_measurements_it_equals_particles(name: str) -> None:
     """Weights within 0.06, mean and std within a tenth of the threshold's std, also where that std is the sensor."""

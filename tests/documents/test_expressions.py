@@ -72,6 +72,7 @@ def test_names_are_those_of_the_region_builders(strict: bool) -> None:
         assert parse_half_space(half_space_text(half_space, XZ), XZ).name == half_space.name
 
 
+@pytest.mark.slow
 @given(st.text(max_size=30) | st.text('xz01.e+-*<>=" input', max_size=30))
 def test_any_text_raises_only_input_errors(text: str) -> None:
     result = attempt(parse_half_space, text, XZ)

@@ -124,6 +124,7 @@ def test_names_are_numbered_and_put_in_order() -> None:
     assert "missing value of letter 'a', 'b'" in told(at.in_order, {}, ["a", "b"], "letter")
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("reader", "file", "others"),
     [

@@ -61,6 +61,7 @@ def test_without_certainty_nothing_is_written(door: HybridAutomaton) -> None:
     assert "threshold_std" not in text
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [

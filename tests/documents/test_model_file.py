@@ -26,6 +26,7 @@ def message(text: str | bytes) -> str:
     return line
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(automaton=automata())
 def test_any_automaton_reads_back_exactly(automaton: HybridAutomaton) -> None:
@@ -83,6 +84,7 @@ def test_a_person_can_edit_it(door: HybridAutomaton) -> None:
     assert half_space.name == "shut"
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
@@ -192,6 +194,7 @@ def test_a_name_used_twice_is_not_written(door: HybridAutomaton) -> None:
         model_text(replace(door, modes=(*door.modes, door.modes[1])))
 
 
+@pytest.mark.slow
 @settings(max_examples=100)
 @given(data=st.data())
 def test_a_damaged_file_raises_only_input_errors(door: HybridAutomaton, data: st.DataObject) -> None:

@@ -116,6 +116,7 @@ SLOW = [case for i, case in enumerate(CORPUS) if i % 8]
 QUICK = [pytest.param(case, marks=pytest.mark.slow if case in SLOW else ()) for case in CORPUS]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("case", QUICK)
 def test_check_refuses_nonsense_or_warns_with_the_place(tmp_path: Path, case: str) -> None:
     name, before, after = CORPUS[case]
@@ -184,6 +185,7 @@ def places(data: object, place: tuple[str | int, ...] = ()) -> Iterator[tuple[st
         yield place
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", NUMBERED)
 def test_a_number_10_000_times_too_large_is_told(tmp_path: Path, name: str) -> None:
     yaml = YAML(typ="safe", pure=True)
@@ -210,6 +212,7 @@ def test_a_number_10_000_times_too_large_is_told(tmp_path: Path, name: str) -> N
     assert len(tried) >= 4
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("position", "lines"), [(0.04, 0), (1.2, 0), (15.0, 1)])
 def test_fingers_slide_or_turn(position: float, lines: int) -> None:
     """Only the file of the robot says which, so a finger may open by as much as a joint turns."""

@@ -124,6 +124,7 @@ def test_a_plan_reads_back_with_its_problem(plan: Plan, problem: Problem, tmp_pa
     assert plan_text(stored.plan, stored.problem) == (tmp_path / "plan.json").read_text()
 
 
+@pytest.mark.slow
 @settings(max_examples=20, suppress_health_check=list(HealthCheck))
 @given(automaton=automata(), knots=st.integers(1, 4), data=st.data())
 def test_plans_of_any_automaton_read_back(
@@ -238,6 +239,7 @@ def test_what_is_no_plan_is_one_line(tmp_path: Path, content: bytes, expected: s
     assert expected in line
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(data=st.data())
 def test_a_damaged_plan_is_never_read_as_another(

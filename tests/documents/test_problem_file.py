@@ -93,6 +93,7 @@ def test_settings_and_plant_parameters_are_all_there() -> None:
     assert PlannerSettings(**PlannerDocument().model_dump(exclude={"method"})) == PlannerSettings()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
@@ -183,6 +184,7 @@ def test_a_start_outside_init_is_refused(folder: Path, door: HybridAutomaton) ->
     assert "allowed: revolute (door >= 0, door < 1.2, door >= 0.5)" in told(load_problem, folder / "p.yaml")
 
 
+@pytest.mark.slow
 def test_a_start_is_refused_exactly_where_the_planner_finds_no_mode(folder: Path, door: HybridAutomaton) -> None:
     limited = replace(door, init=(("revolute", Region((above(0, 0.5, 1, 1, name="door"),))),))
     refused, accepted = set(), set()

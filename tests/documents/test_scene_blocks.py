@@ -99,6 +99,7 @@ def test_of_an_srdf_only_the_pairs_are_taken(folder: Path) -> None:
     assert "expected an SRDF with the root <robot>, found <keys>" in told(load_problem, folder / "p.yaml")
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [

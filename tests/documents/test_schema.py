@@ -57,6 +57,7 @@ def test_another_kind_is_refused() -> None:
         schema("robot")
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("kind", "file"), SHIPPED, ids=[file.stem for _, file in SHIPPED])
 def test_files_that_ship_are_as_the_schemas_say(kind: str, file: Path) -> None:
     data = read_yaml(file.read_bytes(), str(file)).data
@@ -77,6 +78,7 @@ def test_an_editor_marks_what_the_reader_refuses(key: str, value: object, said: 
     assert said in error.message
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_schema(tmp_path: Path) -> None:
     def run(*arguments: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "micah_plan", "schema", *arguments]

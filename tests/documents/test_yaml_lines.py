@@ -52,6 +52,7 @@ def test_places_are_of_keys_and_items() -> None:
     assert located.at("nowhere").where() == "line 1, column 1, key 'nowhere'"
 
 
+@pytest.mark.slow
 @settings(max_examples=100)
 @given(data=st.dictionaries(CLEAN, VALUES, min_size=1, max_size=4))
 @example(data={"": ["?0"]})
@@ -131,6 +132,7 @@ def test_an_alias_bomb_is_refused_when_it_has_grown_too_large() -> None:
     assert "line 6, column 8: aliases stand for more than 100000 values; split the file" in message(bomb)
 
 
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(content=st.binary(max_size=80) | st.text(max_size=60).map(lambda s: s.encode("utf-8", "surrogatepass")))
 def test_any_bytes_raise_only_input_errors(content: bytes) -> None:

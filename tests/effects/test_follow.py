@@ -94,6 +94,7 @@ SHAPES = {
 }
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("joint", [SWING, SLIDE], ids=["hinge", "slide"])
 def test_a_roll_out_goes_after_the_places_of_the_log_whatever_was_measured(joint) -> None:
     """However bad the measurements in between: places are known, so only the first row's error counts, and fades."""

@@ -101,6 +101,7 @@ def test_an_effect_of_one_mode_remembers_what_was_sent_in_the_other(door) -> Non
     np.testing.assert_allclose(run.states[:, 0], states[:, 0], atol=1e-12)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", EFFECTS)
 def test_compiled_functions_have_the_memory(door, name) -> None:
     whole, rng = with_memory_states(with_input_memory(door, name)), np.random.default_rng(0)

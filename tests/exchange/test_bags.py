@@ -7,15 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from extras import module_requires
 
 from micah_plan.errors import InputError
 from micah_plan.exchange.convert import convert
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.read import read_recording
 
-rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="bags need the extra 'ros'")
-rosbag2 = pytest.importorskip("rosbags.rosbag2", reason="bags need the extra 'ros'")
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
+pytestmark = module_requires("ros")
+from rosbags import rosbag1, rosbag2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 ROWS = 12
 

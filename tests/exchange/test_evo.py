@@ -7,14 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from extras import module_requires
 
 from micah_plan.documents.model import load_model
 from micah_plan.exchange.convert import convert
 from micah_plan.recording.read import read_recording
 from micah_plan.residual.prediction import predict_recording, trajectory_errors
 
-file_interface = pytest.importorskip("evo.tools.file_interface", reason="needs evo")
-metrics = pytest.importorskip("evo.core.metrics", reason="needs evo")
+pytestmark = module_requires("evo")
+from evo.core import metrics
+from evo.tools import file_interface
+
 DEMONSTRATIONS = Path(__file__).resolve().parents[2] / "examples" / "demonstrations"
 
 

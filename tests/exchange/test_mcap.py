@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from extras import module_requires
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -22,8 +23,9 @@ from micah_plan.recording.read import read_recording, write_recording
 from micah_plan.recording.ros_mcap import Logged, header_at, log_topics, read_log, write_log
 from micah_plan.recording.value import Recording
 
-mcap_reader = pytest.importorskip("mcap.reader", reason="MCAP files need the extra 'ros'")
-from mcap_ros2.decoder import DecoderFactory  # noqa: E402
+pytestmark = module_requires("ros")
+from mcap import reader as mcap_reader
+from mcap_ros2.decoder import DecoderFactory
 
 ROOT = Path(__file__).resolve().parents[2]
 POSE, TF, JOINTS = "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/JointState"

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from extras import module_requires
 from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.hybrid import HybridAutomaton, Primitive
@@ -18,7 +19,9 @@ from micah_plan.exchange.bodies import inertia_of
 from micah_plan.exchange.convert import convert
 from micah_plan.exchange.mjcf import mjcf_text
 
-mujoco = pytest.importorskip("mujoco", reason="needs the extra 'sim'")
+pytestmark = module_requires("sim")
+import mujoco
+
 ROOT = Path(__file__).resolve().parents[2]
 MODELS = ["microwave", "drawer", "cabinet", "slot", "light_dark"]
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from extras import module_requires
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
@@ -18,7 +19,9 @@ from micah_plan.errors import InputError
 from micah_plan.exchange.convert import convert, write_model
 from micah_plan.exchange.mjcf import load_mjcf
 
-mujoco = pytest.importorskip("mujoco", reason="needs the extra 'sim'")
+pytestmark = module_requires("sim")
+import mujoco
+
 ROOT = Path(__file__).resolve().parents[2]
 CABINET = """<mujoco model="cabinet">
   <compiler angle="degree" eulerseq="zyx"/>
@@ -127,6 +130,7 @@ def tree(seed: int) -> str:
     )
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("seed", range(12))
 def test_random_trees(tmp_path: Path, seed: int) -> None:
     text = tree(seed)

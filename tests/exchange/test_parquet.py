@@ -7,13 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from extras import module_requires
 
 from micah_plan.errors import InputError
 from micah_plan.exchange.convert import convert
 from micah_plan.recording.read import read_recording
 
-pa = pytest.importorskip("pyarrow", reason="needs the extra 'parquet'")
-pq = pytest.importorskip("pyarrow.parquet", reason="needs the extra 'parquet'")
+pytestmark = module_requires("parquet")
+import pyarrow as pa
+from pyarrow import parquet as pq
+
 ROOT = Path(__file__).resolve().parents[2]
 ROWS = 15
 TIME = np.arange(ROWS) / 30

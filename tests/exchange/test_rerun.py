@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
+from extras import requires
 
 from micah_plan.exchange.convert import convert
 from micah_plan.recording.read import read_recording
@@ -15,8 +15,10 @@ ROOT = Path(__file__).resolve().parents[2]
 MICROWAVE = ROOT / "examples" / "demonstrations" / "microwave.csv"
 
 
+@requires("rerun")
 def test_rerun_finds_poses_and_actions(tmp_path: Path) -> None:
-    rerun = pytest.importorskip("rerun", reason="needs the extra 'rerun'")
+    import rerun
+
     assert rerun.RecordingStream
     kind, notes = convert(MICROWAVE, tmp_path / "door.rrd")
     assert (kind, notes) == ("recording", ())
@@ -34,8 +36,8 @@ def test_rerun_finds_poses_and_actions(tmp_path: Path) -> None:
     assert (chunks["/run_0/door/axes"], chunks["/run_0/tracks/door"]) == (1, 1)
 
 
+@requires("rerun")
 def test_text_is_said_to_be_left_out(tmp_path: Path) -> None:
-    pytest.importorskip("rerun", reason="needs the extra 'rerun'")
     text = MICROWAVE.read_text().splitlines()
     lines = [f"{text[0]},mood", *(f"{line},good" for line in text[1:])]
     (tmp_path / "with.csv").write_text("\n".join(lines) + "\n")

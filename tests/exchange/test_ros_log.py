@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from extras import requires
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -20,7 +21,7 @@ from micah_plan.recording.read import read_columns, read_recording
 from micah_plan.recording.ros_log import acting, between
 from micah_plan.recording.ros_mcap import Logged, MessageType, header_at, write_log
 
-pytest.importorskip("rosbags.typesys", reason="ROS logs need the extra 'ros'")
+pytestmark = requires("ros")
 
 ROWS = 20
 STEP = 50_000_000  # ns
@@ -106,9 +107,10 @@ def test_every_type_of_poses(kind: MessageType, tmp_path: Path) -> None:
     assert found.notes == ()
 
 
+@requires("ros")
 @pytest.mark.parametrize("kind", TYPES)
 def test_every_type_of_poses_in_bags_of_ros_1(kind: MessageType, tmp_path: Path) -> None:
-    rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="bags need the extra 'ros'")
+    from rosbags import rosbag1
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC)
@@ -247,9 +249,10 @@ def test_poses_of_a_tracker_that_sees_nothing(tmp_path: Path) -> None:
         read(tmp_path, points)
 
 
+@requires("ros")
 def test_joints_of_bags_of_ros_1_are_numbers(tmp_path: Path) -> None:
     """Their arrays are NumPy's, whose numbers say what they are."""
-    rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="bags need the extra 'ros'")
+    from rosbags import rosbag1
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC)
@@ -403,8 +406,9 @@ def test_folders_of_rosbag2(tmp_path: Path) -> None:
         read_recording(tmp_path / "empty")
 
 
+@requires("ros")
 def test_the_topics_of_a_database(tmp_path: Path) -> None:
-    rosbag2 = pytest.importorskip("rosbags.rosbag2", reason="bags need the extra 'ros'")
+    from rosbags import rosbag2
     from rosbags.typesys import Stores, get_typestore
 
     from micah_plan.recording.ros_bags import topics_of

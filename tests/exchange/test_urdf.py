@@ -363,6 +363,7 @@ def test_what_urdf_cannot_say_is_refused() -> None:
         urdf_text(replace(drawer, modes=(*drawer.modes, other)), "r")
 
 
+@pytest.mark.slow
 def test_the_command_converts_and_refuses_what_does_not_fit(tmp_path: Path) -> None:
     def run(*arguments: object) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "micah_plan", "convert", *map(str, arguments)]

@@ -7,9 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from extras import requires
 
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
+from micah_plan.execution.mujoco.held import HeldPlant
+from micah_plan.execution.mujoco.parameters import parameters_of
 from micah_plan.execution.pilot import Pilot, Replanning
 from micah_plan.execution.plant import Command
 from micah_plan.robot.along_plan import arm_along, start_posture
@@ -17,10 +20,7 @@ from micah_plan.robot.load_arm import load_arm
 from micah_plan.robot.tool_path import ArmFailure
 from micah_plan.task.plan import ArmTrajectory, Trajectory
 
-pytest.importorskip("mujoco", reason="held objects are simulated in MuJoCo (extra 'sim')")
-
-from micah_plan.execution.mujoco.held import HeldPlant
-from micah_plan.execution.mujoco.parameters import parameters_of
+pytestmark = requires("sim")
 
 PROBLEM = Path(__file__).resolve().parents[2] / "problems" / "stapler_on_books.yaml"
 EFFORT = np.array([90.0, 90.0, 90.0, 90.0, 20.0, 20.0, 20.0])  # as arm7.urdf says
@@ -52,6 +52,7 @@ def move(plant, u, posture=None):
     return plant.apply(Command(np.array(u), np.zeros((5, 3)), np.zeros((5, 3)), posture))
 
 
+@pytest.mark.slow
 def test_the_hand_is_where_the_joints_put_it(plant, problem, arm):
     """MuJoCo's reading of the robot's file agrees with Pinocchio's."""
     measured = plant.reset(np.random.default_rng(1))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from execution_objects import arm
+from extras import requires
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.hybrid import HybridAutomaton
@@ -53,8 +54,8 @@ def test_the_handle_is_seen_as_well_as_the_door(cabinet: HybridAutomaton) -> Non
     assert noise.position[1] == pytest.approx(0.002)
 
 
+@requires("sim")
 def test_in_physics_the_handle_stays_on_the_door(cabinet: HybridAutomaton) -> None:
-    pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
     plant = StandingPlant(cabinet, STILL, PhysicalParameters(control_period=0.1, motion_share=1.0))
     plant.reset(np.random.default_rng(0))
     before = apart(plant.truth().position, plant.truth().quaternion)
@@ -69,8 +70,8 @@ def test_in_physics_the_handle_stays_on_the_door(cabinet: HybridAutomaton) -> No
     assert (after.rotation * before.rotation.inv()).magnitude() == pytest.approx(0.0, abs=1e-6)
 
 
+@requires("sim")
 def test_in_physics_a_slider_rides_on_its_lever() -> None:
-    pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
     automaton = arm()
     plant = StandingPlant(automaton, STILL, PhysicalParameters(control_period=0.1, motion_share=1.0))
     plant.reset(np.random.default_rng(0))

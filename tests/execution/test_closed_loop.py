@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from execution_objects import SHUT, closing, door, drawer, opening, pulling, straight
+from extras import requires
 
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.automaton.tracks import tracks
@@ -40,11 +41,9 @@ def quiet(problem):
     return replace(problem, automaton=replace(problem.automaton, noise=noise), start=replace(problem.start, std=(0.0,)))
 
 
-@pytest.mark.parametrize("kind", ["nominal", "mujoco"])
+@pytest.mark.parametrize("kind", ["nominal", pytest.param("mujoco", marks=requires("sim"))])
 @pytest.mark.parametrize(("problem", "trajectory"), TASKS, ids=["close", "open", "pull"])
 def test_the_goal_is_reached(problem, trajectory, kind):
-    if kind == "mujoco":
-        pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
     result = run(problem, trajectory, kind)
     assert result.success, result.reason
     assert result.final_error <= problem.goal.target[0][2]

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from execution_objects import SHUT, arm, door, drawer
+from extras import requires
 
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
@@ -23,6 +24,7 @@ from micah_plan.task.start import Start
 PULL = Problem(drawer(), Start((0.02,), (0.01,)), Goal(((0, 0.25, 0.008),)))
 CLOSE = Problem(door(0.3), Start((0.2,), (0.02,)), Goal(((0, SHUT, 0.03),), ("shut",)))
 CHAIN = Problem(arm(), Start((0.1, 0.02), (0.01, 0.003)), Goal(((0, 0.5, 0.1),)))
+KINDS = [pytest.param(kind, marks=requires("sim")) if kind == "mujoco" else kind for kind in BUILT_IN]
 
 
 def faults(plant, problem) -> list[str]:
@@ -31,20 +33,17 @@ def faults(plant, problem) -> list[str]:
     return [str(error) for error in caught.value.each()]
 
 
-@pytest.mark.parametrize("kind", BUILT_IN)
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("problem", [PULL, CLOSE, CHAIN], ids=["drawer", "door", "chain"])
 def test_the_plants_of_the_package_pass_and_every_input_is_tried(problem, kind):
-    if kind == "mujoco":
-        pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
     for seed in range(3):
         assert check_plant(make_plant(problem, kind), problem, seed) == ()
 
 
-@pytest.mark.parametrize("kind", BUILT_IN)
+@pytest.mark.sweep
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", ["microwave_close", "drawer_behind_door", "stapler_on_books"])
 def test_they_pass_on_shipped_problems(repository, name, kind):
-    if kind == "mujoco":
-        pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
     problem = load_problem(repository / "problems" / f"{name}.yaml")
     plant = make_plant(problem, kind)
     untried = check_plant(plant, problem)

@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from extras import requires
 
 from micah_plan.automaton.tracks import tracks
 from micah_plan.recording.csv_file import read_csv
 
-pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
+pytestmark = requires("sim")
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 FOLDER = EXAMPLES / "demonstrations"

@@ -35,6 +35,7 @@ class Machine:
         self._driver.close()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("share", "arrives"), [(1.0, True), (0.1, False)])
 def test_a_machine_that_hardly_moves_is_not_believed_to_have_arrived(share: float, arrives: bool) -> None:
     """A model with little noise hardly looks: it was sure of the goal, 130 mm from where the drawer was seen."""

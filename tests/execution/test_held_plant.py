@@ -7,18 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from extras import requires
 
 from micah_plan.documents.problem import load_problem
+from micah_plan.execution.mujoco.held import HeldPlant
+from micah_plan.execution.mujoco.parameters import parameters_of
 from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import configuration
 from micah_plan.execution.trials import run_trials
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.solver import solve
 
-pytest.importorskip("mujoco", reason="held objects are simulated in MuJoCo (extra 'sim')")
-
-from micah_plan.execution.mujoco.held import HeldPlant
-from micah_plan.execution.mujoco.parameters import parameters_of
+pytestmark = requires("sim")
 
 PROBLEM = Path(__file__).resolve().parents[2] / "problems" / "stapler_on_books.yaml"
 

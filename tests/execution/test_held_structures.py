@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from extras import requires
 from held_examples import TRAVEL, pivoting, reordered, stamp, tool
 
 from micah_plan.automaton.joint import revolute, screw
 from micah_plan.automaton.path import path
 from micah_plan.errors import InputError
+from micah_plan.execution.mujoco.held import HeldPlant
 from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import configuration
 
-pytest.importorskip("mujoco", reason="held objects are simulated in MuJoCo (extra 'sim')")
-
-from micah_plan.execution.mujoco.held import HeldPlant
+pytestmark = requires("sim")
 
 
 def led(problem, inputs):

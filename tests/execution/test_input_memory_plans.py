@@ -47,6 +47,7 @@ def plans(drawer):
     return {name: solve(problem_with(drawer, effect)) for name, effect in EFFECTS.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EFFECTS)
 def test_plans_are_solved_and_come_to_rest_in_the_goal(drawer, plans, name) -> None:
     plan, ((index, target, tolerance),) = plans[name], drawer.goal.target
@@ -70,6 +71,7 @@ def test_a_late_start_is_corrected_by_what_is_not_yet_on_its_way(plans) -> None:
     assert gains[0] < -0.1
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", ["delay", "backlash"])
 def test_a_held_door_is_pulled_until_the_pull_arrives(repository, name) -> None:
     problem = load_problem(repository / "problems" / "microwave_open.yaml")
@@ -145,6 +147,7 @@ def settled_error(problem, plan, truth, seed):
     return problem.goal.error(plant.truth().x), steps
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EFFECTS)
 def test_closed_loop_with_the_memory_against_without(drawer, plans, name) -> None:
     noise = replace(drawer.automaton.noise, process_std=(2e-4,))
@@ -159,6 +162,7 @@ def test_closed_loop_with_the_memory_against_without(drawer, plans, name) -> Non
         assert nominal[:, 0].max() > 0.02 or own[:, 1].mean() < nominal[:, 1].mean() - 2
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("name", "values"), [("sensor_scale", (0.7,)), ("drift", (0.01,))])
 def test_execution_reads_its_sensors_as_the_model_says(drawer, name, values) -> None:
     wrong = problem_with(drawer, Effect(name, "drawer", (("scale" if name == "sensor_scale" else "rate", values[0]),)))

@@ -8,22 +8,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from execution_objects import SHUT, arm, door, drawer, worm
+from extras import requires
 from held_examples import stamp, tool
 from test_mujoco_path import on_a_path
 
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
+from micah_plan.execution.mujoco.core import PhysicalPlant
+from micah_plan.execution.mujoco.held import HeldPlant
+from micah_plan.execution.mujoco.parameters import PhysicalParameters
+from micah_plan.execution.mujoco.standing import StandingPlant
 from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import command
 from micah_plan.robot.along_plan import start_posture
 from micah_plan.task.start import Start
 
-pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
-
-from micah_plan.execution.mujoco.core import PhysicalPlant
-from micah_plan.execution.mujoco.held import HeldPlant
-from micah_plan.execution.mujoco.parameters import PhysicalParameters
-from micah_plan.execution.mujoco.standing import StandingPlant
+pytestmark = requires("sim")
 
 STAPLER = Path(__file__).resolve().parents[2] / "problems" / "stapler_on_books.yaml"
 
@@ -63,6 +63,7 @@ def assert_same(leaping, careful):
         assert (truth.mode, truth.incident) == (true.mode, true.incident)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("automaton", "start", "inputs", "change"),
     [
@@ -94,6 +95,7 @@ def test_standing_objects(automaton, start, inputs, change, monkeypatch):
     assert alone > 500
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "inputs", "incident"),
     [
@@ -119,6 +121,7 @@ def test_a_held_object_on_slides(name, inputs, incident, problem, monkeypatch):
     assert alone > 1000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("place", "inputs", "incident"),
     [
@@ -145,6 +148,7 @@ def test_a_held_object_on_an_arm(place, inputs, incident, problem, monkeypatch):
     assert bool(leaping[-1][1].incident) == bool(incident)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("make", "inputs"), [(stamp, [[0.0, 0.0, -0.01]] * 13), (tool, [[0.06, 0.0]] * 6)], ids=["stamp", "tool"]
 )

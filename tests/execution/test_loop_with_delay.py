@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from extras import requires
 
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.closed_loop import Episode, execute_episode
@@ -16,7 +17,7 @@ from micah_plan.execution.plant import Command
 from micah_plan.planning.solver import solve
 from micah_plan.residual.calibrate import calibrate
 
-pytest.importorskip("mujoco")
+pytestmark = requires("sim")
 LATE = 2
 
 

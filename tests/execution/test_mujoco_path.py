@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from execution_objects import SHUT, door
+from extras import requires
 from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.hybrid import Coordinate, HybridAutomaton, Link, Mode, Noise, Part, Primitive
@@ -12,12 +13,11 @@ from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.path import path
 from micah_plan.automaton.region import box, input_box
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
+from micah_plan.execution.mujoco.standing import StandingPlant
 from micah_plan.execution.pose import command
 from micah_plan.task.start import Start
 
-pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
-
-from micah_plan.execution.mujoco.standing import StandingPlant
+pytestmark = requires("sim")
 
 IDEAL = PhysicalParameters(damping=0.0, friction=0.0, position_noise=0.0, rotation_noise=0.0)
 
@@ -66,6 +66,7 @@ def trajectory(automaton, x, inputs, mode=None, **changes):
     return np.array(found), plant.truth()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("changes", [{}, {"damping": 30.0, "friction": 2.0}, {"gravity": 9.81}], ids=str)
 @pytest.mark.parametrize("tilt", [0.0, 0.7])
 def test_a_hinge_written_as_a_path_moves_as_the_hinge(tilt, changes):
@@ -79,6 +80,7 @@ def test_a_hinge_written_as_a_path_moves_as_the_hinge(tilt, changes):
     np.testing.assert_allclose(truth.position[0], pose.translation, atol=5e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "released"), [(0.9, False), (1.1, True)])
 def test_its_latch_catches_and_opens_at_its_force(share, released):
     automaton = on_a_path(heavy_door(0.4))
@@ -90,6 +92,7 @@ def test_its_latch_catches_and_opens_at_its_force(share, released):
     assert truth.latched.all() != released
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("seed", range(3))
 def test_a_garage_door_stays_on_its_path_and_follows_the_command(seed):
     automaton = garage(Rotation.random(rng=np.random.default_rng(seed)))

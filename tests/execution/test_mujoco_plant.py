@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from execution_objects import SHUT, arm, door, drawer, worm
+from extras import requires
 
 from micah_plan.automaton.hybrid import Part, Primitive
 from micah_plan.automaton.joint import revolute
@@ -14,14 +15,12 @@ from micah_plan.automaton.kinematics import forward
 from micah_plan.errors import InputError
 from micah_plan.execution.mujoco.core import check_stable
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
+from micah_plan.execution.mujoco.standing import StandingPlant, standing_world
 from micah_plan.execution.pose import chain, command, components, moving_joints
 from micah_plan.mujoco_library import import_mujoco
 from micah_plan.task.start import Start
 
-pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
-
-from micah_plan.execution.mujoco.standing import StandingPlant, standing_world
-
+pytestmark = requires("sim")
 IDEAL = PhysicalParameters(damping=0.0, friction=0.0, position_noise=0.0, rotation_noise=0.0)
 
 

@@ -18,6 +18,7 @@ from micah_plan.task.start import Start
 MODELS = Path(__file__).parents[2] / "models"
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("name", "start", "std"), [("swinging", 0.2, 0.05), ("swinging", 0.6, 0.29), ("shut", SHUT, 0.002)]
 )
@@ -31,6 +32,7 @@ def test_measurements_are_as_noisy_as_the_mode_and_the_place_say(name, start, st
     assert np.std(found) == pytest.approx(std, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_part_that_another_one_carries_is_measured_relative_to_it():
     automaton = replace(load_model(MODELS / "slot.yaml"), noise=Noise((0.0, 0.0), (20.0, 1.0)))
     plant = NominalPlant(automaton, Start((-0.1, 0.04), (1e-9, 1e-9), "table"))
@@ -73,6 +75,7 @@ def test_the_process_noise_has_the_models_std():
     assert np.std(steps) == pytest.approx(0.002, rel=0.12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("automaton", [door(), drawer(), worm()], ids=["door", "drawer", "worm"])
 def test_measured_configurations_are_as_noisy_as_the_model_says(automaton):
     plant = NominalPlant(automaton, Start((0.2,), (0.0,)))
@@ -125,6 +128,7 @@ def test_reset_comes_first():
         plant.apply(Command(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3))))
 
 
+@pytest.mark.slow
 def test_a_threshold_that_is_not_known_is_drawn_at_every_reset():
     certain = quiet(door())
     edges = (e if e.source == e.target else replace(e, threshold_std=0.02) for e in certain.edges)

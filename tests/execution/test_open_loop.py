@@ -69,6 +69,7 @@ def test_a_machine_that_fails_ends_its_run_only() -> None:
     assert [len(log.select(run=run).time) for run in log.runs] == [2, 5, 2, 5]
 
 
+@pytest.mark.slow
 def test_the_command_carries_out_an_experiment(repository, tmp_path) -> None:
     file = repository / "problems" / "experiments" / "drawer.yaml"
     output = tmp_path / "runs.csv"

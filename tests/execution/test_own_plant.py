@@ -76,6 +76,7 @@ def untroubled() -> Trials:
     return Trials()
 
 
+@pytest.mark.slow
 def test_a_machine_in_another_process_is_executed_on_and_says_no_truth(untroubled) -> None:
     (result,) = untroubled.statistics.results
     assert result.success, result.reason
@@ -86,6 +87,7 @@ def test_a_machine_in_another_process_is_executed_on_and_says_no_truth(untrouble
     assert untroubled.has_ended
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "fault",
     [
@@ -121,6 +123,7 @@ def test_a_machine_that_is_gone_cannot_be_reset_and_ends_the_execution() -> None
     assert found.has_ended
 
 
+@pytest.mark.slow
 def test_a_machine_that_stays_silent_is_ended() -> None:
     found = Trials("mute:3", timeout_s=0.3)
     (result,) = found.statistics.results
@@ -153,6 +156,7 @@ def test_what_is_no_reply_is_one_sentence(monkeypatch) -> None:
     assert not is_running(plant.pid)
 
 
+@pytest.mark.slow
 def test_the_process_ends_with_the_client_that_dies() -> None:
     script = f"""
 import os, sys
@@ -171,6 +175,7 @@ os.kill(os.getpid(), 9)
     assert not is_running(int(done.stdout))
 
 
+@pytest.mark.slow
 def test_it_keeps_to_what_a_plant_must_do() -> None:
     plant = ProcessPlant(PULL)
     check_plant(plant, PULL)
@@ -193,6 +198,7 @@ def execute(plan, plant, folder, *options):
     return subprocess.run([*command, "-o", str(folder / "runs.csv")], capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_the_command_line_executes_on_it(plan_file, tmp_path) -> None:
     done = execute(plan_file, f"{EXAMPLE}:ProcessPlant", tmp_path, "--trials", "2", "--json")
     assert done.returncode == 0, done.stderr
@@ -204,6 +210,7 @@ def test_the_command_line_executes_on_it(plan_file, tmp_path) -> None:
     assert {"belief_drawer", "estimate_x", "estimate_qw"} <= set(header)
 
 
+@pytest.mark.slow
 def test_on_the_command_line_a_killed_process_is_one_line_and_the_log_is_kept(plan_file, tmp_path) -> None:
     (tmp_path / "doomed.py").write_text(f"""
 import sys

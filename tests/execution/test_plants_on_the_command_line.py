@@ -127,6 +127,7 @@ def told(done, code):
     return line
 
 
+@pytest.mark.slow
 def test_a_class_of_ones_own_is_executed_on_and_success_is_what_is_believed(run, tmp_path):
     done = run("own.py:Own", "--trials", "2")
     assert done.returncode == 0, done.stderr
@@ -141,12 +142,14 @@ def test_a_class_of_ones_own_is_executed_on_and_success_is_what_is_believed(run,
     assert {"mode", "belief_drawer", "belief_std_drawer", "estimate_x", "estimate_qw"} <= extra.keys()
 
 
+@pytest.mark.slow
 def test_a_simulation_is_scored_by_its_truth(run, tmp_path):
     found = json.loads(run("nominal", "--json").stdout)
     assert found["believed"] is False
     assert "true_drawer" in read_recording(tmp_path / "runs.csv").extra
 
 
+@pytest.mark.slow
 def test_a_plant_that_a_package_registered_is_known_by_its_name(run, place):
     installed = str(place / "installed")
     done = run("robot", "--json", path=installed)
@@ -160,6 +163,7 @@ def test_a_plant_that_a_package_registered_is_known_by_its_name(run, place):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("plant", "code", "said", "rows"),
     [
@@ -180,23 +184,27 @@ def test_what_breaks_an_execution_off_is_one_line_and_the_log_is_kept(run, tmp_p
     assert abs(len(read_recording(tmp_path / "runs.csv")) - rows) <= 1
 
 
+@pytest.mark.slow
 def test_under_nohup_an_execution_goes_on(run):
     done = run("own.py:HungUp", "--trials", "1", hangs_up=False)
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_what_breaks_an_execution_off_is_json_too_when_asked(run):
     done = run("own.py:Broken", "--json")
     assert done.returncode == 2
     assert "Broken.apply raised ValueError" in json.loads(done.stdout)["error"]
 
 
+@pytest.mark.slow
 def test_what_a_machine_says_is_shown_and_not_sent_to_the_terminal(run):
     done = run("own.py:Rude", "--trials", "1")
     assert "\x1b" not in done.stdout + done.stderr
     assert r"\x1b]0;title\x07 [/red] the gripper" in done.stdout
 
 
+@pytest.mark.slow
 def test_a_machine_that_fails_is_a_failed_trial(run):
     done = run("own.py:Slips", "--trials", "2", "--json")
     assert done.returncode == 0
@@ -205,6 +213,7 @@ def test_a_machine_that_fails_is_a_failed_trial(run):
     assert found["failures"] == [{"trial": 0, "reason": "the machine failed in step 3: the gripper lost the handle"}]
 
 
+@pytest.mark.slow
 def test_what_is_no_plant_is_refused_before_anything_is_made(run):
     assert "Half is no plant: it has no reset(), apply(), close()" in told(run("own.py:Half"), 2)
 
@@ -213,6 +222,7 @@ def test_names_of_the_package_stay_names():
     assert [named_plant(name) for name in BUILT_IN] == list(BUILT_IN)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("text", "said"),
     [

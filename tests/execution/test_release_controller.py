@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from extras import requires
 
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
@@ -61,6 +62,7 @@ class Numb(NominalPlant):
         return replace(measured, force=np.zeros_like(measured.force))
 
 
+@pytest.mark.slow
 def test_a_hand_that_feels_nothing_does_not_let_go() -> None:
     problem, plan = solved()
     statistics = run_trials(problem, plan, plant=Numb.of)
@@ -68,12 +70,14 @@ def test_a_hand_that_feels_nothing_does_not_let_go() -> None:
     assert "no contact was felt" in statistics.results[0].reason
 
 
+@pytest.mark.slow
 def test_a_plant_that_cannot_feel_is_told_so() -> None:
     problem, plan = solved()
     with pytest.raises(InputError, match=r"Measurement.force is None; measure it, or leave 'release' out"):
         run_trials(problem, plan, plant=Deaf.of)
 
 
+@pytest.mark.slow
 def test_without_a_referee_it_is_believed() -> None:
     problem, plan = solved()
 
@@ -90,6 +94,7 @@ def test_without_a_referee_it_is_believed() -> None:
     assert statistics.released == statistics.successes == 3
 
 
+@pytest.mark.slow
 def test_a_plan_for_keeping_hold_lets_nothing_go() -> None:
     problem = load_problem(PROBLEM, {"release": None, "goal.target.z.value": 0.288, "robot": None, "grasp": None})
     statistics = run_trials(problem, solve(problem), trials=3)
@@ -97,11 +102,12 @@ def test_a_plan_for_keeping_hold_lets_nothing_go() -> None:
     assert statistics.results[0].released is None
 
 
-pytest.importorskip("mujoco", reason="held objects are simulated in MuJoCo (extra 'sim')")
+from micah_plan.execution.mujoco.held import HeldPlant
 
-from micah_plan.execution.mujoco.held import HeldPlant  # noqa: E402
+pytestmark = requires("sim")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_in_mujoco_the_stapler_stands_on_the_books(arm: bool) -> None:
     problem, plan = solved(arm=arm)

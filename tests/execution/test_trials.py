@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from execution_objects import drawer, pulling
+from extras import requires
 
 from micah_plan.errors import InputError
 from micah_plan.execution.checked_plant import make_plant
@@ -22,10 +23,8 @@ def test_the_same_seed_gives_the_same_log():
     assert first.recording.digest() != run_trials(PULL, PLAN, trials=3, seed=6).recording.digest()
 
 
-@pytest.mark.parametrize("kind", ["nominal", "mujoco"])
+@pytest.mark.parametrize("kind", ["nominal", pytest.param("mujoco", marks=requires("sim"))])
 def test_a_trial_does_not_depend_on_those_before_it(kind):
-    if kind == "mujoco":
-        pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
     many = run_trials(PULL, PLAN, plant=kind, trials=3, seed=5)
     few = run_trials(PULL, PLAN, plant=kind, trials=1, seed=5)
     assert many.recording.select(run=0).digest() == few.recording.digest()

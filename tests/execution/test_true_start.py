@@ -37,6 +37,7 @@ def test_named_coordinates_start_there_and_others_as_believed() -> None:
     np.testing.assert_array_equal(first_state(problem)[1][1:], drawn[1:])
 
 
+@pytest.mark.slow
 def test_the_belief_does_not_know_of_it_and_the_plan_is_the_same() -> None:
     problem, elsewhere = load_problem(LIGHT), load_problem(LIGHT, {"start.true": {"x": 2.5, "y": 0.0}})
     plan = solve(elsewhere, advise=False)

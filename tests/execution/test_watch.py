@@ -114,6 +114,7 @@ def test_nothing_is_commanded_by_what_is_measured_in_millimetres(drawer, plan) -
     assert found.plant.largest == 0.0
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["leap for good", "zeros", "frozen", "stuck", "backwards", "nan for good"])
 def test_what_stays_excluded_or_unseen_ends_the_trial(drawer, plan, kind) -> None:
     found = Executed(drawer, plan, kind)
@@ -125,6 +126,7 @@ def test_what_stays_excluded_or_unseen_ends_the_trial(drawer, plan, kind) -> Non
     assert found.plant.largest <= 0.03
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["half way", "twice as far"])
 def test_a_filter_that_is_behind_catches_up_before_it_claims(drawer, plan, kind) -> None:
     found = [Executed(drawer, plan, kind, seed) for seed in range(4)]
@@ -154,6 +156,7 @@ def test_the_log_of_a_blind_step_repeats_the_pose_and_can_be_learned_from(drawer
     assert learn(recording).automaton is not None
 
 
+@pytest.mark.slow
 def test_a_dark_place_is_no_reason_to_wait() -> None:
     problem = load_problem(PROBLEMS / "light_dark.yaml")
     statistics = run_trials(problem, solve(problem), trials=10)

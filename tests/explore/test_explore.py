@@ -39,6 +39,7 @@ def run(thing: Thing, scene: Scene | None = None, seed: int = 0) -> tuple[Explor
     return explore(scene or Scene(), HandlePlant(plant), np.random.default_rng(seed)), plant
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("thing", [DRAWER, HINGE, TWO, SMOOTH, LATCHED], ids=lambda thing: thing.family)
 def test_it_opens_with_little_force_and_knows_the_joints(thing: Thing) -> None:
     found, plant = run(thing)
@@ -51,6 +52,7 @@ def test_it_opens_with_little_force_and_knows_the_joints(thing: Thing) -> None:
     assert found.thinking < 0.5
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("flex", [0.0, 4000.0])
 def test_what_is_locked_is_held_and_nothing_is_claimed_of_it(flex: float) -> None:
     found, plant = run(replace(LOCKED, family="locked_flex" if flex else "locked", flex=flex))
@@ -73,6 +75,7 @@ def data_of(page: str) -> dict[str, Any]:
     return data
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("thing", [DRAWER, TWO, LOCKED], ids=lambda thing: thing.family)
 def test_its_page_plays_each_step(thing: Thing) -> None:
     found, _ = run(thing)
@@ -86,6 +89,7 @@ def test_its_page_plays_each_step(thing: Thing) -> None:
     assert [len(frames) for frames in data["charts"]] == [found.steps] * 3
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("steps", [0, 1])
 def test_the_page_of_hardly_any_steps_stands_still(steps: int) -> None:
     found, _ = run(LOCKED)
@@ -101,6 +105,7 @@ def test_the_same_seed_gives_the_same_model() -> None:
     assert texts[0] == texts[1]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("seed", [0, 3, *(pytest.param(seed, marks=SLOW) for seed in (1, 2, 4, 5, 6, 7, 8, 9))])
 def test_no_object_meets_more_than_the_largest_force(seed: int) -> None:
     limit = 12.0 + 3.0 * seed
@@ -109,6 +114,7 @@ def test_no_object_meets_more_than_the_largest_force(seed: int) -> None:
     assert found.outcome != "opened" or plant.travelled >= 0.19
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("fault", ["out_nan", "out_frozen", "out_late", "slip"])
 @pytest.mark.parametrize("thing", [HINGE, pytest.param(DRAWER, marks=SLOW)], ids=lambda thing: thing.family)
 def test_faults_of_tracker_and_grip_are_named_and_survived(fault: str, thing: Thing) -> None:
@@ -119,6 +125,7 @@ def test_faults_of_tracker_and_grip_are_named_and_survived(fault: str, thing: Th
     assert plant.largest_force < 45.0
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("from_measured", [False, True])
 @pytest.mark.parametrize("thing", [HINGE, pytest.param(LOCKED, marks=SLOW)], ids=lambda thing: thing.family)
 def test_a_slip_that_no_single_look_shows_is_named(thing: Thing, from_measured: bool) -> None:
@@ -144,6 +151,7 @@ def test_looks_at_a_noisy_tracker_tell_a_slip_from_noise(slip: float) -> None:
         np.testing.assert_allclose(told[1], [slip, 0.0, 0.0], atol=0.005)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("fault", "said"), [("lost", "lost the handle"), ("dies", "controller stopped")])
 def test_a_lost_handle_and_a_dead_plant_end_it_with_a_reason(fault: str, said: str) -> None:
     found, plant = run(replace(HINGE, fault=fault, fault_at=14))
@@ -219,6 +227,7 @@ def test_a_door_that_was_ajar_is_opened_the_other_way() -> None:
     assert plant.travelled >= 0.19
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("thing", [DRAWER, HINGE, TWO, LATCHED], ids=lambda thing: thing.family)
 def test_the_model_is_an_automaton_that_a_file_keeps(thing: Thing, tmp_path: Path) -> None:
     found, _ = run(thing)
@@ -284,12 +293,14 @@ def test_a_handle_outside_of_the_workspace_is_refused() -> None:
         run(DRAWER, Scene(low=(1.0, 1.0, 1.0)))
 
 
+@pytest.mark.slow
 def test_a_drawer_that_is_too_short_tells_how_far_it_went() -> None:
     found, _ = run(Thing("drawer", (Stage(0.12, Y),)))
     assert (found.outcome, found.kinds) == ("gave_up", ("prismatic",))
     assert found.travel == pytest.approx(0.12, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_tracker_that_is_far_noisier_than_thought_is_no_lost_handle() -> None:
     found, _ = run(replace(HINGE, position_noise=0.01, rotation_noise=0.1, force_noise=1.0))
     assert found.outcome == "opened"

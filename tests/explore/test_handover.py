@@ -17,6 +17,7 @@ THINGS = (
 )
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("thing", THINGS, ids=lambda thing: thing.family)
 def test_what_was_opened_is_closed_and_opened_again_with_the_model(thing: Thing, tmp_path: Path) -> None:
     assert closed_and_reopened(thing, 0, tmp_path) == ""

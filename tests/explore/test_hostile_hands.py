@@ -63,6 +63,7 @@ def opened(hand: Held, force: float = 45.0, seed: int = 1, stiffness: float | No
     return explore(scene, HandlePlant(hand), np.random.default_rng(seed))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("later", ["softer", "deaf"])
 @pytest.mark.parametrize("seed", range(2))
 def test_what_only_the_force_sensor_tells_is_no_opening(later, seed) -> None:
@@ -73,6 +74,7 @@ def test_what_only_the_force_sensor_tells_is_no_opening(later, seed) -> None:
     assert hand.largest <= 45.0
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("later", [None, "deaf"])
 def test_what_the_tracker_sees_too_is_one(later) -> None:
     hand = Held(later=later, at=20)
@@ -81,6 +83,7 @@ def test_what_the_tracker_sees_too_is_one(later) -> None:
     assert hand.way >= 0.17
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stiffness", "force"), [(19_000.0, 10.0), pytest.param(19_000.0, 4.0, marks=pytest.mark.slow), (1500.0, 10.0)]
 )

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from attack import attack, readers
 from corpus import FILES, write_corpus
+from extras import module_requires
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -20,8 +21,7 @@ from micah_plan.exchange.convert import convert
 from micah_plan.recording.read import read_recording, write_recording
 from micah_plan.view.figures import save_figure
 
-pytest.importorskip("mcap", reason="the corpus has MCAP files (extra 'ros')")
-pytest.importorskip("pyarrow", reason="the corpus has Parquet files (extra 'parquet')")
+pytestmark = [module_requires("ros"), module_requires("parquet")]  # the corpus has MCAP and Parquet files
 ROOT = Path(__file__).resolve().parents[2]
 ATTACK = Path(__file__).with_name("attack.py")
 HARMLESS = {

@@ -34,6 +34,7 @@ def learned(recording: Recording, method: str) -> KinematicEdge:
     return learn_graph(recording, method=method).edges[0]  # type: ignore[arg-type]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["prismatic", "revolute"])
 @pytest.mark.parametrize("seed", range(2))
 def test_a_late_turned_and_scaled_channel_is_reported_and_does_not_fool_the_segments(kind: str, seed: int) -> None:

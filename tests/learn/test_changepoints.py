@@ -119,6 +119,7 @@ def test_a_changepoint_is_not_refined_where_no_row_counts_on_one_of_its_sides(co
     assert len(refined.rows) == 1 if inlier.sum() < 80 else len(refined.rows) > 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid", [0.0005, 0.004])
 def test_the_first_row_of_a_stop_is_as_open_as_readings_on_a_grid_leave_it(grid: float) -> None:
     """A slide of 1 mm per row is read to 4 mm: rows in between say nothing new. Read finer, it is known to a few."""

@@ -148,6 +148,7 @@ def test_without_a_reason_there_is_no_channel():
     assert estimate_channel(rigid((0, 0, 0)), [(0, n - 1)], truth.track, truth.white_std) is None
 
 
+@pytest.mark.slow
 def test_unrelated_actions_seldom_make_a_channel():
     found = 0
     for trial in range(20):
@@ -265,6 +266,7 @@ def covered(trials):
     return {name: float(np.mean(values)) for name, values in counts.items()}, len(counts["gain"])
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth():
     shares, found = covered(6)
     assert found >= 66

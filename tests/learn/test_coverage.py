@@ -15,6 +15,7 @@ def least_hits(trials: int, share: float) -> int:
     return int(binom.ppf(RARELY, trials, share))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("wander", [0.0, 1.5])
 def test_intervals_of_a_door_hold_the_truth(wander: float) -> None:
     found = covered(Case("revolute", rows=60, wander=wander), 60)

@@ -66,16 +66,19 @@ def test_a_part_that_tilts_while_it_slides_moves_along_a_path(tilt, times) -> No
     assert answer(tilting(tilt, times, seed=times)) == ["path"]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("seed", range(3))
 def test_a_part_that_slides_straight_does_not(seed) -> None:
     assert answer(tilting(0.0, 3, seed)) == ["prismatic"]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("seed", range(4))
 def test_a_curve_is_no_chain_of_joints(seed) -> None:
     assert answer(cosine(seed)) == ["none"]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("seed", range(4))
 def test_a_chain_of_joints_is_no_curve(seed) -> None:
     assert answer(chain(seed)) == ["prismatic", "prismatic"]

@@ -134,6 +134,7 @@ def test_steps_move_the_parameters_they_are_named_after(kind: str) -> None:
         np.testing.assert_allclose(drift, [asked["center_1"], asked["center_2"]], atol=1e-4)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["prismatic", "revolute", "screw"])
 @BOTH
 def test_it_ends_where_an_independent_solver_ends(kind: str, has_orientation: bool) -> None:
@@ -177,6 +178,7 @@ def test_a_fifth_of_outliers_does_not_move_the_fit(kind: str) -> None:
     assert fit.position_std == pytest.approx(POSITION_STD, rel=0.4)
 
 
+@pytest.mark.sweep
 @EVERY
 @BOTH
 def test_the_answer_does_not_depend_on_the_base(kind: str, has_orientation: bool) -> None:
@@ -242,6 +244,7 @@ def test_configurations_count_from_where_the_guess_counts() -> None:
     assert np.dot(fit.joint.axis, flipped.axis) > 0.99
 
 
+@pytest.mark.sweep
 @EVERY
 @BOTH
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 8])
@@ -254,6 +257,7 @@ def test_a_few_rows_give_a_finite_answer(kind: str, has_orientation: bool, n: in
         assert stds_of(fit.joint).max() > 1e-4
 
 
+@pytest.mark.sweep
 @EVERY
 @BOTH
 @pytest.mark.parametrize("data", ["constant", "resting", "line", "nothing"])
@@ -324,6 +328,7 @@ def test_a_short_helix_seen_by_positions_alone_is_fitted_wherever_it_starts() ->
         assert abs(one.pitch - truth.pitch) < 3 * std["pitch"]
 
 
+@pytest.mark.slow
 def test_poses_tell_a_screw_from_a_hinge_whatever_is_guessed() -> None:
     """Beside a slow tracker a tilted hinge explains the places of a screw, and another one its turns: not one both."""
     rng, right = np.random.default_rng(5), 0

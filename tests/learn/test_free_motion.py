@@ -23,6 +23,7 @@ def no_single_joint(recording: Recording) -> NoSingleJoint | None:
     return next((s.certainty.no_single_joint for s in segments if s.certainty.no_single_joint is not None), None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", FREE)
 def test_free_motion_fits_no_single_joint(motion: str) -> None:
     recording = free_recording(motion, 0, orientation=True)
@@ -47,6 +48,7 @@ def test_free_motion_is_hardly_ever_taken_for_a_joint(motion: str, orientation: 
     assert sum(one is not None for one in found) >= (3 if close else 5)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", list(JOINTS))
 def test_a_joint_under_a_realistic_tracker_is_no_free_motion(kind: str) -> None:
     assert no_single_joint(joint_recording(kind, 0, wander=2.5, memory=15.0)) is None
@@ -67,6 +69,7 @@ def test_trackers_raise_no_false_alarm(kind: str, memory: float) -> None:
             assert no_single_joint(joint_recording(kind, seed, wander, memory)) is None
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", list(JOINTS))
 def test_a_sound_joint_says_that_it_fits(kind: str) -> None:
     recording = recorded([(JOINTS[kind], moving_then_held(kind))], np.random.default_rng(0), Noise(0.003, 0.02))
@@ -131,6 +134,7 @@ def seen_by_a_wandering_tracker(position: np.ndarray, std: float, rng: np.random
     return Recording(time=np.arange(len(position)) / 18, position=position + white + std * error)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("std", [0.001, 0.002, 0.003, 0.005])
 @pytest.mark.parametrize("kind", ["prismatic", "revolute"])
 def test_what_a_wandering_tracker_misses_of_a_joint_is_no_free_motion(kind: str, std: float) -> None:
@@ -141,6 +145,7 @@ def test_what_a_wandering_tracker_misses_of_a_joint_is_no_free_motion(kind: str,
         assert no_single_joint(seen_by_a_wandering_tracker(position, std, rng)) is None
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("std", [0.001, 0.003])
 def test_a_path_that_no_joint_has_is_refused_under_a_wandering_tracker_too(std: float) -> None:
     s = np.linspace(0, 0.3, 120)
@@ -148,6 +153,7 @@ def test_a_path_that_no_joint_has_is_refused_under_a_wandering_tracker_too(std: 
     assert no_single_joint(seen_by_a_wandering_tracker(position, std, np.random.default_rng(4))) is not None
 
 
+@pytest.mark.slow
 def test_how_sure_a_joint_is_fades_as_its_path_bends_away_from_it() -> None:
     """A joint that is the answer by little is not said with certainty, nor is free motion."""
     s = np.linspace(0, 0.3, 120)

@@ -29,6 +29,7 @@ def kinds(recording: Recording) -> list[str]:
     return [one.joint.kind for one in learn_graph(recording).edges[0].segments]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("noise", NOISES)
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_part_that_is_pushed_in_vain_and_then_released_was_locked(kind: str, noise: Noise) -> None:
@@ -39,6 +40,7 @@ def test_a_part_that_is_pushed_in_vain_and_then_released_was_locked(kind: str, n
     assert right >= 3
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("noise", NOISES)
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_part_that_nobody_pushed_yet_waits_for_the_hand(kind: str, noise: Noise) -> None:
@@ -48,6 +50,7 @@ def test_a_part_that_nobody_pushed_yet_waits_for_the_hand(kind: str, noise: Nois
     assert kinds(acted(kind, np.linspace(0, 1, 4), np.zeros(0), noise)) == [kind]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("noise", NOISES)
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_hand_that_first_goes_the_other_way_has_not_pushed_in_vain(kind: str, noise: Noise) -> None:
@@ -70,6 +73,7 @@ def test_hands_whose_direction_wanders_do_not_wait_while_they_push(name: str) ->
     assert right >= 16
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("noise", [*NOISES, Noise(0.0, 0.0)])
 @pytest.mark.parametrize("rows", [30, 120])
 @pytest.mark.parametrize("kind", KINDS)
@@ -77,6 +81,7 @@ def test_a_part_that_is_left_open_has_no_stop_however_long_it_rests(kind: str, r
     assert kinds(acted(kind, np.zeros(0), np.zeros(rows), noise)) == [kind]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("noise", NOISES)
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_part_that_is_pushed_on_without_moving_is_stopped(kind: str, noise: Noise) -> None:
@@ -95,6 +100,7 @@ def pressed_on_the_way(kind: str, noise: Noise, seed: int, late: int) -> Recordi
     return recorded([(JOINTS[kind], c)], rng, noise, commanded=[commanded])
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("late", [0, 4])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_part_that_is_pressed_at_a_stop_and_moved_back_was_held_there(kind: str, late: int) -> None:
@@ -103,6 +109,7 @@ def test_a_part_that_is_pressed_at_a_stop_and_moved_back_was_held_there(kind: st
     assert found.count([kind, "rigid", kind]) >= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_less_a_hand_pushes_at_a_rest_the_less_certain_it_is(kind: str) -> None:
     """The joint may have the part there as well: that was no rival, and every rest was told with certainty."""

@@ -51,6 +51,7 @@ def test_a_slip_of_the_tracker_is_no_rest() -> None:
     assert not len(held_rows(one))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("number", [1, 2, 3])
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_a_part_opened_and_shut_several_times_has_a_stop_each_time(kind: str, number: int) -> None:
@@ -59,6 +60,7 @@ def test_a_part_opened_and_shut_several_times_has_a_stop_each_time(kind: str, nu
     assert one.stops == 2 * number
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "number", "variant", "missed"),
     [
@@ -76,6 +78,7 @@ def test_a_long_run_has_its_stops_too(kind: str, number: int, variant: str, miss
     assert not count.wrong
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("columns", ["poses", "positions"])
 @pytest.mark.parametrize(("kind", "number", "seed"), [("revolute", 1, 40), ("revolute", 3, 42), ("prismatic", 2, 41)])
 def test_the_model_has_the_stops_that_were_learned(kind: str, number: int, seed: int, columns: str) -> None:
@@ -90,6 +93,7 @@ def test_the_model_has_the_stops_that_were_learned(kind: str, number: int, seed:
         assert away < 4 * before.observation_std + (before.configuration_range[1] - before.configuration_range[0]) / 40
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("alone", [(1000, 0, 0), (0, 1000, 0), (0, 0, 1000), (300, 300, 300)])
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_however_long_a_part_is_left_alone_its_stops_are_the_same(kind: str, alone: tuple[int, int, int]) -> None:
@@ -102,12 +106,14 @@ def test_however_long_a_part_is_left_alone_its_stops_are_the_same(kind: str, alo
     assert not still.wrong
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_a_part_opened_slowly_and_shut_quickly_has_its_stops(kind: str) -> None:
     count = cycles.counted(kind, 1, cycles.Variant(slow=6), 5)
     assert (count.found, count.many) == (2, 0), count.answer
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_a_step_in_which_a_part_is_caught_or_let_go_need_not_be_led(kind: str) -> None:
     """A few large steps there and many small ones back: each rest begins and ends within one of the large ones."""
@@ -118,6 +124,7 @@ def test_a_step_in_which_a_part_is_caught_or_let_go_need_not_be_led(kind: str) -
     assert (unpushed.many, unpushed.wrong) == (0, False), unpushed.answer
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_a_push_that_is_slower_than_the_motion_tells_a_stop_too(kind: str) -> None:
     """A hand slows down where it meets an end: how far it asks for counts, not how fast."""
@@ -158,12 +165,14 @@ def test_a_row_between_a_rest_and_a_motion_is_no_rest_elsewhere() -> None:
     assert not count.wrong
 
 
+@pytest.mark.slow
 def test_a_part_that_is_moved_many_times_and_never_pushed_has_no_stop() -> None:
     recording, _ = cycles.recording_of("revolute", 6, cycles.VARIANTS["not pushed"], 3)
     (edge,) = learn_graph(recording).edges
     assert [segment.joint.kind for segment in edge.segments] == ["revolute"]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 def test_a_part_moved_there_and_back_between_its_ends_has_none(kind: str) -> None:
     recording, stops = cycles.recording_of(kind, 2, cycles.VARIANTS["not pushed"], 5)
@@ -172,6 +181,7 @@ def test_a_part_moved_there_and_back_between_its_ends_has_none(kind: str) -> Non
     assert [segment.joint.kind for segment in edge.segments] == [kind]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("kind", "number", "seed"), [("revolute", 1, 60), ("revolute", 2, 61), ("prismatic", 1, 66), ("prismatic", 2, 63)]
 )

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from micah_plan.automaton.kinematics import forward, inverse
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_recording_and_another_one_another():
     assert len(KINDS) >= 25
     for name in KINDS:

@@ -33,6 +33,7 @@ def kinds(found: KinematicEdge) -> list[str]:
     return [segment.joint.kind for segment in found.segments]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["prismatic", "revolute", "screw"])
 def test_moving_then_rigid_is_found_with_its_parameters(kind: str) -> None:
     c = moving_then_held(kind)
@@ -78,6 +79,7 @@ def test_ten_percent_outliers_change_nothing(kind: str) -> None:
     assert np.dot(found.segments[0].joint.axis, AXIS) > np.cos(0.03)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("method", ["champ", "act-champ"])
 def test_a_pushed_door_that_stops_is_shut(method: str) -> None:
     c = moving_then_held("revolute")
@@ -171,6 +173,7 @@ def test_later_runs_are_counted_along_the_first() -> None:
     assert found.segments[1].configuration_end == pytest.approx(0.05, abs=0.01)
 
 
+@pytest.mark.slow
 def test_parts_become_edges_of_their_own() -> None:
     rng = np.random.default_rng(13)
     door = recorded([(JOINTS["revolute"], np.linspace(0, 0.8, 60))], rng)
@@ -249,6 +252,7 @@ def test_the_recorded_stapler_is_revolute_until_it_latches() -> None:
 PHASE = np.linspace(0.0, 1.0, 70)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["prismatic", "revolute"])
 @pytest.mark.parametrize(
     "progress",
@@ -274,6 +278,7 @@ def test_different_joints_of_one_kind_stay_apart() -> None:
     assert abs(found.changepoints[0] - 60) <= 2
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("position_noise", [0.0, 0.0005])
 def test_a_push_that_does_not_follow_the_arc_tells_a_stop(position_noise: float) -> None:
     """Clean actions say nothing of most directions of the action channel; it must not use them to explain the stop."""

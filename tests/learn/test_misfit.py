@@ -84,6 +84,7 @@ def test_one_normal_keeps_its_covariance() -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_axis_of_a_real_hinge_is_within_its_intervals() -> None:
     errors, stds = tilts_and_radii(0.003, 0.0003, LearnSettings(), 40)
     away = np.linalg.norm(errors[:, :3], axis=1)
@@ -94,6 +95,7 @@ def test_the_axis_of_a_real_hinge_is_within_its_intervals() -> None:
     assert np.mean(away < 2.45 * stds.mean(axis=1)) < 0.7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0003, 0.002])
 def test_an_ideal_hinge_hardly_pays_for_it(noise: float) -> None:
     _, with_misfit = tilts_and_radii(0.0, noise, LearnSettings(), 20)

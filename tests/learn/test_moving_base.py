@@ -49,6 +49,7 @@ def off_axis(joint) -> float:
     return float(np.arccos(min(abs(float(np.dot(joint.axis, DOOR.axis))), 1.0)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
 def test_that_two_free_bodies_are_joined_is_found_and_the_remedy_told(seed: int) -> None:
     """Which of the two stands on the other is a convention: both move freely."""
@@ -61,6 +62,7 @@ def test_that_two_free_bodies_are_joined_is_found_and_the_remedy_told(seed: int)
     assert f"--base {on_base.child}" in learned.reason
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("amount", [0.0, 0.05, 0.5])
 def test_relative_to_the_cart_the_door_has_its_hinge(amount: float) -> None:
     learned = learn(recorded(pushed_about(amount, 4), 4), base="cart")
@@ -74,6 +76,7 @@ def test_relative_to_the_cart_the_door_has_its_hinge(amount: float) -> None:
     assert learned.recording.parts == ("door",)
 
 
+@pytest.mark.slow
 def test_what_is_learned_predicts_the_relative_recording() -> None:
     recording = recorded(pushed_about(0.5, 5), 5)
     model = micah_plan.learn(recording, base="cart")

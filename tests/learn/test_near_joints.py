@@ -44,6 +44,7 @@ def cap(pitch: float, turns: float, rows: int = 220) -> tuple[np.ndarray, Rotati
     return poses.translation, poses.rotation
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("pitch", "turns"), [(0.003, 4.0), (0.002, 3.0), (0.005, 1.5)])
 def test_the_thread_of_a_cap_is_told_from_none(pitch: float, turns: float) -> None:
     (advances,) = learned(seen(*cap(pitch, turns), 0.0004))
@@ -55,6 +56,7 @@ def test_the_thread_of_a_cap_is_told_from_none(pitch: float, turns: float) -> No
     assert turns_only.probability > 0.9
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("seed", range(4))
 def test_a_hinge_that_hardly_turns_or_is_seen_badly_is_no_screw(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -71,6 +73,7 @@ def slide(tilt: float, passes: int, rows: int = 160) -> tuple[np.ndarray, Rotati
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt", [18.0, 25.0, 38.0])
 def test_a_slide_that_tilts_is_no_slide(tilt: float) -> None:
     assert kinds(seen(*slide(tilt, 3), 0.001)) == ["path"]
@@ -104,6 +107,7 @@ def test_a_stream_goes_on_after_rows_that_no_joint_holds() -> None:
     assert learner.segments()[-1].end == len(rows) - 1
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("height", "halves"), [(0.1, 1.5), (0.08, 2.0)])
 def test_a_wave_that_two_hinges_follow_closely_is_no_chain_of_them_and_two_arcs_are(
     height: float, halves: float

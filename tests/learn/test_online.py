@@ -68,6 +68,7 @@ def assert_same_segments(recording: Recording, method: str) -> None:
     assert all(abs(a - b) <= 2 for a, b in zip(found.changepoints, exact.changepoints, strict=True))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["prismatic", "revolute", "screw"])
 def test_what_fits_the_window_is_learned_exactly(kind: str) -> None:
     recording = recorded([(JOINTS[kind], moving_then_held(kind))], np.random.default_rng(1))
@@ -78,6 +79,7 @@ def test_what_fits_the_window_is_learned_exactly(kind: str) -> None:
     assert learner.committed == ()
 
 
+@pytest.mark.slow
 def test_a_part_that_returns_to_a_joint_has_the_same_again() -> None:
     recording = lifted_and_opened(cycles=6)
     segments = learned(recording, len(recording)).segments()
@@ -88,6 +90,7 @@ def test_a_part_that_returns_to_a_joint_has_the_same_again() -> None:
     assert [segment.start for segment in segments[1:]] == [segment.end + 1 for segment in segments[:-1]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("aside", "joints"), [(0.0, 1), (0.05, 2)])
 def test_a_joint_elsewhere_is_another_one(aside: float, joints: int) -> None:
     """The known joint stands for a window's only where it explains its rows: 5 cm further it does not."""
@@ -115,6 +118,7 @@ def test_closed_and_open_are_one_model_each_however_often_they_are_held() -> Non
     assert all(abs(s.start - 760 * (i + 1)) <= 64 for i, s in enumerate(starts))
 
 
+@pytest.mark.slow
 def test_committed_segments_stay_and_the_others_follow_them() -> None:
     recording = lifted_and_opened(cycles=5, seed=2)
     learner = OnlineLearner(SMALL, "champ")
@@ -133,12 +137,14 @@ def test_committed_segments_stay_and_the_others_follow_them() -> None:
     assert rest[-1].end == len(recording) - 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunk", [1, 37])
 def test_how_rows_are_pushed_does_not_matter(chunk: int) -> None:
     recording = lifted_and_opened(cycles=3)
     assert learned(recording, chunk).segments() == learned(recording, len(recording)).segments()
 
 
+@pytest.mark.slow
 def test_looking_at_the_segments_changes_nothing() -> None:
     recording = lifted_and_opened(cycles=3)
     asked, silent = OnlineLearner(SMALL, "champ"), OnlineLearner(SMALL, "champ")
@@ -150,6 +156,7 @@ def test_looking_at_the_segments_changes_nothing() -> None:
     assert asked.segments() == silent.segments()
 
 
+@pytest.mark.slow
 def test_a_window_holds_a_bounded_number_of_rows() -> None:
     settings = LearnSettings(window=256, resolution=32)
     learner = OnlineLearner(settings, "champ")
@@ -175,6 +182,7 @@ def test_a_long_run_is_learned_online_as_part_of_a_recording() -> None:
     assert edge.changepoints == learner.edge().changepoints
 
 
+@pytest.mark.slow
 def test_later_long_runs_are_counted_along_the_first() -> None:
     opening = recorded([(JOINTS["prismatic"], np.linspace(0, 0.25, 60))], np.random.default_rng(5))
     shaken = 0.25 - 0.2 * np.abs(np.sin(np.linspace(0, 8 * np.pi, 700)))
@@ -218,6 +226,7 @@ def test_rows_that_cannot_be_learned_are_refused() -> None:
         OnlineLearner(method="magic")  # type: ignore[arg-type]
 
 
+@pytest.mark.sweep
 @needs_data
 @pytest.mark.parametrize("method", ["champ", "act-champ"])
 @pytest.mark.parametrize("name", ["drawer_no_grasp", "microwave_with_grasp", "stapler"])

@@ -77,6 +77,7 @@ def only(recording: Recording) -> Segment:
     return segment
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("times", [2, 3])
 def test_a_curve_that_is_passed_again_is_a_path(shape: str, times: int) -> None:
@@ -91,6 +92,7 @@ def test_a_curve_that_is_passed_again_is_a_path(shape: str, times: int) -> None:
     assert np.sqrt(np.mean(left**2)) < 1.5 * WHITE
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_tracker_that_wanders_between_passes_hides_no_path(shape: str) -> None:
     """Passes lie further apart than neighbouring rows, which is no motion across the curve."""
@@ -104,6 +106,7 @@ def test_a_tracker_that_wanders_between_passes_hides_no_path(shape: str) -> None
     assert np.sqrt(np.mean(left**2)) < 0.85 * np.sqrt(np.mean(seen**2))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("wanders", [0.0, 2 * WHITE])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_curve_that_is_passed_once_is_no_joint(shape: str, wanders: float) -> None:
@@ -123,6 +126,7 @@ def test_a_path_by_positions_alone_is_likelier_than_free_motion_only_if_it_is_pa
         assert (told is not None and told.log_probability > free + 50.0) == again
 
 
+@pytest.mark.slow
 def test_a_curve_that_deforms_is_no_path() -> None:
     """The slot's waves grow from pass to pass, so it does not agree with itself."""
     recording, truth = passed("slot", 3)
@@ -134,6 +138,7 @@ def test_a_curve_that_deforms_is_no_path() -> None:
     assert segment.joint.kind != "path"
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["revolute", "prismatic", "screw"])
 def test_a_real_joint_that_is_passed_again_is_no_path(kind: str) -> None:
     """It deviates by millimetres, in every pass alike, as real joints do."""

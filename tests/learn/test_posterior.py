@@ -110,6 +110,7 @@ def test_kinds_are_stated_with_nine_tenths_on_average(many, method: Method) -> N
     assert np.mean(given) > 0.9
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("kind", list(JOINTS))
 def test_probabilities_are_probabilities(kind: str, method: Method) -> None:
@@ -180,6 +181,7 @@ def enumerated(table: EvidenceTable, cost, apart, prior: LengthPrior, most: int)
     return np.array([logsumexp(one) for one in totals]), rows
 
 
+@pytest.mark.slow
 def test_forward_and_backward_sums_are_the_sum_over_all_segmentations() -> None:
     """Every segmentation of a short track, written out one by one."""
     recording = recorded([(JOINTS["prismatic"], moving_then_held("prismatic", 5, 3))], np.random.default_rng(1))
@@ -254,6 +256,7 @@ def test_an_answer_is_as_probable_as_its_joints_at_all_places_where_one_may_take
     assert answer.log_probability == pytest.approx(logsumexp(weights) - paid, abs=1e-9)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("stopped", [None, 40])
 @pytest.mark.parametrize("kind", list(JOINTS))
 def test_an_answer_is_told_beside_every_kind_of_joint_on_its_rows(kind: str, stopped: int | None) -> None:

@@ -103,6 +103,7 @@ def assert_same(recordings: list[Recording], method: Method, tolerance: float = 
         np.testing.assert_allclose(other_starts, starts, atol=tolerance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("kind", list(JOINTS))
 def test_a_joint_measured_more_often_is_the_same(kind: str, method: Method) -> None:
@@ -120,6 +121,7 @@ def test_any_rate_gives_the_same_joints(kind: str, method: Method) -> None:
     assert_same([original, thinned(original, 2), *others, planted(kind, rate=16)], method)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "method"), DEMONSTRATED[:3])
 def test_a_demonstration_at_another_rate_has_the_same_segments(shared_data, name: str, method: Method) -> None:
     original = read_recording(shared_data / "demonstrations" / f"{name}.csv")
@@ -169,6 +171,7 @@ def test_a_shipped_demonstration_at_any_rate_has_the_same_segments(path: Path) -
     assert_same([recording, thinned(recording, 2), *others], "act-champ", 0.08 if soft else TOLERANCE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1000.0, 18.0])
 def test_the_unit_of_time_does_not_matter(scale: float) -> None:
     original = planted("screw")
@@ -180,6 +183,7 @@ def test_the_unit_of_time_does_not_matter(scale: float) -> None:
             np.testing.assert_allclose(other.joint.position, one.joint.position, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", list(JOINTS))
 def test_another_base_frame_moves_the_joints_with_it(kind: str) -> None:
     original = planted(kind)

@@ -95,6 +95,7 @@ def assert_found(kind: str, recording: Recording, method: Method, original: Reco
     assert angle < 0.03
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", KINDS)
 def test_everything_wrong_at_once(kind: str) -> None:
     original = planted(kind)
@@ -102,6 +103,7 @@ def test_everything_wrong_at_once(kind: str) -> None:
         assert_found(kind, everything(original, np.random.default_rng(3)), method, original)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("row", [0, 1, -1])
 def test_an_outlier_at_the_end_is_no_segment(row: int) -> None:
     original = planted("revolute")
@@ -139,6 +141,7 @@ def test_quaternion_signs_change_nothing() -> None:
         np.testing.assert_allclose(one.joint.axis, other.joint.axis, atol=1e-8)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("orientation", [True, False])
 @pytest.mark.parametrize("noise", [0.0, 0.001])
 def test_a_part_that_never_moves_is_rigid(noise: float, orientation: bool) -> None:
@@ -157,6 +160,7 @@ def test_a_part_that_never_moves_is_rigid(noise: float, orientation: bool) -> No
         np.testing.assert_allclose(segments[0].joint.position, JOINTS["revolute"].position, atol=3e-3)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("kind", KINDS)
 def test_without_noise_as_a_simulator_records_it(kind: str, method: Method) -> None:
@@ -167,6 +171,7 @@ def test_without_noise_as_a_simulator_records_it(kind: str, method: Method) -> N
     assert segments[0].configuration_end == pytest.approx(moving_then_held(kind)[-1], rel=1e-2)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", KINDS)
 def test_two_centimetres_of_noise_leave_the_kind(kind: str) -> None:
     noisy = planted(kind, noise=Noise(0.02, 0.05))
@@ -177,6 +182,7 @@ def test_two_centimetres_of_noise_leave_the_kind(kind: str) -> None:
         assert not any(s.certainty.no_single_joint for s in segments)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("size", [6.0, 0.05])
 def test_large_and_tiny_objects(kind: str, size: float) -> None:
@@ -190,6 +196,7 @@ def test_large_and_tiny_objects(kind: str, size: float) -> None:
         assert kinds_of(learned(scaled, method, settings)) == [kind, "rigid"]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("orientation", [True, False])
 @pytest.mark.parametrize("rows", [5, 6, 8, 12])
 def test_very_short_recordings_are_answered(rows: int, orientation: bool) -> None:
@@ -238,6 +245,7 @@ def test_rows_without_a_pose_are_named(column: str) -> None:
         learn_graph(replace(original, **{column: values}))
 
 
+@pytest.mark.slow
 def test_actions_that_are_missing_here_and_there_are_no_actions() -> None:
     original = planted("revolute")
     action = original.action.copy()
@@ -257,6 +265,7 @@ def test_millimetres_and_milliseconds_raise_the_suspicion() -> None:
     assert any("if they are in ms" in line for line in late)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_part_that_opens_and_closes_again_keeps_one_joint(kind: str) -> None:
     there = np.linspace(0, TRAVEL[kind], 60)
@@ -294,6 +303,7 @@ def test_repeated_times_are_refused_in_one_line(method: Method) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pitch", [0.04, -0.04])
 def test_a_helix_swept_once_is_a_screw_by_positions_alone(pitch: float) -> None:
     """A circle through it leaves five times the noise, and four steps of a fit do not lead from there to the helix."""

@@ -26,6 +26,7 @@ def intervals(kind: str, trials: int, noise: float) -> list[tuple[int, int]]:
     return found
 
 
+@pytest.mark.slow
 def test_an_interval_of_a_stop_is_as_wide_as_the_noise_makes_it() -> None:
     sharp, blurred = (intervals("prismatic", 3, noise) for noise in (0.0003, 0.004))
     assert all(low <= STOP + 1 and high >= STOP for low, high in sharp)

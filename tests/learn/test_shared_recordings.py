@@ -46,6 +46,7 @@ def assert_as_known(name: str, method: str, seed: int) -> None:
     )
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", DEMONSTRATIONS)
 def test_a_demonstration_has_its_structure_where_the_motion_ends(name: str, method: str) -> None:

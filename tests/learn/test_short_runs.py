@@ -53,6 +53,7 @@ def test_runs_with_two_moving_rows_share_the_drawer_that_none_of_them_shows(acte
         assert one.configuration_end == pytest.approx(course[-1], abs=2e-3)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("pushed", [False, True])
 def test_short_runs_against_one_stop_share_the_hinge_and_end_rigid(pushed: bool) -> None:
     shut = np.concatenate([np.linspace(0.0, 0.8, 18), np.full(10, 0.8)])

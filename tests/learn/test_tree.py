@@ -98,6 +98,7 @@ class TestSearch:
         assert kinds(graph, "tray") == ["rigid"]
         assert kinds(graph, "tag") == ["prismatic"]
 
+    @pytest.mark.sweep
     @pytest.mark.parametrize("names", [("a", "b", "c"), ("c", "a", "b"), ("b", "c", "a"), ("c", "b", "a")])
     def test_of_one_body_the_first_by_name_carries_the_others(self, names: tuple[str, str, str]) -> None:
         slide, on_it, mark = names
@@ -276,12 +277,14 @@ class TestWithTheLearner:
             f"{one}/{other}" for one in ("revolute", "rigid") for other in drawer
         )
 
+    @pytest.mark.slow
     def test_a_tray_pulled_out_of_a_carriage_after_the_carriage_was(self) -> None:
         """Two slides of the tray on the base would explain it as well; what the carriage says makes one enough."""
         graph = planted(carriage(together=False), "champ", 0)
         assert tree(graph) == {"carriage": BASE, "tray": "carriage"}
         assert kinds(graph, "tray") == ["prismatic"]
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("unseen", ["drawer", pytest.param("door", marks=pytest.mark.slow)])
     @pytest.mark.parametrize("seed", [0, pytest.param(5, marks=pytest.mark.slow)])
     def test_a_part_that_is_unseen_for_a_third_of_the_time_carries_what_stands_on_it_and_nothing_else(
@@ -394,6 +397,7 @@ def test_the_probability_of_a_tree_is_its_share_among_all() -> None:
         assert _share(evidence, tree) == pytest.approx(weight)
 
 
+@pytest.mark.slow
 def test_parents_of_a_child_are_compared_on_as_many_steps() -> None:
     graph = learn_graph(recorded_parts(cabinet(), 0))
     assert graph.probability is not None
@@ -401,6 +405,7 @@ def test_parents_of_a_child_are_compared_on_as_many_steps() -> None:
     assert learn_graph(recorded_parts({"door": cabinet()["door"]}, 0)).probability is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "pushed"), [(4, True), (14, True), (4, False)])
 def test_parts_that_are_moved_one_after_the_other_have_their_stops(seed: int, pushed: bool) -> None:
     """Each rests while the other is moved, and both before: a part's rest takes no steps from its motion."""

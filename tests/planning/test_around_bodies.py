@@ -72,6 +72,7 @@ def along(means: np.ndarray) -> np.ndarray:
     return np.concatenate([a + np.linspace(0, 1, 11)[:, None] * (b - a) for a, b in pairwise(means)])
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("turned", [0.0, 0.4])
 def test_what_slides_goes_around_a_body(problem: Problem, turned: float) -> None:
     body = replace(problem.scene[0], quaternion=tuple(Rotation.from_euler("z", turned).as_quat().tolist()))

@@ -36,6 +36,7 @@ def solved_by(problem: Problem, name: str, seed: int = 0, **changes: object) -> 
     return solve(with_settings(problem, **changes), planner=PLANNERS[name], seed=seed)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("method", ["direct", "rrt"])
 @pytest.mark.parametrize("name", ["drawer_open", "microwave_close"])
 def test_baselines_solve_the_easy_problems(method: str, name: str) -> None:
@@ -50,6 +51,7 @@ def test_baselines_solve_the_easy_problems(method: str, name: str) -> None:
     assert np.all(np.abs(found.trajectory.inputs) <= limits_of(problem).max_step + 1e-9)
 
 
+@pytest.mark.slow
 def test_the_tree_goes_through_the_gate_and_past_the_trap() -> None:
     found = solved_by(planar_problem(), "rrt")
     assert found.mode_sequence == ("left", "right")
@@ -62,6 +64,7 @@ def test_the_tree_goes_through_the_gate_and_past_the_trap() -> None:
     assert found.success_probability is not None
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_tree_whatever_ran_before() -> None:
     problem = with_settings(planar_problem(), verification_trials=1)
     first = solved_by(problem, "rrt", 3)
@@ -81,6 +84,7 @@ def test_the_direct_planner_does_not_see_the_way_around_a_wall() -> None:
     assert direct.outcome != "solved"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["direct", "rrt"])
 def test_what_is_impossible_is_refused_with_a_reason(method: str) -> None:
     outside = solved_by(door_problem(0.2, 2.0), method)

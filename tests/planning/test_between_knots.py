@@ -154,6 +154,7 @@ def follows(problem: Problem, found) -> bool:
     return found.trajectory is not None and departure(problem, found.trajectory) is None
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("seed", range(3))
 def test_the_side_of_a_slot_is_kept_where_the_plate_is_crossed_not_only_at_the_next_knot(tmp_path, seed) -> None:
     problem = in_slot(tmp_path)
@@ -172,6 +173,7 @@ def test_a_slot_that_is_too_narrow_for_the_noise_is_not(tmp_path) -> None:
     assert found.outcome != "solved"
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("x", [0.01, -0.03, 0.3])
 def test_what_is_listed_first_happens_first(tmp_path, x) -> None:
     problem = on_table(tmp_path, x)
@@ -242,6 +244,7 @@ planner: {{max_step: {{x: 0.05}}}}
     assert bool(found.trajectory.inputs[:, 0].max() > 0.012) is not slow
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "detour"), [(1.0, True), (0.1, False)])
 def test_the_belief_chooses_between_a_gap_and_the_way_around(tmp_path, share, detour) -> None:
     problem = problem_of(
@@ -303,6 +306,7 @@ planner: {{max_step: {{hand: 0.12, grip: 0.01}}, revisits: {count}, max_knots: 2
     return model, rest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, pytest.param(4, marks=pytest.mark.slow), pytest.param(5, marks=pytest.mark.slow)])
 def test_one_hand_moves_several_things(tmp_path, count) -> None:
     problem = problem_of(tmp_path, *blocks(count))
@@ -397,6 +401,7 @@ def test_a_hand_too_weak_to_hold_it_has_no_plan(tmp_path) -> None:
     assert solve(below_the_flap(tmp_path, 0.03), advise=False).outcome != "solved"
 
 
+@pytest.mark.slow
 def test_a_plan_opens_nothing_that_its_goal_does_not_need(tmp_path) -> None:
     model = """\
 format: micah-plan/model/1

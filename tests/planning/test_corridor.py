@@ -64,6 +64,7 @@ def test_uniform_states_do_not_connect_it() -> None:
     assert sum(is_connected(problem, points) for points in drawn) <= 2
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("seed", range(4))
 def test_the_search_goes_through_the_bends_on_half_as_many(seed: int) -> None:
     problem = with_settings(zigzag(), samples_per_mode=100)

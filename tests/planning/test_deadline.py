@@ -26,6 +26,7 @@ def solved_within(ticks: int) -> tuple[Plan, int]:
     return found, next(clock)
 
 
+@pytest.mark.slow
 def test_every_stage_ends_at_the_limit_and_is_named() -> None:
     whole, ticks = solved_within(10**9)
     assert whole.outcome == "solved"

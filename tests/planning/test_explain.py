@@ -71,6 +71,7 @@ def test_too_few_knots_are_an_finding_of_the_optimisation() -> None:
     assert plan(with_settings(door_problem(0.2, 0.9), max_knots=20)).outcome == "solved"
 
 
+@pytest.mark.slow
 def test_a_narrow_corridor_tells_its_width_and_what_the_belief_needs(repository) -> None:  # type: ignore[no-untyped-def]
     problem = load_problem(repository / "problems" / "slot_unsure.yaml")
     found = plan(problem)
@@ -165,6 +166,7 @@ def test_a_wide_corridor_is_not_said_to_be_narrow() -> None:
     assert "wide" not in finding.sentence
 
 
+@pytest.mark.slow
 def test_a_plan_that_could_find_out_where_it_is_is_told_to_come_back() -> None:
     walls = load_problem(Path(__file__).resolve().parents[2] / "problems" / "walled_domain.yaml")
     blunt = with_settings(walls, revisits=0, verification_trials=100, tightening_rounds=0)

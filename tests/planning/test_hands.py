@@ -46,6 +46,7 @@ PROBLEMS: dict[str, tuple[Callable[[], Problem], int]] = {
 }
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.evidence)]
 )
@@ -70,6 +71,7 @@ def test_nothing_is_moved_where_the_next_mode_may_have_begun() -> None:
     assert moved[passes].max() < 0.005 < 0.02 < moved.max()
 
 
+@pytest.mark.slow
 def test_a_target_out_of_reach_stays_unsolved() -> None:
     """With one more hold the cap could be turned by 2.3; two holds turn it by 1.8 at most."""
     refused = solve(turning_a_cap(revisits=1))
@@ -157,6 +159,7 @@ def test_passages_are_paths_but_for_obstacles(make: Callable[[], Problem]) -> No
     assert found > 5
 
 
+@pytest.mark.slow
 def test_the_same_seed_finds_the_same() -> None:
     problem = regrasping()
     one, other = (search_modes(problem, limits_of(problem), "holds", seed=3) for _ in range(2))

@@ -277,6 +277,7 @@ def test_of_many_modes_those_near_the_way_are_searched_first() -> None:
         assert [edge.target for edge in edges] == list(sequence.modes[1:])
 
 
+@pytest.mark.slow
 def test_where_no_way_is_near_all_modes_are_searched() -> None:
     """The first door opens only while three others are open, one of which has to be shut again before that: no."""
     problem = latched_doors(6)

@@ -234,6 +234,7 @@ def test_roll_outs_that_break_a_constraint_fail_and_say_which() -> None:
     assert are_in_goal(problem, replace(ends, path=roll_out(problem, found.trajectory, chances).path)).all()
 
 
+@pytest.mark.slow
 def test_room_too_narrow_for_the_belief_is_not_verified_and_named() -> None:
     problem = with_settings(door_problem(0.2, 1.0, tolerance=0.012), tightening_rounds=0, verification_trials=300)
     problem = asking(problem, "stay_below", coordinate="door", value=0.995)
@@ -250,6 +251,7 @@ def test_room_too_narrow_for_the_belief_is_not_verified_and_named() -> None:
     assert f"relax 'door stays below 0.995' by {quantity(planned.amount or 0.0, 'rad')}" in planned.remedy
 
 
+@pytest.mark.slow
 def test_a_constraint_counts_in_its_modes_only_and_behind_the_guard_that_a_step_crosses() -> None:
     latched = with_settings(door_problem(0.9, DOOR_SHUT, goal_modes=("shut",)), confidence=0.999)
     free, most = plan(latched).trajectory, DOOR_SHUT + 0.0155
@@ -300,6 +302,7 @@ def test_what_is_left_of_a_plan_is_optimised_again_within_the_constraint() -> No
     assert distances(onward.means).min() > 0.25
 
 
+@pytest.mark.slow
 def test_constraints_hold_where_the_model_has_a_memory_of_inputs() -> None:
     problem = door_problem(0.2, 1.0)
     delayed = with_effect(problem.automaton, Effect("delay", "door", (("steps", 2.0),)))

@@ -19,6 +19,7 @@ def solved(name: str):
     return problem, plan(problem, 0)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("name", "modes"),
     [
@@ -33,6 +34,7 @@ def test_the_planner_finds_the_contact_that_helps(name, modes):
     assert found.mode_sequence == modes
 
 
+@pytest.mark.slow
 def test_the_foot_is_opened_and_the_others_are_shut():
     for name, opens in (("foot_under_shelf", True), ("box_under_bar", False)):
         problem, found = solved(name)
@@ -42,6 +44,7 @@ def test_the_foot_is_opened_and_the_others_are_shut():
         assert (theta[-1] > problem.start.mean[3] + 0.1) != opens
 
 
+@pytest.mark.slow
 def test_under_a_high_bar_the_lid_stays_open():
     high = {"scene.bar.position": [0.32, 0.0, 0.6]}
     held = plan(load_problem(PROBLEMS / "box_under_bar.yaml", {**high, "release": None}), 0)

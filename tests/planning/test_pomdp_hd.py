@@ -19,6 +19,7 @@ from micah_plan.task.problem import Problem
 from micah_plan.task.start import start_mode
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("problem", "modes"),
     [
@@ -67,6 +68,7 @@ def test_latching_pays_when_the_pin_is_precise_and_sensing_is_not() -> None:
     assert plan(with_settings(vague, confidence=0.5)).mode_sequence == ("swings",)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("problem", [door_problem(0.2, DOOR_SHUT), planar_problem()])
 def test_the_same_seed_gives_the_same_bytes(problem: Problem) -> None:
     def content(found: Plan) -> tuple[object, ...]:
@@ -133,6 +135,7 @@ def test_replanning_starts_from_the_belief() -> None:
     assert replan(door_problem(0.2, 3.0), initial_belief(problem.automaton, [0.7], [0.01], "swings")) is None
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("angle", "mode"), [(0.7, "swings"), (0.15, "swings"), (DOOR_SHUT, "shut")])
 def test_replanning_keeps_to_the_modes_that_are_left_of_what_was_followed(
     angle: float, mode: str, monkeypatch: pytest.MonkeyPatch

@@ -83,6 +83,7 @@ def is_noisy(problem: Problem) -> bool:
     return problem.automaton.noise.process_std[0] > 0.001 or problem.start.std[0] > 0.004
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "seed",
     [
@@ -99,6 +100,7 @@ def test_a_plan_that_verifies_or_a_reason_that_is_true(seed: int) -> None:
         assert found.outcome == "solved", found.reason
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(
     seed=st.integers(1000, 1020),

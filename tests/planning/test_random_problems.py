@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from planning_examples import one_dimensional
@@ -16,6 +17,7 @@ from micah_plan.task.start import Start
 unit = st.floats(0.0, 1.0)
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(threshold=st.floats(0.2, 0.8), start=st.floats(-0.3, 1.3), goal=st.floats(-0.3, 1.3), std=st.floats(0.0, 0.1),
        tolerance=st.floats(0.005, 0.2), seed=st.integers(0, 10))  # fmt: skip

@@ -35,6 +35,7 @@ def test_what_is_held_level_does_not_turn() -> None:
     np.testing.assert_allclose([*rest.turn, *rest.shift], 0.0, atol=1e-12)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("pitch", [-0.2, -0.05, 0.05, 0.2])
 def test_what_is_held_pitched_turns_until_it_lies_flat(pitch: float) -> None:
     changes = {"hold.rotation": [0.0, pitch, 0.0], "goal.target.z.tolerance": 0.1}
@@ -53,6 +54,7 @@ def test_it_turns_about_the_fingers() -> None:
     np.testing.assert_allclose(rest.shift[:2], moved[:2], atol=1e-12)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -86,6 +88,7 @@ def test_before_it_lets_go_the_hand_is_above_the_support_by_what_is_not_known() 
     assert pre_release_problem(pre_release_problem(problem)) == pre_release_problem(problem)
 
 
+@pytest.mark.slow
 def test_the_plan_goes_down_and_away_along_a_free_path() -> None:
     problem, plan = solved("stapler_on_books")
     found = plan.release
@@ -125,6 +128,7 @@ def test_an_arm_without_a_gripper_that_opens_cannot_let_go() -> None:
         with_release(replace(problem, release=replace(problem.release, fingers=())), plan, NEVER)
 
 
+@pytest.mark.slow
 def test_a_hand_without_an_arm_goes_up() -> None:
     problem = load_problem(STAPLER)
     problem = replace(problem, robot=None, grasp=None, release=replace(problem.release, fingers=()))

@@ -83,6 +83,7 @@ def taken(problem: Problem, finding: Finding) -> list[Problem]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [one if one in QUICK else pytest.param(one, marks=pytest.mark.slow) for one in FAILING]
 )
@@ -99,6 +100,7 @@ def test_every_number_in_a_remedy_works_when_it_is_followed(name: str) -> None:
         assert solve(other, advise=False).outcome == "solved"
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "name", [one if one in QUICK else pytest.param(one, marks=pytest.mark.slow) for one in FAILING]
 )
@@ -164,6 +166,7 @@ def held(**mean: float) -> Problem:
     return replace(problem, start=replace(problem.start, mean=start))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "mean", [{"theta": 0.001}, *(pytest.param(one, marks=pytest.mark.slow) for one in ({"theta": -0.03}, {"z": 0.605}))]
 )
@@ -182,6 +185,7 @@ def test_a_start_far_outside_says_how_far() -> None:
     assert f"it misses mode 'free' by {finding.amount:.3f} rad" in finding.sentence
 
 
+@pytest.mark.slow
 def test_a_start_or_a_goal_inside_a_body_is_named() -> None:
     within = solve(held(x=0.45, z=0.15), advise=False)
     assert "the start lies inside 'lower_arm at book_1, book_2, book_3, book_4'" in within.reason

@@ -75,6 +75,7 @@ def test_too_few_steps_left_continue_nothing() -> None:
     assert not horizon.built
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("problem", "knots"), [(latching(), (1, 5, 9)), (planar_problem(), (2, 12, 20))])
 def test_the_programme_reused_answers_as_a_new_one(problem: Problem, knots: tuple[int, ...]) -> None:
     trajectory = plan(problem).trajectory

@@ -114,6 +114,7 @@ PROBLEMS = {
 }
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_all_at_once_is_one_after_the_other(name: str) -> None:
     problem = with_settings(PROBLEMS[name], confidence=0.8)

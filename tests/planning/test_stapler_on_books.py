@@ -75,6 +75,7 @@ def test_the_stapler_is_pressed_on_the_table_until_it_latches() -> None:
     assert stds[first, 2] < 0.2 * stds[first, 1]
 
 
+@pytest.mark.slow
 def test_where_there_is_room_it_goes_straight_and_stays_open() -> None:
     _, found = solved("lower books")
     assert found.outcome == "solved"
@@ -93,6 +94,7 @@ def test_without_a_latch_there_is_no_plan_and_the_reason_names_what_is_in_the_wa
     assert found.findings[0].remedy
 
 
+@pytest.mark.slow
 def test_a_sure_start_makes_it_drag_less() -> None:
     distances = [dragged(*solved(name)) for name in ("sure", "", "unsure")]
     assert distances[0] < 0.95 * min(distances[1:])

@@ -61,6 +61,7 @@ def test_more_room_makes_a_plan_that_holds() -> None:
     assert again == pytest.approx(answer.success_probability, abs=0.02)
 
 
+@pytest.mark.slow
 def test_rounds_are_bounded_and_the_best_is_told() -> None:
     problem, planner = with_settings(hopeless(), verification_trials=200), Counted()
     answer = verified_plan(problem, planner, rounds=2)
@@ -71,6 +72,7 @@ def test_rounds_are_bounded_and_the_best_is_told() -> None:
     assert any(finding.level == "verification" for finding in answer.findings)
 
 
+@pytest.mark.slow
 def test_no_rounds_and_no_time_leave_the_first_answer() -> None:
     problem = with_settings(hopeless(), verification_trials=100)
     once = verify(problem, plan(problem), seed=0)

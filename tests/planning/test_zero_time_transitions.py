@@ -44,6 +44,7 @@ def test_only_what_can_happen_at_one_instant_is_a_chain() -> None:
     assert with_zero_time_transitions(once) is once
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["stapler_on_books", "stapler_in_shaft"])
 def test_a_chain_is_what_the_transition_logic_does_at_one_instant(name: str) -> None:
     """From where its guard is met, an input into it takes all its transitions, and leads where its reset says."""
@@ -75,6 +76,7 @@ def test_a_chain_is_what_the_transition_logic_does_at_one_instant(name: str) -> 
     assert seen > 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("theta", "std"), [(0.45, 0.03), (0.5, 0.03), (0.55, 0.02), (0.5, 0.1)])
 def test_an_almost_shut_stapler_is_shut_and_placed(theta: float, std: float) -> None:
     problem = stapler(theta, std)
@@ -85,6 +87,7 @@ def test_an_almost_shut_stapler_is_shut_and_placed(theta: float, std: float) -> 
     assert plan_text(plan, problem)  # reads it again: transitions at one instant are no contradiction
 
 
+@pytest.mark.slow
 def test_what_remains_of_a_plan_with_a_chain_is_found_again() -> None:
     problem = stapler(0.5)
     trajectory = solve(problem).trajectory

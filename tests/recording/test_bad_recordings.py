@@ -208,6 +208,7 @@ def test_npz_that_is_no_archive(tmp_path: Path, content: bytes) -> None:
     assert ";" in _message(path)
 
 
+@pytest.mark.slow
 def test_npz_that_unpacks_to_too_much_is_refused_before_unpacking(tmp_path: Path) -> None:
     path = tmp_path / "bomb.npz"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("time.npy", "w") as member:
@@ -245,6 +246,7 @@ def test_a_trajectory_file_takes_nothing_that_it_would_lose(
         write_recording(r, tmp_path / "r.txt")
 
 
+@pytest.mark.slow
 def test_arrays_too_large_for_a_reader_are_not_written(tmp_path: Path) -> None:
     long = "x" * 70_000_000
     r = Recording(time=np.zeros(1), position=np.zeros((1, 3)), extra={"note": (long,)})

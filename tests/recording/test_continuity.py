@@ -54,6 +54,7 @@ def left_out(recording):
     return stretches(~continuity_of(recording).is_measured)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "rows", [slice(0, 8), slice(0, 1), slice(50, 58), slice(70, 71), slice(105, ROWS), slice(ROWS - 1, ROWS)]
 )

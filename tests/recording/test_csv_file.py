@@ -113,6 +113,7 @@ def test_what_was_read_is_written_and_read_again_to_the_same_bytes(tmp_path: Pat
     assert again.digest() == read_csv(tmp_path / "r.csv").digest()
 
 
+@pytest.mark.slow
 def test_a_hundred_thousand_rows_survive(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     n = 100_000

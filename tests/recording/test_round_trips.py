@@ -57,6 +57,7 @@ def _same(a: Recording, b: Recording) -> bool:
     return columns and a.digest() == b.digest()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])
 @settings(max_examples=150)
 @given(recording=recordings())
@@ -67,6 +68,7 @@ def test_reading_what_was_written_gives_the_same_recording(suffix: str, recordin
         assert _same(read_recording(path), recording)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("suffix", [".tum", ".txt"])
 @settings(max_examples=50)
 @given(recording=recordings(poses_only=True))
@@ -95,6 +97,7 @@ LINES = st.lists(st.lists(FIELDS, min_size=3, max_size=9).map(",".join), max_siz
 ENDS = st.sampled_from(["\n", "\r\n", "\r"])
 
 
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(content=st.binary(max_size=60) | st.text(max_size=60).map(lambda text: text.encode("utf-8", "surrogatepass")))
 @pytest.mark.parametrize("suffix", [".csv", ".txt", ".npz"])
@@ -102,6 +105,7 @@ def test_garbage_gets_one_line(suffix: str, content: bytes) -> None:
     _read_or_one_line(content, suffix)
 
 
+@pytest.mark.slow
 @settings(max_examples=400)
 @given(header=st.sampled_from(["t,x,y,z", "t,x,y,z,a", "run,t,x,y,z", "part,t,x,y,z", '"', ""]), lines=LINES, end=ENDS)
 def test_nearly_recordings_get_one_line_or_are_finite(header: str, lines: list[str], end: str) -> None:
@@ -111,6 +115,7 @@ def test_nearly_recordings_get_one_line_or_are_finite(header: str, lines: list[s
         assert np.isfinite(recording.position).all()
 
 
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(data=st.data())
 def test_damaged_archives_get_one_line(data: st.DataObject) -> None:

@@ -61,6 +61,7 @@ def test_a_gain_is_named_sized_and_added(door) -> None:
     assert "http" not in page.replace(named[0], "").replace(named[1], "")
 
 
+@pytest.mark.slow
 def test_a_calibration_plays_the_runs_before_and_after_unless_the_new_model_refuses_them(
     door, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -103,6 +104,7 @@ def test_another_object_or_no_actions_is_refused(door) -> None:
         calibrate(door, elsewhere)
 
 
+@pytest.mark.slow
 def test_ten_rows_give_no_confident_answer(door) -> None:
     found, _ = found_in(door, plants.honest, runs=1, rows=10)
     assert found.verdict == "none"
@@ -110,6 +112,7 @@ def test_ten_rows_give_no_confident_answer(door) -> None:
     assert any("smaller effects are not excluded" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_perfect_measurements_are_no_trouble(door) -> None:
     recording = plants.door_recording(plants.runs_of(plants.short_steps, 4, 15, 1, noise=0.0, disturbance=0.0))
     found = calibrate(door, recording)
@@ -117,6 +120,7 @@ def test_perfect_measurements_are_no_trouble(door) -> None:
     assert found.effects[0].effect.values[0] == pytest.approx(0.8, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_the_same_recording_gives_the_same_answer(door) -> None:
     first, _ = found_in(door, plants.honest, runs=4, rows=25)
     second, _ = found_in(door, plants.honest, runs=4, rows=25)

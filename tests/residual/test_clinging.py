@@ -67,6 +67,7 @@ def recorded(plant):
     return plants.door_recording(plants.runs_of(plant, 6, 60, 4, noise=0.004, goals=(-0.3, 0.4)), across=0.001)
 
 
+@pytest.mark.slow
 def test_a_model_that_clings_leaves_noise_of_a_door_that_does(plain):
     held = with_effect(plain, Effect("guard_hysteresis", "door", (("width", 0.03),)))
     assert examined(held, recorded(clinging)).is_noise

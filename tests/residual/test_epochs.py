@@ -38,6 +38,7 @@ def found(door, dropped):
     return calibrate(door, dropped)
 
 
+@pytest.mark.slow
 def test_the_written_model_is_as_good_as_is_said_on_its_own_recording(found, dropped, tmp_path) -> None:
     (effect,) = found.automaton.effects
     assert effect.name == "gain"
@@ -60,6 +61,7 @@ def weaker_from(first_run: int, row: int, *, in_each: bool = False):
     return moves
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("run", "row"), [(4, 25), pytest.param(0, 30, marks=pytest.mark.slow)])
 def test_what_began_within_a_run_is_dated_to_a_few_rows(door, run, row) -> None:
     recording = plants.door_recording(plants.runs_of(weaker_from(run, row), 8, 50, 3))
@@ -71,6 +73,7 @@ def test_what_began_within_a_run_is_dated_to_a_few_rows(door, run, row) -> None:
     assert np.abs(effect.effect.since.time - (times - times[0])[row]) <= 4.0 * (times[1] - times[0])
 
 
+@pytest.mark.slow
 def test_what_begins_anew_in_each_run_is_dated_in_all(door) -> None:
     recording = plants.door_recording(plants.runs_of(weaker_from(0, 20, in_each=True), 6, 50, 3))
     (effect,) = calibrate(door, recording).effects
@@ -79,12 +82,14 @@ def test_what_begins_anew_in_each_run_is_dated_in_all(door) -> None:
     assert np.abs(effect.effect.since.time - (times - times[0])[20]) <= 3.0 * (times[1] - times[0])
 
 
+@pytest.mark.slow
 def test_what_began_within_the_last_run_no_other_run_bears_out(door) -> None:
     found = calibrate(door, plants.door_recording(plants.runs_of(weaker_from(7, 20), 8, 50, 3)))
     assert found.verdict in ("unexplained", "partly")
     assert not any(effect.is_added for effect in found.effects)
 
 
+@pytest.mark.slow
 def test_errors_of_poses_have_it_from_there_on(found, dropped) -> None:
     _, _, before, after = found.pose_errors[0]
     runs = predict_recording(found.automaton, dropped)
@@ -92,6 +97,7 @@ def test_errors_of_poses_have_it_from_there_on(found, dropped) -> None:
     assert after.rollout < 0.5 * before.rollout
 
 
+@pytest.mark.slow
 def test_some_runs_are_predicted_as_a_part_of_their_recording(found, dropped) -> None:
     several = predict_recording(found.automaton, dropped, runs=(3, 7))
     of_all = [run for run in predict_recording(found.automaton, dropped) if run.run in (3, 7)]
@@ -109,6 +115,7 @@ def worn_since(*changes):
     return moves
 
 
+@pytest.mark.slow
 def test_an_effect_that_changes_is_the_same_effect_once_more(door) -> None:
     recording = plants.door_recording(plants.runs_of(worn_since((4, 20)), 8, 50, 3))
     found = calibrate(door, recording)
@@ -140,6 +147,7 @@ def test_what_changed_twice_may_go_on_changing(door) -> None:
     assert found.verdict == "partly"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("share_of_run", "is_added"),
     [
@@ -156,6 +164,7 @@ def test_what_is_over_in_the_last_runs_is_not_added(door, share_of_run, is_added
     assert bool(found.automaton.effects) is is_added
 
 
+@pytest.mark.slow
 def test_nothing_is_left_to_find_with_the_written_model(found, dropped) -> None:
     again = calibrate(found.automaton, dropped)
     assert again.verdict == "none"
@@ -182,6 +191,7 @@ def test_a_run_in_the_middle_of_which_it_began_is_predicted_in_two_parts(door, d
     assert [len(run.time) for run in runs][4:6] == [21, len(dropped.select(run=5).time) - 20]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["gain", "delay", "sensor_scale"])
 def test_what_begins_in_each_run_does_so_in_every_recording(door, dropped, name: str) -> None:
     values = {"gain": ("gain", 0.5), "delay": ("steps", 2.0), "sensor_scale": ("scale", 0.8)}[name]

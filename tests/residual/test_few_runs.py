@@ -16,6 +16,7 @@ def weak_but_in(run: int):
     return plant
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (3, 4))])
 def test_what_one_of_three_runs_contradicts_is_not_explained(door, seed) -> None:
     found = calibrate(door, plants.door_recording(plants.runs_of(weak_but_in(1), 3, 40, seed)))
@@ -26,6 +27,7 @@ def test_what_one_of_three_runs_contradicts_is_not_explained(door, seed) -> None
     assert found.automaton == door
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_what_each_of_three_runs_bears_out_is(door, seed) -> None:
     found = calibrate(door, plants.door_recording(plants.runs_of(plants.weak, 3, 40, seed)))
@@ -33,6 +35,7 @@ def test_what_each_of_three_runs_bears_out_is(door, seed) -> None:
     assert all(one.is_added for one in found.effects)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rows", "verdict"), [(30, "partly"), (150, "explained")])
 def test_one_run_explains_only_by_many_motions(door, rows, verdict) -> None:
     found = calibrate(door, plants.door_recording(plants.runs_of(plants.weak, 1, rows, 1)))
@@ -56,6 +59,7 @@ def led_to_places(runs, rows=80, share=0.35):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("runs", [3, pytest.param(2, marks=pytest.mark.slow), pytest.param(6, marks=pytest.mark.slow)])
 def test_few_runs_of_a_machine_that_is_led_to_places_bear_that_out(door, runs) -> None:
     found = calibrate(door, plants.door_recording(led_to_places(runs)))

@@ -56,6 +56,7 @@ def found_and_scatter(door, recording):
     return [one.effect.name for one in found], before, after
 
 
+@pytest.mark.slow
 def test_a_tracker_that_wanders_is_no_screw(door) -> None:
     named = 0
     for seed in SEEDS:
@@ -65,6 +66,7 @@ def test_a_tracker_that_wanders_is_no_screw(door) -> None:
     assert named <= 1
 
 
+@pytest.mark.slow
 def test_a_trend_that_only_a_constant_makes_fit_is_not_named(door) -> None:
     """Poses that wander from one side of the joint to it ask for another place of the joint, not for a pitch."""
     for seed in SEEDS:
@@ -99,6 +101,7 @@ def test_an_axis_beside_the_models_is_found_in_noise_of_its_size(door) -> None:
         assert std < 0.001
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("most_rows", [20_000, 40])
 def test_position_errors_before_and_after_a_pitch_are_told(door, monkeypatch, most_rows) -> None:
     """Also where only some of the runs are looked at."""

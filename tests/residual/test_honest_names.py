@@ -67,6 +67,7 @@ def alike(count, rows, seed):
     return found
 
 
+@pytest.mark.slow
 def test_runs_that_are_all_alike_do_not_tell_place_from_time(door) -> None:
     found = calibrate(door, plants.door_recording(alike(4, 15, 0)))
     assert found.traces[0].data.repeats_one_motion
@@ -93,6 +94,7 @@ def test_sticking_is_no_play(door) -> None:
     assert found.verdict == "explained"
 
 
+@pytest.mark.slow
 def test_commands_away_from_an_end_that_do_nothing_are_told(door) -> None:
     """Few rows of many: no smooth function of the configuration is as sharp."""
 

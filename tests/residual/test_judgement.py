@@ -24,6 +24,7 @@ def judged(door, plant, *, runs=10, rows=50, seed=0, goals=None):
 SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("creeping", "sprung", "late")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plant", ["honest", "short_steps", "rippled", *SLOW])
 def test_the_floor_is_the_noise_whatever_the_model_lacks(door, plant) -> None:
     found, predicted = judged(door, getattr(plants, plant))
@@ -38,6 +39,7 @@ def test_the_floor_is_the_noise_whatever_the_model_lacks(door, plant) -> None:
         assert rmse([run.rollout.configuration for run in predicted]) < 1.5 * found.rollout.configuration
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("plant", "what"),
     [
@@ -52,6 +54,7 @@ def test_words_say_what_errors_follow(door, plant, what) -> None:
     assert what in found.sentence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 8), marks=pytest.mark.evidence)], ids=len)
 def test_honest_motion_is_rarely_called_more_than_noise(door, seeds) -> None:
     assert all(judged(door, plants.honest, runs=4, rows=40, seed=seed)[0].is_noise for seed in seeds)
@@ -67,6 +70,7 @@ def led_by_readings(rng, rows=18):
     return np.array(z), np.array(u)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(one, marks=pytest.mark.slow) for one in (1, 2))])
 def test_prediction_and_calibration_agree_on_what_is_noise_in_a_closed_loop(door, seed) -> None:
     rng = np.random.default_rng(seed)
@@ -83,6 +87,7 @@ def test_few_rows_give_no_floor(door) -> None:
     assert "too few rows" in found.sentence
 
 
+@pytest.mark.slow
 def test_mode_changes_are_paired_and_timed(door) -> None:
     found, _ = judged(door, plants.honest, goals=(-1.0, 2.0))
     paired = [c for c in found.changes if c.measured is not None and c.predicted is not None]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import planted_effects as plants
 import pytest
+from extras import requires
 
 from micah_plan.automaton.tracks import tracks
 from micah_plan.residual.calibrate import calibrate
@@ -73,10 +74,10 @@ def test_displacements_that_fall_short_are_no_places(door, noise, disturbance) -
     assert [one.effect.name for one in found.effects] == ["gain"]
 
 
+@requires("sim")
 @pytest.mark.slow
 def test_places_are_seen_where_a_motor_swings_beyond_the_range() -> None:
     """Alone places then predict single steps worse than two effects on displacements, which roll out far worse."""
-    pytest.importorskip("mujoco")
     from position_control import KINDS, model, recording_of, simulated
 
     rng = np.random.default_rng([1, sum(map(ord, "second order")), 5])

@@ -59,6 +59,7 @@ def test_what_was_tied_is_told_apart(door, tied) -> None:
     assert [(one.effect.name, one.tied) for one in after.effects] == [("delay", ())]
 
 
+@pytest.mark.slow
 def test_motions_stay_where_the_recording_was_and_commands_are_no_larger(door, tied) -> None:
     recording, found = tied
     designed = next_experiment(door, recording, found)
@@ -76,6 +77,7 @@ def test_motions_stay_where_the_recording_was_and_commands_are_no_larger(door, t
     assert place.max() < high + plants.STEP * 6
 
 
+@pytest.mark.slow
 def test_where_nothing_was_found_it_asks_for_what_is_nearest(door) -> None:
     recording = few_runs(plants.honest)
     found = calibrate(door, recording)
@@ -85,6 +87,7 @@ def test_where_nothing_was_found_it_asks_for_what_is_nearest(door) -> None:
     assert any("nothing" in pair[:2] for pair in designed.expected)
 
 
+@pytest.mark.slow
 def test_a_gain_and_a_turned_frame_no_motion_along_the_joint_tells_apart(door) -> None:
     recording = plants.door_recording(plants.runs_of(plants.short_steps, 4, 15, 3))
     found = calibrate(door, recording)

@@ -89,6 +89,7 @@ def test_innovations_over_their_spread_are_equally_large_everywhere(growth) -> N
     assert np.ptp(search.data.noise) > 1.0 if growth else np.ptp(search.data.noise) == 0.0
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_only_the_noise_depends_on_the_place() -> None:
     assert examined(slide(), recorded(2)).is_noise
 

@@ -51,6 +51,7 @@ def served(read, *, runs=6, rows=14, seed=0, by=None, noise=0.0005):
     return Recording(time=time, position=place, action=asked, run=run.astype(int), has_run=True, extra=told)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("read", "expected"),
     [
@@ -71,6 +72,7 @@ def test_a_tracker_that_is_off_is_found_against_a_ruler(drawer, read, expected) 
     assert np.mean([abs(run.rollout.configuration[-1, 0]) for run in after]) < 0.0015
 
 
+@pytest.mark.slow
 def test_a_belief_that_agrees_says_nothing_of_the_sensor(drawer) -> None:
     for recording in (served(lambda c: c), served(lambda c: 0.93 * c, by=lambda _, belief: belief)):
         found = calibrate(drawer, recording)

@@ -25,6 +25,7 @@ from micah_plan.view.calibration_page import calibration_page
 from micah_plan.view.prediction_page import prediction_page
 
 
+@pytest.mark.slow
 def test_errors_of_an_angle_and_a_displacement_are_told_in_their_own_units(repository) -> None:
     cupboard = load_model(repository / "models" / "cupboard.yaml")
     motion = Motion(Start((1.5, 0.1), (0.01, 0.003), "open"), ((0.05, 0.02), (-0.05, -0.02)) * 10)

@@ -41,6 +41,7 @@ def test_what_noise_leaves_open_is_told(cupboard) -> None:
     assert ends.leaves_open(x[:, 0], np.full(3, -0.1)).tolist() == [False] * 3
 
 
+@pytest.mark.slow
 def test_pushing_against_what_stands_in_the_way_is_no_effect(cupboard) -> None:
     push, draw = [(-0.1, 0.0)] * 8, [(0.0, 0.03)] * 5
     motions = [

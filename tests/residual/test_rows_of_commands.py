@@ -32,6 +32,7 @@ def held(recording: Recording, each: int) -> Recording:
     return replace(recording, position=recording.position[first], quaternion=recording.quaternion[first])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [1, pytest.param(2, marks=pytest.mark.evidence)])
 def test_a_true_model_is_true_whichever_row_its_commands_are_stored_in(door, rows) -> None:
     recording = stored_late(plants.door_recording(plants.runs_of(plants.honest, 8, 50, 3)), rows)
@@ -75,6 +76,7 @@ def loop(kind, seed, noise, count=5, rows=80):
     return plants.door_recording(found)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["displaced", "slow", "servo", "wave"])
 @pytest.mark.parametrize("noise", [0.0003, 0.003, 0.01])
 def test_commands_that_follow_what_was_measured_are_not_taken_for_late(door, kind, noise) -> None:
@@ -92,6 +94,7 @@ def test_late_commands_of_a_closed_loop_are_noticed(door, kind) -> None:
     assert rows_late(tracks(door, stored_late(loop(kind, 0, 0.003), 1))) == 1
 
 
+@pytest.mark.slow
 def test_poses_that_are_held_for_three_rows_are_no_effect(door) -> None:
     recording = held(plants.door_recording(plants.runs_of(plants.honest, 8, 60, 3), across=0.001), 3)
     found = calibrate(door, recording)

@@ -36,6 +36,7 @@ def plan(problem: Problem) -> Plan:
     return solve(problem)
 
 
+@pytest.mark.slow
 def test_the_tool_holds_the_handle_all_along_the_plan(problem: Problem, plan: Plan) -> None:
     assert plan.outcome == "solved"
     assert plan.arm is not None
@@ -54,6 +55,7 @@ def test_the_tool_holds_the_handle_all_along_the_plan(problem: Problem, plan: Pl
     assert set(plan.arm.closest_pair) <= {name for pair in problem_clearance(problem).names for name in pair}
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_arm(problem: Problem, plan: Plan) -> None:
     again = solve(problem)
     assert again.arm is not None
@@ -62,6 +64,7 @@ def test_the_same_seed_gives_the_same_arm(problem: Problem, plan: Plan) -> None:
     assert again.arm.least_clearance == plan.arm.least_clearance
 
 
+@pytest.mark.slow
 def test_an_arm_too_far_away_makes_no_plan_and_says_why(problem: Problem) -> None:
     assert problem.robot is not None
     far = replace(problem, robot=replace(problem.robot, position=(0.15, 1.4, -0.15)))
@@ -74,6 +77,7 @@ def test_an_arm_too_far_away_makes_no_plan_and_says_why(problem: Problem) -> Non
     assert told.findings[0].knot is not None
 
 
+@pytest.mark.slow
 def test_a_time_limit_in_the_arm_is_named_and_what_was_found_is_kept(problem: Problem, plan: Plan) -> None:
     trajectory = plan.trajectory
     assert trajectory is not None

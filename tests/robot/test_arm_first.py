@@ -48,6 +48,7 @@ def test_outside_of_an_overlap_nothing_meets() -> None:
     assert met >= 10
 
 
+@pytest.mark.slow
 def test_a_goal_where_the_hand_meets_the_shelf_is_called_impossible() -> None:
     refused = solve(load_problem(STAPLER, {"goal.target.x.value": 0.5}), advise=False)
     assert refused.outcome == "no_plan"

@@ -138,6 +138,7 @@ def test_a_sweep_finds_what_lies_between_two_free_postures() -> None:
     assert 0.2 < found.share < 0.8
 
 
+@pytest.mark.slow
 def test_a_sweep_is_never_more_hopeful_than_a_dense_check() -> None:
     arm = arm7()
     model = clearance_model(arm, [TABLE, ROCK], [STICK], ["stick"])

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from importlib.metadata import PackageNotFoundError, distribution
+from importlib.metadata import distribution
 from pathlib import Path
 
 import numpy as np
 import pytest
+from extras import requires
 
 from micah_plan import load, solve
 from micah_plan.documents.problem import load_problem
@@ -25,11 +26,7 @@ ARMS = {
 
 @pytest.fixture(scope="module")
 def robots() -> Path:
-    try:
-        found = distribution("example-robot-data").locate_file("cmeel.prefix/share/example-robot-data/robots")
-    except PackageNotFoundError:
-        pytest.skip("the extra 'robots' is not installed")
-    return Path(str(found))
+    return Path(str(distribution("example-robot-data").locate_file("cmeel.prefix/share/example-robot-data/robots")))
 
 
 def problem_with(folder: Path, robot: str) -> Path:
@@ -41,6 +38,7 @@ def problem_with(folder: Path, robot: str) -> Path:
     return file
 
 
+@requires("robots")
 def test_an_arm_is_known_by_its_name(robots: Path, tmp_path: Path) -> None:
     """Its meshes are found by the plan file too, wherever that lies."""
     problem = load_problem(problem_with(tmp_path, "panda"))
@@ -61,6 +59,7 @@ def test_without_the_extra_a_name_says_which_one_brings_it(tmp_path: Path, monke
         load_problem(problem_with(tmp_path / "a", "panda"))
 
 
+@requires("robots")
 @pytest.mark.parametrize("name", ARMS)
 def test_an_arm_of_the_extra_moves_as_pinocchio_says_and_follows_its_tool(robots: Path, name: str) -> None:
     tool, joints = ARMS[name]

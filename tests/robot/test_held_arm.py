@@ -75,6 +75,7 @@ def test_poses_of_an_object_that_stands_are_those_of_its_mode() -> None:
     assert set(poses) == {link.child for link in drawer.automaton.links}
 
 
+@pytest.mark.slow
 def test_the_arm_presses_and_carries_without_meeting_anything_else() -> None:
     problem, trajectory = stapler(), pressed()
     found = arm_along(problem, trajectory)
@@ -89,6 +90,7 @@ def test_the_arm_presses_and_carries_without_meeting_anything_else() -> None:
         np.testing.assert_allclose(arm.matrix(q)[:3, 3], hand + problem.grasp.position, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_contact_that_is_not_intended_is_a_collision() -> None:
     problem, trajectory = stapler(), pressed()
     path = tool_path(problem, trajectory.modes, trajectory.means)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from extras import requires
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
@@ -94,9 +95,10 @@ def test_names_of_joints_and_targets(arm: Any, tmp_path: Path) -> None:
     assert_allclose(np.diff(found.time), 0.05)
 
 
+@requires("parquet")
 def test_joints_of_lerobot_are_learned(arm: Any, tmp_path: Path) -> None:
     """Names as LeRobot's arms have them, in degrees; the pushing tells that the door is shut."""
-    pa = pytest.importorskip("pyarrow", reason="needs the extra 'parquet'")
+    import pyarrow as pa
     from pyarrow import parquet
 
     q, targets = (np.rad2deg(each) for each in opened())
@@ -124,8 +126,8 @@ def test_joints_of_lerobot_are_learned(arm: Any, tmp_path: Path) -> None:
     assert abs(edge.segments[1].start - MOVING) <= 3
 
 
+@requires("ros")
 def test_joint_states_of_ros(arm: Any, tmp_path: Path) -> None:
-    pytest.importorskip("rosbags.typesys", reason="ROS logs need the extra 'ros'")
     from micah_plan.recording.ros_mcap import Logged, header_at, write_log
 
     q, _ = opened()

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from extras import requires
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from robot_examples import ARM7, SLIDER, TWO_LINKS, arm7, described
@@ -44,8 +45,10 @@ def test_the_shipped_arm_has_seven_joints_and_a_hand() -> None:
     assert arm.manipulability(arm.rest)[0] > 0.05
 
 
+@requires("sim")
 def test_the_shipped_arm_stands_alike_in_mujoco() -> None:
-    mujoco = pytest.importorskip("mujoco", reason="the twin needs MuJoCo (extra 'sim')")
+    import mujoco
+
     twin = mujoco.MjModel.from_xml_path(str(ARM7))
     data = mujoco.MjData(twin)
     arm = arm7()
@@ -61,8 +64,10 @@ def test_the_shipped_arm_stands_alike_in_mujoco() -> None:
         np.testing.assert_allclose(arm.matrix(q)[:3, :3], body.xmat.reshape(3, 3), atol=1e-12)
 
 
+@requires("sim")
 def test_an_mjcf_arm_stands_alike_in_mujoco_and_its_other_joints_are_held() -> None:
-    mujoco = pytest.importorskip("mujoco", reason="the twin needs MuJoCo (extra 'sim')")
+    import mujoco
+
     twin = mujoco.MjModel.from_xml_string(TWO_LINKS)
     data = mujoco.MjData(twin)
     arm = load_arm(described(TWO_LINKS, "tool"))

@@ -7,12 +7,14 @@ import sys
 import numpy as np
 import pinocchio as pin
 import pytest
+from extras import module_requires
 from robot_examples import described
 
 from micah_plan.errors import InputError, MissingDependencyError
 from micah_plan.robot.load_arm import load_arm
 
-mujoco = pytest.importorskip("mujoco", reason="MJCF is compiled by MuJoCo (extra 'sim')")
+pytestmark = module_requires("sim")
+import mujoco
 
 GEOM = '<geom type="capsule" fromto="0 0 0 0.1 0.02 0" size="0.02"/>'
 

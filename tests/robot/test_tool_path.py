@@ -129,6 +129,7 @@ def test_a_pose_that_stays_is_held_still(model: ClearanceModel) -> None:
     assert np.array_equal(found.positions[0], found.positions[2])
 
 
+@pytest.mark.slow
 def test_out_of_reach_is_told_with_its_knot(model: ClearanceModel) -> None:
     found = failed(follow(model, line((0.5, 0.0, 0.3), (1.4, 0.0, 0.3))))
     assert found.kind in ("unreachable", "joint limit", "singularity")
@@ -139,6 +140,7 @@ def test_out_of_reach_is_told_with_its_knot(model: ClearanceModel) -> None:
     assert far.amount > 1.5
 
 
+@pytest.mark.slow
 def test_a_collision_is_told_with_its_pair_and_may_be_allowed(model: ClearanceModel) -> None:
     path = line((0.5, -0.3, 0.12), (0.55, 0.3, 0.12))
     found = failed(follow(model, path))
@@ -152,6 +154,7 @@ def test_a_collision_is_told_with_its_pair_and_may_be_allowed(model: ClearanceMo
     assert through.closest_pair != ("stick", "table")
 
 
+@pytest.mark.slow
 def test_a_limit_is_told_with_its_joint(arm: Arm) -> None:
     turns = Rotation.from_rotvec(np.linspace([0.0, 0.0, 0.0], [0.0, 0.0, 2.9 * np.pi], 20)) * DOWN
     tool = RigidTransform.from_components(np.tile([0.5, 0.0, 0.35], (20, 1)), turns)
@@ -161,6 +164,7 @@ def test_a_limit_is_told_with_its_joint(arm: Arm) -> None:
     assert f"at knot {found.knot}" in found.sentence
 
 
+@pytest.mark.slow
 def test_coarse_steps_are_jumps(model: ClearanceModel) -> None:
     found = failed(
         follow(model, line((0.45, -0.4, 0.35), (0.45, 0.4, 0.35), 2), settings=PathSettings(longest_step=0.1))

@@ -43,6 +43,7 @@ def test_a_dry_run_counts_and_writes_nothing(file: Path) -> None:
     assert [path.name for path in file.parent.iterdir()] == ["sweep.yaml"]
 
 
+@pytest.mark.slow
 def test_a_finished_sweep_is_counted_and_printed(file: Path) -> None:
     output = file.with_name("r.csv")
     run_sweep(load_sweep(file), output, executor=Inline())

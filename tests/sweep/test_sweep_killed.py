@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from extras import requires, skip_without
 from sweep_examples import ROOT, Inline
 
 from micah_plan.documents.sweep import load_sweep, sweep_of
@@ -141,7 +142,7 @@ def test_a_worker_that_is_killed_costs_nothing(undisturbed: tuple[Path, bytes], 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
     """A Dask scheduler and three workers, each a process: its address, and the workers."""
-    pytest.importorskip("distributed", reason="the cluster needs the extra 'cluster'")
+    skip_without("cluster")
     folder = tmp_path_factory.mktemp("cluster")
     file = folder / "scheduler.json"
     dask = [sys.executable, "-m", "dask"]
@@ -186,8 +187,8 @@ def test_a_dask_cluster_that_loses_a_worker_gives_the_same_table(
     assert [worker.poll() for worker in workers[1:]] == [None, None]
 
 
+@requires("sim")
 def test_other_planners_plants_and_orders_leave_no_trace_in_a_process(tmp_path: Path) -> None:
-    pytest.importorskip("mujoco", reason="the plant needs the extra 'sim'")
     names = [f"problems/{name}.yaml" for name in ("drawer_open", "microwave_close_by_arm", "drawer_behind_door")]
     grid = {"planner.candidates": [1, 2], "planner.verification_trials": [100]}
     execute = {"plant": "mujoco", "trials": 1}
@@ -217,8 +218,8 @@ run_sweep(load_sweep({str(undisturbed[0])!r}), "r.csv", workers=1)
     assert lines_of(tmp_path / "r.csv") == 1, "no case was given up"
 
 
+@requires("cluster")
 def test_no_scheduler_is_one_line(undisturbed: tuple[Path, bytes], tmp_path: Path) -> None:
-    pytest.importorskip("distributed", reason="the cluster needs the extra 'cluster'")
     running = start(undisturbed[0], tmp_path / "r.csv", "--scheduler", "tcp://127.0.0.1:9")
     said, error = running.communicate(timeout=MOST_SECONDS)
     assert (running.returncode, said) == (2, "")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from extras import requires
 from sweep_examples import ROOT, SMALL, Inline
 
 from micah_plan.documents.problem import load_problem
@@ -141,8 +142,10 @@ def test_a_closed_executor_stops_the_sweep_with_one_line(tmp_path: Path) -> None
         run_sweep(small(), tmp_path / "r.csv", executor=executor)
 
 
+@requires("parquet")
 def test_parquet_holds_the_same_table(undisturbed: tuple[Sweep, Path, bytes], tmp_path: Path) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet", reason="Parquet needs the extra 'parquet'")
+    from pyarrow import parquet
+
     (tmp_path / "r.parquet.journal").write_bytes(undisturbed[1].with_name("r.csv.journal").read_bytes())
     run_sweep(undisturbed[0], tmp_path / "r.parquet", executor=Inline())
     table = parquet.read_table(tmp_path / "r.parquet")
@@ -177,6 +180,7 @@ def test_outputs_destroy_nothing(tmp_path: Path) -> None:
     assert executor.submitted == 0
 
 
+@pytest.mark.slow
 def test_a_process_pool_does_not_outlive_its_owner() -> None:
     workers = ProcessWorkers(1)
     process = workers._first_begun.result()

@@ -148,6 +148,7 @@ def unsure(seed: int) -> HybridAutomaton:
     return replace(automaton, links=links, modes=modes)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("make", [example, followed, unsure])
@@ -221,6 +222,7 @@ def test_a_mode_of_pins_is_not_counted_twice() -> None:
     assert np.allclose(stayed[1], entered[1], atol=1e-15)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("scale", [1e-8, 1e-3, 1.0, 1e3, 1e6])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_factors_stay_factors(seed: int, scale: float) -> None:
@@ -262,6 +264,7 @@ def test_exactly_known_beliefs_have_finite_values_and_derivatives() -> None:
 NAMES = [name for name, _ in everything(example())]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("name", NAMES)
 def test_jacobians_equal_finite_differences(seed: int, name: str) -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from extras import requires
 from learned_objects import assessed_door
 from matplotlib.image import imread
 from view_objects import OPEN_AT, cabinet, door, measured, problem, solved
@@ -35,13 +36,15 @@ FLAGS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-qu
 WINDOW = {"width": 900, "height": 600}
 EXPECTED = "GL Driver Message"  # the software renderer's remark on screenshots
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium found: install Debian's package 'chromium'")
+NO_BROWSER = "no chromium found: install Debian's package 'chromium'"
+pytestmark = [requires("browser"), pytest.mark.skipif(CHROMIUM is None, reason=NO_BROWSER)]
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    playwright = pytest.importorskip("playwright.sync_api", reason="needs the extra 'browser'")
-    with playwright.sync_playwright() as started:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as started:
         chromium = started.chromium.launch(executable_path=CHROMIUM, chromium_sandbox=False, args=FLAGS)
         yield chromium
         chromium.close()

@@ -78,6 +78,7 @@ def test_the_joint_is_drawn_where_it_is() -> None:
     assert any(np.isclose(np.hypot(*point[:2]), 0.3) for point in points), "resting place"
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("make", [measured, assessed_door, no_joint, cabinet_runs])
 def test_space_has_equal_scales_and_units(make) -> None:
     space = space_of(learning_figure(*make()))

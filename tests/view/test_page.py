@@ -110,6 +110,7 @@ def test_every_page_forbids_the_browser_to_connect(make) -> None:
     assert "http" not in policy
 
 
+@pytest.mark.slow
 @given(st.text())
 def test_a_chart_carries_its_texts_as_they_are(text: str) -> None:
     """Whatever is in them, the element ends where it should and the script reads the same."""

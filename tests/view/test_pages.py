@@ -106,6 +106,7 @@ def test_every_page_is_small_and_fetches_nothing(all_pages: dict[str, str]) -> N
         assert not re.search(r"https?://|wss?://|@import|url\(", own_scripts), name
 
 
+@pytest.mark.slow
 def test_the_same_input_gives_the_same_bytes_in_another_process(all_pages: dict[str, str]) -> None:
     script = "import hashlib, test_pages; print(hashlib.sha256(repr(test_pages.pages()).encode()).hexdigest())"
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent), "PYTHONHASHSEED": "7"}

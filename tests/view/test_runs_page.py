@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from extras import skip_without
 from view_objects import problem, solved
 
 from micah_plan import execute, predict, solve
@@ -32,7 +33,7 @@ def good(planned: PlanningResult) -> RunsResult:
 
 @pytest.fixture(scope="module")
 def bad(planned: PlanningResult) -> RunsResult:
-    pytest.importorskip("mujoco", reason="needs the extra 'sim'")
+    skip_without("sim")
     return execute(planned, plant="mujoco", trials=2, plant_parameters={"friction": 60.0})
 
 
@@ -49,12 +50,14 @@ def data_of(page: str) -> dict[str, Any]:
     return dict(json.loads(found[1]))
 
 
+@pytest.mark.slow
 def test_runs_of_the_model_itself_seldom_leave_the_plan(good: RunsResult) -> None:
     runs = runs_of(good)
     assert [run.reached for run in runs] == [trial not in dict(good.failures) for trial in range(30)]
     assert sum("left the plan" in run.leaving for run in runs) <= 3
 
 
+@pytest.mark.slow
 def test_runs_that_stick_leave_it_and_say_where_and_why(bad: RunsResult) -> None:
     for run, (_, reason) in zip(runs_of(bad), bad.failures, strict=True):
         assert not run.reached
@@ -63,6 +66,7 @@ def test_runs_that_stick_leave_it_and_say_where_and_why(bad: RunsResult) -> None
         assert run.words[0][0].isupper()
 
 
+@pytest.mark.slow
 def test_without_the_word_of_execution_success_is_judged_by_the_last_row(good: RunsResult, bad: RunsResult) -> None:
     assert all(run.reached for run in runs_of(good, failures=None))
     runs = runs_of(bad, failures=None)
@@ -72,6 +76,7 @@ def test_without_the_word_of_execution_success_is_judged_by_the_last_row(good: R
     assert ["from its target (tolerance 0.03 rad" in run.ending for run in runs] == missed
 
 
+@pytest.mark.slow
 def test_poses_are_those_of_the_configurations_where_no_orientation_was_measured(good: RunsResult) -> None:
     bare = replace(good.recording, quaternion=None)
     trajectory = good.planned.plan.trajectory
@@ -118,6 +123,7 @@ def test_runs_of_another_object_or_beside_no_plan_are_refused(good: RunsResult) 
         plan_page(solved(), problem(), executed=two)
 
 
+@pytest.mark.slow
 def test_a_prediction_has_a_page_with_its_worst_run_first(planned: PlanningResult, bad: RunsResult) -> None:
     for runs, badge in ((execute(planned, trials=5), "errors look like noise"), (bad, "the model lacks something")):
         result = predict(runs.planned, runs)

@@ -7,6 +7,8 @@ import shutil
 import sys
 
 import pytest
+from extras import requires
+from PIL import Image
 from view_objects import problem, solved
 
 from micah_plan.errors import InputError, MissingDependencyError
@@ -15,8 +17,6 @@ from micah_plan.view.model_page import model_page
 from micah_plan.view.page import bare_scene
 from micah_plan.view.plan_page import plan_page
 from micah_plan.view.video import Filming, picture, video
-
-image = pytest.importorskip("PIL.Image")
 
 
 @pytest.mark.parametrize(
@@ -51,9 +51,9 @@ def test_an_animation_has_every_frame_at_its_time(kind: str) -> None:
     frames = []
     for shade in (0, 90, 180):
         stream = io.BytesIO()
-        image.new("RGB", (64, 64), (shade, 255 - shade, 40)).save(stream, format="PNG")
+        Image.new("RGB", (64, 64), (shade, 255 - shade, 40)).save(stream, format="PNG")
         frames.append(stream.getvalue())
-    shown = image.open(io.BytesIO(filmed._animated(kind, frames, Filming(rate=10.0))))
+    shown = Image.open(io.BytesIO(filmed._animated(kind, frames, Filming(rate=10.0))))
     assert (shown.n_frames, shown.size) == (3, (64, 64))
     shown.seek(2)
     assert shown.convert("RGB").getpixel((30, 30))[0] > 150
@@ -71,19 +71,19 @@ def test_the_scene_alone_has_the_commands_and_no_panels() -> None:
 
 
 @pytest.mark.slow
+@requires("browser")
 def test_a_plan_is_filmed_and_photographed() -> None:
-    pytest.importorskip("playwright.sync_api", reason="needs the extra 'browser'")
     if next(filter(None, map(shutil.which, filmed._BROWSERS)), None) is None:
         pytest.skip("no chromium found")
     page, small = plan_page(solved(), problem()), Filming(320, 240, rate=2.0, speed=4.0)
-    shown = image.open(io.BytesIO(video(page, ".gif", small)))
+    shown = Image.open(io.BytesIO(video(page, ".gif", small)))
     assert shown.size == (320, 240)
     assert shown.n_frames == 6  # 10.8 s at 4 times the speed, two a second
     first, last = shown.convert("RGB").tobytes(), None
     shown.seek(5)
     last = shown.convert("RGB").tobytes()
     assert sum(a != b for a, b in zip(first, last, strict=True)) > 0.01 * len(first)
-    still = image.open(io.BytesIO(picture(page, 1.0, Filming(320, 240, view="object"))))
+    still = Image.open(io.BytesIO(picture(page, 1.0, Filming(320, 240, view="object"))))
     assert still.size == (320, 240)
     with pytest.raises(InputError, match="frames are too many"):
         video(page, ".gif", Filming(rate=100.0, speed=0.01))
