@@ -3,9 +3,7 @@
 A tracker that is lost writes zeros or its last pose again; one that mistakes a marker, an edge or another body reads
 poses that the part cannot get to and back from. Two questions are asked of every row before anything is fitted:
 
-- **Is it the same reading as before?** Rows that repeat the row before to the bit are no measurements where noise would
-  make that a miracle: where the noise of the other rows is not small against the grid on which values lie. A part at
-  rest that is read without noise, or by a coarse encoder, is measured in every row.
+- **Is it the same reading as before?** See `repeats.repeated_readings`.
 - **Can the part get there?** A step to the next reading is a *jump* if it is several times as fast as nearly all steps
   of the track and as the steps next to it that go the same way, and no action commands it. Jumps cut the track into
   pieces, of which the most rows are kept that follow one another: past a piece that the part gets around in the time,
@@ -19,9 +17,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.special import bdtrc
 
-from micah_plan.arrays import ROUND_OFF, Booleans, Floats, Ints, white_std
+from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.recording.repeats import repeated_readings
 from micah_plan.recording.value import Recording
 
 FLOORS = (0.03, 0.3)
@@ -41,10 +39,8 @@ _DETOUR = 2.0
 _MOST_PIECES = 64
 """One after another that are looked over: more strays in a row are no strays."""
 
-_MIRACLE = 1e-3
-_ORDERS = (2, 3, 4, 5, 6)
 _FEWEST = 8
-"""Rows: differences of the highest order need as many."""
+"""Rows: fewer show no usual speed."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +76,7 @@ def continuity(time: Floats, position: Floats, quaternion: Floats | None, action
         time: (n,) [s]; position: (n, 3) [m]; quaternion: (n, 4) unit, scalar last, or None.
         action: (n, 3) commanded displacement to the next row [m], in any frame, NaN or 0 where there is none; or None.
     """
-    repeats = _repeated(position, quaternion)
+    repeats = repeated_readings(position, quaternion)
     fresh = np.flatnonzero(~repeats)
     if len(fresh) < _FEWEST:
         return Continuity(~repeats, repeats, (), ())
@@ -197,47 +193,6 @@ def _kept(steps: _Steps, pieces: list[tuple[int, int]], cost: float) -> list[int
     while before[chain[-1]] >= 0:
         chain.append(int(before[chain[-1]]))
     return chain[::-1]
-
-
-def _repeated(position: Floats, quaternion: Floats | None) -> Booleans:
-    """(n,) rows that are the reading of the row before, not a new one that happens to be equal."""
-    values = position if quaternion is None else np.hstack([position, quaternion])
-    same = np.zeros(len(values), dtype=bool)
-    same[1:] = (values[1:] == values[:-1]).all(axis=1)
-    if not same.any() or len(values) - same.sum() < _FEWEST:
-        return np.zeros(len(values), dtype=bool)
-    vectors = [position[~same]] if quaternion is None else [position[~same], quaternion[~same]]
-    chance = float(np.prod([_chance_of_equal(vector) for vector in vectors]))
-    return same if chance < _MIRACLE else np.zeros(len(values), dtype=bool)
-
-
-def _chance_of_equal(vector: Floats) -> float:
-    """Probability that readings (n, k) of the same place are equal, none of which is a reading that is held.
-
-    By the grid and the noise of each column. Columns may lie on no grid though the tracker reads on one, as angles that
-    became quaternions, and positions in another frame. Then readings are equal where the rest of the pose is not, or
-    change by the same again after they changed by something else, and by noise this would be a miracle.
-    """
-    chance = float(np.prod([_chance_on_grid(column) for column in vector.T]))
-    steps = np.round(np.diff(vector, axis=0) / ROUND_OFF)
-    n, alone = len(steps), int((steps == 0).all(axis=1).sum())
-    # A recording that was interpolated goes on by the same for a while.
-    steps = steps[np.append(True, (steps[1:] != steps[:-1]).any(axis=1))]
-    again = len(steps) - len(np.unique(steps, axis=0))
-    is_miracle = min(bdtrc(alone - 1, n, chance), bdtrc(again - 1, n * (n - 1) // 2, chance)) < _MIRACLE
-    return 1.0 if is_miracle else chance
-
-
-def _chance_on_grid(column: Floats) -> float:
-    """Probability that two readings (n,) of the same value are equal: the grid that they lie on over their noise.
-
-    Noise is what differences of every order show; what only the lower ones show is motion.
-    """
-    noise = min(float(white_std(column, order)) for order in _ORDERS)
-    levels = np.unique(column)
-    if noise == 0.0 or len(levels) == 1:
-        return 1.0
-    return min(1.0, float(np.diff(levels).min()) / (2.0 * float(np.sqrt(np.pi)) * noise))
 
 
 def stretches(rows: Booleans) -> list[tuple[int, int]]:

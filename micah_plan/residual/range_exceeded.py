@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import NEAR_STDS, Floats
 from micah_plan.automaton.effects.ends import is_held, range_of, with_end_moved
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
@@ -19,7 +19,8 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.quantities import quantity
 from micah_plan.residual.compared_runs import white_noise_of
 
-# A recording goes beyond an end if so many rows do, by so many standard deviations of a measurement.
+# A recording goes beyond an end if so many rows do, by so many standard deviations of a measurement; or if a run starts
+# further beyond it than is normal, since a filter's first belief has nothing else to go by.
 _ROWS_BEYOND, _STDS_BEYOND = 3, 5.0
 # How far the joint then goes on, as a share of what was seen: no end is known.
 _ONWARD = 0.5
@@ -84,11 +85,9 @@ def ranges_exceeded(automaton: HybridAutomaton, runs: Sequence[Floats]) -> tuple
         for side, end in enumerate(range_of(automaton, i)):
             sign = 1.0 if side else -1.0
             away = sign * (c - end)
-            if (
-                np.isfinite(end)
-                and not is_held(automaton, i, end)
-                and (away > _STDS_BEYOND * std).sum() >= _ROWS_BEYOND
-            ):
+            starts_beyond = any(sign * (x[0, i] - end) > NEAR_STDS * std for x in runs)
+            goes_beyond = starts_beyond or (away > _STDS_BEYOND * std).sum() >= _ROWS_BEYOND
+            if np.isfinite(end) and not is_held(automaton, i, end) and goes_beyond:
                 reached = end + sign * float(away.max())
                 onward = reached + sign * _ONWARD * float(np.ptp(c))
                 is_all = bool((away > 0).all())

@@ -41,6 +41,20 @@ def test_the_other_half_of_a_door_is_not_outside_of_a_model_that_saw_one_half():
     assert any("beyond the model's range" in note for note in found.notes)
 
 
+@pytest.mark.sweep
+@pytest.mark.parametrize("beyond", [0.001, 0.01, 0.3])
+def test_a_run_may_start_beyond_the_demonstrated_range(beyond):
+    """An encoder's count or a hand's breadth: the range is how far a demonstration went."""
+    log = recording()
+    start = min(float(run.x[0, 0]) for run in predict_recording(seen_up_to(plants.LENGTH), log))
+    swing = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (plants.RADIUS, 0.0, 0.1))
+    low = start + beyond
+    segment = Segment(swing, 0, 0, 9, low, plants.LENGTH, (low, plants.LENGTH), 1e-4, 3e-4, 0.0, 1.0)
+    model = build_automaton(KinematicGraph((KinematicEdge(BASE, "door", (segment,)),)))
+    runs = predict_recording(model, log)
+    assert rmse([run.one_step.configuration for run in runs]) < 2.0 * np.sqrt(2.0) * 0.003
+
+
 @pytest.mark.slow
 def test_a_stop_beyond_the_end_that_was_seen_is_that_end_moved():
     model, log = seen_up_to(0.9 * plants.LENGTH), recording(goals=(0.4, 1.6))
@@ -78,6 +92,7 @@ def test_gaps_are_found_in_any_unit_of_time_and_uneven_times_have_none(scale):
     assert sections(uneven) == [(0, 60)]
 
 
+@pytest.mark.slow
 def test_missing_rows_are_told_and_do_not_raise_the_floor(door):
     log = recording()
     rng = np.random.default_rng(1)

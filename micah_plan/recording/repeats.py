@@ -1,0 +1,135 @@
+"""Which rows say again what the row before said: a reading that was lost, or a part at rest that was read anew.
+
+A tracker that loses the part, or is slower than the log, writes its last pose again. An encoder does the same whenever
+the part rests. What is equal to the bit is lost only if it is improbable under *motion and encoder together*:
+
+    log odds = -log P(equal | read anew) + sum over repeats of log p(step after | lost) / p(step after | at rest)
+
+The first term compares the grid on which values lie with the white noise of the other rows. The second looks at the
+first new reading after a repeat: if readings were lost, it makes up for all the rows in between at the speed beside
+them; if the part was at rest, it is a step like the others, or the beginning of one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import bdtrc
+
+from micah_plan.arrays import ROUND_OFF, VANISHING, Booleans, Floats, Ints, robust_std, white_std
+
+_MIRACLE = 1e-3
+"""Odds that readings anew are equal, below which they are no readings."""
+_ORDERS = (2, 3, 4, 5, 6)
+"""Of the differences that noise is read from."""
+_FEWEST = 8
+"""Rows: differences of the highest order need as many."""
+_FEWEST_STEPS = 5
+"""Single steps with another one beside them: from fewer the usual change of speed is not known."""
+_FREEDOM = 3.0
+"""Of the steps' Student-t distribution: speeds change now and then by much more than usual."""
+_USUAL = 0.9
+"""Quantile at which changes of speed are cut before their root mean square is taken."""
+
+
+def repeated_readings(position: Floats, quaternion: Floats | None) -> Booleans:
+    """(n,) rows that are the reading of the row before, not a new one that happens to be equal.
+
+    Args:
+        position: (n, 3) [m]; quaternion: (n, 4) unit, or None.
+    """
+    vectors = [position] if quaternion is None else [position, quaternion]
+    none = np.zeros(len(position), dtype=bool)
+    same = none.copy()
+    same[1:] = np.all([(vector[1:] == vector[:-1]).all(axis=1) for vector in vectors], axis=0)
+    if not same.any() or len(same) - same.sum() < _FEWEST:
+        return none
+    chance = float(np.prod([_chance_of_equal(vector[~same]) for vector in vectors]))
+    if chance > _MIRACLE:
+        return none
+    odds = -np.log(max(chance, VANISHING)) + np.mean([_log_odds_of_steps(vector, same) for vector in vectors])
+    return same if odds > -np.log(_MIRACLE) else none
+
+
+def _log_odds_of_steps(vector: Floats, same: Booleans) -> float:
+    """Log odds that readings (n, k) were lost in the repeated rows (n,) rather than the part at rest [nats].
+
+    Only repeats count beside which the part moves by more than speeds usually change: elsewhere both are the same.
+    """
+    new = np.flatnonzero(~same)
+    step, rows = np.diff(vector[new], axis=0), np.diff(new)
+    is_single = rows == 1
+    speed, neighbours = _speed_beside(step, is_single)
+    is_usual = is_single & (neighbours == 2)
+    if is_usual.sum() < _FEWEST_STEPS:
+        is_usual = is_single & (neighbours > 0)
+    if is_usual.sum() < _FEWEST_STEPS:
+        return 0.0
+    change = np.linalg.norm(step - speed, axis=1)[is_usual]
+    usual = max(float(np.sqrt(np.mean(np.minimum(change, np.quantile(change, _USUAL)) ** 2))), ROUND_OFF)
+    chosen = ~is_single & (neighbours > 0) & (np.linalg.norm(speed, axis=1) > usual)
+    step, speed, over = step[chosen], speed[chosen], rows[chosen]
+    # A speed that stays the same all the while, or that changes from row to row; a whole step, or half of one.
+    way = step - over[:, None] * speed
+    lost = np.logaddexp(_step_density(way, usual), _step_density(way, usual * np.sqrt(over)))
+    rest = np.logaddexp(_step_density(step - speed, usual), _step_density(step - 0.5 * speed, usual))
+    return float(np.sum(lost - rest))
+
+
+def _speed_beside(step: Floats, is_single: Booleans) -> tuple[Floats, Ints]:
+    """(m, k) mean of the steps before and after each that go over one row, and (m,) how many of those there are."""
+    padded = np.pad(np.where(is_single[:, None], step, 0.0), ((1, 1), (0, 0)))
+    there = np.pad(is_single, 1).astype(np.int64)
+    neighbours = there[:-2] + there[2:]
+    return (padded[:-2] + padded[2:]) / np.maximum(neighbours, 1)[:, None], neighbours
+
+
+def _step_density(error: Floats, scale: Floats | float) -> Floats:
+    """(m,) log density of the lengths of errors (m, k), but for a constant: Student-t."""
+    squares = np.sum(np.square(error), axis=1) / np.square(scale)
+    return np.asarray(-np.log(scale) - 0.5 * (_FREEDOM + 1.0) * np.log1p(squares / _FREEDOM))
+
+
+def _chance_of_equal(vector: Floats) -> float:
+    """Probability that readings (n, k) of the same place are equal, none of which is a reading that is held.
+
+    By the grid and the noise of each column. Columns may lie on no grid though the tracker reads on one, as angles that
+    became quaternions, and positions in another frame. Then readings are equal where the rest of the pose is not, or
+    change by the same again after they changed by something else, and by noise this would be a miracle.
+    """
+    chance = float(np.prod([_chance_on_grid(column) for column in vector.T]))
+    steps = np.round(np.diff(vector, axis=0) / ROUND_OFF)
+    n, alone = len(steps), int((steps == 0).all(axis=1).sum())
+    # A recording that was interpolated goes on by the same for a while.
+    steps = steps[np.append(True, (steps[1:] != steps[:-1]).any(axis=1))]
+    again = len(steps) - len(np.unique(steps, axis=0))
+    is_miracle = min(bdtrc(alone - 1, n, chance), bdtrc(again - 1, n * (n - 1) // 2, chance)) < _MIRACLE
+    return 1.0 if is_miracle else chance
+
+
+def _chance_on_grid(column: Floats) -> float:
+    """Probability that two readings (n,) of the same value are equal: the grid that they lie on over their noise.
+
+    Noise is what differences of every order show, and what turns back in the next row; the rest is motion.
+    """
+    noise = min(*(float(white_std(column, order)) for order in _ORDERS), _alternating_std(column))
+    levels = np.unique(column)
+    if noise == 0.0 or len(levels) == 1:
+        return 1.0
+    return min(1.0, float(np.diff(levels).min()) / (2.0 * float(np.sqrt(np.pi)) * noise))
+
+
+def _alternating_std(column: Floats) -> float:
+    """Largest std of white noise on rows (n,) that the autocovariance of their second differences allows for.
+
+    Of white noise it is -4 times the variance at lag 1. The steps of a servo between two rests are large in differences
+    of every order, but go on in one direction: their covariance there is not negative. Differences are cut at twice
+    their robust std, so that the few rows where a motion turns round do not decide; one standard error is added, since
+    few rows may show no noise by chance. Source: Roll, Journal of Finance 1984, for first differences.
+    """
+    bends = np.diff(column, 2)
+    if len(bends) < _FEWEST:
+        return float("inf")
+    most = 2.0 * float(robust_std(np.concatenate([bends, -bends])))
+    cut = np.clip(bends, -most, most)
+    variances = cut[1:] * cut[:-1] / -4.0
+    return float(np.sqrt(max(np.mean(variances) + np.std(variances) / np.sqrt(len(variances)), 0.0)))
