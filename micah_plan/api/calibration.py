@@ -20,6 +20,7 @@ from micah_plan.api.inputs import Measured, Modelled
 from micah_plan.api.result import Result, save_model
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.quantities import Progress, Table, common_unit, count, percent, plain, quantity
+from micah_plan.recording.commands import CommandKind, with_commands
 from micah_plan.recording.value import Recording
 
 if TYPE_CHECKING:
@@ -152,6 +153,7 @@ def predict(
     recording: Measured,
     *,
     actions_as_learned: bool = False,
+    commands: CommandKind | None = None,
     progress: Progress | None = None,
 ) -> PredictionResult:
     """Measured motion against the model's predictions, one step ahead and from the first row on.
@@ -160,6 +162,8 @@ def predict(
         model: a path of a model, problem or plan; an automaton; or a result that has one.
         recording: a path, a recording, or executed runs, with actions.
         actions_as_learned: whether actions act as they did in the demonstration that the model was learned from.
+        commands: what the actions mean: ``"displacement"``, the way to a commanded ``"position"``, or ``"velocity"``
+            [m/s]; None: as the recording says.
         progress: called with a message and the fraction done.
 
     Raises:
@@ -170,6 +174,7 @@ def predict(
 
     automaton, measured = inputs.automaton_of(model), inputs.recording_of(recording, minimum_rows=2)
     with inputs.located(recording):
+        measured = measured if commands is None else with_commands(measured, commands)
         automaton = for_demonstrations(automaton, measured) if actions_as_learned else automaton
         return PredictionResult(automaton, measured, predict_recording(automaton, measured, progress))
 
@@ -352,11 +357,17 @@ class CalibrationResult(Result):
         save_model(self.automaton, "", path)
 
 
-def calibrate(model: Modelled, recording: Measured, *, progress: Progress | None = None) -> CalibrationResult:
+def calibrate(
+    model: Modelled,
+    recording: Measured,
+    *,
+    commands: CommandKind | None = None,
+    progress: Progress | None = None,
+) -> CalibrationResult:
     """What a model lacks in measured motion, and the model with it.
 
     Args:
-        model, recording: as of `predict`.
+        model, recording, commands: as of `predict`.
         progress: called with a message and the fraction done.
 
     Raises:
@@ -367,6 +378,7 @@ def calibrate(model: Modelled, recording: Measured, *, progress: Progress | None
     automaton, measured = inputs.automaton_of(model), inputs.recording_of(recording, minimum_rows=2)
     begin = time.perf_counter()
     with inputs.located(recording):
+        measured = measured if commands is None else with_commands(measured, commands)
         calibration = calibrated(automaton, measured, progress)
     return CalibrationResult(calibration, automaton, measured, time.perf_counter() - begin)
 

@@ -180,6 +180,7 @@ def _learned(
 ) -> LearningResult:
     """Segment the recording, fit its joints and build the automaton."""
     from micah_plan.automaton.build import build_automaton, no_single_joint_error
+    from micah_plan.automaton.effects.commanded_places import as_commanded
     from micah_plan.learn.learn import learn_graph, small_motions
     from micah_plan.learn.parts.relative import relative_to
     from micah_plan.recording.suspicion import suspicions_of_recording
@@ -196,7 +197,11 @@ def _learned(
     _check_names(graph, parts)
     refusal = no_single_joint_error(graph)
     warnings = recording.notes + suspicions_of_recording(recording) + small_motions(recording, settings)
-    automaton = None if refusal is not None else build_automaton(graph, parts=parts, provenance=provenance)
+    automaton = (
+        None
+        if refusal is not None
+        else as_commanded(build_automaton(graph, parts=parts, provenance=provenance), recording)
+    )
     reason = "" if refusal is None else str(refusal)
     seconds = time.perf_counter() - begin
     return LearningResult(recording, graph, automaton, seconds, reason, warnings, base or BASE, seed)

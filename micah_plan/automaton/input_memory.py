@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.augmented import augment_state, fix_augmented_state
 from micah_plan.automaton.effects.form import REMEMBERING, Operations, Value
+from micah_plan.automaton.effects.memories import is_as_commanded
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect, InputMemory
 from micah_plan.automaton.graph import BASE
@@ -157,7 +158,7 @@ def effects_left_out(automaton: HybridAutomaton, memory: bool = False) -> tuple[
     lines = []
     for effect in automaton.effects:
         layer, why = form(effect.name).layer, ""
-        if layer in REMEMBERING and (memory or _only_input(automaton, effect) is None):
+        if layer in REMEMBERING and not is_as_commanded(effect) and (memory or _only_input(automaton, effect) is None):
             why = "it depends on earlier inputs"
         elif layer == "frame" and effect.coordinate in carried:
             why = "commands are given in the base frame"
@@ -186,7 +187,8 @@ def _memories(
     memories: list[InputMemory] = []
     first = automaton.n
     for effect in automaton.effects:
-        command = input_of(automaton, effect) if form(effect.name).layer in REMEMBERING else None
+        remembers = form(effect.name).layer in REMEMBERING and not is_as_commanded(effect)
+        command = input_of(automaton, effect) if remembers else None
         if command is not None:
             i, (j, scale) = automaton.index(effect.coordinate), command
             memories.append(InputMemory(effect, j, i, scale, first, len(_at_rest(effect))))

@@ -41,6 +41,10 @@ Robot = Annotated[
     typer.Option(metavar="NAME", help="Whose joints the file has: URDF, MJCF or a robot's name; poses are its tool's."),
 ]
 Tool = Annotated[str | None, typer.Option(metavar="FRAME", help="Of the robot, the frame that moves with the part.")]
+Commands = Annotated[
+    Literal["displacement", "position", "velocity"] | None,
+    typer.Option(help="What actions mean: a displacement, the way to a commanded position, or a velocity [m/s]."),
+]
 PartName = Annotated[str | None, typer.Option("--name", metavar="NAME", help="Name of the only part.")]
 
 
@@ -58,6 +62,7 @@ class Said:
     frame: str | None = None
     robot: str | None = None
     tool: str | None = None
+    commands: Literal["displacement", "position", "velocity"] | None = None
 
     def conventions(self) -> Conventions | None:
         """The same as conventions; None where they say nothing, so that a file beside the recording may.
@@ -83,6 +88,7 @@ class Said:
             frame=self.frame,
             robot=self.robot,
             tool=self.tool,
+            commands=self.commands,
         )
 
 

@@ -32,7 +32,20 @@ from micah_plan.cli.console import (
     progress_bar,
     table,
 )
-from micah_plan.cli.conventions import Columns, Frame, Order, PartName, Rate, Robot, Said, Tool, Topics, Units, Up
+from micah_plan.cli.conventions import (
+    Columns,
+    Commands,
+    Frame,
+    Order,
+    PartName,
+    Rate,
+    Robot,
+    Said,
+    Tool,
+    Topics,
+    Units,
+    Up,
+)
 from micah_plan.errors import InputError, shown
 from micah_plan.files import PLAN, Output, check_outputs
 from micah_plan.quantities import count, duration
@@ -73,6 +86,7 @@ def convert(
     up: Up = None,
     quaternion: Order = None,
     name: PartName = None,
+    commands: Commands = None,
     density: Annotated[
         float, typer.Option(min=1.0, max=30000.0, help="Of a model's shapes [kg/m^3], for the masses of bodies.")
     ] = 500.0,
@@ -95,7 +109,7 @@ def convert(
         poses_only=poses_only,
         density=density,
         packages=_packages(package or ()),
-        conventions=Said(columns, units, rate, up, quaternion, name, topic, frame, robot, tool).conventions(),
+        conventions=Said(columns, units, rate, up, quaternion, name, topic, frame, robot, tool, commands).conventions(),
     )
     print_warnings(notes)
     summary = {"kind": kind, "notes": list(notes), "file": str(target), "bytes": target.stat().st_size}

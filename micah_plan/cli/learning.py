@@ -24,7 +24,20 @@ from micah_plan.cli.console import (
     title_of,
     write_and_print,
 )
-from micah_plan.cli.conventions import Columns, Frame, Order, PartName, Rate, Robot, Said, Tool, Topics, Units, Up
+from micah_plan.cli.conventions import (
+    Columns,
+    Commands,
+    Frame,
+    Order,
+    PartName,
+    Rate,
+    Robot,
+    Said,
+    Tool,
+    Topics,
+    Units,
+    Up,
+)
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import FIGURE, MODEL, PAGE, Output, check_outputs
 from micah_plan.task.plants import DEFAULT_PLANT
@@ -57,6 +70,7 @@ def learn(
     frame: Frame = None,
     robot: Robot = None,
     tool: Tool = None,
+    commands: Commands = None,
     list_topics: Annotated[bool, typer.Option("--list-topics", help="Only say what a ROS log has.")] = False,
     setting: Annotated[
         list[str] | None,
@@ -73,7 +87,7 @@ def learn(
         raise typer.Exit
     if output is None:
         raise InputError("missing option '-o' / '--output'", remedy="see micah-plan learn --help")
-    said = Said(columns, units, rate, up, quaternion, name, topic, frame, robot, tool)
+    said = Said(columns, units, rate, up, quaternion, name, topic, frame, robot, tool, commands)
     from micah_plan.api.learning import learn as learned
     from micah_plan.documents.model import model_text
     from micah_plan.documents.parts import load_parts
@@ -195,6 +209,7 @@ def predict(
     as_learned: Annotated[
         bool, typer.Option("--actions-as-learned", help="Apply the action channel that the model was learned with.")
     ] = False,
+    commands: Commands = None,
     html: Annotated[Path | None, typer.Option(help="Write measured against predicted motion as a page.")] = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -206,7 +221,7 @@ def predict(
 
     check_outputs((model, recording), (Output("--html", html, PAGE),))
     with progress_bar(as_json) as progress:
-        result = predicted(model, recording, actions_as_learned=as_learned, progress=progress)
+        result = predicted(model, recording, actions_as_learned=as_learned, commands=commands, progress=progress)
         progress("compare with the noise", 1.0)
         contents = drawn(result, recording.stem, html)
     write_and_print(result, contents, as_json)
@@ -224,6 +239,7 @@ def calibrate(
     experiment: Annotated[
         Path | None, typer.Option(help="Write the experiment that tells apart what stays open, if motion can.")
     ] = None,
+    commands: Commands = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Find what a model lacks and write the improved model; exit code 1 if a deviation has no name."""
@@ -237,7 +253,8 @@ def calibrate(
     check_outputs((*files_named_by(model), *recordings), outputs)
     automaton = load_model(model)
     with progress_bar(as_json) as progress:
-        result = calibrated(automaton, recordings[0] if len(recordings) == 1 else recordings, progress=progress)
+        measured = recordings[0] if len(recordings) == 1 else recordings
+        result = calibrated(automaton, measured, commands=commands, progress=progress)
     contents = {output: model_text(result.automaton).encode()}
     designed = None if experiment is None else next_experiment(automaton, result.recording, result.calibration)
     if experiment is not None and designed is not None:

@@ -12,6 +12,7 @@ from micah_plan.documents.layout import Document, doc
 from micah_plan.documents.validation import validated
 from micah_plan.documents.yaml_lines import read_yaml_file
 from micah_plan.errors import located_in
+from micah_plan.recording.commands import CommandKind
 from micah_plan.recording.conventions import Axis, Conventions, Order
 from micah_plan.task.robot_description import is_name
 
@@ -36,6 +37,10 @@ class ConventionsDocument(Document):
     rate: Annotated[float, Field(gt=0.0)] | None = doc("Rows per second, where times are counted [Hz].", None)
     up: Axis | None = doc("The axis that points upwards; default: z.", None)
     quaternion: Order | None = doc("Order of the four columns of a quaternion; default: xyzw.", None)
+    commands: CommandKind | None = doc(
+        "What the actions are: displacement, the way to a commanded position, or velocity [m/s]; default: not said.",
+        None,
+    )
     name: str | None = doc("Name of the only part.", None)
     topics: list[str] = doc(
         "Of a ROS log, topics with poses or child frames of transforms, one part each; none: all of them.", list

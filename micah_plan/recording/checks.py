@@ -12,6 +12,7 @@ import numpy as np
 
 from micah_plan.arrays import TINY, Floats
 from micah_plan.errors import InputError, shown
+from micah_plan.recording.commands import command_meaning
 from micah_plan.recording.value import COLUMNS, Recording
 
 Place = Callable[[int, str], str]
@@ -61,6 +62,7 @@ def checked_recording(recording: Recording, *, minimum_rows: int = 1, place: Pla
             is too short. Where it is, is in the error; the file is left to the caller.
     """
     _check_texts(recording, place)
+    command_meaning(recording)
     _check_values(recording, place)
     _check_rows(recording, minimum_rows, place)
     if recording.quaternion is None:

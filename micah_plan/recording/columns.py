@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from micah_plan.errors import InputError, choices, shown
 from micah_plan.recording.checks import KNOWN, NUMERIC, check_header
+from micah_plan.recording.commands import TARGETS, with_targets
 from micah_plan.recording.conventions import (
     FIXED_ANGLES,
     ROTATION_VECTOR,
@@ -50,11 +51,11 @@ def recording_of_columns(columns: Columns, conventions: Conventions | None = Non
     if meant.rate is not None and "t" not in table:
         table = {"t": counted(table, len(next(iter(table.values()), ()))), **table}
     check_header(list(table), where="")
-    turned = meant.columns.keys() & {*ROTATION_VECTOR, *FIXED_ANGLES}
-    for name in (*NUMERIC, *sorted(turned), "run"):
+    further = meant.columns.keys() & {*ROTATION_VECTOR, *FIXED_ANGLES, *TARGETS}
+    for name in (*NUMERIC, *sorted(further), "run"):
         if name in table:
             _check_numbers(name, table[name], "iu" if name == "run" else "iuf")
-    values = {name: np.asarray(table[name]) for name in (*NUMERIC, *turned, "run") if name in table}
+    values = {name: np.asarray(table[name]) for name in (*NUMERIC, *further, "run") if name in table}
     values |= {name: factor * values[name] for name, factor in factors.items() if factor != 1.0 and name in values}
     columns_of_values = gathered(values, {name: column for name, column in table.items() if name not in values}, meant)
     return without_gaps(as_recorded(columns_of_values, meant))[0]
@@ -64,7 +65,7 @@ def gathered(values: Mapping[str, NDArray[Any]], others: Columns, meant: Convent
     """The recording of its columns.
 
     Args:
-        values: (n,) numbers of those with numbers, and of ``run``.
+        values: (n,) numbers of those with numbers, of targets, and of ``run``.
         others: ``part``, and those that mean nothing here.
         meant: where an orientation is no quaternion, the unit of its angles.
     """
@@ -78,13 +79,16 @@ def gathered(values: Mapping[str, NDArray[Any]], others: Columns, meant: Convent
     turned = turns_of(values, meant.angle)
     if turned is not None:
         arrays["quaternion"] = turned
-    return Recording(
+    recording = Recording(
         **arrays,
         part=tuple(others["part"]) if "part" in others else (),
         has_run="run" in values,
         has_part="part" in others,
         extra=as_texts({name: column for name, column in others.items() if name != "part"}),
     )
+    if TARGETS[0] not in values:
+        return recording
+    return with_targets(recording, np.stack([np.asarray(values[name], dtype=float) for name in TARGETS], axis=-1))
 
 
 def columns_by_name(raw: Sequence[str], meant: Conventions, where: str = "") -> tuple[list[str], dict[str, float]]:

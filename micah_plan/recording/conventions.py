@@ -17,6 +17,7 @@ from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.errors import InputError, shown
 from micah_plan.quantities import count
 from micah_plan.recording.checks import KNOWN
+from micah_plan.recording.commands import TARGETS, CommandKind, with_commands
 from micah_plan.recording.value import Recording
 
 LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
@@ -26,7 +27,7 @@ Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 Order = Literal["xyzw", "wxyz"]
 ROTATION_VECTOR, FIXED_ANGLES = ("rx", "ry", "rz"), ("roll", "pitch", "yaw")
 OF_JOINTS = ("joint ", "target ")
-NAMEABLE = (*KNOWN, *ROTATION_VECTOR, *FIXED_ANGLES)
+NAMEABLE = (*KNOWN, *ROTATION_VECTOR, *FIXED_ANGLES, *TARGETS)
 # A column of the file as -NAME or 0.001*NAME.
 _SCALED = re.compile(r"(?:(?P<minus>-)|(?P<factor>[-+]?\d[\d.]*(?:[eE][-+]?\d+)?)\s*\*)\s*(?P<name>.+)")
 # Turns (n, 3) rows of a frame with that axis upwards into one with z upwards, on the shortest way.
@@ -48,7 +49,8 @@ class Conventions:
         columns: what the file calls a column of a recording (`NAMEABLE`), by the name here, as in ``{"t": "Time"}``.
             Besides those of a recording: ``rx,ry,rz`` (a rotation vector) and ``roll,pitch,yaw`` (about the fixed axes
             x, y, z in that order), in place of a quaternion. ``-Y`` and ``0.001*dX`` are numbers of a column times a
-            factor. Of a robot's joints ``joint NAME`` and ``target NAME``.
+            factor. ``target x,target y,target z`` are commanded places, in place of actions. Of a robot's joints
+            ``joint NAME`` and ``target NAME``.
         length, angle, time: units: ``LENGTHS``, ``ANGLES``, ``TIMES``.
         rate: rows per second [Hz]; then ``t`` counts frames, and rows are counted where there is none.
         up: the axis that points upwards.
@@ -59,6 +61,7 @@ class Conventions:
         robot: whose joints the file has, a URDF or MJCF file, or the name of an installed robot; the poses are then
             those of its tool in the frame of its base.
         tool: the frame of the robot that moves with the part.
+        commands: what ``ax,ay,az`` are: a displacement, the way to a commanded position, or a velocity [m/s].
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -73,6 +76,7 @@ class Conventions:
     frame: str | None = None
     robot: str | None = None
     tool: str | None = None
+    commands: CommandKind | None = None
 
     def __post_init__(self) -> None:
         choices = {
@@ -81,6 +85,7 @@ class Conventions:
             "time": TIMES,
             "up": get_args(Axis),
             "quaternion": get_args(Order),
+            "commands": get_args(CommandKind),
         }
         for key, allowed in choices.items():
             value = getattr(self, key)
@@ -95,7 +100,7 @@ class Conventions:
         if (self.robot is None) != (self.tool is None):
             problem = "a robot and its tool are given together"
             raise InputError(problem, remedy="e.g. --robot panda --tool panda_hand")
-        for group in (ROTATION_VECTOR, FIXED_ANGLES):
+        for group in (ROTATION_VECTOR, FIXED_ANGLES, TARGETS):
             if 0 < len(self.columns.keys() & set(group)) < len(group):
                 raise InputError(f"columns: expected all of {','.join(group)}", remedy="name the others as well")
 
@@ -135,7 +140,7 @@ def as_recorded(rows: Recording, conventions: Conventions) -> Recording:
     """The rows in the units, order and frame of a recording, those without a pose too.
 
     Raises:
-        InputError: if a name is given to several parts.
+        InputError: if a name is given to several parts, or commands that are not there are said to mean something.
     """
     from scipy.spatial.transform import Rotation
 
@@ -160,7 +165,7 @@ def as_recorded(rows: Recording, conventions: Conventions) -> Recording:
         if len(rows.parts) > 1:
             raise InputError(f"one name is given to {count(len(rows.parts), 'part')}", remedy="leave out the name")
         part, has_part = (conventions.name,) * len(rows), True
-    return replace(
+    read = replace(
         rows,
         time=rows.time * time if conventions.rate is None else rows.time / conventions.rate,
         position=turned(rows.position, length),
@@ -171,6 +176,7 @@ def as_recorded(rows: Recording, conventions: Conventions) -> Recording:
         has_part=has_part,
         conventions=conventions.stated(),
     )
+    return read if conventions.commands is None else with_commands(read, conventions.commands)
 
 
 def without_gaps(rows: Recording) -> tuple[Recording, Ints]:

@@ -30,6 +30,7 @@ from micah_plan.recording.checks import (
     numeric_columns,
 )
 from micah_plan.recording.columns import columns_by_name, counted, gathered
+from micah_plan.recording.commands import TARGETS
 from micah_plan.recording.conventions import (
     FIXED_ANGLES,
     ROTATION_VECTOR,
@@ -125,8 +126,8 @@ def _table(lines: list[str], meant: Conventions) -> CaptureTable:
     if without_time:
         columns = {"t": tuple(map(repr, counted(columns, len(rows)).tolist())), **columns}
     called = {ours: source_of(theirs, raw)[0] for ours, theirs in meant.columns.items()}
-    turned = meant.columns.keys() & {*ROTATION_VECTOR, *FIXED_ANGLES}
-    return CaptureTable(columns, numbers[1:], factors=factors, called=called, turned=frozenset(turned))
+    further = meant.columns.keys() & {*ROTATION_VECTOR, *FIXED_ANGLES, *TARGETS}
+    return CaptureTable(columns, numbers[1:], factors=factors, called=called, numbers=frozenset(further))
 
 
 def _rows(lines: list[str]) -> tuple[list[str], list[list[str]], list[int]]:
@@ -178,13 +179,13 @@ def _fields(line: str, number: int, separator: str) -> list[str]:
 def _recording(table: CaptureTable, place: Place, meant: Conventions) -> Recording:
     """The columns as values; of several unreadable ones the first in the file is reported."""
     columns, values = table.columns, dict[str, NDArray[Any]]()
-    lost = {*POSITION, *QUATERNION, *table.turned}
+    may_be_lost = {*POSITION, *QUATERNION, *table.numbers}
     unreadable: list[tuple[int, int, str, UnreadableValue]] = []
     for index, (name, texts) in enumerate(columns.items()):
         try:
             if name == "run":
                 values[name] = integers(texts)
-            elif name in lost:
+            elif name in may_be_lost:
                 values[name] = floats(
                     ["" if text.strip().lower() == "nan" else text for text in texts], may_be_empty=True
                 )

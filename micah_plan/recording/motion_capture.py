@@ -36,7 +36,7 @@ class CaptureTable:
         line_numbers: of each row, from 1.
         factors: of the numbers of a column, by name; of the others 1.
         called: what the file calls a column that it names otherwise.
-        turned: names of the columns that hold orientations in place of a quaternion.
+        numbers: names of further columns that hold numbers: orientations in place of a quaternion, targets.
         conventions: what the file says of units and rate.
         notes: what was assumed, one line each.
     """
@@ -45,7 +45,7 @@ class CaptureTable:
     line_numbers: list[int]
     factors: Mapping[str, float] = field(default_factory=dict)
     called: Mapping[str, str] = field(default_factory=dict)
-    turned: frozenset[str] = frozenset()
+    numbers: frozenset[str] = frozenset()
     conventions: Conventions = field(default_factory=Conventions)
     notes: tuple[str, ...] = ()
 
@@ -162,4 +162,4 @@ def _stacked(
         raise InputError("the header is followed by no rows", where=f"line {begin}", remedy="record at least one row")
     columns_of = dict(zip(("t", "part", *used), zip(*rows, strict=True), strict=True))
     turned = frozenset(used) & frozenset(_TURN)
-    return CaptureTable(columns_of, numbers, turned=turned, conventions=conventions, notes=(note,) if note else ())
+    return CaptureTable(columns_of, numbers, numbers=turned, conventions=conventions, notes=(note,) if note else ())

@@ -17,6 +17,7 @@ import numpy as np
 
 from micah_plan.arrays import INTERVAL_STDS, Floats
 from micah_plan.automaton.effects.add import with_effect
+from micah_plan.automaton.effects.commanded_places import as_commanded, without_superseded
 from micah_plan.automaton.effects.ends import range_of
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect, Since
@@ -201,6 +202,7 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
 
 def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Progress | None) -> Calibration:
     """The calibration with all runs of a recording."""
+    automaton = as_commanded(automaton, recording)
     examination = examined(automaton, recording)
     _check_usable(automaton, examination)
     corrected, able = examination.automaton, examination.searches
@@ -271,7 +273,8 @@ def _written(
     kept, refusing = list(added), dict[Effect, str]()
 
     def made(effects: Sequence[Effect]) -> HybridAutomaton:
-        return with_effect(with_range_ends(corrected, exceeded, effects), *without_old_ends(effects, exceeded))
+        added = without_old_ends(effects, exceeded)
+        return without_superseded(with_effect(with_range_ends(corrected, exceeded, effects), *added))
 
     if refused(made(()), recording):
         return made(kept), refusing  # whatever is added

@@ -30,6 +30,7 @@ from micah_plan.automaton.tracks import Track, in_base_frame, measuring_links
 from micah_plan.automaton.transition import TransitionBatch
 from micah_plan.belief.filter import predict_belief, update
 from micah_plan.errors import InputError
+from micah_plan.recording.commands import Meaning
 from micah_plan.residual.compared_runs import sections
 from micah_plan.residual.prediction import first_belief, inputs_of
 
@@ -79,6 +80,7 @@ class CoordinateData:
             where a row is no measurement.
         is_outside: whether commands lead from what was believed, and something else measured the part.
         effects: on the motion, that the model has already.
+        meaning: of the commands, as the recording says; None: it does not say.
         whole: the same rows in uncut runs, for roll-outs of their full length.
         segment: (S, T) of whole runs: number of the segment in which a row counts, -1 if in none.
     """
@@ -109,6 +111,7 @@ class CoordinateData:
     motion_noise: float = 0.0
     is_outside: bool = False
     effects: tuple[Effect, ...] = ()
+    meaning: Meaning | None = None
     whole: CoordinateData | None = None
     segment: Ints | None = None
 
@@ -224,8 +227,12 @@ def _pieces(tracks: tuple[Track, ...], cuts: Callable[[int, int], list[tuple[int
     total = sum(len(track.time) for track in tracks)
     for number, track in enumerate(tracks):
         for a, b in sections(track.time):
-            found = cuts(b - a, len(tracks))
-            pieces += [_Piece(number, a + first, a + start, a + end, passed / total) for first, start, end in found]
+            for first, start, end in cuts(b - a, len(tracks)):
+                # A roll-out or a filter that begins at a row without a measurement would know nothing of its start.
+                measured = np.flatnonzero(track.is_measured[a + first : a + end])
+                begin = a + first + int(measured[0]) if len(measured) else a + end
+                if a + end - max(a + start, begin) > 1:
+                    pieces.append(_Piece(number, begin, max(a + start, begin), a + end, passed / total))
         passed += len(track.time)
     return pieces
 

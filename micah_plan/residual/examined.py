@@ -28,6 +28,7 @@ from micah_plan.automaton.effects.add import is_possible, with_effect
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import Track
+from micah_plan.recording.commands import command_meaning
 from micah_plan.recording.value import Recording
 from micah_plan.residual.compared_runs import at_measurements, beginning, read_tracks
 from micah_plan.residual.coordinate_data import ENOUGH_RUNS, CoordinateData, coordinate_data_of
@@ -105,7 +106,11 @@ def examined(automaton: HybridAutomaton, recording: Recording) -> Examined:
         as_read=is_at,
         measured=measured,
         exceeded=exceeded,
-        searches=tuple(Search(as_begun(data, gates)) for data in able if data.counted.any()),
+        searches=tuple(
+            Search(replace(as_begun(data, gates), meaning=command_meaning(recording)))
+            for data in able
+            if data.counted.any()
+        ),
         off_joint_error=off_joint_errors(corrected, tuple(map(at_measurements, measured))) if measured else (),
         is_readable=bool(able),
         late=late,

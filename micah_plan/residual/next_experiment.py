@@ -25,7 +25,8 @@ from micah_plan.residual.fit import FitProblem, process_share
 from micah_plan.residual.likelihood import LEAST_EVIDENCE
 from micah_plan.residual.search import FOLDS, Scored, Search, candidates, untried
 from micah_plan.residual.simulation import generated, simulate_terms
-from micah_plan.residual.trace import CoordinateTrace, ranked
+from micah_plan.residual.trace import CoordinateTrace
+from micah_plan.residual.worth import ranked
 from micah_plan.task.experiment import Experiment, Motion
 from micah_plan.task.start import Start, start_mode
 

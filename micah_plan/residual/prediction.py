@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.augmented import threshold_stds
+from micah_plan.automaton.effects.commanded_places import as_commanded
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import InputChannel, towards
@@ -114,6 +115,7 @@ def predict_recording(
             "expected actions, found no columns ax, ay, az",
             remedy="record the commanded displacements to predict motion",
         )
+    automaton = as_commanded(automaton, recording)
     predicted = list[tuple[Place, RunPrediction]]()
     for reaching, every in _usable(automaton, recording):
         parts = [(place, track) for place, track in every if runs is None or track.run in runs]
@@ -126,7 +128,7 @@ def predict_recording(
 
 def refused(automaton: HybridAutomaton, recording: Recording) -> str:
     """Why `predict_recording` refuses a recording with actions: a run starts where no mode allows; empty if not."""
-    for reaching, parts in _usable(automaton, recording):
+    for reaching, parts in _usable(as_commanded(automaton, recording), recording):
         for _, track in parts:
             try:
                 first_belief(reaching, track)

@@ -129,7 +129,7 @@ class _Run:
     def step(self, t: int) -> None:
         """Predict the state of row t + 1."""
         v: Any = self.data.u[:, t] if self.commands is None else self.commands[:, :, t]
-        for n in self.layers.get("place", ()):
+        for n in self.layers.get("place", ())[-1:]:  # the last says how a part follows places, whatever is before it
             v = self._responded(n, t)
         for n in self.layers.get("memory", ()):
             out, self.memory[n] = self.model[n].form.remember(np, v, self.memory[n], self.p[n])

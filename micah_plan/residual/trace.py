@@ -10,20 +10,6 @@ much is left that no effect of the library explains (Akaike's predictive argumen
 A model may take in an effect if it predicts held-out rows better by more than chance, and not in a single run alone,
 and if plain one-step errors get smaller too.
 
-**The meaning of a command.** A displacement from wherever the part is, or a place that the part goes after.
-
-A log's action is the same in both: the place relative to the measured pose. But a displacement says nothing of where
-the part is, and a place does: what the part missed before, it makes up for. Both are compared by what they predict of
-held-out rows, each from all measurements before. What was meant is also more regular by itself, the sequence of
-displacements or that of places, since what blurs a measurement is in the other one: that decides where both predict the
-same (a part that does as it is told, seen without noise), and speaks against places that hardly predict better, as
-measured poses do where the noise of a tracker wanders. Roll-outs cannot decide,
-since places contain the measured poses that they are relative to; but where commands were relative to what a controller
-believed, and something else measured the part, they can, and do.
-
-The response to a place is one family (`follow`): a share of the way per row, and an offset; with delay, momentum
-(second order), gain and a dead zone, alone or together, where that predicts held-out rows clearly better.
-
 Source: Ljung, System Identification, 2nd ed., ch. 4.2 and 16 (model structures, their selection on held-out data).
 """
 
@@ -31,19 +17,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
-from micah_plan.arrays import ROUND_OFF, Floats
+from micah_plan.arrays import Floats
+from micah_plan.automaton.effects.memories import is_as_commanded
 from micah_plan.automaton.effects.registry import form
 from micah_plan.quantities import Progress
+from micah_plan.residual.command_meaning import (
+    CONTAINED,
+    FOLLOW,
+    RESPONSE_STARTS,
+    followed,
+    may_mean_places,
+    means_places,
+    regularity,
+    with_free_response,
+)
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.likelihood import (
-    EVIDENCE_PER_ROW,
     LEAST_EVIDENCE,
     TIE,
-    robust_log_density,
     student_t_log_density,
 )
 from micah_plan.residual.missing_mode import MissingMode, missing_modes
@@ -60,6 +54,7 @@ from micah_plan.residual.search import (
 )
 from micah_plan.residual.simulation import GATES, Term
 from micah_plan.residual.verdict import Facts, Outcome, outcome_of
+from micah_plan.residual.worth import ELSEWHERE, begins_later, elsewhere, improves, is_worth, ranked, shortens
 
 # Candidates as good as the best are tied with it, or within two standard errors up to so much per segment [nats].
 _ERRORS = 2.0
@@ -139,8 +134,10 @@ class CoordinateTrace:
 
 def trace(search: Search, progress: Progress | None = None) -> CoordinateTrace:
     """Find what a coordinate's model lacks; where it leaves noise alone, nothing is sought."""
+    is_quiet = search.residual_is_white(search.nominal)
+    if not is_quiet and any(map(is_as_commanded, search.data.effects)):
+        search = with_free_response(search.data)
     progress_told, data, nominal = progress or _silent, search.data, search.nominal
-    is_quiet = search.residual_is_white(nominal)
     singles, selection = ((), Selection(nominal, ())) if is_quiet else _explored(search, progress_told)
     loose = nominal if is_quiet else _smoothed(search, search.nominal)
     others = (selection.chosen, loose, *selection.alternatives)
@@ -153,7 +150,7 @@ def trace(search: Search, progress: Progress | None = None) -> CoordinateTrace:
     progress_told(f"{data.coordinate}: what remains", 0.9)
     is_enough = not modes and not closest and search.residual_is_white(chosen)
     remaining = chosen if is_enough else loose if chosen is search.nominal else _smoothed(search, chosen)
-    findings = _findings(search, nominal, chosen, selection.alternatives)
+    findings = () if chosen is nominal else _findings(search, nominal, chosen, selection.alternatives)
     # Commands that are places make a model of their own, which runs bear out or not as they do effects on top of it.
     base = nominal if chosen is search.nominal else search.nominal
     remaining_tests, is_worth_it = search.left_by(chosen), is_worth(remaining, chosen, data)
@@ -262,13 +259,21 @@ def _explored(search: Search, progress: Progress) -> tuple[tuple[Scored, ...], S
     """All single effects, and what was chosen; first of all whether commands are places, which is then nominal."""
     library = candidates(search.data)
     for_places = [candidate for candidate in library if candidate.name not in CONTAINED]
+    if search.data.meaning == "position" and search.nominal.names == (FOLLOW,):
+        # That commands are places is said; how the part follows them is not.
+        place, as_told = followed(search, len(RESPONSE_STARTS)), search.nominal
+        search.nominal = place if is_worth(place, as_told, search.data) else as_told
+        more, selected = _selected(search, for_places, progress)
+        return (place, *more), selected
     if search.leads_to_places(search.nominal):
         return _selected(search, for_places, progress)
     singles, selection = _selected(search, library, progress)
+    if search.data.meaning == "displacement":
+        return singles, selection
     progress(f"{search.data.coordinate}: {FOLLOW}", 0.5)
     # Where displacements leave noise alone, places can only be tied with them, and then the plainest forms are.
-    is_done = search.residual_is_white(selection.chosen) and _regularity(search.data) <= LEAST_EVIDENCE
-    place = followed(search, 1 if is_done and not search.data.is_outside else len(_STARTS))
+    is_done = search.residual_is_white(selection.chosen) and regularity(search.data) <= LEAST_EVIDENCE
+    place = followed(search, 1 if is_done and not search.data.is_outside else len(RESPONSE_STARTS))
     # Displacements that the part carries out in any way that is smooth: few one-way runs look as if they were places.
     loose = _smoothed(search, search.nominal)
     best, before = ranked([selection.chosen, loose])[0], search.nominal
@@ -370,11 +375,6 @@ def _is_tied(best: Scored, rival: Scored) -> bool:
     return gap < max(TIE, min(_ERRORS * error, _SLACK * rival.density.size)) or (bool(fits) and gap < LEAST_EVIDENCE)
 
 
-# Of an effect's evidence, so much outside of the run that gains most (of the only run: the segment), by so many times
-# what others lose (as a root of squares).
-_ELSEWHERE = 4.0
-# What one-step errors may be of those before.
-_SHORTER = 0.999
 _WIDE = 3
 _TRIED = 5
 # Effects that make a line in the command.
@@ -451,7 +451,7 @@ def _pairs(
     kept = list({head.names[-1]: head for head in heads}.values())
     for number, head in enumerate(kept):
         last = head.parts[-1]
-        rest = [c for c in library if c.name not in head.names or (c.name == last.name and _begins_later(last))]
+        rest = [c for c in library if c.name not in head.names or (c.name == last.name and begins_later(last))]
         rest += _since_a_change(search, head, library)
         share = 0.5 + 0.4 * number / len(kept)
         pairs = scored_all(search, head, rest, progress, share, share + 0.4 / len(kept))
@@ -480,16 +480,11 @@ def _since_a_change(search: Search, model: Scored, library: Sequence[TermCandida
     return [gated(candidate, [place], []) for candidate in library if candidate.term.form.layer != "guard"]
 
 
-def _begins_later(part: TermCandidate) -> bool:
-    """Whether a part acts since some place in the recording only."""
-    return bool(np.isfinite(part.starts[0, -GATES]))
-
-
 def _simplest_first(options: Sequence[Scored], data: CoordinateData) -> list[Scored]:
     """Best first, but of those that are as good as the best, but for one run, the plainest effects first."""
     order = ranked(options)
     close = [
-        m for m in order if order[0].over(m)[0] <= TIE or _elsewhere(order[0].density - m.density, data) <= _ELSEWHERE
+        m for m in order if order[0].over(m)[0] <= TIE or elsewhere(order[0].density - m.density, data) <= ELSEWHERE
     ]
     plainest = sorted(close, key=lambda model: sum(part.term.form.complexity_rank for part in model.parts))
     return [*plainest, *(model for model in order if model not in close)]
@@ -540,11 +535,6 @@ def _variants(search: Search, model: Scored, base: Scored) -> list[Scored]:
     return [variant for variant in variants if variant.over(model)[0] > LEAST_EVIDENCE]
 
 
-def ranked(scored: Sequence[Scored]) -> list[Scored]:
-    """Best first."""
-    return sorted(scored, key=lambda model: -float(model.density.sum()))
-
-
 def _simplest(options: Sequence[Scored], base: Scored, data: CoordinateData) -> Scored | None:
     """The best; of those that are as good, the one with the plainest last effect."""
     # Likelihood alone could be bought by calling a few rows noise.
@@ -552,139 +542,3 @@ def _simplest(options: Sequence[Scored], base: Scored, data: CoordinateData) -> 
     if not options:
         return None
     return _simplest_first(options, data)[0]
-
-
-def is_worth(better: Scored, base: Scored, data: CoordinateData) -> bool:
-    """Whether held-out rows are predicted so much better that it is no chance, and not in a single run alone."""
-    gains = better.density - base.density
-    gain = float(gains.sum())
-    if better.squared >= base.squared or gain <= max(LEAST_EVIDENCE, EVIDENCE_PER_ROW * int(data.counted.sum())):
-        return False
-    losses = float(np.sqrt((np.minimum(gains, 0.0) ** 2).sum()))
-    if gain <= _ERRORS * losses or _elsewhere(gains, data) <= _ELSEWHERE:
-        return False
-    # What began in one run makes the noise of all smaller, which is no evidence from those before.
-    has_begun = any(map(_begins_later, better.parts[-1:]))
-    return not has_begun or _elsewhere(better.density - better.without_last, data) > _ELSEWHERE
-
-
-def _elsewhere(gains: Floats, data: CoordinateData) -> float:
-    """What segments (S,) gain outside of the run (of the only one: the segment) that gains most [nats]."""
-    runs, of_run = np.unique(data.run, return_inverse=True)
-    if len(runs) > 1:  # rows of one run share what is particular to it
-        gains = np.asarray(np.bincount(of_run, gains))
-    gained = np.maximum(gains, 0.0)
-    return float(gained.sum() - gained.max(initial=0.0))
-
-
-def improves(search: Search, better: Scored, base: Scored) -> bool:
-    """Whether a model is worth it and one-step errors get smaller too."""
-    return is_worth(better, base, search.data) and shortens(search, better, base)
-
-
-def shortens(search: Search, better: Scored, base: Scored) -> bool:
-    """Whether held-out one-step errors get smaller."""
-    return search.one_step_squares(better) < _SHORTER * search.one_step_squares(base)
-
-
-FOLLOW = "follow"
-# Columns of `follow`: those that are always fitted, and starts of the others, which are at rest otherwise.
-_SHARE, _OFFSET, _GAIN, _DELAY, _MOMENTUM, _WIDTH = range(6)
-_AT_REST = (0.5, 0.0, 1.0, 0.0, 0.0, 0.0)
-_SHARES = (0.03, 0.15, 0.5, 0.9)
-_STARTS = {_GAIN: (0.9, 1.1), _DELAY: (0.5, 1.5, 3.0, 6.0), _MOMENTUM: (0.3, 0.7), _WIDTH: (0.02, 0.1)}
-
-# Names of the effects that this family has in itself.
-CONTAINED = ("gain", "bias", "delay", "lag", "dead_zone", "spring")
-# Commands before one that its regularity is judged by.
-_MEMORY = 2
-# Degrees of freedom of what is not foretold (a few jumps decide nothing), and the least of it, as a share of all.
-_FREEDOM, _FINEST = 2.0, 1e-3
-
-# Share of what a sequence of commands says by being irregular that counts: its rows are no independent witnesses.
-_HEARD = 0.25
-
-
-def may_mean_places(search: Search, place: Scored, displaced: Scored) -> bool:
-    """Whether places must be given a further effect before they are judged: the best model of displacements has one.
-
-    Only where earlier places foretell the next one better than earlier displacements do.
-    """
-    is_fair = search.data.is_outside or len(displaced.parts) <= len(place.parts)
-    return not is_fair and is_worth(place, search.nominal, search.data) and _regularity(search.data) > 0.0
-
-
-def means_places(search: Search, place: Scored, displaced: Scored, nominal: Scored | None = None) -> bool:
-    """Whether commands that are places predict better than the best model of displacements.
-
-    Args:
-        nominal: the model without either; None: that of the search.
-    """
-    if search.data.is_outside:
-        rolled, displaced_squares = (float(np.sum(search.rollout_errors(model) ** 2)) for model in (place, displaced))
-        return rolled < displaced_squares
-    if not is_worth(place, nominal or search.nominal, search.data):
-        return False
-    gain, regular = place.over(displaced)[0], _regularity(search.data)
-    if (
-        gain + _HEARD * min(regular, 0.0) > LEAST_EVIDENCE
-        and _elsewhere(place.density - displaced.density, search.data) > _ELSEWHERE
-    ):
-        return True
-    return gain > -LEAST_EVIDENCE and regular > LEAST_EVIDENCE
-
-
-def _regularity(data: CoordinateData) -> float:
-    """By how much places are more predictable from those before than displacements from those before [nats].
-
-    What blurs a measurement is in a displacement that leads to a place, and in the place that a displacement leads to.
-    """
-    whole = data.whole or data
-    starts = whole.counted_starts
-    starts[:, :_MEMORY] = False
-    forms = []
-    for series in (whole.u, whole.place):
-        before = [np.roll(series, k + 1, axis=1)[starts] for k in range(_MEMORY)]
-        now = series[starts]
-        design = np.stack([np.ones(len(now)), *before], axis=1)
-        forms.append(robust_log_density(design, now, _FREEDOM, _FINEST * float(np.std(now)) + ROUND_OFF))
-    return forms[1] - forms[0]
-
-
-def followed(search: Search, most: int) -> Scored:
-    """The best response to commands that are places: of all forms of the family, each with all its parameters free.
-
-    One parameter at a time would miss those that pay together only, such as a gain and a dead zone.
-
-    Args:
-        most: parameters beyond the share and the offset.
-    """
-    data, term = search.data, Term(form(FOLLOW))
-    starts = np.array([[share, *_AT_REST[1:], *(-np.inf,) * GATES] for share in _SHARES])
-    plain = (_SHARE, _OFFSET)
-    forms = {frozenset[int](): search.score((TermCandidate(term, starts, plain, _scale(data, plain)),))}
-    best = forms[frozenset()]
-    for size in range(1, most + 1):
-        for columns in map(frozenset, combinations(_STARTS, size)):
-            column = max(columns, key=lambda column_left: float(forms[columns - {column_left}].density.sum()))
-            forms[columns] = search.score((_freed(forms[columns - {column}].parts[0], column, data),))
-        best_form = ranked([model for columns, model in forms.items() if len(columns) == size])[0]
-        if is_worth(best_form, best, data):
-            best = best_form
-    return best
-
-
-def _freed(part: TermCandidate, column: int, data: CoordinateData) -> TermCandidate:
-    """The candidate with one more parameter to fit, from where it was fitted."""
-    tried = _STARTS[column]
-    starts = np.repeat(part.starts[:1], len(tried), axis=0)
-    low, high = data.visited
-    starts[:, column] = np.array(tried) * (high - low if column == _WIDTH else 1.0)
-    free = tuple(sorted((*part.free, column)))
-    return replace(part, starts=starts, free=free, scale=_scale(data, free))
-
-
-def _scale(data: CoordinateData, free: tuple[int, ...]) -> Floats:
-    low, high = data.visited
-    large = 0.1 * (high - low) + 1e-9
-    return np.array([{_OFFSET: large, _WIDTH: large, _DELAY: 1.0}.get(column, 0.3) for column in free])

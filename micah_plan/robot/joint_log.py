@@ -14,6 +14,7 @@ from micah_plan.errors import InputError, choices, pip_install, shown
 from micah_plan.quantities import count
 from micah_plan.recording.checks import ACTION, POSITION, QUATERNION
 from micah_plan.recording.columns import recording_of_columns
+from micah_plan.recording.commands import with_commands
 from micah_plan.recording.conventions import ANGLES, LENGTHS, Conventions, source_of
 from micah_plan.recording.value import Recording
 from micah_plan.robot.arm import Arm
@@ -71,6 +72,8 @@ def tool_recording(columns: Mapping[str, Any], arm: Arm, meant: Conventions) -> 
     conventions = Conventions(columns=others, time=meant.time, rate=meant.rate, name=meant.name or meant.tool)
     notes = _beyond_limits(arm, q)
     recording = recording_of_columns(table, conventions)
+    if targets is not None:
+        recording = with_commands(recording, "position")
     return replace(recording, conventions=meant.stated(), notes=(*notes, *recording.notes))
 
 

@@ -14,7 +14,7 @@ from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.search import TermCandidate
 from micah_plan.residual.simulation import Term
-from micah_plan.residual.trace import is_worth
+from micah_plan.residual.worth import is_worth
 
 
 class _Scored:

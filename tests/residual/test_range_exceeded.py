@@ -83,6 +83,22 @@ def test_rows_a_hair_beyond_the_end_move_no_end(door):
     assert rmse([run.one_step.configuration for run in runs]) < 1.2 * np.sqrt(2.0) * 0.003
 
 
+def test_a_tracker_that_is_frozen_over_a_gap_does_not_raise_the_floors(door):
+    """The rows after the gap repeat the one before it: roll-outs begin where something is measured."""
+    log = recording()
+    kept = np.ones(len(log), dtype=bool)
+    position, quaternion = log.position.copy(), log.quaternion.copy()
+    for run in log.runs:
+        rows = log.index(run=run)
+        kept[rows[20:26]] = False
+        position[rows[26:29]], quaternion[rows[26:29]] = position[rows[19]], quaternion[rows[19]]
+    frozen = replace(log, position=position, quaternion=quaternion).rows(kept)
+    found, whole = calibrate(door, frozen), calibrate(door, log)
+    assert found.verdict == "none"
+    assert 0.5 * whole.noise_floor < found.noise_floor < 2.0 * whole.noise_floor
+    assert 0.5 * whole.rollout_floor < found.rollout_floor < 2.0 * whole.rollout_floor
+
+
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 60.0])
 def test_gaps_are_found_in_any_unit_of_time_and_uneven_times_have_none(scale):
     rng = np.random.default_rng(0)

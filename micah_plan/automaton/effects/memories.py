@@ -8,6 +8,7 @@ from typing import final
 import numpy as np
 
 from micah_plan.automaton.effects.form import EffectForm, FitStart, Memory, Operations, Parameter, Shown, Value, Values
+from micah_plan.automaton.effects.value import Effect
 
 LONGEST_DELAY = 12
 """The longest delay [steps]."""
@@ -161,3 +162,12 @@ class Follow(EffectForm):
         away = p[2] * late + p[1] - c
         beyond = ops.maximum(away - p[5], 0.0) + ops.minimum(away + p[5], 0.0)
         return p[4] * (c - memory[0]) + p[0] * beyond, (c, *line)
+
+
+AS_COMMANDED = tuple((parameter.name, float(parameter.neutral or 0.0)) for parameter in Follow.parameters)
+"""Parameters of `Follow` with which the part is at the commanded place after each step."""
+
+
+def is_as_commanded(effect: Effect) -> bool:
+    """Whether an effect only says that commands are places, and nothing of how the part gets there."""
+    return effect.name == Follow.name and effect.parameters == AS_COMMANDED and effect.since is None

@@ -1,0 +1,55 @@
+"""A machine that is told places, as far as a recording says no more: it is at the place after each step.
+
+That is the effect `follow` with all its parameters neutral. It moves roll-outs from wherever they are to the places of
+the log, and is what calibration begins with; a step of the model itself is the same with and without it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from micah_plan.automaton.effects.add import with_effect
+from micah_plan.automaton.effects.memories import AS_COMMANDED, Follow, is_as_commanded
+from micah_plan.automaton.effects.registry import form
+from micah_plan.automaton.effects.value import Effect
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.errors import InputError
+from micah_plan.recording.commands import command_meaning
+from micah_plan.recording.value import Recording
+
+
+def as_commanded(automaton: HybridAutomaton, recording: Recording) -> HybridAutomaton:
+    """The model for a recording: its coordinates go to commanded places where the recording says that they are told.
+
+    Where it says nothing, the model's own word counts.
+
+    Raises:
+        InputError: if the recording says displacements, and the model knows how its machine follows places.
+    """
+    meaning = command_meaning(recording)
+    if meaning is None:
+        return automaton
+    told_places = {effect.coordinate for effect in automaton.effects if form(effect.name).layer == "place"}
+    if meaning == "position":
+        moved = [
+            coordinate.name
+            for i, coordinate in enumerate(automaton.coordinates)
+            if any(mode.driven[i] for mode in automaton.modes) and coordinate.name not in told_places
+        ]
+        return with_effect(automaton, *(Effect(Follow.name, name, AS_COMMANDED) for name in moved))
+    kept = tuple(effect for effect in automaton.effects if not is_as_commanded(effect))
+    following = next((effect for effect in kept if form(effect.name).layer == "place"), None)
+    if following is not None:
+        problem = f"the recording's commands are displacements, but in the model {following.coordinate} follows places"
+        raise InputError(problem, remedy="take the model as it was learned, or say --commands position")
+    return automaton if len(kept) == len(automaton.effects) else replace(automaton, effects=kept)
+
+
+def without_superseded(automaton: HybridAutomaton) -> HybridAutomaton:
+    """The automaton without neutral `follow` where another effect says how a coordinate follows places."""
+    following = [effect for effect in automaton.effects if form(effect.name).layer == "place"]
+    known = {effect.coordinate for effect in following if not is_as_commanded(effect)}
+    superseded = [effect for effect in following if is_as_commanded(effect) and effect.coordinate in known]
+    if not superseded:
+        return automaton
+    return replace(automaton, effects=tuple(effect for effect in automaton.effects if effect not in superseded))

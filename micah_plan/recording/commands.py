@@ -1,0 +1,104 @@
+"""What a recorded command means: a displacement from wherever the part is, a place, or a velocity.
+
+The action of a row is a vector (ax, ay, az). Of a machine that is told *displacements* it is the way that the part is
+to move from where it is. Of one that is told *positions* it is the way from the measured pose to the commanded place:
+the machine goes after that place wherever the part is, so that what it missed before is made up for. Of one that is
+told *velocities* it is a velocity [m/s], which over the time to the next row is a displacement.
+
+A recording says which of the first two it is in a column `command_meaning`, the same in all rows; velocities become
+displacements when they are read. Where nothing is said, calibration compares both (`residual.command_meaning`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal, cast, get_args
+
+import numpy as np
+
+from micah_plan.arrays import Floats
+from micah_plan.errors import InputError, shown
+from micah_plan.recording.value import Recording
+
+Meaning = Literal["displacement", "position"]
+"""What the actions of a recording mean."""
+CommandKind = Literal["displacement", "position", "velocity"]
+"""What the commands of a file mean, as users say it."""
+
+MEANING_COLUMN = "command_meaning"
+TARGETS = ("target x", "target y", "target z")
+"""Columns with the commanded place of the part's origin in the base frame, in place of actions."""
+
+
+def command_meaning(recording: Recording) -> Meaning | None:
+    """What the actions of a recording mean; None where it does not say.
+
+    Raises:
+        InputError: if its column says something else, or not the same in all rows.
+    """
+    texts = recording.extra.get(MEANING_COLUMN)
+    if not texts:
+        return None
+    for row, text in enumerate(texts):
+        if text != texts[0] or text not in get_args(Meaning):
+            expected = " or ".join(get_args(Meaning))
+            problem = f"expected {expected}, the same in all rows, found {shown(text)}"
+            raise InputError(problem, where=f"row {row + 1}, column '{MEANING_COLUMN}'", remedy="split the recording")
+    return cast(Meaning, texts[0])
+
+
+def with_commands(recording: Recording, kind: CommandKind) -> Recording:
+    """The recording, whose commands are said to be of a kind; velocities [m/s] become displacements [m].
+
+    Raises:
+        InputError: if it has no actions, or says itself that they are of another kind.
+    """
+    if kind not in get_args(CommandKind):
+        raise InputError(f"commands: expected one of {', '.join(get_args(CommandKind))}, found {shown(str(kind))}")
+    if recording.action is None:
+        remedy = "leave it out, or name the columns of the actions or targets"
+        raise InputError(f"commands are said to be of the kind {kind}, but the recording has none", remedy=remedy)
+    said = command_meaning(recording)
+    if said is not None and said != kind:
+        problem = f"commands are said to be of the kind {kind}, but its column '{MEANING_COLUMN}' says {said}"
+        raise InputError(problem, remedy="leave out what is said, or remove the column")
+    action = recording.action
+    if kind == "velocity":
+        action = action * _time_to_next(recording)[:, None]
+    meaning: Meaning = "position" if kind == "position" else "displacement"
+    return replace(recording, action=action, extra={**recording.extra, MEANING_COLUMN: (meaning,) * len(recording)})
+
+
+def with_targets(recording: Recording, target: Floats) -> Recording:
+    """The recording with commanded places (n, 3) [m, base frame] as its actions, NaN where there is none.
+
+    Raises:
+        InputError: if it has actions as well.
+    """
+    if recording.action is not None:
+        raise InputError("a recording has actions or targets, not both", remedy=f"leave out {shown(TARGETS[0])}")
+    return with_commands(replace(recording, action=target - recording.position), "position")
+
+
+def common_meaning(recordings: Sequence[Recording]) -> None:
+    """Check that recordings which are joined do not say different things.
+
+    Raises:
+        InputError: if they do.
+    """
+    meanings = dict.fromkeys(command_meaning(recording) for recording in recordings if recording.has_actions)
+    if len(meanings) > 1:
+        named = ", ".join(meaning or "not said" for meaning in meanings)
+        problem = f"the commands of recordings that are joined mean different things: {named}"
+        raise InputError(problem, remedy="say it for all of them, or calibrate with those of one meaning")
+
+
+def _time_to_next(recording: Recording) -> Floats:
+    """(n,) seconds from each row to the next of its run and part; NaN in the last."""
+    period = np.full(len(recording), np.nan)
+    for run in recording.runs:
+        for part in recording.parts:
+            rows = np.atleast_1d(recording.index(run=run, part=part))
+            period[rows[:-1]] = np.diff(recording.time[rows])
+    return period
