@@ -159,13 +159,13 @@ def test_a_raw_file_becomes_an_executed_plan(raw: Callable[[Path], Recording], t
 def test_three_commands(tmp_path: Path) -> None:
     """From the shipped log of a laboratory."""
     commands = [
-        f"learn {ROOT}/examples/logs/laboratory.csv -o door.yaml",
-        "solve door.yaml -o plan.json",
-        "execute plan.json --trials 3 -o runs.csv",
+        ["learn", str(ROOT / "examples" / "logs" / "laboratory.csv"), "-o", "door.yaml"],
+        ["solve", "door.yaml", "-o", "plan.json"],
+        ["execute", "plan.json", "--trials", "3", "-o", "runs.csv"],
     ]
     said = []
     for command in commands:
-        words = [sys.executable, "-m", "micah_plan", *command.split()]
+        words = [sys.executable, "-m", "micah_plan", *command]
         done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         said.append(done.stderr)
