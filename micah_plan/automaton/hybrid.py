@@ -129,6 +129,12 @@ class Tie:
         """x[coordinate] for states x (..., n)."""
         return np.asarray(self.offset + x @ np.array(self.weights))
 
+    def words(self, names: Sequence[str]) -> str:
+        """The tie as an equation of coordinates by name, as ``h2 = -2 h1 + 0.1``."""
+        terms = [f"{weight:g} {name}" for weight, name in zip(self.weights, names, strict=True) if weight]
+        terms += [f"{self.offset:g}"] if self.offset or not terms else []
+        return f"{names[self.coordinate]} = {' + '.join(terms)}".replace("+ -", "- ")
+
 
 @dataclass(frozen=True)
 class Reset:

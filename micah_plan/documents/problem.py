@@ -13,9 +13,9 @@ import numpy as np
 from pydantic import AfterValidator, WithJsonSchema
 from pydantic_core import PydanticCustomError
 
-from micah_plan.arrays import EQUAL
+from micah_plan.arrays import EQUAL, NEAR_STDS
 from micah_plan.automaton.contacts.values import COLLIDED
-from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.region import Interval
 from micah_plan.documents.expressions import short_number, short_text
 from micah_plan.documents.fields import (
@@ -316,9 +316,10 @@ def _digest(content: bytes) -> str:
 
 def check_start(start: Start, automaton: HybridAutomaton, located: Located) -> None:
     """Refuse a start where the planner would find no mode to start in; `located`: what has the key `start`."""
-    if start_mode(automaton, start)[0] is not None:
+    names, mode = automaton.mode_names, start_mode(automaton, start)[0]
+    if mode is not None:
+        _check_ties(start, automaton, automaton.mode(mode), located)
         return
-    names = automaton.mode_names
     allowed = [name for name in names if start_mode(automaton, replace(start, mode=name))[0] is not None]
     values = zip(automaton.coordinates, start.mean, strict=True)
     state = ", ".join(f"{item.name} = {short_number(value)} {item.unit}" for item, value in values)
@@ -327,6 +328,18 @@ def check_start(start: Start, automaton: HybridAutomaton, located: Located) -> N
         raise located.at("start", "mode").error(f"mode '{start.mode}' does not allow the start {state}", remedy)
     problem = f"the start {state} lies in no mode's invariant"
     raise located.at("start", "mean").error(problem, _invariants(automaton, names))
+
+
+def _check_ties(start: Start, automaton: HybridAutomaton, mode: Mode, located: Located) -> None:
+    """Refuse a start at which a coordinate is not where those that it follows put it, but for its own std."""
+    for tie in mode.ties:
+        coordinate, found = automaton.coordinates[tie.coordinate], start.mean[tie.coordinate]
+        expected = float(tie.value(np.array(start.mean)))
+        if abs(found - expected) > max(NEAR_STDS * start.std[tie.coordinate], EQUAL):
+            words = tie.words(automaton.coordinate_names)
+            problem = f"in mode '{mode.name}' {words}, so {short_number(expected)} {coordinate.unit} is expected"
+            remedy = f"write {coordinate.name}: {short_number(expected)}"
+            raise located.at("start", "mean").error(f"{problem}, found {short_number(found)} {coordinate.unit}", remedy)
 
 
 def _invariants(automaton: HybridAutomaton, modes: Sequence[str]) -> str:

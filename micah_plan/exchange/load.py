@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from micah_plan.documents.conventions import conventions_beside
@@ -29,6 +30,7 @@ def load_recording(path: str | Path, *, minimum_rows: int = 1, conventions: Conv
     from micah_plan.robot.joint_log import arm_of, tool_recording
 
     arm = arm_of(meant.robot, meant.tool)
-    columns = read_columns(path)
+    columns, notes = read_columns(path, meant.topics)
     with located_in(path):
-        return checked_recording(tool_recording(columns, arm, meant), minimum_rows=minimum_rows)
+        recording = tool_recording(columns, arm, meant)
+        return checked_recording(replace(recording, notes=(*notes, *recording.notes)), minimum_rows=minimum_rows)

@@ -230,6 +230,7 @@ def _no_mode_holds_goal(problem: Problem, limits: Limits) -> str:
     for name in goal.modes or automaton.mode_names:
         states = mode_states(automaton.mode(name), limits)
         texts = [f"{c.name} in [{states.lower[i]:g}, {states.upper[i]:g}] {c.unit}" for c, i, _, _ in items]
+        texts += [tie.words(automaton.coordinate_names) for tie in automaton.mode(name).ties]
         ranges.append(f"'{name}' allows {', '.join(texts)}")
     among = "the goal's modes" if goal.modes else "the modes"
     return f"the goal {wanted} lies in the range of none of {among} ({'; '.join(ranges)}); move the goal into a range"

@@ -122,7 +122,10 @@ def limited_input(mode: Mode, x: Floats, u: Floats, max_step: Floats) -> Floats:
 
 
 def named_values(problem: Problem) -> list[list[float]]:
-    """Per coordinate the values that the problem and the model name: start, goal, pins and boundaries."""
+    """Per coordinate the values that the problem and the model name: start, goal, pins, boundaries and resets.
+
+    A coordinate that a mode lets follow others goes as far as those lead it.
+    """
     automaton = problem.automaton
     values = [[float(mean)] for mean in problem.start.mean]
     for index, value, _ in problem.goal.target:
@@ -134,6 +137,13 @@ def named_values(problem: Problem) -> list[list[float]]:
     for bound in (half_space.bound for region in regions for half_space in region.half_spaces):
         if bound is not None:
             values[bound.coordinate].append(bound.value)
+    for edge in automaton.edges:
+        if edge.reset.A is not None and edge.reset.c is not None:
+            for i in np.flatnonzero(~np.any(edge.reset.A, axis=1)):
+                values[i].append(float(edge.reset.c[i]))
+    for tie in (tie for mode in automaton.modes for tie in mode.ties):
+        led = [(w * min(v), w * max(v)) for w, v in zip(tie.weights, values, strict=True) if w]
+        values[tie.coordinate] += [tie.offset + sum(map(pick, led)) for pick in (min, max)]
     return values
 
 

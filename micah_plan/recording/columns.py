@@ -17,12 +17,14 @@ from micah_plan.recording.conventions import (
     FIXED_ANGLES,
     ROTATION_VECTOR,
     TIMES,
+    ColumnSource,
     Conventions,
     as_recorded,
     source_of,
     turns_of,
     without_gaps,
 )
+from micah_plan.recording.text import UnreadableValue, seconds
 from micah_plan.recording.value import COLUMNS, Recording
 
 Columns = Mapping[str, Any]
@@ -40,9 +42,12 @@ def recording_of_columns(columns: Columns, conventions: Conventions | None = Non
         InputError: if columns are missing, of other lengths, or hold no numbers; in whose rows is left to `checks`.
     """
     meant = conventions or Conventions()
-    names, factors = columns_by_name(list(columns), meant)
+    names, sources = columns_by_name(list(columns), meant)
     unit = TIMES[meant.time or "s"]
     table = {name: _plain(values, unit) for name, values in zip(names, columns.values(), strict=True)}
+    times = table.get("t")
+    if isinstance(times, tuple):
+        table["t"] = _times_of_texts(times, unit)
     lengths = {name: len(values) for name, values in table.items()}
     if len(set(lengths.values())) > 1:
         shortest, longest = min(lengths, key=lengths.__getitem__), max(lengths, key=lengths.__getitem__)
@@ -56,7 +61,7 @@ def recording_of_columns(columns: Columns, conventions: Conventions | None = Non
         if name in table:
             _check_numbers(name, table[name], "iu" if name == "run" else "iuf")
     values = {name: np.asarray(table[name]) for name in (*NUMERIC, *further, "run") if name in table}
-    values |= {name: factor * values[name] for name, factor in factors.items() if factor != 1.0 and name in values}
+    values |= {name: sources[name].values(values[name]) for name in sources.keys() & values.keys()}
     columns_of_values = gathered(values, {name: column for name, column in table.items() if name not in values}, meant)
     return without_gaps(as_recorded(columns_of_values, meant))[0]
 
@@ -91,9 +96,11 @@ def gathered(values: Mapping[str, NDArray[Any]], others: Columns, meant: Convent
     return with_targets(recording, np.stack([np.asarray(values[name], dtype=float) for name in TARGETS], axis=-1))
 
 
-def columns_by_name(raw: Sequence[str], meant: Conventions, where: str = "") -> tuple[list[str], dict[str, float]]:
-    """The names of columns as a recording has them, and factors of their numbers by name; what else is called so stays
-    a further column.
+def columns_by_name(
+    raw: Sequence[str], meant: Conventions, where: str = ""
+) -> tuple[list[str], dict[str, ColumnSource]]:
+    """The names of columns as a recording has them, and where their numbers come from by name; what else is called so
+    stays a further column.
 
     Args:
         raw: names in the order of the columns.
@@ -105,9 +112,10 @@ def columns_by_name(raw: Sequence[str], meant: Conventions, where: str = "") -> 
     """
     stripped = [name.strip() for name in raw]
     ours: dict[str, str] = {}
-    factors: dict[str, float] = {}
+    sources: dict[str, ColumnSource] = {}
     for wanted, text in meant.columns.items():
-        name, factors[wanted] = source_of(text, stripped)
+        sources[wanted] = source_of(text, stripped)
+        name = sources[wanted].name
         if name not in stripped:
             problem = f"there is no column {shown(name)} to read as {wanted}"
             raise InputError(problem, where=where, remedy=choices(name, stripped))
@@ -118,8 +126,8 @@ def columns_by_name(raw: Sequence[str], meant: Conventions, where: str = "") -> 
     # Of a known name blanks do not count; further columns keep theirs.
     plain = [name if name in KNOWN else text for name, text in zip(stripped, raw, strict=True)]
     pairs = zip(stripped, plain, strict=True)
-    sources = [ours.get(name, f"{name} of the file" if name in meant.columns else text) for name, text in pairs]
-    return sources, factors
+    names = [ours.get(name, f"{name} of the file" if name in meant.columns else text) for name, text in pairs]
+    return names, sources
 
 
 def counted(columns: Columns, rows: int) -> NDArray[np.float64]:
@@ -162,6 +170,14 @@ def _plain(values: Any, unit: float) -> NDArray[Any] | tuple[str, ...]:
     if array.dtype.kind == "b":
         return array.astype(int)
     return tuple("" if value is None else str(value) for value in array.ravel().tolist())
+
+
+def _times_of_texts(texts: Sequence[str], unit: float) -> NDArray[np.float64]:
+    """Times in units of so many seconds of texts such as ISO 8601 (see `text.seconds`)."""
+    try:
+        return seconds(texts, unit)
+    except UnreadableValue as error:
+        raise InputError(error.problem, where=f"row {error.row + 1}, column 't'", remedy=error.remedy) from None
 
 
 def _check_numbers(name: str, values: Any, kinds: str) -> None:

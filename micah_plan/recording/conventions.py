@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -28,8 +28,10 @@ Order = Literal["xyzw", "wxyz"]
 ROTATION_VECTOR, FIXED_ANGLES = ("rx", "ry", "rz"), ("roll", "pitch", "yaw")
 OF_JOINTS = ("joint ", "target ")
 NAMEABLE = (*KNOWN, *ROTATION_VECTOR, *FIXED_ANGLES, *TARGETS)
-# A column of the file as -NAME or 0.001*NAME.
-_SCALED = re.compile(r"(?:(?P<minus>-)|(?P<factor>[-+]?\d[\d.]*(?:[eE][-+]?\d+)?)\s*\*)\s*(?P<name>.+)")
+_NUMBER = r"\d[\d.]*(?:[eE][-+]?\d+)?"
+# A column of the file as -NAME or 0.001*NAME, and with another zero, as NAME-2048 or 0.001*(NAME-2048).
+_SCALED = re.compile(rf"(?:(?P<minus>-)|(?P<factor>[-+]?{_NUMBER})\s*\*)\s*(?P<name>.+)")
+_SHIFTED = re.compile(rf"(?P<name>[^()]+?)\s*(?P<sign>[-+])\s*(?P<offset>{_NUMBER})")
 # Turns (n, 3) rows of a frame with that axis upwards into one with z upwards, on the shortest way.
 _UPRIGHT: Mapping[str, tuple[float, float, float]] = {
     "z": (0.0, 0.0, 0.0),
@@ -49,8 +51,8 @@ class Conventions:
         columns: what the file calls a column of a recording (`NAMEABLE`), by the name here, as in ``{"t": "Time"}``.
             Besides those of a recording: ``rx,ry,rz`` (a rotation vector) and ``roll,pitch,yaw`` (about the fixed axes
             x, y, z in that order), in place of a quaternion. ``-Y`` and ``0.001*dX`` are numbers of a column times a
-            factor. ``target x,target y,target z`` are commanded places, in place of actions. Of a robot's joints
-            ``joint NAME`` and ``target NAME``.
+            factor, ``0.0015*(pos-2048)`` those less an offset. ``target x,target y,target z`` are commanded places, in
+            place of actions. Of a robot's joints ``joint NAME`` and ``target NAME``.
         length, angle, time: units: ``LENGTHS``, ``ANGLES``, ``TIMES``.
         rate: rows per second [Hz]; then ``t`` counts frames, and rows are counted where there is none.
         up: the axis that points upwards.
@@ -128,12 +130,37 @@ class Conventions:
         return replace(self, **open_ones)
 
 
-def source_of(text: str, header: Collection[str]) -> tuple[str, float]:
-    """The column of a file that a text names, and the factor of its numbers."""
-    scaled = None if text in header else _SCALED.fullmatch(text)
-    if scaled is None:
-        return text, 1.0
-    return scaled["name"], -1.0 if scaled["minus"] else float(scaled["factor"])
+@dataclass(frozen=True)
+class ColumnSource:
+    """A column of a file, whose numbers mean factor * (number + offset)."""
+
+    name: str
+    factor: float = 1.0
+    offset: float = 0.0
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the numbers are taken as they are."""
+        return self.factor == 1.0 and self.offset == 0.0
+
+    def values(self, numbers: Any) -> Any:
+        """What numbers of the column mean."""
+        return self.factor * (numbers + self.offset) if self.offset else self.factor * numbers
+
+
+def source_of(text: str, header: Collection[str]) -> ColumnSource:
+    """The column of a file that a text names, with factor and offset; a name of the header is always that column."""
+    if text in header:
+        return ColumnSource(text)
+    scaled = _SCALED.fullmatch(text)
+    factor = 1.0 if scaled is None else -1.0 if scaled["minus"] else float(scaled["factor"])
+    rest = text if scaled is None else scaled["name"]
+    if rest not in header:
+        bare = rest[1:-1].strip() if rest.startswith("(") and rest.endswith(")") else rest
+        shifted = _SHIFTED.fullmatch(bare)
+        if shifted is not None and shifted["name"] in header:
+            return ColumnSource(shifted["name"], factor, float(shifted["sign"] + shifted["offset"]))
+    return ColumnSource(rest, factor)
 
 
 def as_recorded(rows: Recording, conventions: Conventions) -> Recording:

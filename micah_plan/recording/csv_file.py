@@ -37,14 +37,13 @@ from micah_plan.recording.conventions import (
     TIMES,
     Conventions,
     as_recorded,
-    source_of,
     without_gaps,
 )
 from micah_plan.recording.motion_capture import CaptureTable, motion_capture_table
 from micah_plan.recording.text import UnreadableValue, floats, integers, is_number, read_lines, seconds
 from micah_plan.recording.value import DEFAULT_PART, Recording
 
-_SEPARATORS = (",", ";", "\t")
+_SEPARATORS, _BLANKS = (",", ";", "\t"), " "
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 
 
@@ -117,7 +116,7 @@ def _table(lines: list[str], meant: Conventions) -> CaptureTable:
     """The lines as columns and rows."""
     raw, rows, numbers = _rows(lines)
     where = f"line {numbers[0]}"
-    own, factors = columns_by_name(raw, meant, where)
+    own, sources = columns_by_name(raw, meant, where)
     without_time = meant.rate is not None and "t" not in own
     check_header(["t", *own] if without_time else own, where=where)
     if not rows:
@@ -125,9 +124,9 @@ def _table(lines: list[str], meant: Conventions) -> CaptureTable:
     columns = dict(zip(own, zip(*rows, strict=True), strict=True))
     if without_time:
         columns = {"t": tuple(map(repr, counted(columns, len(rows)).tolist())), **columns}
-    called = {ours: source_of(theirs, raw)[0] for ours, theirs in meant.columns.items()}
+    called = {ours: source.name for ours, source in sources.items()}
     further = meant.columns.keys() & {*ROTATION_VECTOR, *FIXED_ANGLES, *TARGETS}
-    return CaptureTable(columns, numbers[1:], factors=factors, called=called, numbers=frozenset(further))
+    return CaptureTable(columns, numbers[1:], sources=sources, called=called, numbers=frozenset(further))
 
 
 def _rows(lines: list[str]) -> tuple[list[str], list[list[str]], list[int]]:
@@ -139,7 +138,7 @@ def _rows(lines: list[str]) -> tuple[list[str], list[list[str]], list[int]]:
     if not filled:
         raise InputError("the file has only comments", where=f"line {comments[-1]}", remedy="record at least one row")
     header, numbers = filled[0], filled[1:]
-    separator = next((separator_tried for separator_tried in _SEPARATORS if separator_tried in lines[header - 1]), ",")
+    separator = _separator(lines[header - 1])
 
     def fields(number: int) -> list[str]:
         return _fields(lines[number - 1], number, separator)
@@ -161,10 +160,16 @@ def _rows(lines: list[str]) -> tuple[list[str], list[list[str]], list[int]]:
     return raw, rows, [header, *numbers]
 
 
+def _separator(header: str) -> str:
+    """What separates the names of a header: the first of the usual ones that it has, else blanks between its words."""
+    blank = _BLANKS if len(header.split()) > 1 else ","
+    return next((separator for separator in _SEPARATORS if separator in header), blank)
+
+
 def _fields(line: str, number: int, separator: str) -> list[str]:
     """The fields of a line; where commas do not separate them, they may stand for the point of a number."""
     if separator != ",":
-        texts = line.split(separator)
+        texts = line.split() if separator == _BLANKS else line.split(separator)
         return [text.replace(",", ".") if _DECIMAL_COMMA.fullmatch(text.strip()) else text for text in texts]
     if '"' not in line:
         return line.split(",")
@@ -193,8 +198,8 @@ def _recording(table: CaptureTable, place: Place, meant: Conventions) -> Recordi
                 values[name] = seconds(texts, TIMES[meant.time or "s"])
             elif name in NUMERIC:
                 values[name] = floats(texts, may_be_empty=name in MAY_BE_EMPTY)
-            if table.factors.get(name, 1.0) != 1.0 and name in values and name != "run":
-                values[name] = table.factors[name] * values[name]
+            if name in table.sources and not table.sources[name].is_plain and name in values and name != "run":
+                values[name] = table.sources[name].values(values[name])
         except UnreadableValue as error:
             unreadable.append((error.row, index, name, error))
     if unreadable:

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from micah_plan.errors import InputError, shown
-from micah_plan.recording.conventions import Conventions
+from micah_plan.recording.conventions import ColumnSource, Conventions
 
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _TURN = ("rx", "ry", "rz")
@@ -34,7 +34,7 @@ class CaptureTable:
     Attributes:
         columns: texts by name, in the order of the file, of each line of an export the bodies in their order.
         line_numbers: of each row, from 1.
-        factors: of the numbers of a column, by name; of the others 1.
+        sources: where the numbers of a column come from, by name; the others are taken as they are.
         called: what the file calls a column that it names otherwise.
         numbers: names of further columns that hold numbers: orientations in place of a quaternion, targets.
         conventions: what the file says of units and rate.
@@ -43,7 +43,7 @@ class CaptureTable:
 
     columns: dict[str, tuple[str, ...]]
     line_numbers: list[int]
-    factors: Mapping[str, float] = field(default_factory=dict)
+    sources: Mapping[str, ColumnSource] = field(default_factory=dict)
     called: Mapping[str, str] = field(default_factory=dict)
     numbers: frozenset[str] = frozenset()
     conventions: Conventions = field(default_factory=Conventions)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import LARGEST_FILE_BYTES, read_bytes, replace_file
 from micah_plan.recording.checks import checked_recording
+from micah_plan.recording.conventions import Conventions, as_recorded
 from micah_plan.recording.value import DEFAULT_PART, Recording
 
 _NUMBERS = {"time": 1, "position": 2, "quaternion": 2, "action": 2, "force": 2}
@@ -28,7 +29,7 @@ _DIMENSIONS = {**_NUMBERS, "run": 1, **_TEXTS}
 _REMEDY = "write it again with write_recording or numpy.savez"
 
 
-def read_npz(path: str | Path, *, minimum_rows: int = 1) -> Recording:
+def read_npz(path: str | Path, *, minimum_rows: int = 1, conventions: Conventions | None = None) -> Recording:
     """`read_recording` of an NPZ archive; pickled objects are refused, and so is what unpacks to over 256 MiB.
 
     Raises:
@@ -39,7 +40,10 @@ def read_npz(path: str | Path, *, minimum_rows: int = 1) -> Recording:
         raise InputError("the file is empty", source=path, remedy="write a recording into it")
     with located_in(path):
         try:
-            return checked_recording(_recording(_arrays(data)), minimum_rows=minimum_rows)
+            recording = _recording(_arrays(data))
+            if conventions is not None and conventions.stated():
+                recording = as_recorded(recording, conventions)
+            return checked_recording(recording, minimum_rows=minimum_rows)
         except InputError:
             raise
         except Exception as error:  # damaged archives make zipfile, its codecs and NumPy raise nearly anything

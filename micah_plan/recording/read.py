@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import read_bytes, replace_file
-from micah_plan.recording.checks import checked_recording
-from micah_plan.recording.conventions import Conventions, as_recorded
+from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.csv_file import csv_bytes, csv_columns, read_csv
 from micah_plan.recording.npz_file import npz_bytes, read_npz
 from micah_plan.recording.parquet_file import parquet_columns, read_parquet
@@ -57,23 +57,29 @@ def read_recording(path: str | Path, *, minimum_rows: int = 1, conventions: Conv
         if suffix not in _READERS:
             read_bytes(path)  # that it does not exist or is a directory is the better message
             raise _unknown(path, suffix)
-        recording = _READERS[suffix](path, minimum_rows=minimum_rows)
-        return checked_recording(as_recorded(recording, meant)) if meant.stated() else recording
+        return _READERS[suffix](path, minimum_rows=minimum_rows, conventions=meant)
 
 
-def read_columns(path: str | Path) -> dict[str, Any]:
+def read_columns(path: str | Path, topics: Collection[str] = ()) -> tuple[dict[str, Any], tuple[str, ...]]:
     """The columns of a table or the joints of a ROS log, whatever they are called: (n,) numbers or texts by name.
+
+    Args:
+        path: the file.
+        topics: of a ROS log, those with measured joints; none: those whose names do not say that they are commands.
+
+    Returns:
+        The columns, and what was assumed, one line each.
 
     Raises:
         InputError: if the file has none.
     """
     suffix = Path(path).suffix.lower()
     if is_log(path):
-        return joint_columns(path)
+        return joint_columns(path, topics)
     if suffix == ".parquet":
-        return parquet_columns(path)
+        return parquet_columns(path), ()
     if suffix in (".csv", ".txt"):
-        return csv_columns(path)
+        return csv_columns(path), ()
     problem = f"a {shown(suffix)} file has no joints"
     raise InputError(problem, source=path, remedy="give a table (.csv, .parquet) or a ROS log (.mcap, .bag, .db3)")
 

@@ -14,7 +14,7 @@ columns ``joint NAME``, each row with the last message until its time; so do ``F
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -26,13 +26,15 @@ from micah_plan.arrays import EQUAL, Booleans, Floats, Ints
 from micah_plan.errors import InputError, choices, located_in, shown
 from micah_plan.quantities import count, quantity
 from micah_plan.recording.checks import checked_recording
-from micah_plan.recording.conventions import Conventions, as_recorded
+from micah_plan.recording.conventions import OF_JOINTS, Conventions, as_recorded
 from micah_plan.recording.ros_bags import messages_of, topics_of
 from micah_plan.recording.ros_mcap import NANOSECONDS, Logged, stamp_ns
 from micah_plan.recording.value import DEFAULT_PART, Recording
 
-JOINT = "joint "
+JOINT, TARGET = OF_JOINTS
 _COLUMNS = ("std_msgs/msg/Float64", "std_msgs/msg/Int64", "std_msgs/msg/String")
+# Names of topics with commands, as ros2_control and simulators have them.
+_COMMANDED = re.compile(r"command|cmd|target|goal|desired|reference|setpoint", re.IGNORECASE)
 _RUN = re.compile(r"run_(-?\d{1,18})/(.+)")
 READ = {
     "geometry_msgs/msg/PointStamped": "poses",
@@ -73,11 +75,21 @@ def read_ros_log(path: str | Path, *, minimum_rows: int = 1, conventions: Conven
         return checked_recording(recording, minimum_rows=minimum_rows)
 
 
-def joint_columns(path: str | Path) -> dict[str, Any]:
-    """The positions of joints in a log, at the stamps of the topic that has most of them: ``t`` and ``joint NAME``.
+def joint_columns(path: str | Path, topics: Collection[str] = ()) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """The positions of joints in a log, at the stamps of the topic that has most of them.
+
+    A log may have the joints as they were measured and as they were commanded, both as JointState. Commands are on the
+    topics that are not chosen or, where none is, on those whose names say so (`/joint_command`).
+
+    Args:
+        topics: with measured joints; none: all whose names do not say that they are commands.
+
+    Returns:
+        ``t`` [s], ``joint NAME`` and ``target NAME`` as they are in the log, each value held until the next one; and
+        which topics were taken for what, where there are several.
 
     Raises:
-        InputError: if it is no log, or has none.
+        InputError: if it is no log, has none, or lacks a topic.
         MissingDependencyError: without the extra ``ros``.
     """
     joints: dict[str, dict[str, list[Sample]]] = {}
@@ -90,13 +102,31 @@ def joint_columns(path: str | Path) -> dict[str, Any]:
         if not joints:
             problem = f"expected joint positions (sensor_msgs/JointState), found {_listed(path)}"
             raise InputError(problem, remedy="log the joints of the robot")
-    most = max(joints.values(), key=len)
+        measured = _measured_topics(tuple(joints), topics)
+    commanded = [topic for topic in joints if topic not in measured]
+    most = max((joints[topic] for topic in measured), key=len)
     stamps = np.unique([time for time, _ in max(most.values(), key=len)])
     columns: dict[str, Any] = {"t": stamps / NANOSECONDS}
-    for samples_of in (*joints.values(), most):
+    kinds = [*((JOINT, joints[topic]) for topic in measured), (JOINT, most), *((TARGET, joints[t]) for t in commanded)]
+    for kind, samples_of in kinds:
         for name, samples in samples_of.items():
-            columns[f"{JOINT}{name}"] = np.array([float(text or "nan") for text in _held(samples, stamps)])
-    return columns
+            columns[f"{kind}{name}"] = np.array([float(text or "nan") for text in _held(samples, stamps)])
+    if len(joints) == 1:
+        return columns, ()
+    note = f"joints are those measured on {', '.join(measured)}"
+    if commanded:
+        note += f"; targets are those commanded on {', '.join(commanded)}"
+    return columns, (f"{note} (say it by --topic)",)
+
+
+def _measured_topics(found: Sequence[str], chosen: Collection[str]) -> tuple[str, ...]:
+    """The topics with measured joints among those found."""
+    wanted = {name.strip("/") for name in chosen}
+    for name in wanted - {topic.strip("/") for topic in found}:
+        raise InputError(f"no topic {shown(name)} has joint positions", remedy=choices(name, found))
+    if wanted:
+        return tuple(topic for topic in found if topic.strip("/") in wanted)
+    return tuple(topic for topic in found if not _COMMANDED.search(topic)) or tuple(found)
 
 
 def _listed(path: str | Path) -> str:

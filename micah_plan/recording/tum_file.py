@@ -13,6 +13,7 @@ import numpy as np
 
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.recording.checks import POSITION, QUATERNION, checked_recording
+from micah_plan.recording.conventions import Conventions, as_recorded
 from micah_plan.recording.text import UnreadableValue, floats, read_lines
 from micah_plan.recording.value import Recording
 
@@ -20,14 +21,14 @@ _SAID = re.compile(r"# (part|run): (.+)")
 _COLUMNS = ("t", *POSITION, *QUATERNION)
 
 
-def read_tum(path: str | Path, *, minimum_rows: int = 1) -> Recording:
-    """`read_recording` of a TUM trajectory.
+def read_tum(path: str | Path, *, minimum_rows: int = 1, conventions: Conventions | None = None) -> Recording:
+    """`read_recording` of a TUM trajectory, by conventions on its units, axes and quaternions.
 
     Raises:
         InputError: with file, line, column and remedy, for whatever is not as the format says.
     """
     with located_in(path):
-        return _parsed(read_lines(path), minimum_rows)
+        return _parsed(read_lines(path), minimum_rows, conventions or Conventions())
 
 
 def tum_bytes(recording: Recording, path: str | Path) -> bytes:
@@ -60,7 +61,7 @@ def tum_bytes(recording: Recording, path: str | Path) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-def _parsed(lines: list[str], minimum_rows: int) -> Recording:
+def _parsed(lines: list[str], minimum_rows: int, meant: Conventions) -> Recording:
     numbers = [i for i, line in enumerate(lines, start=1) if line.strip() and not line.lstrip().startswith("#")]
     rows = [lines[number - 1].split() for number in numbers]
 
@@ -91,4 +92,5 @@ def _parsed(lines: list[str], minimum_rows: int) -> Recording:
         has_run=number != 0 or said.get("run") == "0",
         has_part="part" in said,
     )
+    recording = as_recorded(recording, meant) if meant.stated() else recording
     return checked_recording(recording, minimum_rows=minimum_rows, place=place)

@@ -63,14 +63,23 @@ def tool_recording(columns: Mapping[str, Any], arm: Arm, meant: Conventions) -> 
     poses = _poses(arm, q)
     table = dict(zip((*POSITION, *QUATERNION), poses.T, strict=True))
     targets = _positions("target", columns, arm, meant)
+    uncommanded = 0
     if targets is not None:
-        table |= dict(zip(ACTION, (_poses(arm, targets) - poses)[:, :3].T, strict=True))
+        way = (_poses(arm, targets) - poses)[:, :3]
+        uncommanded = int(np.argmax(np.isfinite(way).all(axis=1)))
+        way[:uncommanded] = 0.0  # before the first target nothing is asked for
+        table |= dict(zip(ACTION, way.T, strict=True))
     others = {name: text for name, text in meant.columns.items() if name in ("t", "run", "part")}
-    sources = {source_of(text, columns)[0] for text in others.values()}
+    sources = {source_of(text, columns).name for text in others.values()}
     table |= {name: values for name, values in columns.items() if name in ("t", "run", "part") or name in sources}
     # The poses are in metres and upright; of what the log says of itself only times and names remain.
     conventions = Conventions(columns=others, time=meant.time, rate=meant.rate, name=meant.name or meant.tool)
     notes = _beyond_limits(arm, q)
+    if uncommanded:
+        notes = (
+            *notes,
+            f"the first {count(uncommanded, 'row')} come before the first target: nothing is commanded there",
+        )
     recording = recording_of_columns(table, conventions)
     if targets is not None:
         recording = with_commands(recording, "position")
@@ -97,16 +106,18 @@ def _positions(kind: str, columns: Mapping[str, Any], arm: Arm, meant: Conventio
     found: dict[str, Floats] = {}
     for joint, unit in zip(arm.joints, arm.units, strict=True):
         text = meant.columns.get(f"{kind} {joint}")
-        name, factor = (_column(kind, joint, columns), 1.0) if text is None else source_of(text, columns)
-        if name is None:
+        named = _column(kind, joint, columns) if text is None else text
+        if named is None:
             continue
+        source = source_of(named, columns)
+        name = source.name
         if name not in columns:
             problem = f"there is no column {shown(name)} to read as {kind} {joint}"
             raise InputError(problem, remedy=choices(name, columns))
         values = columns[name]
         if isinstance(values, tuple) or not np.isfinite(values).any():
             raise InputError(f"expected numbers in the column {shown(name)}", remedy="name another column")
-        found[joint] = factor * units[unit] * np.asarray(values, dtype=float)
+        found[joint] = units[unit] * source.values(np.asarray(values, dtype=float))
     missing = [joint for joint in arm.joints if joint not in found]
     if found and missing and kind == "joint":
         raise InputError(f"the joint {shown(missing[0])} has no column", remedy=_named(arm, columns))

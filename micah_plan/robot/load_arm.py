@@ -30,6 +30,8 @@ from micah_plan.xml_text import parse_xml, read_xml
 
 _MOST_JOINTS = 100
 _MOST_LISTED = 12
+# Between the name of a frame and its number while several have that name: no file can have it.
+_RENAMED = "\0"
 
 
 def describe_robot(
@@ -60,11 +62,7 @@ def load_arm(description: RobotDescription) -> Arm:
     locked = [joint for joint in range(1, model.njoints) if joint not in chain]
     still = [(str(model.names[i]), float(positions[model.idx_qs[i]])) for i in locked if model.joints[i].nq == 1]
     if locked:
-        try:
-            model, (geometry,) = pin.buildReducedModel(model, [geometry], locked, positions)
-        except ValueError as error:  # bodies or frames with the same name
-            said = " ".join(str(error).split())[:160]
-            raise InputError(f"cannot be read as a robot: {said}", source=description.path) from None
+        model, geometry = _with_locked(model, geometry, locked, positions)
     _place(model, geometry, description)
     return Arm(
         name=Path(description.path).name,
@@ -77,6 +75,22 @@ def load_arm(description: RobotDescription) -> Arm:
         locked=tuple(still),
         data=model.createData(),
     )
+
+
+def _with_locked(model: Any, geometry: Any, locked: list[int], positions: Any) -> tuple[Any, Any]:
+    """The model and its geometry with some joints locked at positions.
+
+    Pinocchio looks joints up by name among all frames, and a link may be called as its joint (LeRobot's arms have both
+    a joint and a link `gripper`): frames of such names have others meanwhile.
+    """
+    counts = Counter(frame.name for frame in model.frames)
+    for number, frame in enumerate(model.frames):
+        if counts[frame.name] > 1 and frame.type != pin.FrameType.JOINT:
+            frame.name = f"{frame.name}{_RENAMED}{number}"
+    reduced, (shapes,) = pin.buildReducedModel(model, [geometry], locked, positions)
+    for frame in reduced.frames:
+        frame.name = frame.name.partition(_RENAMED)[0]
+    return reduced, shapes
 
 
 def check_robot(description: RobotDescription) -> CheckedRobot:

@@ -76,6 +76,8 @@ def first_problem(automaton: HybridAutomaton) -> str:
         tolerance = max(_TOLERANCE * length[i], _NOISES * automaton.noise.observation_std[i])
         value = ranges[i][0] + _GOAL * length[i]
         targets.append(f"    {_plain(names[i])}: {{value: {value:.4g}, tolerance: {tolerance:.2g}}}")
+    for tie in mode.ties:
+        mean[tie.coordinate] = float(tie.value(np.asarray(mean)))
     steps = {
         named.name: max(_STEP * length[i] for i in moved if mode.B[i][j])
         for j, named in enumerate(automaton.inputs)
@@ -109,9 +111,10 @@ def problem_for(automaton: HybridAutomaton, source: str = "problem.yaml") -> Pro
 
 
 def _moving_mode(automaton: HybridAutomaton) -> tuple[Mode, list[int]]:
-    """The first mode in which something can be moved, and the coordinates that can."""
+    """The first mode in which something can be moved, and the coordinates that can; what is tied to them follows."""
     for mode in automaton.modes:
-        moved = np.flatnonzero(mode.driven & mode.free).tolist()
+        following = {tie.coordinate for tie in mode.ties}
+        moved = [i for i in np.flatnonzero(mode.driven & mode.free).tolist() if i not in following]
         if moved:
             return mode, moved
     raise InputError("nothing in this model can be moved", remedy="record the part while it is moved, and learn again")

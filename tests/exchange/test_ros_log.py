@@ -277,7 +277,7 @@ def test_joints_of_bags_of_ros_1_are_numbers(tmp_path: Path) -> None:
     found = read_recording(tmp_path / "log.bag")
     assert found.extra["joint elbow"][:3] == ("0.0", "0.25", "0.5")
     assert found.extra["width"][:3] == ("0.0", "0.5", "1.0")
-    assert read_columns(tmp_path / "log.bag")["joint elbow"].tolist() == (0.25 * np.arange(ROWS)).tolist()
+    assert read_columns(tmp_path / "log.bag")[0]["joint elbow"].tolist() == (0.25 * np.arange(ROWS)).tolist()
 
 
 def test_transforms_in_a_circle(tmp_path: Path) -> None:
@@ -425,3 +425,46 @@ def test_the_topics_of_a_database(tmp_path: Path) -> None:
     (tmp_path / "no.db3").write_bytes(b"no database at all")
     with pytest.raises(InputError, match="cannot be read"):
         read_recording(tmp_path / "no.db3")
+
+
+def joints(topic: str, first: int, angles: Sequence[float]) -> list[Logged]:
+    """JointState messages of one joint, one each 50 ms."""
+    messages = []
+    for time, angle in zip(first + STEP * np.arange(len(angles)), angles, strict=True):
+        content = {"header": header_at(int(time), ""), "name": ["elbow"], "position": [float(angle)]}
+        content |= {"velocity": [], "effort": []}
+        messages.append(Logged(topic, "sensor_msgs/msg/JointState", int(time), content))
+    return messages
+
+
+@pytest.mark.parametrize("commands", ["/joint_command", "/arm/cmd", "desired_joint_states"])
+@pytest.mark.parametrize("early", [-1_000_000, 1_000_000])
+def test_commanded_joints_are_targets_whichever_comes_first(tmp_path: Path, commands: str, early: int) -> None:
+    states, goals = 0.1 * np.arange(ROWS), np.full(ROWS, 1.5)
+    messages = [*joints("/joint_states", STEP, states), *joints(commands, STEP + early, goals)]
+    (tmp_path / "log.mcap").write_bytes(write_log(sorted(messages, key=lambda message: message.time)))
+    columns, notes = read_columns(tmp_path / "log.mcap")
+    assert_allclose(columns["joint elbow"], states)
+    assert_allclose(columns["target elbow"][1:], goals[1:])
+    assert np.isnan(columns["target elbow"][0]) == (early > 0)
+    assert notes == (
+        f"joints are those measured on /joint_states; targets are those commanded on {commands} (say it by --topic)",
+    )
+
+
+def test_topics_that_are_chosen_are_the_measured_ones(tmp_path: Path) -> None:
+    """Names that say nothing, and names that lie."""
+    messages = [*joints("/leader", STEP, np.ones(ROWS)), *joints("/goal/real", STEP, np.zeros(ROWS))]
+    (tmp_path / "log.mcap").write_bytes(write_log(messages))
+    columns, _ = read_columns(tmp_path / "log.mcap", topics=["goal/real"])
+    assert_allclose(columns["joint elbow"], 0.0)
+    assert_allclose(columns["target elbow"], 1.0)
+    with pytest.raises(InputError, match="no topic 'lost' has joint positions; choose one of /leader, /goal/real"):
+        read_columns(tmp_path / "log.mcap", topics=["lost"])
+
+
+def test_a_log_with_commands_alone_has_them_as_joints(tmp_path: Path) -> None:
+    (tmp_path / "log.mcap").write_bytes(write_log(joints("/joint_command", STEP, np.arange(ROWS))))
+    columns, notes = read_columns(tmp_path / "log.mcap")
+    assert set(columns) == {"t", "joint elbow"}
+    assert notes == ()

@@ -16,7 +16,8 @@ from micah_plan import load
 from micah_plan.cli.conventions import Said
 from micah_plan.errors import InputError
 from micah_plan.exchange.load import load_recording
-from micah_plan.recording.conventions import Conventions
+from micah_plan.recording.columns import recording_of_columns
+from micah_plan.recording.conventions import ColumnSource, Conventions, source_of
 from micah_plan.recording.read import read_recording, write_recording
 from micah_plan.recording.value import Recording
 
@@ -411,3 +412,61 @@ def test_a_vicon_export(tmp_path: Path) -> None:
     (tmp_path / "no_rate.csv").write_text("\n".join(["Objects", "fast", *head[2:], *rows]) + "\n")
     with pytest.raises(InputError, match=r"line 2: expected the rate \[Hz\]"):
         read_recording(tmp_path / "no_rate.csv")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("pos", ColumnSource("pos")),
+        ("-pos", ColumnSource("pos", -1.0)),
+        ("0.5*pos", ColumnSource("pos", 0.5)),
+        ("pos-2048", ColumnSource("pos", 1.0, -2048.0)),
+        ("0.5 * (pos + 3.5)", ColumnSource("pos", 0.5, 3.5)),
+        ("-(pos-1e3)", ColumnSource("pos", -1.0, -1e3)),
+        ("joint-1", ColumnSource("joint-1")),
+        ("0.5*joint-1", ColumnSource("joint-1", 0.5)),
+        ("0.5*(joint-1+2)", ColumnSource("joint-1", 0.5, 2.0)),
+        ("lost-7", ColumnSource("lost-7")),
+    ],
+)
+def test_columns_have_factors_and_offsets_unless_a_name_looks_like_one(text: str, expected: ColumnSource) -> None:
+    assert source_of(text, ["t", "pos", "joint-1"]) == expected
+
+
+def test_counts_of_an_encoder_are_metres(tmp_path: Path) -> None:
+    rows = [f"{0.1 * k},{2048 + 100 * k},0,0" for k in range(4)]
+    (tmp_path / "log.csv").write_text("\n".join(["t,pos,y,z", *rows]) + "\n")
+    read = read_recording(tmp_path / "log.csv", conventions=Conventions(columns={"x": "0.001*(pos-2048)"}))
+    np.testing.assert_allclose(read.position[:, 0], [0.0, 0.1, 0.2, 0.3], atol=1e-12)
+
+
+def test_stamps_in_nanoseconds_of_formats_that_check_their_rows(tmp_path: Path) -> None:
+    stamps = [1_600_000_000_000_000_000 + 50_000_000 * k for k in range(4)]
+    rows = [f"{stamp} 0.1 0.2 {0.1 * k} 0 0 0 1" for k, stamp in enumerate(stamps)]
+    (tmp_path / "ns.tum").write_text("\n".join(rows) + "\n")
+    np.savez(tmp_path / "ns.npz", time=np.array(stamps, dtype=float), position=np.zeros((4, 3)))
+    for name in ("ns.tum", "ns.npz"):
+        read = read_recording(tmp_path / name, conventions=Conventions(time="ns"))
+        np.testing.assert_allclose(np.diff(read.time), 0.05, atol=1e-6)
+        with pytest.raises(InputError, match="expected a finite number of at most 1e\\+12"):
+            read_recording(tmp_path / name)
+
+
+def test_times_of_day_in_tables_that_come_as_columns() -> None:
+    columns = {"t": ["2026-11-28T10:00:00.5", "2026-11-28T10:00:01.0"], "x": [0.0, 0.1], "y": [0, 0], "z": [0, 0]}
+    read = recording_of_columns({name: tuple(v) if name == "t" else np.array(v) for name, v in columns.items()})
+    assert np.diff(read.time) == pytest.approx(0.5)
+    with pytest.raises(InputError, match="row 2, column 't'"):
+        recording_of_columns({"t": ("0.1", "soon"), "x": np.zeros(2), "y": np.zeros(2), "z": np.zeros(2)})
+
+
+def test_blanks_separate_columns_where_nothing_else_does(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("t x  y z note\n0.0 1 2 3 a\n0.1 1.5 2 3 b\n")
+    read = read_recording(tmp_path / "log.csv")
+    np.testing.assert_array_equal(read.position, [[1.0, 2.0, 3.0], [1.5, 2.0, 3.0]])
+    assert read.extra == {"note": ("a", "b")}
+    (tmp_path / "log.csv").write_text("t,x,y,z,my note\n0.0,1,2,3,a b\n")
+    assert read_recording(tmp_path / "log.csv").extra == {"my note": ("a b",)}
+    (tmp_path / "log.csv").write_text("t x y z\n0.0 1 2\n")
+    with pytest.raises(InputError, match="line 2: expected 4 fields as in the header, found 3"):
+        read_recording(tmp_path / "log.csv")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from robot_examples import ARM7, SLIDER, TWO_LINKS, arm7, described
 
 from micah_plan.errors import InputError
-from micah_plan.robot.load_arm import load_arm
+from micah_plan.robot.load_arm import describe_robot, load_arm
 from micah_plan.robot.solids import arm_shapes
 
 MESH = SLIDER.replace('<sphere radius="0.1"/>', '<mesh filename="NAME" scale="0.5 0.5 0.5"/>')
@@ -222,3 +222,34 @@ def test_numbers_that_only_python_reads_lose_no_shape(capfd: pytest.CaptureFixtu
     assert changed != good
     assert load_arm(described(changed, "tool")).geometry.ngeoms == load_arm(described(good, "tool")).geometry.ngeoms
     assert capfd.readouterr() == ("", "")
+
+
+SAME_NAMES = """<robot name="r">
+  <link name="base"/>
+  <link name="arm"/>
+  <link name="gripper"/>
+  <link name="jaw"/>
+  <joint name="arm" type="revolute"><parent link="base"/><child link="arm"/><origin xyz="0 0 0.1"/>
+    <axis xyz="0 0 1"/><limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
+  <joint name="wrist" type="revolute"><parent link="arm"/><child link="gripper"/><origin xyz="0.2 0 0"/>
+    <axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
+  <joint name="gripper" type="revolute"><parent link="gripper"/><child link="jaw"/><origin xyz="0.1 0 0"/>
+    <axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+</robot>"""
+
+
+@pytest.mark.parametrize("tool", ["gripper", "arm", "jaw"])
+def test_joints_and_links_may_have_the_same_names(tmp_path: Path, tool: str) -> None:
+    """As in the files of LeRobot's arms; the tool is the link, which Pinocchio's own kinematics places."""
+    import pinocchio
+
+    (tmp_path / "r.urdf").write_text(SAME_NAMES)
+    arm = load_arm(describe_robot(tmp_path / "r.urdf", tool))
+    assert arm.joints == {"gripper": ("arm", "wrist"), "arm": ("arm",), "jaw": ("arm", "wrist", "gripper")}[tool]
+    whole = pinocchio.buildModelFromXML(SAME_NAMES)
+    data, q = whole.createData(), np.zeros(3)
+    q[: len(arm.joints)] = [0.4, -0.3, 0.2][: len(arm.joints)]
+    pinocchio.framesForwardKinematics(whole, data, q)
+    place = data.oMf[whole.getFrameId(tool, pinocchio.FrameType.BODY)]
+    np.testing.assert_allclose(arm.matrix(q[: len(arm.joints)]), place.homogeneous, atol=1e-12)
+    assert sorted(frame.name for frame in arm.model.frames) == sorted(frame.name for frame in whole.frames)
