@@ -28,12 +28,12 @@ _NARROWEST = 1e-4
 def _relative(problem: Problem, edge: Edge, tracking: Floats) -> tuple[Floats, Floats]:
     """(n, n) weights of deviations on the way to a guard, and at it.
 
-    A guard between two bounds on the distance from something that no input moves is met by following what is believed
-    of that, not by being where the plan is: deviations of the distance count there instead of those of the coordinates
-    in it. Missing the guard by half its width costs as much as missing the goal by its tolerance.
+    A guard between two bounds on the distance from something that no input of the source mode moves is met by following
+    what is believed of that, not by being where the plan is: deviations of the distance count there instead of those of
+    the coordinates in it. Missing the guard by half its width costs as much as missing the goal by its tolerance.
     """
     automaton = problem.automaton
-    driven = np.any([mode.B.any(axis=1) for mode in automaton.modes], axis=0)
+    driven = automaton.mode(edge.source).B.any(axis=1)
     at, rows = np.zeros_like(tracking), edge.guard.half_spaces
     for first, second in combinations([h for h in rows if not h.on_input], 2):
         a = np.array(first.a)

@@ -200,9 +200,11 @@ class _Sampler:
 
     def _add_exit(self, edge: Edge, x: Floats, only_if_allowed: bool = False) -> tuple[int, int] | None:
         """Numbers of the states before and behind an edge taken at x; None if it leads out of the invariant."""
-        after = edge.reset.apply(x, np.zeros(self._automaton.m))
-        for pin in self._automaton.mode(edge.target).pins:
+        after, target = edge.reset.apply(x, np.zeros(self._automaton.m)), self._automaton.mode(edge.target)
+        for pin in target.pins:
             after[pin.coordinate] = pin.value
+        for tie in target.ties:
+            after[tie.coordinate] = tie.value(after)
         leads_on = bool(self.states[edge.target].contains(after))
         if only_if_allowed and not leads_on:
             return None
