@@ -24,7 +24,7 @@ from micah_plan.recording.conventions import (
     turns_of,
     without_gaps,
 )
-from micah_plan.recording.text import UnreadableValue, seconds
+from micah_plan.recording.text import UnreadableValue, is_number, seconds
 from micah_plan.recording.value import COLUMNS, Recording
 
 Columns = Mapping[str, Any]
@@ -46,7 +46,7 @@ def recording_of_columns(columns: Columns, conventions: Conventions | None = Non
     unit = TIMES[meant.time or "s"]
     table = {name: _plain(values, unit) for name, values in zip(names, columns.values(), strict=True)}
     times = table.get("t")
-    if isinstance(times, tuple):
+    if isinstance(times, tuple) and not any(map(is_number, times)):  # numbers as texts are a mistake of the table
         table["t"] = _times_of_texts(times, unit)
     lengths = {name: len(values) for name, values in table.items()}
     if len(set(lengths.values())) > 1:

@@ -456,8 +456,12 @@ def test_times_of_day_in_tables_that_come_as_columns() -> None:
     columns = {"t": ["2026-11-28T10:00:00.5", "2026-11-28T10:00:01.0"], "x": [0.0, 0.1], "y": [0, 0], "z": [0, 0]}
     read = recording_of_columns({name: tuple(v) if name == "t" else np.array(v) for name, v in columns.items()})
     assert np.diff(read.time) == pytest.approx(0.5)
-    with pytest.raises(InputError, match="row 2, column 't'"):
-        recording_of_columns({"t": ("0.1", "soon"), "x": np.zeros(2), "y": np.zeros(2), "z": np.zeros(2)})
+    for texts, message in (
+        (("soon", "later"), "row 1, column 't'"),
+        (("0.1", "0.2"), "expected numbers in the column 't'"),
+    ):
+        with pytest.raises(InputError, match=message):
+            recording_of_columns({"t": texts, "x": np.zeros(2), "y": np.zeros(2), "z": np.zeros(2)})
 
 
 def test_blanks_separate_columns_where_nothing_else_does(tmp_path: Path) -> None:
