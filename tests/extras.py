@@ -8,7 +8,6 @@ a missing extra is a failure, so that no test can stay skipped there unnoticed.
 from __future__ import annotations
 
 import os
-import re
 import tomllib
 from collections.abc import Iterable
 from functools import cache
@@ -53,12 +52,6 @@ def is_installed(extra: str) -> bool:
 def reason(extra: str) -> str:
     """Why a test was skipped."""
     return f"needs the extra '{extra}'"
-
-
-def extra_of_reason(text: str) -> str | None:
-    """The extra that the reason of a skipped test names, None where it was skipped for something else."""
-    found = re.search(r"needs the extra '(\w+)'", text)
-    return found[1] if found else None
 
 
 def skip_without(extra: str) -> None:

@@ -18,7 +18,7 @@ from micah_plan.errors import InputError, choices, located_in, shown
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.quantities import quantity
 from micah_plan.recording.checks import checked_recording
-from micah_plan.recording.commands import common_meaning
+from micah_plan.recording.commands import check_one_meaning
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.value import Recording
 from micah_plan.task.problem import Problem
@@ -123,7 +123,7 @@ def joined_recordings(recordings: Sequence[Recording]) -> Recording:
     """One recording of all runs, numbered anew, with the further columns that all have."""
     from micah_plan.execution.log import concatenated_recordings
 
-    common_meaning(recordings)
+    check_one_meaning(recordings)
     common, numbered, number = set.intersection(*(set(each.extra) for each in recordings)), list[Recording](), 0
     for each in recordings:
         runs, run = np.unique(each.run, return_inverse=True)

@@ -81,7 +81,7 @@ def with_targets(recording: Recording, target: Floats) -> Recording:
     return with_commands(replace(recording, action=target - recording.position), "position")
 
 
-def common_meaning(recordings: Sequence[Recording]) -> None:
+def check_one_meaning(recordings: Sequence[Recording]) -> None:
     """Check that recordings which are joined do not say different things.
 
     Raises:
