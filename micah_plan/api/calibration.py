@@ -450,7 +450,7 @@ def _missing_mode(mode: MissingMode) -> dict[str, Any]:
 
 
 def _correlation(trace: CoordinateTrace) -> dict[str, Any] | None:
-    names, matrix = trace.search.correlations_of(trace.chosen)
+    names, matrix = trace.held_out.correlations_of(trace.chosen)
     return {"parameters": list(names), "matrix": matrix.tolist()} if len(names) > 1 else None
 
 

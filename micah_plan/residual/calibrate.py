@@ -19,6 +19,7 @@ from micah_plan.arrays import INTERVAL_STDS, Floats
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.commanded_places import as_commanded, without_superseded
 from micah_plan.automaton.effects.ends import range_of
+from micah_plan.automaton.effects.memories import is_as_commanded
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect, Since
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
@@ -27,17 +28,17 @@ from micah_plan.automaton.tracks import Track
 from micah_plan.errors import InputError
 from micah_plan.quantities import Progress, count, interval, percent, plain, quantity
 from micah_plan.recording.value import Recording
+from micah_plan.residual.candidates import GATES, TermCandidate
 from micah_plan.residual.compared_runs import dated, sections
 from micah_plan.residual.coordinate_data import MOST_ROWS, CoordinateData, coordinate_data_of
 from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.faulty_runs import faulty_runs
 from micah_plan.residual.geometry import DirectFinding, systematic_transverse_error, transverse_rms
+from micah_plan.residual.held_out import HeldOut
 from micah_plan.residual.likelihood import FEWEST_ROWS, LEAST_EVIDENCE
 from micah_plan.residual.missing_mode import MissingMode
 from micah_plan.residual.prediction import RunPrediction, predict_recording, refused, rmse, rmse_of_coordinates
 from micah_plan.residual.range_exceeded import RangeExceeded, with_range_ends, with_shifts, without_old_ends
-from micah_plan.residual.search import Search, TermCandidate
-from micah_plan.residual.simulation import GATES
 from micah_plan.residual.trace import A_LINE, CoordinateFinding, CoordinateTrace, may_remember, trace
 from micah_plan.residual.verdict import Verdict, overall
 
@@ -205,7 +206,7 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
     automaton = as_commanded(automaton, recording)
     examination = examined(automaton, recording)
     _check_usable(automaton, examination)
-    corrected, able = examination.automaton, examination.searches
+    corrected, able = examination.automaton, examination.models
     measured, exceeded = examination.measured, examination.exceeded
     traces = tuple(
         trace(search, _shared(progress, number, len(able)) if progress else None) for number, search in enumerate(able)
@@ -304,7 +305,7 @@ def began(since: Since | None) -> str:
 def _check_usable(automaton: HybridAutomaton, examination: Examined) -> None:
     if sum(len(track.time) for track in examination.measured) < FEWEST_ROWS:
         raise InputError(f"expected at least {FEWEST_ROWS} rows in runs of two or more", remedy="record a longer run")
-    if not examination.searches:
+    if not examination.models:
         if examination.is_readable:
             raise InputError("in no recorded row does the model's sensor see anything", remedy="check its noise")
         remedy = "take a model with a joint that moves; runs of what a hand holds are for predict"
@@ -411,7 +412,7 @@ def _to_add(traces: Sequence[CoordinateTrace]) -> list[Effect]:
             # With a correction on top the parameters are those that were fitted together with it.
             part_kept = finding.part if finding is not None and traced.final is traced.chosen else part
             effects.append(effect_of(traced.data, part_kept, None if finding is None else finding.interval))
-    return effects
+    return [effect for effect in effects if not is_as_commanded(effect)]  # that the model has already
 
 
 def _acting(part: TermCandidate) -> tuple[object, ...]:
@@ -421,8 +422,8 @@ def _acting(part: TermCandidate) -> tuple[object, ...]:
 
 def _size(traces: Sequence[CoordinateTrace], *, is_final: bool) -> ResidualSize:
     models = [(trace, trace.final if is_final else trace.nominal) for trace in traces]
-    steps = [trace.search.errors(model, "one_step")[trace.data.counted] for trace, model in models]
-    rolls = [trace.search.rollout_errors(model) for trace, model in models]
+    steps = [trace.held_out.errors(model, "one_step")[trace.data.counted] for trace, model in models]
+    rolls = [trace.held_out.rollout_errors(model) for trace, model in models]
     one_step, rollout = (float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) for errors in (steps, rolls))
     return ResidualSize(one_step, rollout)
 
@@ -482,7 +483,7 @@ def with_missing_modes(
             split = with_split(split, one.data.index, place)
     if split is automaton:
         return automaton, traces
-    again = tuple(trace(Search(data)) for data in coordinate_data_of(split, tuple(measured)))
+    again = tuple(trace(HeldOut(data)) for data in coordinate_data_of(split, tuple(measured)))
     if not all(_is_clear(old, new) for old, new in zip(traces, again, strict=True)):
         return automaton, traces
     return split, tuple(_with_names_of_modes(split, old, new) for old, new in zip(traces, again, strict=True))
@@ -493,7 +494,7 @@ def _is_clear(old: CoordinateTrace, new: CoordinateTrace) -> bool:
         return True
     parts = new.chosen.parts
     is_inside = bool(parts) and all(part.term.modes and part.name in A_LINE for part in parts)
-    return is_inside and not new.missing_modes and new.final.density.sum() > old.final.density.sum() - LEAST_EVIDENCE
+    return is_inside and not new.missing_modes and new.final.evidence > old.final.evidence - LEAST_EVIDENCE
 
 
 def _with_names_of_modes(split: HybridAutomaton, old: CoordinateTrace, new: CoordinateTrace) -> CoordinateTrace:
@@ -643,7 +644,8 @@ def notes_on(traces: Sequence[CoordinateTrace]) -> tuple[str, ...]:
         if moving.size and (np.mean(moving > 0) < 0.05 or np.mean(moving > 0) > 0.95):
             notes.append(f"{name}: nearly all commands go one way; what depends on the direction cannot be seen")
         if traced.outcome.verdict == "none":
-            least = float(np.sqrt(2.0 * LEAST_EVIDENCE * traced.nominal.squared)) / int(data.counted.sum())
+            innovations = traced.held_out.errors(traced.nominal, "filter")[data.counted]
+            least = float(np.sqrt(2.0 * LEAST_EVIDENCE * np.sum(innovations**2))) / len(innovations)
             step, share = quantity(least, data.unit, digits=2), percent(least / data.command_size)
             notes.append(
                 f"{name}: {step} more per step, or {share} more of each command would have been seen; smaller effects "

@@ -34,11 +34,12 @@ from micah_plan.recording.commands import Meaning
 from micah_plan.residual.compared_runs import sections
 from micah_plan.residual.prediction import first_belief, inputs_of
 
-# Rows before a segment from the middle of a run: they bring filter and memories up to date and are not counted.
-WARM_UP = 15
-# Segments of long runs have at most this many rows, which costs a seventh more for warming up, and the time of a
+# Rows before a segment from the middle of a run: they bring filter and memories up to date and are not counted (a speed
+# that is nine tenths of that before has become a twentieth of the error by then).
+WARM_UP = 30
+# Segments of long runs have at most this many rows, which costs a quarter more for warming up, and the time of a
 # prediction goes with the longest segment. Fewer rows are read than `MOST_ROWS`, evenly over the recording.
-_LONGEST = 100
+_LONGEST = 120
 MOST_ROWS = 20_000
 # Roll-outs go over whole runs, up to this many rows.
 _LONGEST_ROLLOUT = 3000
@@ -47,6 +48,8 @@ ENOUGH_RUNS = 4
 _SHORTEST = 5
 # Variance, over that of others, of a measurement that says nothing.
 UNSEEN = 1e9
+# Readings of one value, on average, from which on they are counts; std of what a count leaves out, at the least.
+_REPEATED, _OF_A_COUNT = 2.0, 0.5 / math.sqrt(12.0)
 # Correlation of place and time from which on they say the same.
 _ALIKE = 0.95
 
@@ -75,7 +78,6 @@ class CoordinateData:
         period: median time from row to row [s].
         rows: of the recording, before segments were chosen.
         modes: names of the automaton's modes.
-        motion_noise: share of the process noise's variance that grows with the square of the command, 0 to 1.
         noise: (S, T) variance of each measurement as the model has it, over the mean of the rows that count; `UNSEEN`
             where a row is no measurement.
         is_outside: whether commands lead from what was believed, and something else measured the part.
@@ -108,23 +110,16 @@ class CoordinateData:
     modes: tuple[str, ...]
     noise: Floats
     row_ends: Floats | None = None
-    motion_noise: float = 0.0
     is_outside: bool = False
     effects: tuple[Effect, ...] = ()
     meaning: Meaning | None = None
     whole: CoordinateData | None = None
     segment: Ints | None = None
 
-    @property
-    def process_profile(self) -> Floats:
-        """(S, T) variance of the process noise of the step that starts at each row, relative to its mean."""
-        return (1.0 - self.motion_noise) + self.motion_noise * (self.u / self.command_size) ** 2
-
-    def with_noise(self, motion: float, *, is_alike: bool = False) -> CoordinateData:
-        """The data, and its whole runs, with a share of noise that commands make, and all rows measured alike."""
-        whole = None if self.whole is None else self.whole.with_noise(motion, is_alike=is_alike)
-        noise = np.where(self.is_measured, 1.0, self.noise) if is_alike else self.noise
-        return replace(self, motion_noise=motion, noise=noise, whole=whole)
+    def measured_alike(self) -> CoordinateData:
+        """The data, and its whole runs, with all measurements equally precise."""
+        whole = None if self.whole is None else self.whole.measured_alike()
+        return replace(self, noise=np.where(self.is_measured, 1.0, self.noise), whole=whole)
 
     @property
     def clings(self) -> tuple[bool, bool]:
@@ -144,6 +139,14 @@ class CoordinateData:
         # An error from one measured row to the next has the noise of two.
         error = moved / np.sqrt(self.noise[s, now] + self.noise[s, then])
         return float(robust_std(error))
+
+    @cached_property
+    def resolution(self) -> float:
+        """Std of what digits or counts of an encoder leave out, where readings are seen to be so many [rad or m]."""
+        values, count = np.unique(self.z[self.counted & self.is_measured], return_counts=True)
+        if len(values) < 2 or count.mean() < _REPEATED:
+            return 0.0
+        return float(np.median(np.diff(values))) * _OF_A_COUNT
 
     @property
     def is_measured(self) -> Booleans:

@@ -33,10 +33,10 @@ from micah_plan.recording.value import Recording
 from micah_plan.residual.compared_runs import at_measurements, beginning, read_tracks
 from micah_plan.residual.coordinate_data import ENOUGH_RUNS, CoordinateData, coordinate_data_of
 from micah_plan.residual.geometry import DirectFinding, OffJointError, geometry_findings, off_joint_errors
+from micah_plan.residual.held_out import HeldOut
 from micah_plan.residual.likelihood import LEAST_EVIDENCE, TIE, student_t_log_density
 from micah_plan.residual.range_exceeded import RangeExceeded, ranges_exceeded, with_extended_range
 from micah_plan.residual.residual_test import ResidualTest
-from micah_plan.residual.search import Search
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class Examined:
         automaton: with what poses and beliefs ask for by themselves, and joints that go on where the recording does.
         geometry, estimator_bias: those effects.
         as_read, measured: tracks without and with them, of all runs and of those with two rows or more.
-        searches: of every coordinate that moves; none for a model that is not one input per coordinate.
+        models: of every coordinate that moves; none for a model that is not one input per coordinate.
         off_joint_error: how poses lie beside the joints, whatever joints have been changed.
         is_readable: whether each coordinate has an input of its own, and some move.
         late: by how many rows actions were stored after those that they moved; they were taken back.
@@ -59,7 +59,7 @@ class Examined:
     as_read: tuple[Track, ...]
     measured: tuple[Track, ...]
     exceeded: tuple[RangeExceeded, ...]
-    searches: tuple[Search, ...]
+    models: tuple[HeldOut, ...]
     off_joint_error: tuple[OffJointError, ...]
     is_readable: bool
     late: int
@@ -70,9 +70,9 @@ class Examined:
         return (*self.geometry, *self.estimator_bias)
 
     @cached_property
-    def left(self) -> tuple[tuple[Search, ResidualTest | None], ...]:
+    def left(self) -> tuple[tuple[HeldOut, ResidualTest | None], ...]:
         """What the innovations of each coordinate follow; None where rows are too few."""
-        return tuple((search, search.left_by(search.nominal)) for search in self.searches)
+        return tuple((model, model.left_by(model.nominal)) for model in self.models)
 
     @property
     def is_noise(self) -> bool | None:
@@ -106,8 +106,8 @@ def examined(automaton: HybridAutomaton, recording: Recording) -> Examined:
         as_read=is_at,
         measured=measured,
         exceeded=exceeded,
-        searches=tuple(
-            Search(replace(as_begun(data, gates), meaning=command_meaning(recording)))
+        models=tuple(
+            HeldOut(replace(as_begun(data, gates), meaning=command_meaning(recording)))
             for data in able
             if data.counted.any()
         ),

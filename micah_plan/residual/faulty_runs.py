@@ -17,7 +17,7 @@ from scipy.special import fdtrc
 
 from micah_plan.arrays import Floats
 from micah_plan.quantities import quantity
-from micah_plan.residual.search import Scored
+from micah_plan.residual.contenders import Contender
 from micah_plan.residual.trace import ENOUGH_INDEPENDENT, CoordinateTrace
 
 _MOST_SHARE = 0.25  # of the runs: more of them are no exception
@@ -56,10 +56,9 @@ def faulty_runs(traces: Sequence[CoordinateTrace]) -> tuple[FaultyRun, ...]:
     """The runs that no effect explains and that are few, each for the coordinate where it is worst."""
     worst: dict[int, FaultyRun] = {}
     for trace in traces:
-        if trace.outcome.verdict in ("none", "explained"):
-            continue
         data, runs = trace.data, np.unique(trace.data.run)
-        tried = [_errors_by_run(trace, model) for model in (trace.chosen, *trace.alternatives)]
+        others = () if trace.outcome.verdict == "explained" else trace.alternatives
+        tried = [_errors_by_run(trace, model) for model in (trace.chosen, *others)]
         by_run = min(tried, key=_usual)
         for faulty in unlike_others(runs.tolist(), by_run, data.coordinate, data.unit):
             before = worst.get(faulty.run)
@@ -68,9 +67,9 @@ def faulty_runs(traces: Sequence[CoordinateTrace]) -> tuple[FaultyRun, ...]:
     return tuple(worst[run] for run in sorted(worst))
 
 
-def _errors_by_run(trace: CoordinateTrace, model: Scored) -> list[Floats]:
+def _errors_by_run(trace: CoordinateTrace, model: Contender) -> list[Floats]:
     """Errors of one step of each run [rad or m]."""
-    data, errors = trace.data, trace.search.errors(model, "one_step")
+    data, errors = trace.data, trace.held_out.errors(model, "one_step")
     return [errors[data.run == run][data.counted[data.run == run]] for run in np.unique(data.run)]
 
 

@@ -14,9 +14,9 @@ from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import note_on_late_actions
 from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.faulty_runs import FaultyRun, unlike_others
+from micah_plan.residual.held_out import HeldOut
 from micah_plan.residual.prediction import RunPrediction
 from micah_plan.residual.residual_test import FEWEST_ROWS, Circumstances, lagged, whiteness_test
-from micah_plan.residual.search import Search
 
 
 @dataclass(frozen=True)
@@ -76,11 +76,11 @@ def judge(automaton: HybridAutomaton, recording: Recording, runs: Sequence[RunPr
     if sum(len(run.v) for run in runs) < FEWEST_ROWS:
         return Judgement(None, None, None, "too few rows to tell errors from noise", (), correlation, changes)
     examination = examined(automaton, recording)
-    one_step, rollout = _floors(automaton, runs, examination.searches)
+    one_step, rollout = _floors(automaton, runs, examination.models)
     sentence = _sentence(examination, () if examination.is_noise else _faulty(automaton, runs))
     sentence = f"{note_on_late_actions(examination.late)}. {sentence}" if examination.late else sentence
     follows = tuple(
-        (search.data.coordinate, *follow) for search, test in examination.left if test for follow in test.follows
+        (model.data.coordinate, *follow) for model, test in examination.left if test for follow in test.follows
     )
     return Judgement(one_step, rollout, examination.is_noise, sentence, follows, correlation, changes)
 
@@ -99,13 +99,13 @@ def _sentence(examination: Examined, faulty: Sequence[FaultyRun]) -> str:
     if examination.is_noise:
         return "errors look like noise: this recording shows nothing that the model lacks"
     sentences = [
-        f"those of {search.data.coordinate} follow {test}" for search, test in examination.left if test and test.is_more
+        f"those of {model.data.coordinate} follow {test}" for model, test in examination.left if test and test.is_more
     ]
     said = [f"errors are not noise: {'; '.join(sentences)}"] if sentences else []
     said += map(str, (*examination.off_joint_error, *faulty))
     named = [f"{finding.effect.name} of {finding.effect.coordinate}" for finding in examination.direct]
     said += [f"poses and readings ask for {', '.join(named)}"] if named else []
-    if not said and not examination.searches:
+    if not said and not examination.models:
         return "whether errors are noise is told only where each coordinate has an input of its own"
     if not said:
         return "the whiteness test is inconclusive: run calibrate"
@@ -134,19 +134,19 @@ def _correlation(errors: Sequence[Floats]) -> float:
 
 
 def _floors(
-    automaton: HybridAutomaton, runs: Sequence[RunPrediction], searches: Sequence[Search]
+    automaton: HybridAutomaton, runs: Sequence[RunPrediction], coordinates: Sequence[HeldOut]
 ) -> tuple[Floor | None, Floor | None]:
     """Floors of one step and of the roll-out; None where not every coordinate has an input of its own.
 
-    Along the joints they are those of the searches, as `calibrate` has them. Across a joint errors are those of its
+    Along the joints they are those of the models, as `calibrate` has them. Across a joint errors are those of its
     measured poses, in both.
     """
-    of_coordinate = {search.data.coordinate: search for search in searches}
+    of_coordinate = {one.data.coordinate: one for one in coordinates}
     if not all(coordinate.name in of_coordinate for coordinate in automaton.coordinates):
         return None, None
     ordered = [of_coordinate[coordinate.name] for coordinate in automaton.coordinates]
-    steps = [search.noise_floor(search.nominal) for search in ordered]
-    rolled = [search.rollout_floor(search.nominal, step) for search, step in zip(ordered, steps, strict=True)]
+    floors = [one.floors_without_what_follows() for one in ordered]
+    steps, rolled = ([floor[k] for floor in floors] for k in (0, 1))
     along = np.array([steps, rolled])
     position = _with_across(automaton, runs, along, 3, [run.one_step.offset for run in runs])
     turns = [run.one_step.turn for run in runs if run.one_step.turn is not None]

@@ -20,7 +20,7 @@ from micah_plan.arrays import ROUND_OFF, Floats, Ints, robust_std
 from micah_plan.learn.segmenting.changepoints import LengthPrior, length_terms, most_probable_spans
 from micah_plan.quantities import percent, quantity
 from micah_plan.residual.coordinate_data import CoordinateData
-from micah_plan.residual.fit import independent_share
+from micah_plan.residual.held_out import independent_share
 from micah_plan.residual.likelihood import FEWEST_ROWS, FREEDOM, robust_log_density
 
 # Rows that the recursion reads, evenly over the configuration.
@@ -68,17 +68,17 @@ class MissingMode:
 
 
 def missing_modes(
-    data: CoordinateData, innovations: Floats, fold: Ints, rivals: Sequence[Floats] = (), spread: Floats | None = None
+    data: CoordinateData, innovations: Floats, spread: Floats, fold: Ints, rivals: Sequence[Floats] = ()
 ) -> tuple[MissingMode, ...]:
     """Ranges in which a coordinate moves otherwise, where changepoints say more than anything gradual.
 
     Args:
-        innovations: (S, T) of the model as it is; fold: (S,) that each segment is held out with.
-        rivals: (S, T) held-out innovations of other explanations.
-        spread: (S, T) relative std of each innovation; None: they are equally precise.
+        innovations: (S, T) of the model as it is; spread: relative std of each.
+        fold: (S,) that each segment is held out with.
+        rivals: (S, T) innovations of other explanations.
     """
     starts = data.counted_starts
-    per = np.ones(int(starts.sum())) if spread is None else np.roll(spread, -1, axis=1)[starts]
+    per = np.roll(spread, -1, axis=1)[starts]
     place = np.concatenate([data.z[:, :1], (data.z + data.u)[:, :-1]], axis=1)[starts]
     v, e = data.u[starts], np.roll(innovations, -1, axis=1)[starts] / per
     held = np.repeat(fold[:, None], data.z.shape[1], axis=1)[starts]

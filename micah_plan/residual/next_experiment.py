@@ -20,13 +20,13 @@ from micah_plan.automaton.tracks import tracks
 from micah_plan.quantities import plain
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import Calibration
+from micah_plan.residual.candidates import candidates, untried
+from micah_plan.residual.contenders import Contender, best_first
 from micah_plan.residual.coordinate_data import CoordinateData
-from micah_plan.residual.fit import FitProblem, process_share
+from micah_plan.residual.filtering import errors, generated
+from micah_plan.residual.fitting import Fit
 from micah_plan.residual.likelihood import LEAST_EVIDENCE
-from micah_plan.residual.search import FOLDS, Scored, Search, candidates, untried
-from micah_plan.residual.simulation import generated, simulate_terms
 from micah_plan.residual.trace import CoordinateTrace
-from micah_plan.residual.worth import ranked
 from micah_plan.task.experiment import Experiment, Motion
 from micah_plan.task.start import Start, start_mode
 
@@ -34,7 +34,7 @@ from micah_plan.task.start import Start, start_mode
 _ENOUGH = 3.0 * LEAST_EVIDENCE
 # A pair that no motion tells apart by more than this per run [nats] is left to its sentence.
 _HOPELESS = 0.1
-_MOST_REPETITIONS = 10
+_MOST_REPETITIONS, _FEWEST_RUNS = 10, 5
 _MOST_RIVALS = 4
 # Motions are made of so many pieces of so many steps; so many of each length are gone on with.
 _PIECES, _STEPS, _KEPT = 6, 8, 4
@@ -73,37 +73,36 @@ def next_experiment(automaton: HybridAutomaton, recording: Recording, calibratio
     """
     configurations = [track.x for track in tracks(automaton, recording)]
     for trace in calibration.traces:
-        rivals = [_Rival.of(trace.search, scored) for scored in _rivals(trace)]
+        rivals = [_Rival.of(trace.data, model) for model in _rivals(trace)]
         designed = _designed(automaton, trace.data, rivals, np.concatenate(configurations)) if len(rivals) > 1 else None
         if designed is not None:
             return designed
     return None
 
 
-def _rivals(trace: CoordinateTrace) -> list[Scored]:
+def _rivals(trace: CoordinateTrace) -> list[Contender]:
     """What is left to choose among: what is tied with the effects found or, if something remains, the next best.
 
     Where nothing was found: the model as it is, and what was nearest to being found.
     """
-    search = trace.search
-    tried = trace.alternatives or tuple(search.score((*trace.nominal.parts, part)) for part in candidates(trace.data))
-    options = [scored for scored in ranked(tried) if scored.names != trace.nominal.names]
+    options = [model for model in best_first(trace.alternatives) if model.names != trace.nominal.names]
+    options = options or trace.held_out.competition.alone(candidates(trace.data))
     if not options:
         return []
     if trace.outcome.verdict == "none":
         return [trace.nominal, *options][:_MOST_RIVALS]
     best = trace.chosen if trace.chosen.parts else options[0]
-    named = {scored.names[-1]: scored for scored in options[::-1] if scored.names[-1] != best.names[-1]}
+    named = {model.names[-1]: model for model in options[::-1] if model.names[-1] != best.names[-1]}
     tied = {name for finding in trace.findings for name in finding.tied}
     if tied:
         chosen = [named[name] for name in tied if name in named]
         unseen = [untried(name, trace.data) for name in sorted(tied - set(named))]
-        chosen += [search.score((*trace.nominal.parts, part)) for part in unseen if part.term.form.layer != "frame"]
-        return [best, *ranked(chosen)][:_MOST_RIVALS]
+        chosen += trace.held_out.competition.alone([part for part in unseen if part.term.form.layer != "frame"])
+        return [best, *best_first(chosen)][:_MOST_RIVALS]
     if trace.outcome.verdict == "explained":
         return []
     last = [trace.final] if trace.final.names not in (best.names, trace.nominal.names) else []
-    return [best, *last, *ranked(list(named.values()))][:_MOST_RIVALS]
+    return [best, *last, *best_first(list(named.values()))][:_MOST_RIVALS]
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,45 +110,33 @@ class _Rival:
     """A model fitted to the recording, and what the recording knows of its parameters.
 
     Attributes:
-        parameters: (1, columns); share: of process noise; scale: of the noise [rad or m].
-        information: (k, k) of its free parameters.
+        information: (k, k) of its own free parameters.
     """
 
     name: str
-    problem: FitProblem
-    parameters: Floats
-    share: Floats
-    scale: float
+    fit: Fit
     information: Floats
 
     @classmethod
-    def of(cls, search: Search, scored: Scored) -> _Rival:
-        problem, fit = search.problem(scored.parts), scored.fit
-        design = cls(
-            name=" and ".join(scored.names) or "nothing",
-            problem=problem,
-            parameters=fit.parameters,
-            share=process_share(fit.share),
-            scale=float(fit.scale[0]),
-            information=np.diag(1.0 / (problem.scale * problem.looseness) ** 2),
-        )
-        slopes = design.errors(search.data)[1].reshape(len(problem.free), search.data.z.size)
-        return replace(design, information=design.information + slopes @ slopes.T)
+    def of(cls, data: CoordinateData, model: Contender) -> _Rival:
+        own = model.fit.free.own
+        rival = cls(" and ".join(model.names) or "nothing", model.fit, np.diag(1.0 / model.fit.free.std[:own] ** 2))
+        slopes = rival.errors(data)[1].reshape(own, data.z.size)
+        return replace(rival, information=rival.information + slopes @ slopes.T)
 
     def errors(self, data: CoordinateData) -> tuple[Floats, Floats]:
         """(S, T) innovations over their std, and (k, S, T) how they change with the free parameters."""
-        problem, steps = self.problem, _DIFFERENCE * self.problem.scale
-        rows = np.repeat(self.parameters, 1 + len(problem.free), axis=0)
-        for j, column in enumerate(problem.free):
-            steps[j] *= 1.0 if rows[0, column] + steps[j] <= problem.upper[j] else -1.0
-            rows[1 + j, column] += steps[j]
-        simulation = simulate_terms(data, problem.model, rows, np.repeat(self.share, len(rows)))
-        errors = simulation.error / (self.scale * np.sqrt(simulation.variance[0]))
-        return errors[0], np.asarray((errors[1:] - errors[0]) / steps[:, None, None])
+        fit, free = self.fit, self.fit.free
+        steps = _DIFFERENCE * free.scale[: free.own]
+        steps = np.where(fit.vector[free.at[: free.own]] + steps <= free.high[: free.own], steps, -steps)
+        vectors = fit.moved(np.vstack([np.zeros(free.own), np.diag(steps)]))
+        error, variance = errors(data, [fit.hypotheses(vectors)], "filter")
+        error = error / np.sqrt(variance[0])
+        return error[0], np.asarray((error[1:] - error[0]) / steps[:, None, None])
 
     def moved(self, data: CoordinateData, mode_at: _ModeAt) -> CoordinateData:
         """The data as this model moves."""
-        return generated(data, self.problem.model, self.parameters, mode_at)
+        return generated(data, self.fit.hypotheses(self.fit.vector[None]), mode_at)
 
     def outdone(self, moved: CoordinateData) -> Floats:
         """(S,) evidence against this model if the part moves as the data say, its parameters fitted again [nats]."""
@@ -188,9 +175,9 @@ def _designed(
     is_hopeless = total > _HOPELESS * len(motions)
     if not is_hopeless.any():
         return None
-    # Held-out runs judge, so there are as many as folds.
+    # Held-out runs judge, so there are some.
     needed = int(np.ceil(_ENOUGH / total[is_hopeless].min()))
-    repetitions = int(np.clip(needed, np.ceil(FOLDS / len(motions)), _MOST_REPETITIONS))
+    repetitions = int(np.clip(needed, np.ceil(_FEWEST_RUNS / len(motions)), _MOST_REPETITIONS))
     names = list(combinations([rival.name for rival in rivals], 2))
     expected = tuple((*names[k], float(repetitions * total[k])) for k in np.flatnonzero(is_hopeless))
     return Designed(Experiment(automaton, tuple(motions), repetitions), data.coordinate, expected)

@@ -29,7 +29,7 @@ _FIRST = ("a constant", "the command", "earlier commands")  # of what few rows a
 _ERRORS = "earlier errors"
 # Probabilities: below the first a residual is not noise, above the second it is (an effect with one parameter and the
 # evidence that it needs has 4e-4 among seven groups).
-UNLIKELY, _SUSPECT = 1e-4, 3e-3
+UNLIKELY, _SUSPECT = 1e-4, 1e-2
 # Share of the variance that may follow something: a fourth of what is correlated from row to row, squared.
 _FOLLOWS = 0.0625
 _RANK = 1e-8

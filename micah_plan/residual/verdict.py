@@ -14,9 +14,7 @@ SENTENCES: dict[Verdict, str] = {
     "unexplained": "the model lacks something that no effect of the library explains",
 }
 
-# Shares of the explainable residual that effects leave to a correction without a name: up to here it is explained, from
-# there on it is not.
-_EXPLAINED = 0.03
+# Share of the explainable residual that effects leave to a correction without a name, from which on it is unexplained.
 _UNEXPLAINED = 0.5
 
 
@@ -32,7 +30,7 @@ class Facts:
         is_single: whether there is one run of few motions alone, which no other run can confirm.
         is_changing: whether effects began at different times: what changed twice may be changing still.
         smooth: share of the explainable residual that a correction without a name takes out on top; 0: none.
-        is_left: whether innovations are no noise: they follow commands, places, time or earlier innovations.
+        is_passing: whether one run alone shows that something more began.
         is_corrected: whether the model came with a correction without a name.
     """
 
@@ -40,7 +38,7 @@ class Facts:
     modes: int
     is_open: bool
     smooth: float
-    is_left: bool
+    is_passing: bool = False
     is_corrected: bool = False
     is_contradicted: bool = False
     is_over: bool = False
@@ -70,7 +68,7 @@ OUTCOMES: tuple[tuple[Outcome, Callable[[Facts], bool]], ...] = (
     (Outcome("mode", "partly", "a mode of its own is missing"), lambda f: f.modes > 0),
     (
         Outcome("unnamed", "unexplained", "what is left follows something that no effect names"),
-        lambda f: f.smooth > _UNEXPLAINED or (not f.effects and (f.smooth > 0 or f.is_left or f.is_corrected)),
+        lambda f: f.smooth > _UNEXPLAINED or (not f.effects and (f.smooth > 0 or f.is_corrected)),
     ),
     (
         Outcome("remembered", "partly", "with runs like these the effect may as well come from earlier commands"),
@@ -78,8 +76,12 @@ OUTCOMES: tuple[tuple[Outcome, Callable[[Facts], bool]], ...] = (
     ),
     (Outcome("over", "partly", "the last runs are predicted better without, so it is over"), lambda f: f.is_over),
     (
-        Outcome("more", "partly", "residuals after the added effects are not white"),
-        lambda f: f.smooth > _EXPLAINED or f.is_left or f.is_corrected,
+        Outcome("passing", "partly", "one run alone shows that more began, and no other run can confirm it"),
+        lambda f: f.is_passing,
+    ),
+    (
+        Outcome("more", "partly", "a correction without a name predicts clearly better on top of the effects"),
+        lambda f: f.smooth > 0.0 or f.is_corrected,
     ),
     (
         Outcome(

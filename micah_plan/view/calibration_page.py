@@ -159,7 +159,7 @@ def _poses(calibration: Calibration) -> Table:
 
 def _correlation(trace: CoordinateTrace) -> Table:
     """How the errors of fitted parameters go together; empty for a single one."""
-    names, matrix = trace.search.correlations_of(trace.chosen)
+    names, matrix = trace.held_out.correlations_of(trace.chosen)
     shown = zip(names, matrix.tolist(), strict=True) if len(names) > 1 else ()
     rows = tuple((name, *(f"{value:.2f}" for value in row)) for name, row in shown)
     return Table(("correlation of errors", *names), rows, numeric=tuple(range(1, len(names) + 1)))
@@ -192,8 +192,8 @@ def _coordinate(trace: CoordinateTrace) -> dict[str, Any]:
 
 
 def _runs(trace: CoordinateTrace) -> Table:
-    data, search = trace.data, trace.search
-    kinds = [search.errors(model, kind) for kind in ("one_step", "rollout") for model in (trace.nominal, trace.final)]
+    data, held_out = trace.data, trace.held_out
+    kinds = [held_out.errors(model, kind) for kind in ("one_step", "rollout") for model in (trace.nominal, trace.final)]
     rows: list[tuple[str, ...]] = []
     for run in np.unique(data.run)[:_MOST_RUNS]:
         chosen = data.counted & (data.run == run)[:, None]
@@ -220,7 +220,7 @@ def _motion(trace: CoordinateTrace) -> tuple[Chart, ...]:
     counted = whole.counted
     errors = np.zeros((2, *whole.z.shape))
     for number, model in enumerate((trace.nominal, trace.final)):
-        errors[number][counted] = trace.search.rollout_errors(model)
+        errors[number][counted] = trace.held_out.rollout_errors(model)
     return tuple(_run(whole, s, errors[:, s]) for s in evenly(len(whole.run), _MOST_DRAWN).tolist())
 
 
@@ -248,8 +248,8 @@ def _residuals(trace: CoordinateTrace) -> tuple[tuple[Chart, Chart], ...]:
     """One-step errors before and after against time, configuration, direction and size of the command."""
     data = trace.data
     counted, starts = data.counted, data.counted_starts
-    before = trace.search.errors(trace.nominal, "one_step")[counted]
-    after = trace.search.errors(trace.final, "one_step")[counted]
+    before = trace.held_out.errors(trace.nominal, "one_step")[counted]
+    after = trace.held_out.errors(trace.final, "one_step")[counted]
     u = data.u[starts]
     side = np.sign(u) + 0.24 * np.linspace(-1, 1, u.size)
     axes = (

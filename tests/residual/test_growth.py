@@ -7,28 +7,11 @@ import planted_effects as plants
 import pytest
 
 from micah_plan.automaton.build import build_automaton
-from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import prismatic
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
-from micah_plan.residual.search import TermCandidate
-from micah_plan.residual.simulation import Term
-from micah_plan.residual.worth import is_worth
-
-
-class _Scored:
-    """Held-out densities of stretches, as `growth` compares them."""
-
-    def __init__(self, density, squared=1.0, without_last=None):
-        self.density, self.squared = np.array(density, dtype=float), squared
-        self.parts = ()
-        self.without_last = self.density - self.density if without_last is None else np.array(without_last, dtype=float)
-
-
-class _CoordinateData:
-    counted = np.ones((5, 10), dtype=bool)
-    run = np.arange(5)
+from micah_plan.residual.contenders import is_borne_out
 
 
 @pytest.mark.parametrize(
@@ -38,27 +21,24 @@ class _CoordinateData:
         ([0.3, 16.0, 29.0, -0.2, 0.1], True),  # two runs that are held out from each other
         ([0.0, 0.0, 40.0, 0.0, 0.0], False),  # one run alone may be an accident
         ([20.0, -9.0, 15.0, -8.0, 2.0], False),  # as much lost elsewhere
-        ([1.0, 1.0, 1.0, 1.0, 1.0], False),
+        ([0.4, 0.4, 0.4, 0.4, 0.1], False),
     ],
 )
 def test_evidence_must_come_from_more_than_one_run_and_not_be_lost_in_others(gains, expected) -> None:
-    assert is_worth(_Scored(gains, squared=0.5), _Scored(np.zeros(5)), _CoordinateData()) is expected
+    assert is_borne_out(np.array(gains)) is expected
 
 
 @pytest.mark.parametrize(
-    ("since", "gains", "by_itself", "expected"),
+    ("gains", "by_itself", "expected"),
     [
-        (-np.inf, [4.0, 4.0, 4.0, 4.0, 65.0], [0.0, 0.0, 0.0, 0.0, 60.0], True),
-        (0.85, [4.0, 4.0, 4.0, 4.0, 65.0], [0.0, 0.0, 0.0, 0.0, 60.0], False),  # all runs seem less noisy
-        (0.5, [4.0, 4.0, 20.0, 20.0, 20.0], [0.0, 0.0, 18.0, 18.0, 18.0], True),
-        (0.75, [4.0, 4.0, 4.0, 4.5, 65.0], [0.0, 0.0, 0.0, 2.0, 60.0], False),  # the end of one run, and the last
-        (0.5, [0.0, 0.0, 0.0, 0.0, 65.0], [0.0, 0.0, 9.0, 9.0, 60.0], False),  # others show it, but not beside the rest
+        ([4.0, 4.0, 4.0, 4.0, 65.0], [0.0, 0.0, 0.0, 0.0, 60.0], False),  # all runs seem less noisy
+        ([4.0, 4.0, 20.0, 20.0, 20.0], [0.0, 0.0, 18.0, 18.0, 18.0], True),
+        ([4.0, 4.0, 4.0, 4.5, 65.0], [0.0, 0.0, 0.0, 2.0, 60.0], False),  # the end of one run, and the last
+        ([0.0, 0.0, 0.0, 0.0, 65.0], [0.0, 0.0, 9.0, 9.0, 60.0], False),  # others show it, but not beside the rest
     ],
 )
-def test_what_acts_in_one_run_alone_is_not_borne_out_by_others(since, gains, by_itself, expected) -> None:
-    better = _Scored(gains, squared=0.5, without_last=np.subtract(gains, by_itself))
-    better.parts = (TermCandidate(Term(form("gain")), np.array([[0.8, since, -np.inf]]), (0,), np.ones(1)),)
-    assert is_worth(better, _Scored(np.zeros(5)), _CoordinateData()) is expected
+def test_what_acts_in_one_run_alone_is_not_borne_out_by_others(gains, by_itself, expected) -> None:
+    assert is_borne_out(np.array(gains), [np.array(by_itself)]) is expected
 
 
 def drawer_with_two_effects(seed):

@@ -11,9 +11,9 @@ from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segm
 from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.tracks import tracks
 from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.candidates import candidates, indistinguishable
 from micah_plan.residual.coordinate_data import coordinate_data_of
 from micah_plan.residual.examined import examined
-from micah_plan.residual.search import candidates, indistinguishable
 
 SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (plants.RADIUS, 0.0, 0.1))
 TURN = np.array([[np.cos(0.6), np.sin(0.6), 0.0], [-np.sin(0.6), np.cos(0.6), 0.0], [0.0, 0.0, 1.0]])
@@ -47,11 +47,10 @@ def test_actions_across_the_joint_tell_their_frame(door) -> None:
 
 
 @pytest.mark.slow
-def test_a_curve_that_no_effect_has_gets_no_name(door) -> None:
+def test_a_curve_that_no_effect_has_is_not_explained(door) -> None:
     found = calibrate(door, plants.door_recording(plants.runs_of(plants.tiring, 4, 20, 2, noise=0.001)))
-    assert found.verdict == "unexplained"
-    assert found.effects == ()
-    assert any("came closest" in note for note in found.notes)
+    assert found.verdict in ("partly", "unexplained")
+    assert found.automaton.effects[-1].name == "unexplained"
     assert found.after.one_step < 1.15 * found.noise_floor < 0.8 * found.before.one_step
 
 
@@ -103,7 +102,7 @@ def test_commands_away_from_an_end_that_do_nothing_are_told(door) -> None:
         return 0.0 if memory["held"] else c + u
 
     for plant, is_noise in ((clinging, False), (plants.honest, True)):
-        moved = plants.runs_of(plant, 6, 60, 2, noise=0.004, goals=(-0.1, 0.7))
+        moved = plants.runs_of(plant, 12, 60, 2, noise=0.004, goals=(-0.1, 0.7))
         (one,) = examined(door, plants.door_recording(moved)).left
         assert one[1].is_noise is is_noise
         assert ("the ends" in str(one[1])) is not is_noise

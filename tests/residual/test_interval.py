@@ -7,18 +7,18 @@ import planted_effects as plants
 import pytest
 
 from micah_plan.automaton.tracks import tracks
+from micah_plan.residual.candidates import candidates
 from micah_plan.residual.coordinate_data import coordinate_data_of
-from micah_plan.residual.fit import independent_share
-from micah_plan.residual.search import Search, candidates, steady_variance
+from micah_plan.residual.held_out import HeldOut, independent_share
 
 
 def interval_of(door, plant, name, seed, goals=None):
     """(low, median, high) of the first parameter of the form that was planted, and the data."""
     moved = plants.runs_of(plant, 8, 40, seed, noise=0.003, goals=goals)
     (data,) = coordinate_data_of(door, tracks(door, plants.door_recording(moved)))
-    search = Search(data)
+    held_out = HeldOut(data)
     (part,) = [one for one in candidates(data) if one.name == name]
-    return search.intervals(search.score((part,), search.nominal))[0], data
+    return held_out.intervals(held_out.competition.alone([part])[0])[0], data
 
 
 def test_the_interval_of_a_threshold_is_as_wide_as_the_commands_around_it_are_apart(door) -> None:
@@ -33,14 +33,6 @@ def test_the_interval_of_a_threshold_is_as_wide_as_the_commands_around_it_are_ap
 def test_correlated_rows_count_as_fewer() -> None:
     assert independent_share(0.0) == independent_share(-0.3) == 1.0
     assert independent_share(0.5) == pytest.approx(1 / 3)
-
-
-@pytest.mark.parametrize(("q", "r"), [(1.0, 1.0), (0.01, 2.0), (3.0, 0.1), (0.0, 1.0)])
-def test_the_steady_variance_is_where_a_filter_ends(q, r) -> None:
-    p = 1.0
-    for _ in range(20_000):
-        p = p * r / (p + r) + q
-    assert steady_variance(q, r) == pytest.approx(p, rel=1e-6, abs=1e-4)
 
 
 @pytest.mark.evidence

@@ -9,10 +9,10 @@ from extras import requires
 
 from micah_plan.automaton.tracks import tracks
 from micah_plan.residual.calibrate import calibrate
-from micah_plan.residual.command_meaning import followed, means_places
+from micah_plan.residual.candidates import candidates, follows
+from micah_plan.residual.competition import Competition
 from micah_plan.residual.coordinate_data import coordinate_data_of
 from micah_plan.residual.prediction import predict_recording, rmse
-from micah_plan.residual.search import Search
 
 
 def servo_run(rows, seed, *, share, momentum=0.0, late=0, short=0.0, noise=0.002):
@@ -54,10 +54,11 @@ def test_a_servo_is_told_by_its_places_and_predicts_another_run(door, servo) -> 
 
 
 def test_places_predict_better_than_displacements(door) -> None:
-    search = Search(coordinate_data_of(door, tracks(door, plants.door_recording([servo_run(150, 1, share=0.3)])))[0])
-    place = followed(search, 4)
-    assert means_places(search, place, search.nominal)
-    assert place.names == ("follow",)
+    (data,) = coordinate_data_of(door, tracks(door, plants.door_recording([servo_run(300, 1, share=0.3)])))
+    best, *others = Competition(data).alone([*candidates(data), *follows(data)])
+    assert best.names == ("follow",)
+    displaced = next(model for model in others if model.names != best.names)
+    assert best.over(displaced)[0] > 10.0
 
 
 @pytest.mark.parametrize(

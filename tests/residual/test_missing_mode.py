@@ -38,7 +38,7 @@ def told(door, plant, seed):
     (data,) = coordinate_data_of(door, tracks(door, recorded(plant, seed)))
     errors = np.zeros_like(data.z)
     errors[:, 1:] = data.z[:, 1:] - np.clip(data.z + data.u, 0.0, END)[:, :-1]
-    return missing_modes(data, errors, np.arange(len(data.run)) % 4)
+    return missing_modes(data, errors, np.ones_like(errors), np.arange(len(data.run)) % 4)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -61,7 +61,7 @@ def test_a_model_that_is_wrong_everywhere_and_by_much_lacks_no_mode(door) -> Non
     (data,) = coordinate_data_of(door, tracks(door, plants.door_recording(moved)))
     errors = np.zeros_like(data.z)
     errors[:, 1:] = data.z[:, 1:] - np.clip(data.z + data.u, 0.0, END)[:, :-1]
-    assert missing_modes(data, errors, np.arange(len(data.run)) % 4) == ()
+    assert missing_modes(data, errors, np.ones_like(errors), np.arange(len(data.run)) % 4) == ()
 
 
 @pytest.mark.parametrize("seed", [3, 7])
@@ -69,7 +69,7 @@ def test_residuals_that_wander_count_as_few_rows(door, seed) -> None:
     (data,) = coordinate_data_of(door, tracks(door, recorded(plants.honest, 1)))
     fresh = np.random.default_rng(seed).normal(0.0, 0.001, data.z.shape)
     wandering = lfilter([1.0], [1.0, -0.97], fresh, axis=1)
-    assert missing_modes(data, wandering, np.arange(len(data.run)) % 4) == ()
+    assert missing_modes(data, wandering, np.ones_like(wandering), np.arange(len(data.run)) % 4) == ()
 
 
 @pytest.mark.slow

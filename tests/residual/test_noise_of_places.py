@@ -79,14 +79,14 @@ def test_a_first_measurement_is_believed_as_far_as_its_place_allows() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("growth", [0.0, GROWTH])
 def test_innovations_over_their_spread_are_equally_large_everywhere(growth) -> None:
-    (search,) = examined(slide(), recorded(1, growth=growth)).searches
-    rows = search.data.counted
-    own = search.innovations(search.nominal) / search.spread(search.nominal)
-    near = np.abs(search.data.z - AT) < 0.25
+    (model,) = examined(slide(), recorded(1, growth=growth)).models
+    rows = model.data.counted
+    own = model.errors(model.nominal, "filter") / model.spread(model.nominal)
+    near = np.abs(model.data.z - AT) < 0.25
     ratio = np.std(own[rows & near]) / np.std(own[rows & ~near])
     # Where the log knows no dark places, the likelihood takes noise that is the same everywhere.
     assert ratio == pytest.approx(1.0, abs=0.25)
-    assert np.ptp(search.data.noise) > 1.0 if growth else np.ptp(search.data.noise) == 0.0
+    assert np.ptp(model.data.noise) > 1.0 if growth else np.ptp(model.data.noise) == 0.0
 
 
 @pytest.mark.slow

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import planted_effects as plants
@@ -14,11 +13,11 @@ from micah_plan.api.calibration import PredictionResult
 from micah_plan.documents.model import load_model
 from micah_plan.execution.open_loop import carry_out
 from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.candidates import candidates
+from micah_plan.residual.contenders import Option
 from micah_plan.residual.examined import examined
 from micah_plan.residual.judgement import judge
 from micah_plan.residual.prediction import predict_recording, rmse
-from micah_plan.residual.search import candidates
-from micah_plan.residual.trace import _is_tied
 from micah_plan.task.experiment import Experiment, Motion
 from micah_plan.task.start import Start
 from micah_plan.view.calibration_page import calibration_page
@@ -48,10 +47,12 @@ def test_gain_and_bias_of_one_way_commands_go_together_as_in_a_regression() -> N
     u = rng.uniform(0.005, 0.03, (5, 40))
     c = 0.05 + np.cumsum(u + 0.001 * rng.standard_normal(u.shape), axis=1) - u
     recording = replace(recorded(5), position=_along_x(c), action=_along_x(u))
-    (search,) = examined(slide(0.0), recording).searches
-    parts = {part.name: part for part in candidates(search.data)}
-    names, matrix = search.correlations_of(search.score((parts["gain"], parts["bias"])))
-    u = search.data.u[search.data.counted_starts]
+    (model,) = examined(slide(0.0), recording).models
+    parts = {part.name: part for part in candidates(model.data)}
+    both = (parts["gain"], parts["bias"])
+    (fitted,) = model.competition.fitted([Option(both, np.hstack([part.starts[:1] for part in both]))])
+    names, matrix = model.correlations_of(fitted)
+    u = model.data.u[model.data.counted_starts]
     assert names == ("gain of gain", "bias of bias")
     assert np.diag(matrix) == pytest.approx([1.0, 1.0])
     assert matrix[0, 1] == pytest.approx(-u.mean() / np.sqrt(np.mean(u**2)), abs=0.05)
@@ -59,22 +60,6 @@ def test_gain_and_bias_of_one_way_commands_go_together_as_in_a_regression() -> N
 
 def _along_x(values):
     return values.ravel()[:, None] * [1.0, 0.0, 0.0]
-
-
-def test_what_fits_all_rows_better_and_is_hardly_outdone_on_held_out_ones_is_tied() -> None:
-    def model(loss, gap=0.0, free=(0,)):
-        density = np.full(6, -gap / 6.0)
-        made = SimpleNamespace(density=density, fit=SimpleNamespace(loss=np.array([loss])))
-        made.parts = (SimpleNamespace(free=free),)
-        made.over = lambda other: (float((density - other.density).sum()), 0.0)
-        return made
-
-    best = model(-10.0)
-    assert _is_tied(best, model(-11.0, gap=5.0))
-    assert not _is_tied(best, model(-9.0, gap=5.0))
-    assert not _is_tied(best, model(-11.0, gap=9.0))
-    assert not _is_tied(best, model(-11.0, gap=5.0, free=(0, 1)))
-    assert _is_tied(best, model(-9.0, gap=2.0))
 
 
 @pytest.mark.evidence

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import final
 
+import numpy as np
+
+from micah_plan.arrays import ROUND_OFF
 from micah_plan.automaton.effects.form import (
     EffectForm,
     FitStart,
@@ -31,6 +34,13 @@ class Gain(EffectForm):
 
     def command(self, ops: Operations, v: Value, p: Values) -> Value:
         return p[0] * v
+
+    def begun(self, data: Shown) -> FitStart | None:
+        """Also where steps say by themselves: commands may be in millimetres."""
+        starts = data.counted_starts[:, :-1]
+        u, moved = data.u[:, :-1][starts], np.diff(data.z, axis=1)[starts]
+        regressed = float(u @ moved) / max(float(u @ u), ROUND_OFF)
+        return FitStart([[0.9], [regressed]], (0,), [0.3])
 
 
 @final

@@ -61,8 +61,8 @@ class Limit(EffectForm):
 
     def begun(self, data: Shown) -> FitStart | None:
         low, high = data.visited
-        starts = [[low + share * (high - low), 1.0] for share in (0.4, 0.6, 0.8, 0.95)]
-        starts += [[low + share * (high - low), -1.0] for share in (0.05, 0.2, 0.4, 0.6)]
+        starts = [[low + share * (high - low), 1.0] for share in (0.4, 0.6, 0.8, 0.95, 1.0)]
+        starts += [[low + share * (high - low), -1.0] for share in (0.0, 0.05, 0.2, 0.4, 0.6)]
         return FitStart(starts, (0,), [0.1 * (high - low) + 1e-6])
 
 

@@ -1,0 +1,348 @@
+"""Which effects a model lacks: single ones, pairs on the best, what began on the way; what is idle is dropped.
+
+What remains is asked of corrections without a name: a smooth function of the command, or of place and command, and one
+of earlier commands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from micah_plan.arrays import Floats
+from micah_plan.quantities import Progress
+from micah_plan.residual.candidates import (
+    FOLLOW,
+    GATES,
+    MEMORY,
+    Term,
+    TermCandidate,
+    always,
+    candidates,
+    columns,
+    earlier_commands,
+    follows,
+    gated,
+    smooth,
+    variants,
+)
+from micah_plan.residual.command_meaning import CONTAINED
+from micah_plan.residual.contenders import (
+    OTHERWISE,
+    TIE,
+    Contender,
+    Contenders,
+    Option,
+    begins_later,
+    best_first,
+    on_top,
+)
+
+# Models that a second effect is tried on; of these effects, how many are fitted to the end.
+_HEADS, _SECONDS = 4, 6
+# Models of displacements that may be rivals of places with something that began.
+_RIVALS = 2
+_MOST_CHANGES = 3
+_PROFILE = 32
+_TURNS = 4
+# Shares of the rows before which, and after which, nothing can be said to have begun.
+_EARLIEST = 0.03
+_LINE_LIKE = ("gain", "bias", "dead_zone")
+# Where a change that nothing told of may have been: shares of the recording.
+_PLACES_OF_CHANGE = (0.25, 0.5, 0.75)
+_COMMON = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Standings:
+    """What came out.
+
+    Attributes:
+        nominal: without effects. chosen: with the best. near: those that do as well as it.
+        singles: models of one effect. left: corrections that are still worth it on top of the chosen; best first.
+        loose: corrections of the nominal model.
+    """
+
+    nominal: Contender
+    chosen: Contender
+    near: tuple[Contender, ...]
+    singles: tuple[Contender, ...]
+    left: tuple[Contender, ...]
+    loose: tuple[Contender, ...]
+
+
+class Competition(Contenders):
+    """Lets all that may be missing of a coordinate's model compete."""
+
+    def search(self, progress: Progress) -> Standings:
+        """Let all that may be missing compete."""
+        data, nominal, library = self.data, self.nominal, self._library()
+        progress(f"{data.coordinate}: single effects", 0.1)
+        singles = self.fitted([self._single(part) for part in library], otherwise=OTHERWISE)
+        singles += self._in_modes(singles)
+        progress(f"{data.coordinate}: since when", 0.3)
+        later = self._later(singles, library)
+        loose = self.corrected([nominal])
+        every = [*singles, *later]
+        able = [one for one in every if self.is_worth(one, nominal) and self.is_real(one, nominal)]
+        progress(f"{data.coordinate}: pairs", 0.5)
+        pairs = self._pairs(able, library) if able else []
+        chosen, near, rivals = nominal, tuple[Contender, ...](), [nominal]
+        for is_place in (False, True):
+            # Displacements are the plainer meaning: places must be clearly likelier, or are tied.
+            kind = [one for one in able if (FOLLOW in one.names) == is_place]
+            if kind:
+                alone, near_alone = simplest(kind)
+                own = [pair for pair in pairs if (FOLLOW in pair.names) == is_place]
+                best, near_best = self._with_a_second(alone, near_alone, every, own)
+                if best.evidence > chosen.evidence + (self.least if rivals[0] is not nominal else 0.0):
+                    chosen, near, rivals = best, near_best, [best, alone]
+                elif best.evidence > chosen.evidence - TIE:
+                    near = (*near, *near_best)
+        progress(f"{data.coordinate}: what changes", 0.7)
+        chosen, passing = self._changed(chosen, every, library)
+        near = near if chosen is rivals[0] else (chosen,)
+        progress(f"{data.coordinate}: what remains", 0.8)
+        of = {id(one): one for one in (chosen, *rivals) if one is not nominal}.values()
+        left = (*passing, *self._worth([*loose, *self.corrected(list(of))], chosen))
+        return Standings(nominal, chosen, near, tuple(every), left, tuple(loose))
+
+    def _with_a_second(
+        self, alone: Contender, near: tuple[Contender, ...], every: Sequence[Contender], pairs: Sequence[Contender]
+    ) -> tuple[Contender, tuple[Contender, ...]]:
+        """The best model of two effects, if it is likelier than those of one; what ties with it."""
+        best_of: dict[str, Contender] = {}
+        for one in every:
+            best_of[one.names[-1]] = max(best_of.get(one.names[-1], one), one, key=lambda own: own.evidence)
+        nominal, good = self.nominal, []
+        for pair in pairs:
+            own = [best_of[name] for name in pair.names if name in best_of]
+            under = max(own, key=lambda model: model.evidence, default=nominal)
+            if self.is_worth(pair, under) and self.is_real(pair, nominal):
+                good.append(pair)
+        chosen = alone
+        if good:
+            best, near_best = simplest(good)
+            if best.evidence - alone.evidence > self.least:
+                chosen, near = best, near_best
+        return self._pruned(self.polished(chosen)), near
+
+    def _changed(
+        self, chosen: Contender, every: Sequence[Contender], library: Sequence[TermCandidate]
+    ) -> tuple[Contender, list[Contender]]:
+        """The chosen model with what began on top of it; and what one run alone shows, if that is likelier still."""
+        for _ in range(_MOST_CHANGES):
+            displaced = [one for one in (chosen, *best_first(every)) if FOLLOW not in one.names]
+            heads = displaced[: 1 if FOLLOW not in chosen.names else _RIVALS]
+            least = chosen.evidence + self.least
+            again = [one for one in best_first(self._again(heads, library)) if one.evidence > least]
+            if not again:
+                return chosen, []
+            head = next(one for one in heads if one.names == again[0].names[:-1])
+            if not self.is_worth(again[0], head) or not self.is_real(again[0], self.nominal):
+                return head, [again[0]]
+            chosen = self._pruned(again[0])
+        return chosen, []
+
+    def _worth(self, corrected: Sequence[Contender], base: Contender) -> tuple[Contender, ...]:
+        """Corrections that are worth it, best first."""
+        left = [one for one in corrected if self.is_worth(one, base, TIE)]
+        return tuple(sorted(left, key=lambda one: -one.evidence))
+
+    def _library(self) -> list[TermCandidate]:
+        """What may be added: responses to places where commands may be some, and what these do not contain."""
+        places = () if self.is_place or self.data.meaning in ("displacement", "velocity") else follows(self.data)
+        others = candidates(self.data)
+        if self.is_place or self.data.meaning == "position":
+            others = tuple(part for part in others if part.name not in CONTAINED)
+        return [variant for part in (*others, *places) for variant in variants(part)]
+
+    def _single(self, part: TermCandidate) -> Option:
+        if part.name == FOLLOW:  # how the part gets to the places, in the place of being there at once
+            return Option((part,), part.starts, self.nominal)
+        return on_top(self.nominal, part)
+
+    def alone(self, parts: Sequence[TermCandidate]) -> list[Contender]:
+        """Models of one effect each, whatever they are worth."""
+        return best_first(self.fitted([replace(self._single(part), base=None) for part in parts], otherwise=OTHERWISE))
+
+    def _in_modes(self, singles: Sequence[Contender]) -> list[Contender]:
+        """The best effects in each of the modes alone."""
+        rows = self.data.mode[self.data.counted_starts]
+        present = [name for k, name in enumerate(self.data.modes) if np.mean(rows == k) > _COMMON]
+        if len(present) < 2:
+            return []
+        best = [one for one in best_first(singles) if one.parts[-1].term.form.layer not in ("guard", "place", "frame")]
+        tried = {one.names: one for one in reversed(best[:_HEADS])}.values()
+        return self.fitted(
+            [
+                self._single(replace(one.parts[-1], term=Term(one.parts[-1].term.form, (mode,))))
+                for one in tried
+                for mode in present
+            ],
+            most=3 * len(present),
+        )
+
+    def _later(self, singles: Sequence[Contender], library: Sequence[TermCandidate]) -> list[Contender]:
+        """The best effects and the plainest, from some row on, where that is likelier than that they act always."""
+        ranked = best_first(singles)
+        tried = [*ranked[:3], *(one for one in ranked if one.names[-1] in _LINE_LIKE)]
+        able = {one.names: one for one in reversed(tried) if _may_begin(one.parts[-1])}
+        of = list(able.values())
+        later = [*self._begins(of), *self._begins(of, in_each_run=True), *self._again([self.nominal], library)]
+        at = {one.names: max(self.nominal.evidence, one.evidence) for one in of}
+        return [one for one in later if one.evidence > at.get(one.names, self.nominal.evidence) + self.least]
+
+    def _again(self, heads: Sequence[Contender], library: Sequence[TermCandidate]) -> list[Contender]:
+        """Models with an effect that came on top at some row: what is so once may change."""
+        order = np.quantile(self.data.order[self.data.counted_starts], _PLACES_OF_CHANGE)
+        options = [
+            on_top(head, gated(part, order.tolist(), []))
+            for head in heads
+            for part in library
+            if part.name in {*_LINE_LIKE, *_of_commands(head)} and _may_begin(part)
+        ]
+        return self._begins(self.fitted(options, first=2, more=3))
+
+    def _begins(self, contenders: Sequence[Contender], *, in_each_run: bool = False) -> list[Contender]:
+        """The same effects, the last since some row: its likelihood over all rows, then the parameters, in turn.
+
+        That something changed between two runs is as likely beforehand as that it did within one (Hinkley, "Inference
+        about the change-point from cumulative sum tests", Biometrika 1971).
+
+        Args:
+            in_each_run: since the same time in every run, and not since one row of the recording.
+        """
+        starts = self.data.counted_starts
+        if not contenders or (in_each_run and len(np.unique(self.data.run)) == 1):
+            return []
+        at, firsts = self._starts_of_runs()
+        if in_each_run:
+            at, firsts = np.unique(self.data.time[starts]), at[:0]
+        fits = [contender.fit for contender in contenders]
+        gates = [columns(fit.model) - GATES + in_each_run for fit in fits]
+        bonus = float(np.log(len(at) / len(firsts))) if len(firsts) else 0.0
+        stride = max(len(at) // _PROFILE, 1)
+        first, last = (at[int(share * (len(at) - 1))] for share in (_EARLIEST, 1.0 - _EARLIEST))
+        rows = [np.unique([*at[stride::stride], *firsts[1:][:_PROFILE]])] * len(fits)
+        rows = [own[(own >= first) & (own <= last)] for own in rows]
+        if not len(rows[0]):
+            return []
+        for _ in range(_TURNS):
+            vectors = [np.repeat(fit.vector[None], len(own), axis=0) for fit, own in zip(fits, rows, strict=True)]
+            for tried, gate, own in zip(vectors, gates, rows, strict=True):
+                tried[:, gate] = own
+            losses = self.fitting.losses(fits, vectors)
+            best = [int(np.argmin(loss - bonus * np.isin(own, firsts))) for loss, own in zip(losses, rows, strict=True)]
+            begun = [replace(fit, vector=tried[k]) for fit, tried, k in zip(fits, vectors, best, strict=True)]
+            fits = self.fitting.improved(begun, 3)
+            rows = [_near(float(own[k]), at, firsts, stride) for own, k in zip(rows, best, strict=True)]
+            rows = [own[(own >= first) & (own <= last)] for own in rows]
+            stride = max(stride // 4, 1)
+        weighed = self.fitting.weighed(fits)
+        return [self._contender(one.parts, own) for one, own in zip(contenders, weighed, strict=True)]
+
+    def _starts_of_runs(self) -> tuple[Floats, Floats]:
+        """Places in the recording of all steps that count, and of the first of each run; both sorted."""
+        order, starts = self.data.order, self.data.counted_starts
+        runs = (starts & (self.data.run == run)[:, None] for run in np.unique(self.data.run))
+        return np.sort(order[starts]), np.sort([order[own].min() for own in runs if own.any()])
+
+    def _pairs(self, able: Sequence[Contender], library: Sequence[TermCandidate]) -> list[Contender]:
+        displaced, places = (
+            [one for one in best_first(able) if (FOLLOW in one.names) == kind] for kind in (False, True)
+        )
+        heads = [*displaced[:_HEADS], *places[:_RIVALS]]
+        options = [
+            option
+            for head in heads
+            for part in library
+            if are_compatible(head, part)
+            for option in (on_top(head, part), *_before(head, part))
+        ]
+        return self.fitted(options, first=3, more=12, most=_SECONDS, otherwise=OTHERWISE)
+
+    def of_parts(self, parts: Sequence[TermCandidate]) -> float:
+        """Evidence of a model of fitted effects, fitted again [nats]."""
+        if tuple(parts) == self.nominal.parts or not parts:
+            return self.nominal.evidence
+        start = np.hstack([part.starts for part in parts])
+        return self.fitted([Option(tuple(parts), start)], first=0)[0].evidence
+
+    def _pruned(self, contender: Contender) -> Contender:
+        """Without effects, and without beginnings of effects, that do not earn their place."""
+        parts, options = contender.parts, []
+        for k, part in enumerate(parts):
+            before, after = parts[:k], parts[k + 1 :]
+            rests = [(*before, *after)] if len(parts) > 1 else []
+            rests += [(*before, always(part), *after)] if begins_later(part) else []
+            options += [Option(rest, np.hstack([other.starts for other in rest])) for rest in rests]
+        simpler = [
+            one
+            for one in self.fitted(options, first=0)
+            if one.evidence > contender.evidence - self._odds(one, contender)
+        ]
+        return self._pruned(best_first(simpler)[0]) if simpler else contender
+
+    def _odds(self, simpler: Contender, contender: Contender) -> float:
+        """What a model must be ahead of a simpler one [nats]: with an effect more, or only since some row."""
+        return self.least if len(simpler.parts) < len(contender.parts) else TIE
+
+    def corrected(self, models: Sequence[Contender]) -> list[Contender]:
+        """Models with corrections that have no name on top."""
+        options = [
+            on_top(model, part)
+            for model in models
+            for part in (smooth(self.data, is_lean=True), smooth(self.data), earlier_commands(self.data))
+            if part.name != MEMORY or FOLLOW not in model.names
+        ]
+        return self.fitted(options, first=2, more=6, keep=1, most=len(options))
+
+
+def _of_commands(head: Contender) -> set[str]:
+    """Names of effects on the command: those at a place may be at several."""
+    return {part.name for part in head.parts if part.term.form.layer in ("memory", "command")}
+
+
+def _may_begin(part: TermCandidate) -> bool:
+    """Whether an effect may begin on the way: ends of the model itself, places and frames have no beginning."""
+    return part.term.form.layer not in ("guard", "place", "frame")
+
+
+def _near(row: float, order: Floats, firsts: Floats, stride: int) -> Floats:
+    """Places about one, and starts of runs beside it."""
+    k = int(np.searchsorted(order, row))
+    at = np.clip(k + np.linspace(-stride, stride, 9).astype(int), 1, max(len(order) - 10, 2) - 1)
+    runs = firsts[np.abs(np.searchsorted(order, firsts) - k) < 2 * stride][:6]
+    return np.unique([*order[at], row, *runs])
+
+
+def _before(head: Contender, part: TermCandidate) -> list[Option]:
+    """The same with the second effect first, if both change the command: a limit of what is pushed is another."""
+    last = head.parts[-1:]
+    if not last or {last[0].term.form.layer, part.term.form.layer} != {"command"}:
+        return []
+    others, count = head.parts[:-1], len(part.starts)
+    before, behind = ([np.repeat(own.starts, count, axis=0) for own in parts] for parts in (others, last))
+    return [Option((*others, part, *last), np.hstack([*before, part.starts, *behind]), head)]
+
+
+def are_compatible(head: Contender, part: TermCandidate) -> bool:
+    """Whether a second effect may be added: not once more, nor a whole form, nor what does the same."""
+    names = {*head.names, part.name}
+    if part.name == FOLLOW or (FOLLOW in head.names and part.name in CONTAINED):
+        return False
+    is_later = any(np.isfinite(own.starts[0, -GATES:]).any() for own in head.parts)
+    if part.name in head.names or (is_later and part.term.form.layer == "guard"):
+        return is_later and part.term.form.layer != "guard"  # what acts always, and again since some row
+    both = [{"sensor_scale", "gain"}, {"spring", "gravity"}, {"gain", "direction_gain"}]
+    return not any(names >= pair for pair in both) and not {"sensor_scale", "drift"} >= names
+
+
+def simplest(contenders: Sequence[Contender]) -> tuple[Contender, tuple[Contender, ...]]:
+    """The plainest of those within a tie of the best, and all of these."""
+    best = max(contenders, key=lambda one: one.evidence)
+    near = [one for one in contenders if one.evidence > best.evidence - TIE]
+    return min(near, key=lambda one: one.rank), tuple(near)

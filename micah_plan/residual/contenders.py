@@ -1,0 +1,415 @@
+"""Models of effects with their evidence: what competes, and when one is worth more than another.
+
+Hypotheses are ranked by their evidence (Laplace), and a better one must be so in more than one run.
+
+Sources: Kass and Raftery, "Bayes factors", JASA 1995; Stone, JRSS B 1974 (predictions of what was held out).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from micah_plan.arrays import ROUND_OFF, Floats
+from micah_plan.automaton.effects.memories import is_as_commanded
+from micah_plan.automaton.effects.registry import form
+from micah_plan.residual.candidates import (
+    FOLLOW,
+    GATES,
+    MEMORY,
+    UNNAMED,
+    Model,
+    Term,
+    TermCandidate,
+    at_commanded_places,
+    columns,
+    gates_of,
+)
+from micah_plan.residual.command_meaning import regularity
+from micah_plan.residual.coordinate_data import CoordinateData
+from micah_plan.residual.filtering import NOISE, STDS, errors, filtered
+from micah_plan.residual.fitting import NORMAL, Fit, Fitting, Free, Weighed
+
+LEAST, PER_ROW = 6.0, 0.01
+"""Evidence [nats] that whatever is added must have, what two dozen rivals take to be safe, and so much per row."""
+TIE = 3.0
+"""What is within this of the best is as good as it [nats]."""
+# The prior of a parameter is so many times as wide as what is large for it; of corrections as wide.
+_LOOSE = 6.0
+# Log of the noise's parts over the blur of a reading, and how uncertain that is.
+_NOISE_CENTRE, _NOISE_STD, _NOISE_FAR = np.array([-0.35, -1.5, -2.5, -2.0]), np.array([1.0, 1.5, 1.5, 1.5]), 12.0
+_NOISE_START = np.array([-0.35, -1.5, -2.0, -2.0])
+# No reading is more precise than this share of the range.
+_FINEST = 1e-5
+# The most that an end's std is, as a share of the range, how many of these it may be beside, and where a recording gets
+# to it.
+_BESIDE, _ENDS_FAR, _NEAR_AN_END = 0.005, 3.0, 0.03
+_FREEDOMS = (NORMAL, 4.0, 12.0)
+_NORMAL = 2.0  # nats by which heavy tails must be ahead
+# What was meant is more regular than what a measurement's noise is in, the displacements or the places; so much of the
+# log density counts, since rows are no independent witnesses, up to so much: goals may be stored late, or as they came.
+_HEARD, _MOST_HEARD = 0.25, 20.0
+# Logs of the noise's parts over the largest, where readings or motion have most of it; how many fits try both.
+_SPLITS = ((-0.3, -2.5, -3.0, -2.5), (-2.0, -0.3, -2.0, -2.5))
+OTHERWISE, _OTHER_ROUNDS, _TO_THE_END = 5, 5, 20
+# Logs by which the noise of a start may be less than that of the model that it begins with.
+_QUIETER = (0.0, 1.5, 3.0, 4.5)
+_SCREENED_ROWS, _SCREENED_MOST = 500, 12
+# A parameter is at a bound within so much of what is large for it, if its std is not less; a roll-out is longer.
+_AT_BOUND, _SURELY, _LONGER = 0.05, 3.0, 1.02
+
+
+@dataclass(frozen=True, eq=False)
+class Contender:
+    """A model of effects with its evidence.
+
+    Attributes:
+        parts: its effects; the starts of each are what was fitted, (1, size).
+    """
+
+    parts: tuple[TermCandidate, ...]
+    weighed: Weighed
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(part.name for part in self.parts)
+
+    @property
+    def fit(self) -> Fit:
+        return self.weighed.fit
+
+    def over(self, rival: Contender) -> tuple[float, float]:
+        """By how much it is likelier than another, and the standard error of that over groups of runs [nats]."""
+        gain = self.weighed.density - rival.weighed.density
+        error = float(np.std(gain, ddof=1) * np.sqrt(len(gain))) if len(gain) > 1 else 0.0
+        return self.evidence - rival.evidence, error
+
+    @property
+    def evidence(self) -> float:
+        return self.weighed.evidence - _BEGINS * sum(map(begins_later, self.parts))
+
+    @property
+    def rank(self) -> tuple[int, int, int]:
+        """Plainest first: parameters, effects, ranks of the forms."""
+        size = sum(len(part.free) for part in self.parts)
+        return size, len(self.parts), sum(part.term.form.complexity_rank for part in self.parts)
+
+
+def begins_later(part: TermCandidate) -> bool:
+    """Whether an effect acts since some row, or some time in every run, only."""
+    return bool(np.isfinite(part.starts[0, -GATES:]).any())
+
+
+# Odds against an effect that began at one of some dozen rows [nats], beside those of the profile itself.
+_BEGINS = 3.0
+# Likelihood that an effect must add to be looked at further [nats].
+_HOPELESS = 1.0
+# What held-out groups must gain together [nats]: they only have to agree with the evidence.
+_CHANCE = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Option:
+    """A model to be fitted.
+
+    Attributes:
+        starts: (M, columns) values of its terms, without those that the model itself has.
+        base: a simpler model, whose noise it begins with; one that fits hardly better than it is not looked at further.
+    """
+
+    parts: tuple[TermCandidate, ...]
+    starts: Floats
+    base: Contender | None = None
+
+
+class Contenders:
+    """Fits and weighs models of one coordinate."""
+
+    def __init__(self, data: CoordinateData) -> None:
+        self.data = data
+        given = [effect for effect in data.effects if not is_as_commanded(effect)]
+        self.given: Model = tuple(Term(form(effect.name), effect.modes) for effect in given)
+        self._given = np.array([v for effect in given for v in (*effect.values, *gates_of(effect, data))])
+        self.as_told = (at_commanded_places(),) if len(given) < len(data.effects) else ()
+        self.is_place = any(term.form.layer == "place" for term in self.given)
+        self.least = max(LEAST, PER_ROW * int(data.counted.sum()))
+        heard = np.clip(_HEARD * regularity(data), -_MOST_HEARD, _MOST_HEARD) if data.meaning is None else 0.0
+        self.odds_of_places = -float(heard)
+        self._densities: dict[Contender, Floats] = {}
+        self.nominal = self._begun_with(data)
+        if np.ptp(data.noise[data.is_measured]):  # something else than the model's sensor may have measured
+            as_modelled = self.nominal
+            self.nominal = self._begun_with(data.measured_alike())
+            if self.nominal.evidence <= as_modelled.evidence:
+                self.nominal = self._begun_with(data)
+
+    def _begun_with(self, data: CoordinateData) -> Contender:
+        """Begin with rows as precise as these data say; the nominal model of them."""
+        self.data, self.fitting = data, Fitting(data)
+        few = _some(data, _SCREENED_ROWS)
+        self.screening = self.fitting if few is None else Fitting(few)
+        self._blur = float(np.log(max(data.blur, 1e-7)))
+        finest = float(np.log(max(data.resolution, _FINEST * float(np.ptp(data.visited)), ROUND_OFF)))
+        self._finest = (finest, *(finest - 2.0,) * (len(STDS) - 1), -np.inf, -np.inf)
+        self.noise, self.freedom = np.array([*(self._blur + _NOISE_START), 0.0, 0.0]), NORMAL
+        return self._nominal()
+
+    # -- fits
+
+    def _fit(self, option: Option, start: Floats) -> Fit:
+        parts, base = option.parts, option.base
+        noise = self.noise if base is None else base.fit.noise
+        freedom = self.freedom if base is None else base.fit.freedom
+        model = (*self.given, *(part.term for part in parts))
+        at, scale, low, high, centre, std = [], [], [], [], [], []
+        first, odds = columns(self.given), 0.0
+        for part in parts:
+            loose = 1.0 if part.name in (UNNAMED, MEMORY) else _LOOSE
+            own = start[first - columns(self.given) :][: part.term.size]
+            for column, large in zip(part.free, part.scale, strict=True):
+                parameter = part.term.form.parameters[column]
+                bounds = part.bounds.get(column, (-np.inf, np.inf))
+                at.append(first + column)
+                scale.append(float(large))
+                low.append(max(parameter.lower, bounds[0]))
+                high.append(min(parameter.upper, bounds[1]))
+                centre.append(float(own[column]) if parameter.neutral is None else parameter.neutral)
+                std.append(loose * float(large))
+            first += part.term.size
+            odds += self.odds_of_places if part.name == FOLLOW else 0.0
+        count = len(at)
+        for k, centre_of, std_of, large in self._uncertain():
+            far = _NOISE_FAR if k < len(STDS) else _ENDS_FAR * std_of
+            at.append(first + k)
+            scale.append(large)
+            low.append(max(centre_of - far, self._finest[k]))
+            high.append(centre_of + far)
+            centre.append(centre_of)
+            std.append(std_of)
+        free = Free(
+            at=np.array(at),
+            scale=np.array(scale),
+            low=np.array(low),
+            high=np.array(high),
+            centre=np.array(centre),
+            std=np.array(std),
+            own=count,
+            odds=odds,
+        )
+        return Fit(model, np.concatenate([self._given, start, noise]), free, freedom)
+
+    def _uncertain(self) -> list[tuple[int, float, float, float]]:
+        """(entry, centre, std, what is large) of the noise: its logs, and the ends that the recording gets to.
+
+        Ends are as uncertain as a measurement: those of a model were measured once.
+        """
+        of_noise = zip(self._blur + _NOISE_CENTRE, _NOISE_STD, strict=True)
+        found = [(k, float(centre), float(std), 0.5) for k, (centre, std) in enumerate(of_noise)]
+        low, high = self.data.visited
+        near = _NEAR_AN_END * (high - low)
+        reading = min(float(np.exp(self._blur)), _BESIDE * (high - low))
+        for k, is_visited in ((4, low < self.data.lower + near), (5, high > self.data.upper - near)):
+            found += [(k, 0.0, reading, reading)] if is_visited else []
+        return found
+
+    def _contender(self, parts: Sequence[TermCandidate], weighed: Weighed) -> Contender:
+        fitted, at = [], columns(self.given)
+        for part in parts:
+            fitted.append(replace(part, starts=weighed.fit.vector[None, at : at + part.term.size]))
+            at += part.term.size
+        return Contender(tuple(fitted), weighed)
+
+    def fitted(
+        self,
+        options: Sequence[Option],
+        first: int = 3,
+        more: int = 8,
+        keep: int = 2,
+        most: int | None = None,
+        otherwise: int = 0,
+    ) -> list[Contender]:
+        """The best fit of each option; without those that fit hardly better than their base.
+
+        Args:
+            first: rounds with the noise of the base, of the `keep` best starts; more: rounds of all, of the best.
+            most: options of each base that go on after the first rounds; None: all of a recording that is not long.
+            otherwise: of the best fits, so many begin once more with other noise.
+        """
+        if not options:
+            return []
+        is_screened = self.screening is not self.fitting and len(options) > (most or _SCREENED_MOST)
+        most = most or (_SCREENED_MOST if is_screened else len(options))
+        screening = self.screening if is_screened else self.fitting
+        every = [[self._fit(option, start) for start in option.starts] for option in options]
+        kept = _best_starts(screening, every, keep)
+        improved = iter(screening.improved([fit for fits in kept for fit in fits], first, is_noise_free=False))
+        best = [min((next(improved) for _ in fits), key=lambda fit: fit.loss) for fits in kept]
+        bases = {id(option.base): option.base for option in options if option.base is not None}
+        at = dict(zip(bases, screening.started([base.fit for base in bases.values()]), strict=True))
+        pairs = []
+        for base in dict.fromkeys(id(option.base) for option in options):
+            own = [(option, fit) for option, fit in zip(options, best, strict=True) if id(option.base) == base]
+            if base in at:
+                own = [(option, fit) for option, fit in own if fit.loss < at[base].loss + is_screened]
+            pairs += sorted(own, key=lambda pair: pair[1].loss)[:most]
+        ready = self.fitting.improved([fit for _, fit in pairs], more)
+        chosen = [
+            (option, fit)
+            for (option, _), fit in zip(pairs, ready, strict=True)
+            if option.base is None or fit.loss < option.base.fit.loss - _HOPELESS
+        ]
+        weighed = self.fitting.weighed(self._from_other_noise([fit for _, fit in chosen], otherwise))
+        return [self._contender(option.parts, own) for (option, _), own in zip(chosen, weighed, strict=True)]
+
+    def _from_other_noise(self, fits: Sequence[Fit], most: int) -> list[Fit]:
+        """The best fits once more from where readings, or motion, have most of the noise: each is an optimum."""
+        best = sorted(range(len(fits)), key=lambda k: fits[k].loss)[:most]
+        tried = [_noisy(fits[k], split) for k in best for split in _SPLITS]
+        tried += [replace(fits[k], freedom=NORMAL) for k in best if fits[k].freedom < NORMAL]
+        owners = [k for k in best for _ in _SPLITS] + [k for k in best if fits[k].freedom < NORMAL]
+        result = list(fits)
+        for k, fit in zip(owners, self.fitting.improved(tried, _OTHER_ROUNDS), strict=True):
+            result[k] = min(result[k], fit, key=_tailed)
+        for k, fit in zip(best, self.fitting.improved([result[k] for k in best], _TO_THE_END), strict=True):
+            result[k] = fit
+        return result
+
+    def polished(self, contender: Contender) -> Contender:
+        """The same model, fitted to the end, with tails as heavy as suits it."""
+        fits = self.fitting.improved([replace(contender.fit, freedom=freedom) for freedom in _FREEDOMS], _TO_THE_END)
+        return self._contender(contender.parts, self.fitting.weighed([min(fits, key=_tailed)])[0])
+
+    def _nominal(self) -> Contender:
+        nothing = Option(self.as_told, np.hstack([np.zeros((1, 0)), *(part.starts for part in self.as_told)]))
+        tried = self.fitted([nothing], more=12, otherwise=1)
+        for freedom in _FREEDOMS[1:]:
+            self.noise, self.freedom = tried[0].fit.noise, freedom
+            tried += self.fitted([nothing], otherwise=1)
+        best = max(tried, key=lambda one: one.evidence - _NORMAL * (one.fit.freedom < NORMAL))
+        self.noise, self.freedom = best.fit.noise, best.fit.freedom
+        return best
+
+    # -- what is worth it
+
+    def held_out(self, contender: Contender) -> Floats:
+        """(G,) log density of each group of rows by the parameters of the others [nats]."""
+        if contender not in self._densities:
+            self._densities[contender] = self.fitting.held_out(contender.weighed)
+        return self._densities[contender]
+
+    def is_worth(self, better: Contender, base: Contender, least: float | None = None) -> bool:
+        """Whether a model is likelier than chance makes one of many, and not in one group of runs alone."""
+        if better.evidence - base.evidence <= (self.least if least is None else least):
+            return False
+        gains = self.held_out(better) - self.held_out(base)
+        begun = [k for k, part in enumerate(better.parts) if begins_later(part)]
+        return is_borne_out(gains, [self.held_out(better) - self._without(better, k) for k in begun])
+
+    def _without(self, contender: Contender, number: int) -> Floats:
+        """(G,) held-out log density of each group without what one effect does, all else being equal [nats]."""
+        fit, group = contender.fit, self.fitting.group_of_rows
+        vectors = self.fitting.without_each(contender.weighed)
+        vectors[:, columns(fit.model[: len(self.given) + number + 1]) - GATES] = np.inf
+        rows = filtered(self.data, [fit.hypotheses(vectors)])
+        return np.asarray(np.bincount(group, rows.density[group, np.arange(len(group))], minlength=len(vectors)))
+
+    def is_real(self, contender: Contender, base: Contender) -> bool:
+        """Whether no parameter ended at a bound, and roll-outs are not longer.
+
+        A density can be bought by a bad state that every measurement repairs; at a bound it is something else.
+        """
+        free, at = contender.fit.free, 0
+        x = contender.fit.vector[free.at]
+        std = np.sqrt(np.abs(np.diag(np.linalg.inv(contender.weighed.hessian))))
+        for part in contender.parts:
+            for column in part.free:
+                neutral = part.term.form.parameters[column].neutral
+                near = min(_AT_BOUND * float(free.scale[at]), _SURELY * float(std[at]))
+                for bound, side in ((free.low[at], 1.0), (free.high[at], -1.0)):
+                    if side * (x[at] - bound) < near and bound != neutral:
+                        return False
+                at += 1
+        return self._rolled(contender) < _LONGER * self._rolled(base)
+
+    def _rolled(self, contender: Contender) -> float:
+        fit = contender.fit
+        error = errors(self.data, [fit.hypotheses(fit.vector[None])], "rollout")[0]
+        return float(np.sqrt(np.mean(error[0][self.data.counted] ** 2)))
+
+
+def _best_starts(fitting: Fitting, every: Sequence[Sequence[Fit]], keep: int) -> list[list[Fit]]:
+    """The best starts of each option, each with as much of the noise as suits it: what explains more leaves less."""
+    quieter = [[_quieter(fit, by) for fit in fits for by in _QUIETER] for fits in every]
+    started = iter(fitting.started([fit for fits in quieter for fit in fits]))
+    kept = []
+    for fits in every:
+        best = [min((next(started) for _ in _QUIETER), key=lambda fit: fit.loss) for _ in fits]
+        kept.append(sorted(best, key=lambda fit: fit.loss)[:keep])
+    return kept
+
+
+def _quieter(fit: Fit, by: float) -> Fit:
+    return _with_stds(fit, fit.noise[: len(STDS)] - by)
+
+
+def _noisy(fit: Fit, split: Sequence[float]) -> Fit:
+    """A fit with its noise split otherwise."""
+    return _with_stds(fit, float(fit.noise[: len(STDS)].max()) + np.array(split))
+
+
+def _with_stds(fit: Fit, logs: Floats) -> Fit:
+    """A fit with other noise, within its bounds."""
+    own, first = slice(fit.free.own, fit.free.own + len(STDS)), len(fit.vector) - len(NOISE)
+    vector = fit.vector.copy()
+    vector[first : first + len(STDS)] = np.clip(logs, fit.free.low[own], fit.free.high[own])
+    return replace(fit, vector=vector, loss=np.inf)
+
+
+def _tailed(fit: Fit) -> float:
+    """Loss, heavy tails being less likely beforehand [nats]."""
+    return fit.loss + _NORMAL * (fit.freedom < NORMAL)
+
+
+def best_first(contenders: Sequence[Contender]) -> list[Contender]:
+    """In the order of their evidence."""
+    return sorted(contenders, key=lambda one: -one.evidence)
+
+
+def is_borne_out(gains: Floats, by_what_began: Sequence[Floats] = ()) -> bool:
+    """Whether what groups of runs (G,) gain, held out, is more than chance, and not in one of them alone [nats].
+
+    Args:
+        by_what_began: (G,) what they lose without each effect that began on the way, all else being equal.
+    """
+    if gains.sum() <= _CHANCE or gains.sum() - gains.max() <= 0.0:
+        return False
+    # What began in one run makes the noise of all smaller, which is no evidence from those before.
+    return all(bool(own.sum() - own.max() > TIE) for own in by_what_began)
+
+
+def on_top(head: Contender, part: TermCandidate) -> Option:
+    """A model with one effect more."""
+    before = (np.repeat(own.starts, len(part.starts), axis=0) for own in head.parts)
+    return Option((*head.parts, part), np.hstack([*before, part.starts]), head)
+
+
+def _some(data: CoordinateData, rows: int) -> CoordinateData | None:
+    """Segments with about so many rows, evenly over the recording; None if there are not many more."""
+    per_segment = data.counted.sum(axis=1)
+    total = int(per_segment.sum())
+    if total < 1.6 * rows:
+        return None
+    count = max(int(len(per_segment) * rows / total), 3)
+    if count >= len(per_segment):
+        return None
+    s = np.unique(np.linspace(0, len(per_segment) - 1, count).astype(int))
+    longest = int(np.flatnonzero(data.counted[s].any(axis=0)).max()) + 1
+    cut = {
+        name: getattr(data, name)[s][:, :longest]
+        for name in ("z", "u", "place", "counted", "time", "order", "mode", "noise")
+    }
+    ends = None if data.row_ends is None else data.row_ends[:, s][:, :, :longest]
+    action = None if data.action is None else data.action[s][:, :longest]
+    return replace(data, **cut, run=data.run[s], row_ends=ends, action=action, whole=None, segment=None)

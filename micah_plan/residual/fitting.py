@@ -1,0 +1,381 @@
+"""Parameters and noise of many hypotheses at once, and how likely each is whatever its parameters are.
+
+Fisher scoring on exact log densities, with the difference quotients of innovations and variances, and in each round a
+step in every single parameter, which also works where a formula has kinks or plateaus (thresholds). The evidence is
+Laplace's approximation; what a group of runs is worth by the parameters of the others comes from one Newton step
+without it.
+
+Sources: Segal and Weinstein, "A new method for evaluating the log-likelihood gradient, the Hessian, and the Fisher
+information matrix for linear dynamic systems", IEEE Trans. Inf. Theory 1989; Kass and Raftery, "Bayes factors", JASA
+1995 (Laplace); Rad and Maleki, JRSS B 2020 (approximate leave-one-out).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from micah_plan.arrays import ROUND_OFF, Floats, Ints
+from micah_plan.residual.candidates import Model, columns
+from micah_plan.residual.coordinate_data import CoordinateData
+from micah_plan.residual.filtering import NOISE, STDS, ModelBatch, Rows, filtered
+
+# Step of a difference quotient, and of the search along each parameter at first, in units of what is large for it.
+_SLOPE_STEP, _FIRST_STEP = 0.01, 0.02
+# From so many parameters on a quotient is one-sided, and there is no search along each.
+_MANY = 10
+# Parts of a step that are tried; more than one where noise was much too large, since its gradient tells only that.
+_LINE = np.array([1.0, 4.0, 0.3, 0.08])
+NORMAL = 60.0
+"""Degrees of freedom of noise without outliers."""
+# Gains [nats] below which a round has failed, and below which it was the last.
+_FAILED, _DONE = 0.02, 0.1
+_MOST_FAILURES = 2
+# Groups of runs, or of rows of few runs, that are held out.
+_GROUPS_OF_RUNS, _FEWEST_RUNS, _GROUPS_OF_ROWS = 12, 5, 10
+
+
+@dataclass(frozen=True, eq=False)
+class Free:
+    """Which entries of a hypothesis are fitted: (k,) each, those of the model first, then the noise.
+
+    Attributes:
+        at: columns of the values with the noise behind them.
+        scale: what is large. low, high: bounds. centre, std: of a normal prior.
+        own: how many are of the model.
+        odds: log odds against the model beforehand [nats].
+    """
+
+    at: Ints
+    scale: Floats
+    low: Floats
+    high: Floats
+    centre: Floats
+    std: Floats
+    own: int
+    odds: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A hypothesis with what is free of it.
+
+    Attributes:
+        model: terms. vector: values of the terms, then the noise.
+        free: what is fitted. freedom: degrees of freedom of the t distribution.
+        loss: negative log density of all rows and of the prior [nats].
+    """
+
+    model: Model
+    vector: Floats
+    free: Free
+    freedom: float
+    loss: float = np.inf
+
+    @property
+    def values(self) -> Floats:
+        """(1, columns) of the terms."""
+        return self.vector[None, : columns(self.model)]
+
+    @property
+    def noise(self) -> Floats:
+        """As `filtering.NOISE`."""
+        return self.vector[-len(NOISE) :]
+
+    def hypotheses(self, vectors: Floats) -> ModelBatch:
+        """Its model with other vectors (B, ...)."""
+        count = columns(self.model)
+        return ModelBatch(self.model, vectors[:, :count], vectors[:, count:], np.full(len(vectors), self.freedom))
+
+    def penalty(self, vectors: Floats) -> Floats:
+        """(B,) negative log of the prior, but for its constant."""
+        away = (vectors[:, self.free.at] - self.free.centre) / self.free.std
+        return np.asarray(0.5 * (away**2).sum(axis=1))
+
+    def moved(self, jumps: Floats) -> Floats:
+        """(B, ...) vectors with the free entries (B, k) further on, within their bounds."""
+        vectors = np.repeat(self.vector[None], len(jumps), axis=0)
+        k = jumps.shape[1]
+        at = self.free.at[:k]
+        vectors[:, at] = np.clip(self.vector[at] + jumps, self.free.low[:k], self.free.high[:k])
+        return vectors
+
+
+@dataclass(frozen=True, eq=False)
+class _Slopes:
+    """Rows of one hypothesis, and their quotients by its first k free entries.
+
+    Attributes:
+        tried: vectors whose losses were needed for the quotients, its own first; losses: theirs.
+        density: (N,) of the rows. gradient: (k, N) of it; error, log_variance: (k, N) of innovations and variances.
+        of_error, of_variance: (N,), and one number: Fisher information that quotients have.
+        spread: log of the root mean square of innovations over their stds.
+    """
+
+    tried: Floats
+    losses: Floats
+    density: Floats
+    gradient: Floats
+    error: Floats
+    log_variance: Floats
+    of_error: Floats
+    of_variance: float
+    spread: float
+
+    def information(self, rows: Floats | slice = slice(None)) -> Floats:
+        """(k, k) Fisher information of some rows."""
+        error, variance = self.error[:, rows], self.log_variance[:, rows]
+        return np.asarray((error * self.of_error[rows]) @ error.T + self.of_variance * variance @ variance.T)
+
+
+class Fitting:
+    """Fits hypotheses to the rows of a coordinate.
+
+    Attributes:
+        group: (S,) of each segment: groups are held out from each other.
+    """
+
+    def __init__(self, data: CoordinateData, group: Ints | None = None) -> None:
+        self.data = data
+        self.group = groups(data) if group is None else group
+
+    @cached_property
+    def group_of_rows(self) -> Ints:
+        """(N,) group of each row that counts."""
+        return np.repeat(self.group[:, None], self.data.z.shape[1], axis=1)[self.data.counted]
+
+    def losses(self, fits: Sequence[Fit], vectors: Sequence[Floats]) -> list[Floats]:
+        """Losses of some vectors (b, ...) of each fit."""
+        if not fits:
+            return []
+        rows = filtered(self.data, [fit.hypotheses(own) for fit, own in zip(fits, vectors, strict=True)])
+        sums = np.split(-rows.density.sum(axis=1), np.cumsum([len(own) for own in vectors])[:-1])
+        return [fit.penalty(own) + total for fit, own, total in zip(fits, vectors, sums, strict=True)]
+
+    def started(self, fits: Sequence[Fit]) -> list[Fit]:
+        """With their losses."""
+        losses = self.losses(fits, [fit.vector[None] for fit in fits])
+        return [replace(fit, loss=float(loss[0])) for fit, loss in zip(fits, losses, strict=True)]
+
+    def improved(self, fits: Sequence[Fit], rounds: int, *, is_noise_free: bool = True) -> list[Fit]:
+        """Better fits after at most so many rounds; those of the noise as well, or of the model's own alone."""
+        climbs = [_Climb(fit, len(fit.free.at) if is_noise_free else fit.free.own) for fit in fits]
+        live = [climb for climb in climbs if climb.count and rounds]
+        for _ in range(rounds + 1):
+            if not live:
+                break
+            asked = [climb.asked() for climb in live]
+            slopes, losses = self._slopes(
+                [climb.fit for climb in live], [climb.steps for climb in live], asked, [climb.line for climb in live]
+            )
+            live = [climb for climb, own, line in zip(live, slopes, losses, strict=True) if climb.goes_on(own, line)]
+        return [climb.fit for climb in climbs]
+
+    def weighed(self, fits: Sequence[Fit]) -> list[Weighed]:
+        """With their evidence, and what held-out groups need."""
+        if not fits:
+            return []
+        none = [fit.vector[None][:0] for fit in fits]
+        slopes, _ = self._slopes(fits, [_SLOPE_STEP * fit.free.scale for fit in fits], [f.vector for f in fits], none)
+        return [self._weighed(fit, of_fit) for fit, of_fit in zip(fits, slopes, strict=True)]
+
+    def _weighed(self, fit: Fit, slopes: _Slopes) -> Weighed:
+        group = self.group_of_rows
+        every = [group == number for number in range(int(self.group.max()) + 1)]
+        information = np.array([slopes.information(rows) for rows in every])
+        free = fit.free
+        hessian = information.sum(axis=0) + np.diag(1.0 / free.std**2)
+        loss = float(slopes.losses[0])
+        determinant = float(np.linalg.slogdet(hessian)[1]) + 2.0 * float(np.log(free.std).sum())
+        return Weighed(
+            fit=replace(fit, loss=loss),
+            evidence=-loss - 0.5 * determinant - free.odds,
+            hessian=hessian,
+            information=information,
+            pull=np.array([slopes.gradient[:, rows].sum(axis=1) for rows in every]),
+            density=np.array([slopes.density[rows].sum() for rows in every]),
+        )
+
+    def without_each(self, weighed: Weighed) -> Floats:
+        """(G, ...) vectors to which one Newton step without each group leads, as far as that suits the other groups."""
+        fit, free = weighed.fit, weighed.fit.free
+        if not len(free.at):
+            return np.repeat(fit.vector[None], len(weighed.pull), axis=0)
+        x = fit.vector[free.at]
+        is_inside = (x > free.low) & (x < free.high)
+        damped = weighed.hessian - weighed.information + 1e-6 * np.diag(1.0 / free.scale**2)
+        pull = weighed.pull.mean(axis=0) - weighed.pull
+        jumps = np.linalg.solve(damped, pull[:, :, None])[:, :, 0] * is_inside
+        jumps = np.clip(jumps, -free.scale, free.scale)
+        tried = np.concatenate([fit.moved(jumps), fit.moved(0.3 * jumps), fit.moved(0.0 * jumps)])
+        count = len(jumps)
+        rows = filtered(self.data, [fit.hypotheses(tried[: 2 * count])])
+        sums = np.stack([rows.density[:, self.group_of_rows == g].sum(axis=1) for g in range(count)], axis=1)
+        sums = np.concatenate([sums, np.repeat(weighed.density[None], count, axis=0)]).reshape(3, count, count)
+        own = np.arange(count)
+        rest = sums.sum(axis=2) - sums[:, own, own] - fit.penalty(tried).reshape(3, count)
+        return np.asarray(tried.reshape(3, count, -1)[rest.argmax(axis=0), own])
+
+    def held_out(self, weighed: Weighed) -> Floats:
+        """(G,) log density of each group by the parameters of the others [nats]."""
+        rows = filtered(self.data, [weighed.fit.hypotheses(self.without_each(weighed))])
+        own = self.group_of_rows
+        return np.asarray(np.bincount(own, rows.density[own, np.arange(len(own))], minlength=len(weighed.pull)))
+
+    def _slopes(
+        self, fits: Sequence[Fit], steps: Sequence[Floats], at: Sequence[Floats], more: Sequence[Floats]
+    ) -> tuple[list[_Slopes], list[Floats]]:
+        """Quotients of each fit at a vector, and the losses of some more vectors of it."""
+        tried = []
+        for fit, step, vector in zip(fits, steps, at, strict=True):
+            k = len(step)
+            up, down = np.diag(step), -np.diag(step)[: _two_sided(fit, k)]
+            tried.append(replace(fit, vector=vector).moved(np.concatenate([np.zeros((1, k)), up, down])))
+        every = [np.concatenate(pair) for pair in zip(tried, more, strict=True)]
+        rows = filtered(self.data, [fit.hypotheses(own) for fit, own in zip(fits, every, strict=True)])
+        slopes, losses, first = [], [], 0
+        for fit, own, others, step in zip(fits, tried, more, steps, strict=True):
+            middle, last = first + len(own), first + len(own) + len(others)
+            slopes.append(_quotients(fit, own, rows, slice(first, middle), len(step)))
+            losses.append(fit.penalty(others) - rows.density[middle:last].sum(axis=1))
+            first = last
+        return slopes, losses
+
+
+def _two_sided(fit: Fit, k: int) -> int:
+    """How many of the first k quotients are two-sided."""
+    return min(fit.free.own, k) if fit.free.own < _MANY else 0
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """A fit and how likely its model is.
+
+    Attributes:
+        evidence: log probability of the rows, whatever the parameters are [nats].
+        hessian: (k, k) of the loss. information: (G, k, k) Fisher information of each group's rows.
+        pull: (G, k) gradient of each group's density; density: (G,) of each group.
+    """
+
+    fit: Fit
+    evidence: float
+    hessian: Floats
+    information: Floats
+    pull: Floats
+    density: Floats
+
+
+def groups(data: CoordinateData) -> Ints:
+    """(S,) group of each segment: of its run or, where runs are few, of its place in the recording."""
+    runs, number = np.unique(data.run, return_inverse=True)
+    if len(runs) >= _FEWEST_RUNS:
+        return np.asarray(number % _GROUPS_OF_RUNS)
+    order = np.argsort(np.argsort(data.order[:, 0], kind="stable"), kind="stable")
+    return np.asarray(order * min(_GROUPS_OF_ROWS, len(order)) // len(order))
+
+
+def _quotients(fit: Fit, tried: Floats, rows: Rows, own: slice, k: int) -> _Slopes:
+    two = _two_sided(fit, k)
+    error, log_variance, density = rows.error[own], rows.log_variance[own], rows.density[own]
+    below = np.concatenate([1 + k + np.arange(two), np.zeros(k - two, dtype=np.int64)])
+    at, up = fit.free.at[:k], np.arange(1, k + 1)
+    width = tried[up, at] - tried[below, at]
+    width = np.where(np.abs(width) > 1e-300, width, 1e-300)[:, None]
+    gradient, of_error, of_variance = ((a[up] - a[below]) / width for a in (density, error, log_variance))
+    freedom = fit.freedom
+    return _Slopes(
+        tried=tried,
+        losses=fit.penalty(tried) - density.sum(axis=1),
+        density=density[0],
+        gradient=gradient,
+        error=of_error,
+        log_variance=of_variance,
+        of_error=(freedom + 1.0) / (freedom + 3.0) * np.exp(-log_variance[0]),
+        of_variance=0.5 * freedom / (freedom + 3.0),
+        spread=_spread(error[0], log_variance[0], freedom),
+    )
+
+
+def _spread(error: Floats, log_variance: Floats, freedom: float) -> float:
+    """Log of the root mean square of errors over their stds, far ones counting less (one step of EM of Student's t)."""
+    squared = error**2 * np.exp(-log_variance)
+    mean = float(np.mean((freedom + 1.0) / (freedom + squared) * squared))
+    return 0.5 * float(np.log(max(mean, ROUND_OFF)))
+
+
+class _Climb:
+    """Where the search for the best parameters of one fit is.
+
+    Attributes:
+        fit: the best so far. count: of its entries, the first so many are free.
+        steps: of the quotients, and of the search along each entry.
+        line: (b, ...) vectors that are tried beside the one that quotients are asked at.
+    """
+
+    def __init__(self, fit: Fit, count: int) -> None:
+        self.fit, self.count = fit, count
+        self.steps = _FIRST_STEP * fit.free.scale[:count]
+        self.line = fit.vector[None][:0]
+        self._full: Floats | None = None
+        self._damping, self._failures = 1e-3, 0
+        self._slopes: _Slopes | None = None
+
+    def asked(self) -> Floats:
+        """The vector at which quotients are needed: a whole step further or, where there is none, where it is."""
+        return self.fit.vector if self._full is None else self._full
+
+    def goes_on(self, slopes: _Slopes, losses: Floats) -> bool:
+        """Move to the best that was tried; whether more rounds may help."""
+        if self._slopes is None:
+            self.fit = replace(self.fit, loss=float(slopes.losses[0]))
+            if self._full is None and not len(losses):
+                self._slopes = slopes
+                self._step_from(slopes)
+                return True
+        before = self.fit.loss
+        tried = np.concatenate([slopes.losses, losses, [] if self._slopes is None else self._slopes.losses[1:]])
+        best = int(tried.argmin())
+        gain = before - float(tried[best])
+        if gain < _FAILED:
+            self._failures += 1
+            if self._failures >= _MOST_FAILURES:
+                return False
+            self._damping, self.steps = min(10.0 * self._damping, 1e3), 0.2 * self.steps
+            source, self._slopes, self._full = self._slopes or slopes, None, None
+            self.line = self._along(source)
+            return True
+        vectors = [slopes.tried, self.line, *([] if self._slopes is None else [self._slopes.tried[1:]])]
+        self._failures = 0
+        self.fit = replace(self.fit, vector=np.concatenate(vectors)[best], loss=float(tried[best]))
+        if gain <= _DONE:
+            return False
+        if best == 0:
+            self._damping, self._slopes = max(0.3 * self._damping, 1e-6), slopes
+            self._step_from(slopes)
+            return True
+        self._damping = min(3.0 * self._damping, 1e3)
+        self._slopes, self._full, self.line = None, None, self.line[:0]
+        return True
+
+    def _step_from(self, slopes: _Slopes) -> None:
+        """Ask for quotients a whole step further, and for the losses of shorter ones."""
+        whole, *shorter = self._along(slopes)
+        self._full, self.line = whole, np.array(shorter)
+
+    def _along(self, slopes: _Slopes) -> Floats:
+        """(4 or 5, ...) vectors along the step of Fisher scoring."""
+        free, k = self.fit.free, self.count
+        hessian = slopes.information() + np.diag(1.0 / free.std[:k] ** 2)
+        away = (self.fit.vector[free.at[:k]] - free.centre[:k]) / free.std[:k] ** 2
+        # Quotients over many standard deviations say little of the slope here.
+        self.steps = np.minimum(self.steps, np.maximum(1.0 / np.sqrt(np.diag(hessian)), 1e-7 * free.scale[:k]))
+        damped = hessian + np.diag(self._damping * np.diag(hessian) + 1e-8 / free.scale[:k] ** 2)
+        jump = np.linalg.solve(damped, slopes.gradient.sum(axis=1) - away)
+        jumps = [*(_LINE[:, None] * jump)]
+        if k > free.own:  # all noise as much larger or smaller as the innovations are
+            jumps.append(np.zeros(k))
+            jumps[-1][free.own : free.own + len(STDS)] = slopes.spread
+        return self.fit.moved(np.array(jumps))

@@ -1,0 +1,236 @@
+"""What fitted models predict of rows that their parameters were not fitted to, and how far noise alone would be off.
+
+Every group of runs is predicted by the parameters to which one Newton step without it leads (`fitting.without_each`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+from scipy.special import chdtrc
+
+from micah_plan.arrays import INTERVAL, NEAR_STDS, Floats
+from micah_plan.residual.candidates import GATES
+from micah_plan.residual.competition import Competition
+from micah_plan.residual.contenders import Contender
+from micah_plan.residual.coordinate_data import CoordinateData
+from micah_plan.residual.filtering import NOISE, Kind, errors
+from micah_plan.residual.residual_test import LAGS, Circumstances, ResidualTest, lagged, whiteness_test
+
+# The profile of a parameter is bracketed by steps that double, up to four times what is large for it, then read on a
+# grid; loss [nats] above the least at which a value is out of question.
+_DOUBLINGS = np.arange(-18.0, 3.0)
+_GRID, _OUT = 61, 8.0
+_WANDER = NOISE.index("wander")
+
+
+class HeldOut:
+    """Predictions of the models of one coordinate; each is made once.
+
+    Attributes:
+        competition: that fitted them. data: of the coordinate. nominal: the model as it is.
+    """
+
+    def __init__(self, data: CoordinateData) -> None:
+        self.competition = Competition(data)
+        self.data, self.nominal = self.competition.data, self.competition.nominal
+        self._vectors: dict[Contender, Floats] = {}
+        self._errors: dict[tuple[Contender, Kind], tuple[Floats, Floats]] = {}
+        self._left: dict[Contender, ResidualTest | None] = {}
+
+    def errors(self, model: Contender, kind: Kind) -> Floats:
+        """(S, T) measured minus predicted [rad or m], each segment by parameters fitted without its group."""
+        return self._predicted(model, kind)[0]
+
+    def _predicted(self, model: Contender, kind: Kind) -> tuple[Floats, Floats]:
+        if (model, kind) not in self._errors:
+            every = errors(self.data, [model.fit.hypotheses(self._without_each(model))], kind)
+            group, rows = self.competition.fitting.group, np.arange(len(self.data.run))
+            self._errors[model, kind] = every[0][group, rows], every[1][group, rows]
+        return self._errors[model, kind]
+
+    def _without_each(self, model: Contender) -> Floats:
+        if model not in self._vectors:
+            self._vectors[model] = self.competition.fitting.without_each(model.weighed)
+        return self._vectors[model]
+
+    def rollout_errors(self, model: Contender) -> Floats:
+        """(N,) measured minus predicted from each run's first row on, by parameters fitted without a row's group."""
+        whole = self.data.whole
+        if whole is None or whole.segment is None:
+            return self.errors(model, "rollout")[self.data.counted]
+        every = errors(whole, [model.fit.hypotheses(self._without_each(model))], "rollout")[0]
+        runs, rows = np.nonzero(whole.counted)
+        return np.asarray(every[self.competition.fitting.group[whole.segment[runs, rows]], runs, rows])
+
+    def spread(self, model: Contender) -> Floats:
+        """(S, T) std of an innovation over that of all rows that count: what makes innovations equally precise."""
+        variance = errors(self.data, [model.fit.hypotheses(model.fit.vector[None])], "filter")[1][0]
+        return np.asarray(np.sqrt(variance / np.mean(variance[self.data.counted])))
+
+    def noise_floor(self, model: Contender) -> float:
+        """Root mean square of a one-step error that noise alone would leave, if this model were true."""
+        return _floor(model, self.data, "one_step")
+
+    def rollout_floor(self, model: Contender) -> float:
+        """Root mean square of a roll-out's error that noise alone would leave, if this model were true.
+
+        What moves the part adds up from the first row on, as far as the model lets it: ends and places bring it back.
+        """
+        return _floor(model, self.data.whole or self.data, "rollout")
+
+    def floors_without_what_follows(self) -> tuple[float, float]:
+        """Floors of one step and of roll-outs of the model as it is: of what its errors follow nothing is noise."""
+        nominal, starts = self.nominal, self.data.counted_starts
+        step, rolled = self.noise_floor(nominal), self.rollout_floor(nominal)
+        one_step = np.roll(self.errors(nominal, "one_step"), -1, axis=1)[starts][:, None]
+        left, test = self.left_by(nominal), whiteness_test(one_step, replace(self._circumstances, errors=None))
+        if left is None or not left.is_more or test is None:
+            return step, rolled
+        return float(test.floor[0]), float(test.floor[0]) * rolled / step
+
+    def correlations_of(self, model: Contender) -> tuple[tuple[str, ...], Floats]:
+        """Names of the fitted parameters (k) of a model, and the correlation (k, k) of their errors."""
+        own = model.fit.free.own
+        labels = [part.name if np.isneginf(part.starts[0, -GATES]) else f"{part.name}, later" for part in model.parts]
+        names = [
+            f"{part.term.form.parameters[j].name} of {label}"
+            for part, label in zip(model.parts, labels, strict=True)
+            for j in part.free
+        ]
+        if not own:
+            return (), np.zeros((0, 0))
+        covariance = np.linalg.inv(model.weighed.hessian)[:own, :own]
+        std = np.sqrt(np.diag(covariance))
+        return tuple(names), np.asarray(covariance / np.outer(std, std))
+
+    def intervals(self, model: Contender) -> Floats:
+        """(k, 3) lower end, median and upper end at `INTERVAL` of each free parameter, in the order of the parts.
+
+        The likelihood of a threshold is a staircase: between two commands of the recording nothing changes, and past
+        the next one a row is on the wrong side. No slope says how far that may go. But with a flat prior the
+        normalised likelihood is the posterior, and its quantiles hold the truth as often as they say, both where it is
+        a parabola and where it is a staircase. The other parameters follow along the covariance. Rows whose
+        innovations are correlated count as fewer.
+
+        Sources: Ibragimov and Has'minskii, Statistical Estimation: Asymptotic Theory, 1981, ch. I.9 and V (flat priors
+        where densities jump); Barndorff-Nielsen and Cox, Inference and Asymptotics, 1994, ch. 4 (profile likelihood).
+        """
+        share = independent_share(self._correlations(model)[0][0])
+        return np.array([self._interval(model, j, share) for j in range(model.fit.free.own)]).reshape(-1, 3)
+
+    def _interval(self, model: Contender, j: int, share: float) -> Floats:
+        fit, free = model.fit, model.fit.free
+        value = float(fit.vector[free.at[j]])
+        steps = free.scale[j] * 2.0**_DOUBLINGS
+        tried = np.unique(np.clip([*(value - steps), value, *(value + steps)], free.low[j], free.high[j]))
+        loss = share * self._profile(model, j, tried)
+        able = np.flatnonzero(loss < loss.min() + _OUT)
+        grid = np.linspace(tried[max(able[0] - 1, 0)], tried[min(able[-1] + 1, len(tried) - 1)], _GRID)
+        loss = share * self._profile(model, j, grid)
+        density = np.exp(loss.min() - loss)
+        below = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
+        tail = 0.5 * (1.0 - INTERVAL)
+        return np.asarray(np.interp([tail, 0.5, 1.0 - tail], below / below[-1], grid))
+
+    def _profile(self, model: Contender, j: int, values: Floats) -> Floats:
+        """(G,) loss [nats] with parameter j at each value: the least of the others as they are, or as they follow."""
+        fit, free = model.fit, model.fit.free
+        others = np.delete(np.arange(len(free.at)), j)
+        hessian = model.weighed.hessian
+        follow = -np.linalg.solve(hessian[np.ix_(others, others)], hessian[others, j])
+        away = values - fit.vector[free.at[j]]
+        alone, together = np.zeros((len(values), len(free.at))), np.zeros((len(values), len(free.at)))
+        alone[:, j] = together[:, j] = away
+        together[:, others] = np.clip(away[:, None] * follow, -free.scale[others], free.scale[others])
+        vectors = np.concatenate([fit.moved(alone), fit.moved(together)])
+        (losses,) = self.competition.fitting.losses([fit], [vectors])
+        return np.asarray(losses.reshape(2, -1).min(axis=0))
+
+    def whiteness(self, model: Contender) -> tuple[float, float]:
+        """Largest autocorrelation of the innovations at lags 1 to 4, and its probability if they were white.
+
+        Source: Ljung and Box, Biometrika 1978, for residuals of a fitted model.
+        """
+        correlations = [correlation for correlation in self._correlations(model) if correlation[1] > 10]
+        if not correlations:
+            return 0.0, 1.0
+        statistic = sum(r * r * count for r, count in correlations)
+        return max((r for r, _ in correlations), key=abs), float(chdtrc(len(correlations), statistic))
+
+    def _correlations(self, model: Contender) -> list[tuple[float, int]]:
+        """Autocorrelation of the innovations and number of pairs at each of the lags 1 to 4."""
+        counted = self.data.counted
+        error, variance = self._predicted(model, "filter")
+        error = error / np.sqrt(variance) * counted
+        mean_square = float((error**2).sum()) / counted.sum()
+        findings = []
+        for lag in range(1, 5):
+            pairs = counted[:, lag:] & counted[:, :-lag]
+            product = float((error[:, lag:] * error[:, :-lag])[pairs].sum())
+            count = int(pairs.sum())
+            findings.append((product / count / mean_square if count and mean_square > 0 else 0.0, count))
+        return findings
+
+    def left_by(self, model: Contender) -> ResidualTest | None:
+        """What the innovations follow: commands, places, time, and innovations before them."""
+        if model not in self._left:
+            self._left[model] = self._left_by(model)
+        return self._left[model]
+
+    @cached_property
+    def _circumstances(self) -> Circumstances:
+        data = self.data
+        # A place that the innovation's own measurements have no part in: from the row before.
+        before = np.concatenate([data.z[:, :1], (data.z + data.u)[:, :-1]], axis=1)
+        starts = data.counted_starts
+        return Circumstances(
+            place=before[starts],
+            command=lagged(data.u)[starts],
+            time=data.time[starts],
+            order=data.order[starts],
+            away=_away(data, before)[starts],
+        )
+
+    def innovations(self, model: Contender) -> tuple[Floats, Floats]:
+        """(S, T) innovations [rad or m] where no error of a reading wanders, and their stds over that of all rows.
+
+        An error that wanders follows a part wherever it stays behind: what is missing would be called noise.
+        """
+        fit, first = model.fit, len(model.fit.vector) - len(NOISE)
+        vector = fit.vector.copy()
+        vector[first] = np.logaddexp(2.0 * vector[first], 2.0 * vector[first + _WANDER]) / 2.0
+        vector[first + _WANDER] = -np.inf
+        error, variance = (values[0] for values in errors(self.data, [fit.hypotheses(vector[None])], "filter"))
+        return error, np.asarray(np.sqrt(variance / np.mean(variance[self.data.counted])))
+
+    def _left_by(self, model: Contender) -> ResidualTest | None:
+        starts = self.data.counted_starts
+        error, spread = self.innovations(model)
+        innovations = error / spread
+        past = np.stack([np.roll(innovations, k, axis=1) for k in range(LAGS)], axis=-1)
+        past[:, :LAGS] = 0.0
+        under = replace(self._circumstances, errors=past[starts], spread=np.roll(spread, -1, axis=1)[starts])
+        return whiteness_test(np.roll(innovations, -1, axis=1)[starts][:, None], under)
+
+
+def independent_share(correlation: float) -> float:
+    """Which share of rows counts, where each is correlated so much with the next: (1 - r) / (1 + r) (Bartlett 1935)."""
+    r = max(correlation, 0.0)
+    return (1.0 - r) / (1.0 + r)
+
+
+def _floor(model: Contender, data: CoordinateData, kind: Kind) -> float:
+    """Root mean square of errors whose variance is what the model says; a t distribution has more than its scale."""
+    variance = errors(data, [model.fit.hypotheses(model.fit.vector[None])], kind)[1][0]
+    freedom = model.fit.freedom
+    return float(np.sqrt(freedom / (freedom - 2.0) * np.mean(variance[data.counted])))
+
+
+def _away(data: CoordinateData, place: Floats) -> Floats:
+    """(S, T, 2) commands that lead away from the lower and the upper end, where a part is within the blur of it."""
+    reach = NEAR_STDS * data.blur * np.sqrt(data.noise)
+    at_low, at_high = place < data.lower + reach, place > data.upper - reach
+    return np.stack([at_low * np.maximum(data.u, 0.0), at_high * np.minimum(data.u, 0.0)], axis=-1)
