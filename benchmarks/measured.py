@@ -76,7 +76,7 @@ def final_error(found: Calibration, *, is_after: bool) -> float:
     """Mean size of the roll-out's error in the last row of each stretch, held out from the fit [rad or m]."""
     ends = []
     for trace in found.traces:
-        errors = trace.search.errors(trace.final if is_after else trace.nominal, "rollout")
+        errors = trace.held_out.errors(trace.final if is_after else trace.nominal, "rollout")
         last = trace.data.counted.shape[1] - 1 - np.argmax(trace.data.counted[:, ::-1], axis=1)
         ends.append(np.abs(errors[np.arange(len(last)), last]))
     return float(np.mean(np.concatenate(ends)))

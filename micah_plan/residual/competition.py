@@ -45,6 +45,9 @@ _HEADS, _SECONDS = 4, 6
 # Models of displacements that may be rivals of places with something that began.
 _RIVALS = 2
 _MOST_CHANGES = 3
+# Rows that a smooth function of the configuration needs at least.
+_ROWS_FOR_SMOOTH = 60
+# Rows of a recording at which something may have begun at first, and how often the search comes closer.
 _PROFILE = 32
 _TURNS = 4
 # Shares of the rows before which, and after which, nothing can be said to have begun.
@@ -97,9 +100,14 @@ class Competition(Contenders):
                 alone, near_alone = simplest(kind)
                 own = [pair for pair in pairs if (FOLLOW in pair.names) == is_place]
                 best, near_best = self._with_a_second(alone, near_alone, every, own)
-                if best.evidence > chosen.evidence + (self.least if rivals[0] is not nominal else 0.0):
+                if data.is_outside and is_place:
+                    # Places relative to what was believed contain no measurement, so roll-outs tell.
+                    is_ahead = self.rolled(best) < self.rolled(chosen)
+                else:
+                    is_ahead = best.evidence > chosen.evidence + (self.least if chosen is not nominal else 0.0)
+                if is_ahead:
                     chosen, near, rivals = best, near_best, [best, alone]
-                elif best.evidence > chosen.evidence - TIE:
+                elif best.evidence > chosen.evidence - self.least:
                     near = (*near, *near_best)
         progress(f"{data.coordinate}: what changes", 0.7)
         chosen, passing = self._changed(chosen, every, library)
@@ -134,8 +142,10 @@ class Competition(Contenders):
     ) -> tuple[Contender, list[Contender]]:
         """The chosen model with what began on top of it; and what one run alone shows, if that is likelier still."""
         for _ in range(_MOST_CHANGES):
-            displaced = [one for one in (chosen, *best_first(every)) if FOLLOW not in one.names]
-            heads = displaced[: 1 if FOLLOW not in chosen.names else _RIVALS]
+            heads = [chosen]
+            if FOLLOW in chosen.names:
+                displaced = [one for one in best_first(every) if FOLLOW not in one.names][:_HEADS]
+                heads = [one for one in displaced if self.is_real(one, self.nominal)][:_RIVALS]
             least = chosen.evidence + self.least
             again = [one for one in best_first(self._again(heads, library)) if one.evidence > least]
             if not again:
@@ -291,11 +301,17 @@ class Competition(Contenders):
         return self.least if len(simpler.parts) < len(contender.parts) else TIE
 
     def corrected(self, models: Sequence[Contender]) -> list[Contender]:
-        """Models with corrections that have no name on top."""
+        """Models with corrections that have no name on top.
+
+        Where all runs are alike a function of the place could be one of time, and few rows do not tell one.
+        """
+        data = self.data
+        is_enough = data.counted.sum() >= _ROWS_FOR_SMOOTH and not data.repeats_one_motion
+        smooths = [smooth(data, is_lean=True), *([smooth(data)] if is_enough else [])]
         options = [
             on_top(model, part)
             for model in models
-            for part in (smooth(self.data, is_lean=True), smooth(self.data), earlier_commands(self.data))
+            for part in (*smooths, earlier_commands(data))
             if part.name != MEMORY or FOLLOW not in model.names
         ]
         return self.fitted(options, first=2, more=6, keep=1, most=len(options))

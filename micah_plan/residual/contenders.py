@@ -39,13 +39,13 @@ TIE = 3.0
 # The prior of a parameter is so many times as wide as what is large for it; of corrections as wide.
 _LOOSE = 6.0
 # Log of the noise's parts over the blur of a reading, and how uncertain that is.
-_NOISE_CENTRE, _NOISE_STD, _NOISE_FAR = np.array([-0.35, -1.5, -2.5, -2.0]), np.array([1.0, 1.5, 1.5, 1.5]), 12.0
+_NOISE_CENTRE, _NOISE_STD, _NOISE_FAR = np.array([-0.35, -1.5, -2.5, -2.0]), np.array([3.0, 3.0, 3.0, 3.0]), 12.0
 _NOISE_START = np.array([-0.35, -1.5, -2.0, -2.0])
 # No reading is more precise than this share of the range.
 _FINEST = 1e-5
 # The most that an end's std is, as a share of the range, how many of these it may be beside, and where a recording gets
 # to it.
-_BESIDE, _ENDS_FAR, _NEAR_AN_END = 0.005, 3.0, 0.03
+_BESIDE, _ENDS_FAR, _NEAR_AN_END = 0.002, 3.0, 0.03
 _FREEDOMS = (NORMAL, 4.0, 12.0)
 _NORMAL = 2.0  # nats by which heavy tails must be ahead
 # What was meant is more regular than what a measurement's noise is in, the displacements or the places; so much of the
@@ -135,7 +135,9 @@ class Contenders:
         self.as_told = (at_commanded_places(),) if len(given) < len(data.effects) else ()
         self.is_place = any(term.form.layer == "place" for term in self.given)
         self.least = max(LEAST, PER_ROW * int(data.counted.sum()))
-        heard = np.clip(_HEARD * regularity(data), -_MOST_HEARD, _MOST_HEARD) if data.meaning is None else 0.0
+        # Places that are relative to what was believed contain no measurement: nothing blurs them.
+        is_open = data.meaning is None and not data.is_outside
+        heard = np.clip(_HEARD * regularity(data), -_MOST_HEARD, _MOST_HEARD) if is_open else 0.0
         self.odds_of_places = -float(heard)
         self._densities: dict[Contender, Floats] = {}
         self.nominal = self._begun_with(data)
@@ -304,8 +306,9 @@ class Contenders:
         if better.evidence - base.evidence <= (self.least if least is None else least):
             return False
         gains = self.held_out(better) - self.held_out(base)
-        begun = [k for k, part in enumerate(better.parts) if begins_later(part)]
-        return is_borne_out(gains, [self.held_out(better) - self._without(better, k) for k in begun])
+        ungated = ("place", "frame", "guard")  # these act whatever the gates say
+        able = [k for k, part in enumerate(better.parts) if part.term.form.layer not in ungated and part.free]
+        return is_borne_out(gains, [self.held_out(better) - self._without(better, k) for k in able])
 
     def _without(self, contender: Contender, number: int) -> Floats:
         """(G,) held-out log density of each group without what one effect does, all else being equal [nats]."""
@@ -331,9 +334,10 @@ class Contenders:
                     if side * (x[at] - bound) < near and bound != neutral:
                         return False
                 at += 1
-        return self._rolled(contender) < _LONGER * self._rolled(base)
+        return self.rolled(contender) < _LONGER * self.rolled(base)
 
-    def _rolled(self, contender: Contender) -> float:
+    def rolled(self, contender: Contender) -> float:
+        """Root mean square error of roll-outs over all segments [rad or m]."""
         fit = contender.fit
         error = errors(self.data, [fit.hypotheses(fit.vector[None])], "rollout")[0]
         return float(np.sqrt(np.mean(error[0][self.data.counted] ** 2)))
@@ -377,16 +381,16 @@ def best_first(contenders: Sequence[Contender]) -> list[Contender]:
     return sorted(contenders, key=lambda one: -one.evidence)
 
 
-def is_borne_out(gains: Floats, by_what_began: Sequence[Floats] = ()) -> bool:
+def is_borne_out(gains: Floats, by_each: Sequence[Floats] = ()) -> bool:
     """Whether what groups of runs (G,) gain, held out, is more than chance, and not in one of them alone [nats].
 
     Args:
-        by_what_began: (G,) what they lose without each effect that began on the way, all else being equal.
+        by_each: (G,) what they lose without each effect, all else being equal.
     """
     if gains.sum() <= _CHANCE or gains.sum() - gains.max() <= 0.0:
         return False
-    # What began in one run makes the noise of all smaller, which is no evidence from those before.
-    return all(bool(own.sum() - own.max() > TIE) for own in by_what_began)
+    # What one run alone shows makes the noise of all smaller, which is no evidence from the others.
+    return all(bool(own.sum() - own.max() > TIE) for own in by_each)
 
 
 def on_top(head: Contender, part: TermCandidate) -> Option:

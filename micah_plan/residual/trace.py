@@ -115,6 +115,7 @@ def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrac
         is_open=any(may_remember(data, finding) for finding in findings),
         is_contradicted=_is_contradicted(held_out, chosen),
         is_over=_is_over(held_out, final),
+        is_longer=final is not nominal and _rolled(held_out, final) > _LONGER * _rolled(held_out, nominal),
         is_single=_is_single(data),
         is_changing=len({gate for part in chosen.parts if np.isfinite(gate := float(part.starts[0, -GATES]))}) > 1,
         is_passing=bool(passing),
@@ -140,6 +141,15 @@ def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrac
         closest=closest,
         alternatives=alternatives,
     )
+
+
+# Roll-outs that are so many times as long as before are longer.
+_LONGER = 1.02
+
+
+def _rolled(held_out: HeldOut, model: Contender) -> float:
+    """Root mean square error of roll-outs of held-out rows [rad or m]."""
+    return float(np.sqrt(np.mean(held_out.rollout_errors(model) ** 2)))
 
 
 # What corrections take out of the explainable residual, from where on effects only imitate it.

@@ -27,6 +27,7 @@ class Facts:
         is_open: whether an effect may come from this command or from earlier ones.
         is_contradicted: whether one of few runs is predicted no better by effects fitted to the others.
         is_over: whether the last runs are predicted better without the effects.
+        is_longer: whether roll-outs of held-out rows get longer with what was found.
         is_single: whether there is one run of few motions alone, which no other run can confirm.
         is_changing: whether effects began at different times: what changed twice may be changing still.
         smooth: share of the explainable residual that a correction without a name takes out on top; 0: none.
@@ -42,13 +43,14 @@ class Facts:
     is_corrected: bool = False
     is_contradicted: bool = False
     is_over: bool = False
+    is_longer: bool = False
     is_single: bool = False
     is_changing: bool = False
 
     @property
     def is_kept_out(self) -> bool:
         """Whether a wrong guess would do more harm than the model as it is."""
-        return self.is_open or self.is_contradicted or self.is_over
+        return self.is_open or self.is_contradicted or self.is_over or self.is_longer
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,10 @@ OUTCOMES: tuple[tuple[Outcome, Callable[[Facts], bool]], ...] = (
     (
         Outcome("remembered", "partly", "with runs like these the effect may as well come from earlier commands"),
         lambda f: f.is_open,
+    ),
+    (
+        Outcome("longer", "partly", "roll-outs of rows that were held out get longer with it"),
+        lambda f: f.is_longer,
     ),
     (Outcome("over", "partly", "the last runs are predicted better without, so it is over"), lambda f: f.is_over),
     (

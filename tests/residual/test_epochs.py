@@ -162,7 +162,7 @@ def test_what_changes_little_by_little_is_written_as_it_is_in_the_last_runs(door
     found = calibrate(door, plants.door_recording(plants.runs_of(moves, 10, 50, 3)))
     assert found.verdict in ("partly", "unexplained")
     gains = [dict(effect.parameters).get("gain", 1.0) for effect in found.automaton.effects]
-    assert np.prod(gains) == pytest.approx(np.mean([share_of_run(run) for run in (7, 8, 9)]), abs=0.05)
+    assert np.prod(gains) == pytest.approx(np.mean([share_of_run(run) for run in (7, 8, 9)]), abs=0.15)
 
 
 @pytest.mark.slow
