@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from micah_plan.arrays import ROUND_OFF, Floats
+from micah_plan.automaton.effects.form import EffectForm
 from micah_plan.automaton.effects.memories import is_as_commanded
 from micah_plan.automaton.effects.registry import form
 from micah_plan.residual.candidates import (
@@ -29,7 +30,7 @@ from micah_plan.residual.candidates import (
 )
 from micah_plan.residual.command_meaning import regularity
 from micah_plan.residual.coordinate_data import CoordinateData
-from micah_plan.residual.filtering import NOISE, STDS, errors, filtered
+from micah_plan.residual.filtering import NOISE, STDS, errors
 from micah_plan.residual.fitting import NORMAL, Fit, Fitting, Free, Weighed
 
 LEAST, PER_ROW = 6.0, 0.01
@@ -95,6 +96,12 @@ class Contender:
         """Plainest first: parameters, effects, ranks of the forms."""
         size = sum(len(part.free) for part in self.parts)
         return size, len(self.parts), sum(part.term.form.complexity_rank for part in self.parts)
+
+
+def _is_gated(part: TermCandidate) -> bool:
+    """Whether gates switch an effect off: places, frames and what an end takes to be left act whatever they say."""
+    form_of_part = part.term.form
+    return form_of_part.layer not in ("place", "frame") and type(form_of_part).release is EffectForm.release
 
 
 def begins_later(part: TermCandidate) -> bool:
@@ -296,27 +303,31 @@ class Contenders:
     # -- what is worth it
 
     def held_out(self, contender: Contender) -> Floats:
-        """(G,) log density of each group of rows by the parameters of the others [nats]."""
+        """(R,) log density of each run (of an only one: of each group), by the parameters of other groups [nats]."""
         if contender not in self._densities:
-            self._densities[contender] = self.fitting.held_out(contender.weighed)
+            self._densities[contender] = self._by_run(self.fitting.held_out(contender.weighed))
         return self._densities[contender]
+
+    def _by_run(self, rows: Floats) -> Floats:
+        """(R,) sums over the rows (N,) of each run: what they share is particular to it."""
+        data = self.data
+        runs, number = np.unique(data.run, return_inverse=True)
+        if len(runs) == 1:
+            number = self.fitting.group
+        return np.asarray(np.bincount(np.repeat(number[:, None], data.z.shape[1], axis=1)[data.counted], rows))
 
     def is_worth(self, better: Contender, base: Contender, least: float | None = None) -> bool:
         """Whether a model is likelier than chance makes one of many, and not in one group of runs alone."""
         if better.evidence - base.evidence <= (self.least if least is None else least):
             return False
         gains = self.held_out(better) - self.held_out(base)
-        ungated = ("place", "frame", "guard")  # these act whatever the gates say
-        able = [k for k, part in enumerate(better.parts) if part.term.form.layer not in ungated and part.free]
+        able = [k for k, part in enumerate(better.parts) if part.free and _is_gated(part)]
         return is_borne_out(gains, [self.held_out(better) - self._without(better, k) for k in able])
 
     def _without(self, contender: Contender, number: int) -> Floats:
-        """(G,) held-out log density of each group without what one effect does, all else being equal [nats]."""
-        fit, group = contender.fit, self.fitting.group_of_rows
-        vectors = self.fitting.without_each(contender.weighed)
-        vectors[:, columns(fit.model[: len(self.given) + number + 1]) - GATES] = np.inf
-        rows = filtered(self.data, [fit.hypotheses(vectors)])
-        return np.asarray(np.bincount(group, rows.density[group, np.arange(len(group))], minlength=len(vectors)))
+        """The same without what one effect does, all else being equal."""
+        gate = columns(contender.fit.model[: len(self.given) + number + 1]) - GATES
+        return self._by_run(self.fitting.held_out(contender.weighed, gate))
 
     def is_real(self, contender: Contender, base: Contender) -> bool:
         """Whether no parameter ended at a bound, and roll-outs are not longer.

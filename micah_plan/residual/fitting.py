@@ -219,11 +219,17 @@ class Fitting:
         rest = sums.sum(axis=2) - sums[:, own, own] - fit.penalty(tried).reshape(3, count)
         return np.asarray(tried.reshape(3, count, -1)[rest.argmax(axis=0), own])
 
-    def held_out(self, weighed: Weighed) -> Floats:
-        """(G,) log density of each group by the parameters of the others [nats]."""
-        rows = filtered(self.data, [weighed.fit.hypotheses(self.without_each(weighed))])
-        own = self.group_of_rows
-        return np.asarray(np.bincount(own, rows.density[own, np.arange(len(own))], minlength=len(weighed.pull)))
+    def held_out(self, weighed: Weighed, without: int | None = None) -> Floats:
+        """(N,) log density of each row by the parameters of the other groups [nats].
+
+        Args:
+            without: column of a gate that is shut: what its effect does is left out, all else being equal.
+        """
+        vectors = self.without_each(weighed)
+        if without is not None:
+            vectors[:, without] = np.inf
+        rows, own = filtered(self.data, [weighed.fit.hypotheses(vectors)]), self.group_of_rows
+        return np.asarray(rows.density[own, np.arange(len(own))])
 
     def _slopes(
         self, fits: Sequence[Fit], steps: Sequence[Floats], at: Sequence[Floats], more: Sequence[Floats]

@@ -185,7 +185,8 @@ def _is_contradicted(held_out: HeldOut, named: Contender) -> bool:
         return False
     by_run = Fitting(data, np.asarray(number))
     with_it, without = (by_run.held_out(by_run.weighed([model.fit])[0]) for model in (named, base))
-    return bool(np.any(with_it <= without))
+    of_run = by_run.group_of_rows
+    return bool(np.any(np.bincount(of_run, with_it) <= np.bincount(of_run, without)))
 
 
 def _is_over(held_out: HeldOut, named: Contender) -> bool:
