@@ -71,8 +71,12 @@ class HeldOut:
         return np.asarray(np.sqrt(variance / np.mean(variance[self.data.counted])))
 
     def noise_floor(self, model: Contender) -> float:
-        """Root mean square of a one-step error that noise alone would leave, if this model were true."""
-        return _floor(model, self.data, "one_step")
+        """Root mean square of a one-step error that noise alone would leave, if this model were true.
+
+        Never more than what is left: of few rows, tails that only might be heavy would say so.
+        """
+        left = float(np.sqrt(np.mean(self.errors(model, "one_step")[self.data.counted] ** 2)))
+        return min(_floor(model, self.data, "one_step"), left)
 
     def rollout_floor(self, model: Contender) -> float:
         """Root mean square of a roll-out's error that noise alone would leave, if this model were true.
