@@ -645,7 +645,8 @@ def notes_on(traces: Sequence[CoordinateTrace]) -> tuple[str, ...]:
             notes.append(f"{name}: nearly all commands go one way; what depends on the direction cannot be seen")
         if traced.outcome.verdict == "none":
             innovations = traced.held_out.errors(traced.nominal, "filter")[data.counted]
-            least = float(np.sqrt(2.0 * LEAST_EVIDENCE * np.sum(innovations**2))) / len(innovations)
+            nats = traced.held_out.competition.least
+            least = float(np.sqrt(2.0 * nats * np.sum(innovations**2))) / len(innovations)
             step, share = quantity(least, data.unit, digits=2), percent(least / data.command_size)
             notes.append(
                 f"{name}: {step} more per step, or {share} more of each command would have been seen; smaller effects "

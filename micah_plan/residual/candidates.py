@@ -23,10 +23,16 @@ from micah_plan.residual.compared_runs import acts
 from micah_plan.residual.coordinate_data import CoordinateData
 
 FOLLOW = "follow"
+MEMORY = "earlier commands"
 UNNAMED = "unexplained"
 """The form of a smooth correction without a name."""
 # Gating columns after a term's own parameters: since which place in the recording (0 to 1) and since when in a run [s].
 GATES = 2
+NEVER_GATED = (-np.inf, -np.inf)
+# Share of commands that lead to where the part can be, give or take the range that was seen, if they are places.
+_REACHABLE = 0.5
+# Commands that differ by less than this share of their size are the same, but for their digits.
+_DIGITS = 1e-3
 
 
 @dataclass(frozen=True)
@@ -81,9 +87,6 @@ def gated(part: TermCandidate, since_order: Sequence[float], since_time: Sequenc
     return replace(part, starts=starts)
 
 
-NEVER_GATED = (-np.inf, -np.inf)
-
-
 def always(part: TermCandidate) -> TermCandidate:
     """The same effect from the start."""
     starts = part.starts.copy()
@@ -133,9 +136,6 @@ def indistinguishable(part: TermCandidate, data: CoordinateData) -> tuple[str, .
     return tuple(same)
 
 
-MEMORY = "earlier commands"
-
-
 @final
 class EarlierCommands(EffectForm):
     """A correction by the commands before: shares of the last three, and what starts after a rest or a reversal."""
@@ -174,18 +174,16 @@ def variants(part: TermCandidate) -> list[TermCandidate]:
     return [replace(part, starts=part.starts[(part.starts[:, fixed] == kind).all(axis=1)]) for kind in kinds]
 
 
-# Share of commands that lead to where the part can be, give or take the range that was seen, if they are places.
-_REACHABLE = 0.5
-
-
 def follows(data: CoordinateData) -> list[TermCandidate]:
     """Responses to commands that are places: first order, second, and with a dead zone and a delay.
 
-    None where most commands lead to where the part cannot be.
+    None where most commands lead to where the part cannot be, or all are the same: places are then the measured ones.
     """
     size = data.command_size
     low, high = data.visited
     places = (data.z + data.u)[data.counted_starts]
+    if np.ptp(data.u[data.counted_starts]) <= _DIGITS * size:
+        return []
     if np.mean((places > low - (high - low)) & (places < high + (high - low))) < _REACHABLE:
         return []
     share, offset, gain, delay, momentum, width = range(6)

@@ -32,6 +32,8 @@ def regularity(data: CoordinateData) -> float:
     whole = data.whole or data
     starts = whole.counted_starts
     starts[:, :_MEMORY] = False
+    if starts.sum() <= _MEMORY + 1:
+        return 0.0
     forms = []
     for series in (whole.u, whole.place):
         before = [np.roll(series, k + 1, axis=1)[starts] for k in range(_MEMORY)]

@@ -29,16 +29,8 @@ from micah_plan.residual.candidates import (
     variants,
 )
 from micah_plan.residual.command_meaning import CONTAINED
-from micah_plan.residual.contenders import (
-    OTHERWISE,
-    TIE,
-    Contender,
-    Contenders,
-    Option,
-    begins_later,
-    best_first,
-    on_top,
-)
+from micah_plan.residual.contenders import RESTARTED, Contender, Contenders, Option, begins_later, best_first, on_top
+from micah_plan.residual.likelihood import TIE
 
 # Models that a second effect is tried on; of these effects, how many are fitted to the end.
 _HEADS, _SECONDS = 4, 6
@@ -83,7 +75,7 @@ class Competition(Contenders):
         """Let all that may be missing compete."""
         data, nominal, library = self.data, self.nominal, self._library()
         progress(f"{data.coordinate}: single effects", 0.1)
-        singles = self.fitted([self._single(part) for part in library], otherwise=OTHERWISE)
+        singles = self.fitted([self._single(part) for part in library], restarted=RESTARTED)
         singles += self._in_modes(singles)
         progress(f"{data.coordinate}: since when", 0.3)
         later = self._later(singles, library)
@@ -163,9 +155,9 @@ class Competition(Contenders):
 
     def _library(self) -> list[TermCandidate]:
         """What may be added: responses to places where commands may be some, and what these do not contain."""
-        places = () if self.is_place or self.data.meaning in ("displacement", "velocity") else follows(self.data)
+        places = () if self.has_places or self.data.meaning in ("displacement", "velocity") else follows(self.data)
         others = candidates(self.data)
-        if self.is_place or self.data.meaning == "position":
+        if self.has_places or self.data.meaning == "position":
             others = tuple(part for part in others if part.name not in CONTAINED)
         return [variant for part in (*others, *places) for variant in variants(part)]
 
@@ -176,7 +168,7 @@ class Competition(Contenders):
 
     def alone(self, parts: Sequence[TermCandidate]) -> list[Contender]:
         """Models of one effect each, whatever they are worth."""
-        return best_first(self.fitted([replace(self._single(part), base=None) for part in parts], otherwise=OTHERWISE))
+        return best_first(self.fitted([replace(self._single(part), base=None) for part in parts], restarted=RESTARTED))
 
     def _in_modes(self, singles: Sequence[Contender]) -> list[Contender]:
         """The best effects in each of the modes alone."""
@@ -272,7 +264,7 @@ class Competition(Contenders):
             if are_compatible(head, part)
             for option in (on_top(head, part), *_before(head, part))
         ]
-        return self.fitted(options, first=3, more=12, most=_SECONDS, otherwise=OTHERWISE)
+        return self.fitted(options, first=3, more=12, most=_SECONDS, restarted=RESTARTED)
 
     def of_parts(self, parts: Sequence[TermCandidate]) -> float:
         """Evidence of a model of fitted effects, fitted again [nats]."""
@@ -350,7 +342,7 @@ def are_compatible(head: Contender, part: TermCandidate) -> bool:
     names = {*head.names, part.name}
     if part.name == FOLLOW or (FOLLOW in head.names and part.name in CONTAINED):
         return False
-    is_later = any(np.isfinite(own.starts[0, -GATES:]).any() for own in head.parts)
+    is_later = any(map(begins_later, head.parts))
     if part.name in head.names or (is_later and part.term.form.layer == "guard"):
         return is_later and part.term.form.layer != "guard"  # what acts always, and again since some row
     both = [{"sensor_scale", "gain"}, {"spring", "gravity"}, {"gain", "direction_gain"}]

@@ -32,11 +32,11 @@ from micah_plan.residual.command_meaning import regularity
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.filtering import NOISE, STDS, errors
 from micah_plan.residual.fitting import NORMAL, Fit, Fitting, Free, Weighed
+from micah_plan.residual.likelihood import EVIDENCE_PER_ROW, TIE
 
-LEAST, PER_ROW = 6.0, 0.01
-"""Evidence [nats] that whatever is added must have, what two dozen rivals take to be safe, and so much per row."""
-TIE = 3.0
-"""What is within this of the best is as good as it [nats]."""
+# Evidence [nats] that whatever is added must have, what two dozen rivals take to be safe. It is less than for what is
+# judged by held-out rows alone (`likelihood.LEAST_EVIDENCE`), since it pays for its parameters itself.
+_LEAST = 6.0
 # The prior of a parameter is so many times as wide as what is large for it; of corrections as wide.
 _LOOSE = 6.0
 # Log of the noise's parts over the blur of a reading, and how uncertain that is.
@@ -47,6 +47,7 @@ _FINEST = 1e-5
 # The most that an end's std is, as a share of the range, how many of these it may be beside, and where a recording gets
 # to it.
 _BESIDE, _ENDS_FAR, _NEAR_AN_END = 0.002, 3.0, 0.03
+_LOW, _HIGH = NOISE.index("low"), NOISE.index("high")
 _FREEDOMS = (NORMAL, 4.0, 12.0)
 _NORMAL = 2.0  # nats by which heavy tails must be ahead
 # What was meant is more regular than what a measurement's noise is in, the displacements or the places; so much of the
@@ -54,12 +55,20 @@ _NORMAL = 2.0  # nats by which heavy tails must be ahead
 _HEARD, _MOST_HEARD = 0.25, 20.0
 # Logs of the noise's parts over the largest, where readings or motion have most of it; how many fits try both.
 _SPLITS = ((-0.3, -2.5, -3.0, -2.5), (-2.0, -0.3, -2.0, -2.5))
-OTHERWISE, _OTHER_ROUNDS, _TO_THE_END = 5, 5, 20
+RESTARTED, _OTHER_ROUNDS, _TO_THE_END = 5, 5, 20
 # Logs by which the noise of a start may be less than that of the model that it begins with.
 _QUIETER = (0.0, 1.5, 3.0, 4.5)
 _SCREENED_ROWS, _SCREENED_MOST = 500, 12
-# A parameter is at a bound within so much of what is large for it, if its std is not less; a roll-out is longer.
-_AT_BOUND, _SURELY, _LONGER = 0.05, 3.0, 1.02
+# A parameter is at a bound within so much of what is large for it, or within so many stds, if these are less.
+_AT_BOUND, _SURELY = 0.05, 3.0
+LONGER = 1.02
+"""Roll-outs that are so many times as long as before are longer."""
+# Odds against an effect that began at one of some dozen rows [nats], beside those of the profile itself.
+_BEGINS = 3.0
+# Likelihood that an effect must add to be looked at further [nats].
+_HOPELESS = 1.0
+# What held-out groups must gain together [nats]: they only have to agree with the evidence.
+_CHANCE = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,14 +118,6 @@ def begins_later(part: TermCandidate) -> bool:
     return bool(np.isfinite(part.starts[0, -GATES:]).any())
 
 
-# Odds against an effect that began at one of some dozen rows [nats], beside those of the profile itself.
-_BEGINS = 3.0
-# Likelihood that an effect must add to be looked at further [nats].
-_HOPELESS = 1.0
-# What held-out groups must gain together [nats]: they only have to agree with the evidence.
-_CHANCE = 2.0
-
-
 @dataclass(frozen=True, eq=False)
 class Option:
     """A model to be fitted.
@@ -140,8 +141,8 @@ class Contenders:
         self.given: Model = tuple(Term(form(effect.name), effect.modes) for effect in given)
         self._given = np.array([v for effect in given for v in (*effect.values, *gates_of(effect, data))])
         self.as_told = (at_commanded_places(),) if len(given) < len(data.effects) else ()
-        self.is_place = any(term.form.layer == "place" for term in self.given)
-        self.least = max(LEAST, PER_ROW * int(data.counted.sum()))
+        self.has_places = any(term.form.layer == "place" for term in self.given)
+        self.least = max(_LEAST, EVIDENCE_PER_ROW * int(data.counted.sum()))
         # Places that are relative to what was believed contain no measurement: nothing blurs them.
         is_open = data.meaning is None and not data.is_outside
         heard = np.clip(_HEARD * regularity(data), -_MOST_HEARD, _MOST_HEARD) if is_open else 0.0
@@ -219,7 +220,7 @@ class Contenders:
         low, high = self.data.visited
         near = _NEAR_AN_END * (high - low)
         reading = min(float(np.exp(self._blur)), _BESIDE * (high - low))
-        for k, is_visited in ((4, low < self.data.lower + near), (5, high > self.data.upper - near)):
+        for k, is_visited in ((_LOW, low < self.data.lower + near), (_HIGH, high > self.data.upper - near)):
             found += [(k, 0.0, reading, reading)] if is_visited else []
         return found
 
@@ -237,14 +238,14 @@ class Contenders:
         more: int = 8,
         keep: int = 2,
         most: int | None = None,
-        otherwise: int = 0,
+        restarted: int = 0,
     ) -> list[Contender]:
         """The best fit of each option; without those that fit hardly better than their base.
 
         Args:
             first: rounds with the noise of the base, of the `keep` best starts; more: rounds of all, of the best.
             most: options of each base that go on after the first rounds; None: all of a recording that is not long.
-            otherwise: of the best fits, so many begin once more with other noise.
+            restarted: of the best fits, so many begin once more with other noise.
         """
         if not options:
             return []
@@ -269,7 +270,7 @@ class Contenders:
             for (option, _), fit in zip(pairs, ready, strict=True)
             if option.base is None or fit.loss < option.base.fit.loss - _HOPELESS
         ]
-        weighed = self.fitting.weighed(self._from_other_noise([fit for _, fit in chosen], otherwise))
+        weighed = self.fitting.weighed(self._from_other_noise([fit for _, fit in chosen], restarted))
         return [self._contender(option.parts, own) for (option, _), own in zip(chosen, weighed, strict=True)]
 
     def _from_other_noise(self, fits: Sequence[Fit], most: int) -> list[Fit]:
@@ -292,10 +293,10 @@ class Contenders:
 
     def _nominal(self) -> Contender:
         nothing = Option(self.as_told, np.hstack([np.zeros((1, 0)), *(part.starts for part in self.as_told)]))
-        tried = self.fitted([nothing], more=12, otherwise=1)
+        tried = self.fitted([nothing], more=12, restarted=1)
         for freedom in _FREEDOMS[1:]:
             self.noise, self.freedom = tried[0].fit.noise, freedom
-            tried += self.fitted([nothing], otherwise=1)
+            tried += self.fitted([nothing], restarted=1)
         best = max(tried, key=lambda one: one.evidence - _NORMAL * (one.fit.freedom < NORMAL))
         self.noise, self.freedom = best.fit.noise, best.fit.freedom
         return best
@@ -345,7 +346,7 @@ class Contenders:
                     if side * (x[at] - bound) < near and bound != neutral:
                         return False
                 at += 1
-        return self.rolled(contender) < _LONGER * self.rolled(base)
+        return self.rolled(contender) < LONGER * self.rolled(base)
 
     def rolled(self, contender: Contender) -> float:
         """Root mean square error of roll-outs over all segments [rad or m]."""

@@ -18,7 +18,8 @@ from scipy.special import fdtrc
 from micah_plan.arrays import Floats
 from micah_plan.quantities import quantity
 from micah_plan.residual.contenders import Contender
-from micah_plan.residual.trace import ENOUGH_INDEPENDENT, CoordinateTrace
+from micah_plan.residual.fitting import ENOUGH_INDEPENDENT
+from micah_plan.residual.trace import CoordinateTrace
 
 _MOST_SHARE = 0.25  # of the runs: more of them are no exception
 _LEAST_RATIO = 3.0  # of the errors: what every effect looks like in the run that shows it most

@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from micah_plan.arrays import ROUND_OFF, Floats, Ints
+from micah_plan.arrays import ROUND_OFF, Booleans, Floats, Ints
 from micah_plan.residual.candidates import Model, columns
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.filtering import NOISE, STDS, ModelBatch, Rows, filtered
@@ -34,8 +34,10 @@ NORMAL = 60.0
 # Gains [nats] below which a round has failed, and below which it was the last.
 _FAILED, _DONE = 0.02, 0.1
 _MOST_FAILURES = 2
+ENOUGH_INDEPENDENT = 5
+"""Runs, or motions of the only run, from which on what rows show is evidence."""
 # Groups of runs, or of rows of few runs, that are held out.
-_GROUPS_OF_RUNS, _FEWEST_RUNS, _GROUPS_OF_ROWS = 12, 5, 10
+_GROUPS_OF_RUNS, _GROUPS_OF_ROWS = 12, 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +86,15 @@ class Fit:
     def noise(self) -> Floats:
         """As `filtering.NOISE`."""
         return self.vector[-len(NOISE) :]
+
+    def without(self, number: int) -> Fit:
+        """The same without one of the stds of `filtering.NOISE`; the white noise begins with both."""
+        first, own = len(self.vector) - len(NOISE), self.free.own
+        vector, kept = self.vector.copy(), np.delete(np.arange(len(self.free.at)), own + number)
+        vector[first] = 0.5 * np.logaddexp(2.0 * vector[first], 2.0 * vector[first + number])
+        vector[first + number] = -np.inf
+        free = {name: getattr(self.free, name)[kept] for name in ("at", "scale", "low", "high", "centre", "std")}
+        return replace(self, vector=vector, free=replace(self.free, **free), loss=np.inf)
 
     def hypotheses(self, vectors: Floats) -> ModelBatch:
         """Its model with other vectors (B, ...)."""
@@ -141,6 +152,7 @@ class Fitting:
     def __init__(self, data: CoordinateData, group: Ints | None = None) -> None:
         self.data = data
         self.group = groups(data) if group is None else group
+        self._without_each: dict[Weighed, Floats] = {}
 
     @cached_property
     def group_of_rows(self) -> Ints:
@@ -201,6 +213,11 @@ class Fitting:
 
     def without_each(self, weighed: Weighed) -> Floats:
         """(G, ...) vectors to which one Newton step without each group leads, as far as that suits the other groups."""
+        if weighed not in self._without_each:
+            self._without_each[weighed] = self._stepped(weighed)
+        return self._without_each[weighed]
+
+    def _stepped(self, weighed: Weighed) -> Floats:
         fit, free = weighed.fit, weighed.fit.free
         if not len(free.at):
             return np.repeat(fit.vector[None], len(weighed.pull), axis=0)
@@ -225,7 +242,7 @@ class Fitting:
         Args:
             without: column of a gate that is shut: what its effect does is left out, all else being equal.
         """
-        vectors = self.without_each(weighed)
+        vectors = self.without_each(weighed).copy()
         if without is not None:
             vectors[:, without] = np.inf
         rows, own = filtered(self.data, [weighed.fit.hypotheses(vectors)]), self.group_of_rows
@@ -277,7 +294,7 @@ class Weighed:
 def groups(data: CoordinateData) -> Ints:
     """(S,) group of each segment: of its run or, where runs are few, of its place in the recording."""
     runs, number = np.unique(data.run, return_inverse=True)
-    if len(runs) >= _FEWEST_RUNS:
+    if len(runs) >= ENOUGH_INDEPENDENT:
         return np.asarray(number % _GROUPS_OF_RUNS)
     order = np.argsort(np.argsort(data.order[:, 0], kind="stable"), kind="stable")
     return np.asarray(order * min(_GROUPS_OF_ROWS, len(order)) // len(order))
@@ -310,6 +327,11 @@ def _spread(error: Floats, log_variance: Floats, freedom: float) -> float:
     squared = error**2 * np.exp(-log_variance)
     mean = float(np.mean((freedom + 1.0) / (freedom + squared) * squared))
     return 0.5 * float(np.log(max(mean, ROUND_OFF)))
+
+
+def _is_std(fit: Fit) -> Booleans:
+    """(m,) which of the free entries of the noise are logs of stds."""
+    return np.asarray(fit.free.at[fit.free.own :] < len(fit.vector) - len(NOISE) + len(STDS))
 
 
 class _Climb:
@@ -383,5 +405,5 @@ class _Climb:
         jumps = [*(_LINE[:, None] * jump)]
         if k > free.own:  # all noise as much larger or smaller as the innovations are
             jumps.append(np.zeros(k))
-            jumps[-1][free.own : free.own + len(STDS)] = slopes.spread
+            jumps[-1][free.own + np.flatnonzero(_is_std(self.fit))] = slopes.spread
         return self.fit.moved(np.array(jumps))

@@ -12,11 +12,11 @@ import numpy as np
 from scipy.special import chdtrc
 
 from micah_plan.arrays import INTERVAL, NEAR_STDS, Floats
-from micah_plan.residual.candidates import GATES
 from micah_plan.residual.competition import Competition
-from micah_plan.residual.contenders import Contender
+from micah_plan.residual.contenders import Contender, begins_later
 from micah_plan.residual.coordinate_data import CoordinateData
-from micah_plan.residual.filtering import NOISE, Kind, errors
+from micah_plan.residual.filtering import NOISE, Kind, ModelBatch, errors
+from micah_plan.residual.likelihood import independent_share
 from micah_plan.residual.residual_test import LAGS, Circumstances, ResidualTest, lagged, whiteness_test
 
 # The profile of a parameter is bracketed by steps that double, up to four times what is large for it, then read on a
@@ -24,6 +24,7 @@ from micah_plan.residual.residual_test import LAGS, Circumstances, ResidualTest,
 _DOUBLINGS = np.arange(-18.0, 3.0)
 _GRID, _OUT = 61, 8.0
 _WANDER = NOISE.index("wander")
+_ROUNDS = 12  # in which the other noise takes its place
 
 
 class HeldOut:
@@ -36,7 +37,6 @@ class HeldOut:
     def __init__(self, data: CoordinateData) -> None:
         self.competition = Competition(data)
         self.data, self.nominal = self.competition.data, self.competition.nominal
-        self._vectors: dict[Contender, Floats] = {}
         self._errors: dict[tuple[Contender, Kind], tuple[Floats, Floats]] = {}
         self._left: dict[Contender, ResidualTest | None] = {}
 
@@ -46,22 +46,21 @@ class HeldOut:
 
     def _predicted(self, model: Contender, kind: Kind) -> tuple[Floats, Floats]:
         if (model, kind) not in self._errors:
-            every = errors(self.data, [model.fit.hypotheses(self._without_each(model))], kind)
+            every = errors(self.data, [self._without_each(model)], kind)
             group, rows = self.competition.fitting.group, np.arange(len(self.data.run))
             self._errors[model, kind] = every[0][group, rows], every[1][group, rows]
         return self._errors[model, kind]
 
-    def _without_each(self, model: Contender) -> Floats:
-        if model not in self._vectors:
-            self._vectors[model] = self.competition.fitting.without_each(model.weighed)
-        return self._vectors[model]
+    def _without_each(self, model: Contender) -> ModelBatch:
+        """A model with the parameters of all groups but each."""
+        return model.fit.hypotheses(self.competition.fitting.without_each(model.weighed))
 
     def rollout_errors(self, model: Contender) -> Floats:
         """(N,) measured minus predicted from each run's first row on, by parameters fitted without a row's group."""
         whole = self.data.whole
         if whole is None or whole.segment is None:
             return self.errors(model, "rollout")[self.data.counted]
-        every = errors(whole, [model.fit.hypotheses(self._without_each(model))], "rollout")[0]
+        every = errors(whole, [self._without_each(model)], "rollout")[0]
         runs, rows = np.nonzero(whole.counted)
         return np.asarray(every[self.competition.fitting.group[whole.segment[runs, rows]], runs, rows])
 
@@ -98,7 +97,7 @@ class HeldOut:
     def correlations_of(self, model: Contender) -> tuple[tuple[str, ...], Floats]:
         """Names of the fitted parameters (k) of a model, and the correlation (k, k) of their errors."""
         own = model.fit.free.own
-        labels = [part.name if np.isneginf(part.starts[0, -GATES]) else f"{part.name}, later" for part in model.parts]
+        labels = [f"{part.name}, later" if begins_later(part) else part.name for part in model.parts]
         names = [
             f"{part.term.form.parameters[j].name} of {label}"
             for part, label in zip(model.parts, labels, strict=True)
@@ -203,27 +202,24 @@ class HeldOut:
 
         An error that wanders follows a part wherever it stays behind: what is missing would be called noise.
         """
-        fit, first = model.fit, len(model.fit.vector) - len(NOISE)
-        vector = fit.vector.copy()
-        vector[first] = np.logaddexp(2.0 * vector[first], 2.0 * vector[first + _WANDER]) / 2.0
-        vector[first + _WANDER] = -np.inf
-        error, variance = (values[0] for values in errors(self.data, [fit.hypotheses(vector[None])], "filter"))
+        fit = self.competition.fitting.improved([model.fit.without(_WANDER)], _ROUNDS)[0]
+        error, variance = (values[0] for values in errors(self.data, [fit.hypotheses(fit.vector[None])], "filter"))
         return error, np.asarray(np.sqrt(variance / np.mean(variance[self.data.counted])))
 
     def _left_by(self, model: Contender) -> ResidualTest | None:
+        """The less certain of two tests: an error that wanders is noise, and may hide what is missing."""
+        wandering = self.errors(model, "filter"), self.spread(model)
+        tests = [self._tested(*innovations) for innovations in (self.innovations(model), wandering)]
+        known = [test for test in tests if test is not None]
+        return max(known, key=lambda test: min(test.probability, test.least), default=None)
+
+    def _tested(self, error: Floats, spread: Floats) -> ResidualTest | None:
         starts = self.data.counted_starts
-        error, spread = self.innovations(model)
         innovations = error / spread
         past = np.stack([np.roll(innovations, k, axis=1) for k in range(LAGS)], axis=-1)
         past[:, :LAGS] = 0.0
         under = replace(self._circumstances, errors=past[starts], spread=np.roll(spread, -1, axis=1)[starts])
         return whiteness_test(np.roll(innovations, -1, axis=1)[starts][:, None], under)
-
-
-def independent_share(correlation: float) -> float:
-    """Which share of rows counts, where each is correlated so much with the next: (1 - r) / (1 + r) (Bartlett 1935)."""
-    r = max(correlation, 0.0)
-    return (1.0 - r) / (1.0 + r)
 
 
 def _floor(model: Contender, data: CoordinateData, kind: Kind) -> float:

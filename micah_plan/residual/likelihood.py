@@ -43,3 +43,9 @@ def student_t_log_density(x: Floats, freedom: float) -> Floats:
     half = 0.5 * (freedom + 1.0)
     norm = gammaln(half) - gammaln(0.5 * freedom) - 0.5 * np.log(np.pi * freedom)
     return np.asarray(norm - half * np.log1p(np.square(x) / freedom))
+
+
+def independent_share(correlation: float) -> float:
+    """Which share of rows counts, where each is correlated so much with the next: (1 - r) / (1 + r) (Bartlett 1935)."""
+    r = max(correlation, 0.0)
+    return (1.0 - r) / (1.0 + r)

@@ -20,8 +20,7 @@ from micah_plan.arrays import ROUND_OFF, Floats, Ints, robust_std
 from micah_plan.learn.segmenting.changepoints import LengthPrior, length_terms, most_probable_spans
 from micah_plan.quantities import percent, quantity
 from micah_plan.residual.coordinate_data import CoordinateData
-from micah_plan.residual.held_out import independent_share
-from micah_plan.residual.likelihood import FEWEST_ROWS, FREEDOM, robust_log_density
+from micah_plan.residual.likelihood import FEWEST_ROWS, FREEDOM, independent_share, robust_log_density
 
 # Rows that the recursion reads, evenly over the configuration.
 _MOST_ROWS = 800

@@ -24,7 +24,7 @@ from micah_plan.residual.candidates import candidates, untried
 from micah_plan.residual.contenders import Contender, best_first
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.filtering import errors, generated
-from micah_plan.residual.fitting import Fit
+from micah_plan.residual.fitting import ENOUGH_INDEPENDENT, Fit
 from micah_plan.residual.likelihood import LEAST_EVIDENCE
 from micah_plan.residual.trace import CoordinateTrace
 from micah_plan.task.experiment import Experiment, Motion
@@ -34,7 +34,7 @@ from micah_plan.task.start import Start, start_mode
 _ENOUGH = 3.0 * LEAST_EVIDENCE
 # A pair that no motion tells apart by more than this per run [nats] is left to its sentence.
 _HOPELESS = 0.1
-_MOST_REPETITIONS, _FEWEST_RUNS = 10, 5
+_MOST_REPETITIONS = 10
 _MOST_RIVALS = 4
 # Motions are made of so many pieces of so many steps; so many of each length are gone on with.
 _PIECES, _STEPS, _KEPT = 6, 8, 4
@@ -175,9 +175,9 @@ def _designed(
     is_hopeless = total > _HOPELESS * len(motions)
     if not is_hopeless.any():
         return None
-    # Held-out runs judge, so there are some.
+    # Few runs are asked each whether they contradict the others.
     needed = int(np.ceil(_ENOUGH / total[is_hopeless].min()))
-    repetitions = int(np.clip(needed, np.ceil(_FEWEST_RUNS / len(motions)), _MOST_REPETITIONS))
+    repetitions = int(np.clip(needed, np.ceil(ENOUGH_INDEPENDENT / len(motions)), _MOST_REPETITIONS))
     names = list(combinations([rival.name for rival in rivals], 2))
     expected = tuple((*names[k], float(repetitions * total[k])) for k in np.flatnonzero(is_hopeless))
     return Designed(Experiment(automaton, tuple(motions), repetitions), data.coordinate, expected)

@@ -7,22 +7,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import ROUND_OFF, Floats
 from micah_plan.automaton.effects.registry import form
 from micah_plan.quantities import Progress
 from micah_plan.residual.candidates import FOLLOW, GATES, MEMORY, UNNAMED, TermCandidate, indistinguishable
 from micah_plan.residual.competition import Standings
-from micah_plan.residual.contenders import Contender, best_first
+from micah_plan.residual.contenders import LONGER, Contender, begins_later, best_first
 from micah_plan.residual.coordinate_data import CoordinateData
-from micah_plan.residual.fitting import Fitting
+from micah_plan.residual.fitting import ENOUGH_INDEPENDENT, Fitting
 from micah_plan.residual.held_out import HeldOut
 from micah_plan.residual.likelihood import LEAST_EVIDENCE, student_t_log_density
 from micah_plan.residual.missing_mode import MissingMode, missing_modes
 from micah_plan.residual.residual_test import ResidualTest
-from micah_plan.residual.verdict import Facts, Outcome, outcome_of
+from micah_plan.residual.verdict import UNEXPLAINED, Facts, Outcome, outcome_of
 
-# Independent runs, or motions of the only run, from which on evidence of rows is evidence.
-ENOUGH_INDEPENDENT = 5
 # A motion is one from end to end of at least this share of where the part was.
 _A_MOTION = 0.2
 # The last runs, as a share of all.
@@ -103,22 +101,22 @@ def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrac
     found = held_out.competition.search(progress or _silent)
     modes = _modes(held_out, found) if found.left else ()
     share = _share_left(found)
-    closest = found.chosen.names if found.chosen is not nominal and share > _IMITATED and not modes else ()
+    closest = found.chosen.names if found.chosen is not nominal and share > UNEXPLAINED and not modes else ()
     # Effects that act everywhere only imitate what a mode of its own, or something without a name, does.
     chosen = nominal if modes or closest else found.chosen
     findings = () if chosen is nominal else _findings(held_out, found)
     final = _final(held_out, found, chosen)
-    passing = [one for one in found.left if one.parts and np.isfinite(one.parts[-1].starts[0, -GATES:]).any()]
+    is_passing = any(begins_later(one.parts[-1]) for one in found.left)
     facts = Facts(
         effects=len(findings),
         modes=len(modes),
         is_open=any(may_remember(data, finding) for finding in findings),
         is_contradicted=_is_contradicted(held_out, chosen),
         is_over=_is_over(held_out, final),
-        is_longer=final is not nominal and _rolled(held_out, final) > _LONGER * _rolled(held_out, nominal),
+        is_longer=final is not nominal and _rolled(held_out, final) > LONGER * _rolled(held_out, nominal),
         is_single=_is_single(data),
         is_changing=len({gate for part in chosen.parts if np.isfinite(gate := float(part.starts[0, -GATES]))}) > 1,
-        is_passing=bool(passing),
+        is_passing=is_passing,
         smooth=0.0 if modes else share,
         is_corrected=any(effect.name == UNNAMED for effect in data.effects),
     )
@@ -143,17 +141,9 @@ def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrac
     )
 
 
-# Roll-outs that are so many times as long as before are longer.
-_LONGER = 1.02
-
-
 def _rolled(held_out: HeldOut, model: Contender) -> float:
     """Root mean square error of roll-outs of held-out rows [rad or m]."""
     return float(np.sqrt(np.mean(held_out.rollout_errors(model) ** 2)))
-
-
-# What corrections take out of the explainable residual, from where on effects only imitate it.
-_IMITATED = 0.5
 
 
 def _share_left(found: Standings) -> float:
@@ -200,7 +190,7 @@ def _is_over(held_out: HeldOut, named: Contender) -> bool:
         return False
     latest = np.isin(data.run, runs[-max(1, round(_LATEST_SHARE * len(runs))) :])[:, None] & data.counted
     errors = [held_out.errors(model, "filter") / held_out.spread(model) for model in (named, base)]
-    scale = float(np.sqrt(np.mean(errors[0][data.counted] ** 2)))
+    scale = max(float(np.sqrt(np.mean(errors[0][data.counted] ** 2))), ROUND_OFF)
     freedom = named.fit.freedom
     with_it, without = (float(student_t_log_density(e[latest] / scale, freedom).sum()) for e in errors)
     return with_it - without < -LEAST_EVIDENCE
@@ -275,7 +265,7 @@ def _findings(held_out: HeldOut, found: Standings) -> tuple[CoordinateFinding, .
         others = tuple(other for other in chosen.parts if other is not part)
         without = held_out.competition.of_parts(others)
         tied = _tied(found, number)
-        is_always = not part.term.modes and not np.isfinite(part.starts[0, -GATES:]).any()
+        is_always = not part.term.modes and not begins_later(part)
         # What would do the same as a tied one was not tried, but is tied as well.
         alike = [name for model in found.near for name in indistinguishable(model.parts[-1], data)] if tied else []
         same = indistinguishable(part, data) if is_always else ()

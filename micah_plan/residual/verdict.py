@@ -14,8 +14,9 @@ SENTENCES: dict[Verdict, str] = {
     "unexplained": "the model lacks something that no effect of the library explains",
 }
 
-# Share of the explainable residual that effects leave to a correction without a name, from which on it is unexplained.
-_UNEXPLAINED = 0.5
+UNEXPLAINED = 0.5
+"""Share of the explainable residual that effects leave to a correction without a name, from which on they only imitate
+it."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ OUTCOMES: tuple[tuple[Outcome, Callable[[Facts], bool]], ...] = (
     (Outcome("mode", "partly", "a mode of its own is missing"), lambda f: f.modes > 0),
     (
         Outcome("unnamed", "unexplained", "what is left follows something that no effect names"),
-        lambda f: f.smooth > _UNEXPLAINED or (not f.effects and (f.smooth > 0 or f.is_corrected)),
+        lambda f: f.smooth > UNEXPLAINED or (not f.effects and (f.smooth > 0 or f.is_corrected)),
     ),
     (
         Outcome("remembered", "partly", "with runs like these the effect may as well come from earlier commands"),

@@ -9,7 +9,8 @@ import pytest
 from micah_plan.automaton.tracks import tracks
 from micah_plan.residual.candidates import candidates
 from micah_plan.residual.coordinate_data import coordinate_data_of
-from micah_plan.residual.held_out import HeldOut, independent_share
+from micah_plan.residual.held_out import HeldOut
+from micah_plan.residual.likelihood import independent_share
 
 
 def interval_of(door, plant, name, seed, goals=None):

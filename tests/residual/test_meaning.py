@@ -87,3 +87,18 @@ def test_places_are_seen_where_a_motor_swings_beyond_the_range() -> None:
     assert found.effects[0].effect.name == "follow"
     unseen = predict_recording(found.automaton, recording_of(runs[4:], slides=False, rate=5.0))
     assert rmse([run.rollout.configuration for run in unseen]) < 0.03
+
+
+@pytest.mark.parametrize("push", [0.0, 0.02])
+def test_commands_that_are_all_the_same_are_no_places(door, push) -> None:
+    """A place is the measured one then, or as far beside it in every row: following it says nothing of commands."""
+    moved = [(z, np.full_like(u, push)) for z, u in plants.runs_of(plants.honest, 6, 40, 0)]
+    found = calibrate(door, plants.door_recording(moved))
+    assert "follow" not in [one.effect.name for one in found.effects]
+
+
+def test_a_locked_part_that_is_seen_without_noise_is_calibrated(door) -> None:
+    held = [(np.full(20, 0.4), np.full(20, 0.02))] * 5
+    found = calibrate(door, plants.door_recording(held))
+    assert found.effects
+    assert found.after.rollout < 0.01 * found.before.rollout
