@@ -42,6 +42,7 @@ from micah_plan.documents.fields import (
     ModeName,
     ModeNames,
     Name,
+    Names,
     NonNegative,
     PartName,
     Place,
@@ -245,11 +246,15 @@ class EffectDocument(Document):
     modes: ModeNames = doc("Modes in which it acts; absent: in all.", tuple)
     note: Line = doc("A remark for people.", "")
     since: SinceDocument | None = doc("From when on it acts in the recording in which it was seen.", None)
+    tied: Names = doc("Effects that its recording was as likely with in its place.", tuple)
 
     def meanings(self, at: Located, scope: Scope) -> dict[str, Any]:
         own = super().meanings(at, scope)
         with at.at("name").locating_errors():
             names = [parameter.name for parameter in form(self.name).parameters]
+        for k, other in enumerate(self.tied):
+            with at.at("tied", k).locating_errors():
+                form(other)
         values = at.at("parameters").in_order(self.parameters, names, "parameter")
         std = at.at("std").in_order(self.std, names, "parameter") if self.std else ()
         return own | {"parameters": tuple(zip(names, values, strict=True)), "std": std}

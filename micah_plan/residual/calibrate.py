@@ -31,11 +31,12 @@ from micah_plan.recording.value import Recording
 from micah_plan.residual.candidates import GATES, TermCandidate
 from micah_plan.residual.compared_runs import dated, sections
 from micah_plan.residual.coordinate_data import MOST_ROWS, CoordinateData, coordinate_data_of
+from micah_plan.residual.earlier_effects import estimated_effects, evidence_of, replaces, without_estimated
 from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.faulty_runs import faulty_runs
 from micah_plan.residual.geometry import DirectFinding, systematic_transverse_error, transverse_rms
 from micah_plan.residual.held_out import HeldOut
-from micah_plan.residual.likelihood import FEWEST_ROWS, LEAST_EVIDENCE
+from micah_plan.residual.likelihood import FEWEST_ROWS, LEAST_EVIDENCE, TIE
 from micah_plan.residual.missing_mode import MissingMode
 from micah_plan.residual.prediction import RunPrediction, predict_recording, refused, rmse, rmse_of_coordinates
 from micah_plan.residual.range_exceeded import RangeExceeded, with_range_ends, with_shifts, without_old_ends
@@ -112,6 +113,7 @@ class Calibration:
         notes: what can and cannot be concluded, one sentence each.
         experiment: the next one worth making.
         nominal, recording: what was calibrated, without runs that were set aside.
+        reviewed: the calibration that keeps what an earlier one added, where this one has other effects in its place.
     """
 
     automaton: HybridAutomaton
@@ -127,6 +129,12 @@ class Calibration:
     experiment: str
     nominal: HybridAutomaton
     recording: Recording
+    reviewed: Calibration | None = None
+
+    @property
+    def least(self) -> float:
+        """Evidence that an effect more must have [nats]."""
+        return max(trace.held_out.competition.least for trace in self.traces)
 
     @property
     def errors(self) -> tuple[Errors, ...]:
@@ -136,7 +144,8 @@ class Calibration:
             return (Errors("positions", "m", self.before, self.after, self.noise_floor, self.rollout_floor),)
         if len(units) == 1:
             return (Errors("", units.pop(), self.before, self.after, self.noise_floor, self.rollout_floor),)
-        sizes = [(_size([trace], is_final=False), _size([trace], is_final=True)) for trace in self.traces]
+        traces = zip((self.reviewed or self).traces, self.traces, strict=True)
+        sizes = [(_size([before], is_final=False), _size([after], is_final=True)) for before, after in traces]
         return tuple(
             Errors(trace.data.coordinate, trace.data.unit, before, after, trace.floor, trace.rollout_floor)
             for trace, (before, after) in zip(self.traces, sizes, strict=True)
@@ -188,7 +197,7 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
             "expected actions, found no columns ax, ay, az",
             remedy="record the commanded displacements to calibrate a model",
         )
-    calibration = _calibrated(automaton, recording, progress)
+    calibration = _revised(_calibrated(automaton, recording, progress), progress)
     faulty = faulty_runs(calibration.traces)
     if faulty:
         usual = recording.rows(~np.isin(recording.run, [run.run for run in faulty]))
@@ -199,6 +208,31 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
         verdict=overall([calibration.verdict, *verdicts]),
         notes=(*(run.advice for run in faulty), *calibration.notes),
     )
+
+
+def _revised(kept: Calibration, progress: Progress | None) -> Calibration:
+    """The calibration with other effects in place of those of an earlier one, if they are likelier together.
+
+    Fewer effects need not be likelier to be kept; as many must be ahead by as much as an effect more must be.
+    """
+    automaton = kept.nominal
+    earlier = estimated_effects(automaton)
+    if not earlier or kept.verdict == "none":
+        return kept
+    anew = _calibrated(without_estimated(automaton), kept.recording, progress)
+    gain = evidence_of([one.final for one in anew.traces]) - evidence_of([one.final for one in kept.traces])
+    is_simpler = len(anew.automaton.effects) < len(kept.automaton.effects)
+    if gain <= (-TIE if is_simpler else kept.least):
+        return kept
+    names = ", ".join(f"{effect.name} of {effect.coordinate}" for effect in earlier)
+    if not replaces([effect.effect for effect in anew.effects if effect.is_added], earlier):
+        note = (
+            f"this recording is likelier without {names}, which an earlier calibration added; calibrate the model "
+            "without it on all recordings together"
+        )
+        return replace(kept, notes=(note, *kept.notes))
+    note = f"{names}, from an earlier calibration, was estimated anew: this recording tells what that one did not"
+    return replace(anew, nominal=automaton, reviewed=kept, before=kept.before, notes=(note, *anew.notes))
 
 
 def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Progress | None) -> Calibration:
@@ -340,7 +374,7 @@ def _all_found(trace: CoordinateTrace, exceeded: Sequence[RangeExceeded]) -> lis
 
 
 def _found(data: CoordinateData, finding: CoordinateFinding, exceeded: Sequence[RangeExceeded]) -> FoundEffect:
-    (effect,) = with_shifts([effect_of(data, finding.part, finding.interval)], exceeded)
+    (effect,) = with_shifts([effect_of(data, finding.part, finding.interval, finding.tied)], exceeded)
     effect_form, ends = form(effect.name), finding.interval[: len(effect.values)].copy()
     ends[0] += 0.0 if effect.name == finding.part.name else effect.values[0] - finding.part.starts[0, 0]
     return FoundEffect(
@@ -377,7 +411,9 @@ def _direct_effect(direct: DirectFinding) -> FoundEffect:
     return FoundEffect(effect, units, interval, evidence, (), (), effect_form.sentence, effect_form.source, "")
 
 
-def effect_of(data: CoordinateData, part: TermCandidate, interval: Floats | None = None) -> Effect:
+def effect_of(
+    data: CoordinateData, part: TermCandidate, interval: Floats | None = None, tied: tuple[str, ...] = ()
+) -> Effect:
     """The value that an automaton takes in of a fitted candidate."""
     effect_form = part.term.form
     count = len(effect_form.parameters)
@@ -389,7 +425,7 @@ def effect_of(data: CoordinateData, part: TermCandidate, interval: Floats | None
     since = _since(data, part.starts[0])
     ends = () if interval is None else interval[:count]
     spread = tuple(float(high - low) / (2.0 * INTERVAL_STDS) for low, high in ends)
-    return Effect(effect_form.name, data.coordinate, pairs, spread, part.term.modes, since=since)
+    return Effect(effect_form.name, data.coordinate, pairs, spread, part.term.modes, since=since, tied=tied)
 
 
 def _since(data: CoordinateData, values: Floats) -> Since | None:
@@ -411,7 +447,8 @@ def _to_add(traces: Sequence[CoordinateTrace]) -> list[Effect]:
             finding = by_part.get(_acting(part))
             # With a correction on top the parameters are those that were fitted together with it.
             part_kept = finding.part if finding is not None and traced.final is traced.chosen else part
-            effects.append(effect_of(traced.data, part_kept, None if finding is None else finding.interval))
+            interval, tied = (None, ()) if finding is None else (finding.interval, finding.tied)
+            effects.append(effect_of(traced.data, part_kept, interval, tied))
     return [effect for effect in effects if not is_as_commanded(effect)]  # that the model has already
 
 

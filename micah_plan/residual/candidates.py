@@ -197,7 +197,7 @@ def follows(data: CoordinateData) -> list[TermCandidate]:
         large = {share: 0.3, offset: 0.3 * size, gain: 0.1, delay: 1.0, momentum: 0.3, width: 0.2 * size}
         return TermCandidate(Term(form(FOLLOW)), values, tuple(free), np.array([large[k] for k in free]))
 
-    regressed = [_regressed(data, late) for late in range(4)]
+    regressed = [_regressed(data, late) for late in range(3)]
     first = [{share: 0.9}, {share: 0.4}, {share: 0.1}, {share: 0.02}]
     second = [{share: 0.5, momentum: 0.2}, {share: 0.1, momentum: 0.7}, {share: 0.01, momentum: 0.9}, *regressed[:1]]
     delayed = [
@@ -216,16 +216,22 @@ def follows(data: CoordinateData) -> list[TermCandidate]:
 
 
 def _regressed(data: CoordinateData, late: int) -> dict[int, float]:
-    """Parameters of `follow` by least squares of measured steps, with places so many rows late: where fits begin."""
-    first = max(late, 1)
+    """Parameters of `follow` by least squares of measured steps, with places so many rows late and up to one more.
+
+    Where fits begin: a delay between two rows is a share of the place in each.
+    """
+    first = late + 1
     rows = data.z.shape[1] - 1
-    now, place = data.z[:, first:rows], data.place[:, first - late : rows - late]
+    now, before, after = data.z[:, first:rows], data.z[:, first - 1 : rows - 1], data.z[:, first + 1 :]
+    places = [data.place[:, first - lag : rows - lag] for lag in (late, late + 1)]
     counts = data.counted[:, first + 1 :] & data.is_measured[:, first:rows] & data.is_measured[:, first - 1 : rows - 1]
-    before, after = data.z[:, first - 1 : rows - 1], data.z[:, first + 1 :]
-    design = np.stack([np.ones(counts.sum()), (now - before)[counts], place[counts], now[counts]], axis=1)
-    offset, momentum, of_place, of_part = np.linalg.lstsq(design, (after - now)[counts], rcond=None)[0].tolist()
-    share = max(-of_part, 1e-4)
-    return {0: share, 1: offset / share, 2: of_place / share, 3: float(late) + 0.01, 4: momentum}
+    terms = [np.ones(counts.sum()), (now - before)[counts], *(place[counts] for place in places), now[counts]]
+    offset, momentum, *of_places, of_part = np.linalg.lstsq(np.stack(terms, axis=1), (after - now)[counts], rcond=None)[
+        0
+    ].tolist()
+    share, whole = max(-of_part, 1e-4), sum(of_places)
+    between = min(max(of_places[1] / whole, 0.01), 1.0) if whole > 0.0 else 0.01
+    return {0: share, 1: offset / share, 2: whole / share, 3: late + between, 4: momentum}
 
 
 def at_commanded_places() -> TermCandidate:

@@ -41,13 +41,16 @@ _MOST_CHANGES = 3
 _ROWS_FOR_SMOOTH = 60
 # Rows of a recording at which something may have begun at first, and how often the search comes closer.
 _PROFILE = 32
-_TURNS = 4
+_TURNS, _COARSE_TURNS = 4, 2
 # Shares of the rows before which, and after which, nothing can be said to have begun.
 _EARLIEST = 0.03
 _LINE_LIKE = ("gain", "bias", "dead_zone")
 # Where a change that nothing told of may have been: shares of the recording.
 _PLACES_OF_CHANGE = (0.25, 0.5, 0.75)
 _COMMON = 0.05
+# Evidence "not worth more than a bare mention" [nats] (Kass and Raftery, JASA 1995): the plainest is then as good.
+_NO_MENTION = 1.0
+_ROUNDS_OF_CORRECTIONS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +209,7 @@ class Competition(Contenders):
             for part in library
             if part.name in {*_LINE_LIKE, *_of_commands(head)} and _may_begin(part)
         ]
-        return self._begins(self.fitted(options, first=2, more=3))
+        return self._begins(self.fitted(options, first=2))
 
     def _begins(self, contenders: Sequence[Contender], *, in_each_run: bool = False) -> list[Contender]:
         """The same effects, the last since some row: its likelihood over all rows, then the parameters, in turn.
@@ -232,14 +235,16 @@ class Competition(Contenders):
         rows = [own[(own >= first) & (own <= last)] for own in rows]
         if not len(rows[0]):
             return []
-        for _ in range(_TURNS):
+        for turn in range(_TURNS):
+            # Where about it began, some rows of a long recording tell.
+            fitting = self.screening if turn < _COARSE_TURNS else self.fitting
             vectors = [np.repeat(fit.vector[None], len(own), axis=0) for fit, own in zip(fits, rows, strict=True)]
             for tried, gate, own in zip(vectors, gates, rows, strict=True):
                 tried[:, gate] = own
-            losses = self.fitting.losses(fits, vectors)
+            losses = fitting.losses(fits, vectors)
             best = [int(np.argmin(loss - bonus * np.isin(own, firsts))) for loss, own in zip(losses, rows, strict=True)]
             begun = [replace(fit, vector=tried[k]) for fit, tried, k in zip(fits, vectors, best, strict=True)]
-            fits = self.fitting.improved(begun, 3)
+            fits = fitting.improved(begun, 3, within=self.within)
             rows = [_near(float(own[k]), at, firsts, stride) for own, k in zip(rows, best, strict=True)]
             rows = [own[(own >= first) & (own <= last)] for own in rows]
             stride = max(stride // 4, 1)
@@ -264,7 +269,7 @@ class Competition(Contenders):
             if are_compatible(head, part)
             for option in (on_top(head, part), *_before(head, part))
         ]
-        return self.fitted(options, first=3, more=12, most=_SECONDS, restarted=RESTARTED)
+        return self.fitted(options, most=_SECONDS, restarted=RESTARTED)
 
     def of_parts(self, parts: Sequence[TermCandidate]) -> float:
         """Evidence of a model of fitted effects, fitted again [nats]."""
@@ -306,7 +311,7 @@ class Competition(Contenders):
             for part in (*smooths, earlier_commands(data))
             if part.name != MEMORY or FOLLOW not in model.names
         ]
-        return self.fitted(options, first=2, more=6, keep=1, most=len(options))
+        return self.fitted(options, first=2, keep=1, rounds=_ROUNDS_OF_CORRECTIONS)
 
 
 def _of_commands(head: Contender) -> set[str]:
@@ -350,7 +355,9 @@ def are_compatible(head: Contender, part: TermCandidate) -> bool:
 
 
 def simplest(contenders: Sequence[Contender]) -> tuple[Contender, tuple[Contender, ...]]:
-    """The plainest of those within a tie of the best, and all of these."""
+    """The plainest of those as good as the best, and all within a tie of it."""
     best = max(contenders, key=lambda one: one.evidence)
     near = [one for one in contenders if one.evidence > best.evidence - TIE]
-    return min(near, key=lambda one: one.rank), tuple(near)
+    return min((one for one in near if one.evidence > best.evidence - _NO_MENTION), key=lambda one: one.rank), tuple(
+        near
+    )

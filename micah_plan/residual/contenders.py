@@ -7,7 +7,7 @@ Sources: Kass and Raftery, "Bayes factors", JASA 1995; Stone, JRSS B 1974 (predi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,10 +55,15 @@ _NORMAL = 2.0  # nats by which heavy tails must be ahead
 _HEARD, _MOST_HEARD = 0.25, 20.0
 # Logs of the noise's parts over the largest, where readings or motion have most of it; how many fits try both.
 _SPLITS = ((-0.3, -2.5, -3.0, -2.5), (-2.0, -0.3, -2.0, -2.5))
-RESTARTED, _OTHER_ROUNDS, _TO_THE_END = 5, 5, 20
+RESTARTED, TO_THE_END = 5, 20
+# After one round so many times as many options are left as go on.
+_AHEAD = 3
 # Logs by which the noise of a start may be less than that of the model that it begins with.
 _QUIETER = (0.0, 1.5, 3.0, 4.5)
-_SCREENED_ROWS, _SCREENED_MOST = 500, 12
+# Rows of a long recording that are searched; models that are then fitted to all, and in how many rounds.
+_SCREENED_ROWS, _VERIFIED, _ON_ALL_ROUNDS = 600, 10, 4
+# A fit that is so many times what an effect must add behind the best has no chance of a tie.
+_LEFT_BEHIND = 5.0
 # A parameter is at a bound within so much of what is large for it, or within so many stds, if these are less.
 _AT_BOUND, _SURELY = 0.05, 3.0
 LONGER = 1.02
@@ -143,6 +148,7 @@ class Contenders:
         self.as_told = (at_commanded_places(),) if len(given) < len(data.effects) else ()
         self.has_places = any(term.form.layer == "place" for term in self.given)
         self.least = max(_LEAST, EVIDENCE_PER_ROW * int(data.counted.sum()))
+        self.within = _LEFT_BEHIND * self.least
         # Places that are relative to what was believed contain no measurement: nothing blurs them.
         is_open = data.meaning is None and not data.is_outside
         heard = np.clip(_HEARD * regularity(data), -_MOST_HEARD, _MOST_HEARD) if is_open else 0.0
@@ -235,71 +241,81 @@ class Contenders:
         self,
         options: Sequence[Option],
         first: int = 3,
-        more: int = 8,
         keep: int = 2,
         most: int | None = None,
         restarted: int = 0,
+        rounds: int = TO_THE_END,
     ) -> list[Contender]:
         """The best fit of each option; without those that fit hardly better than their base.
 
+        Of a long recording the search goes through some of its rows, and what is best there is fitted to all.
+
         Args:
-            first: rounds with the noise of the base, of the `keep` best starts; more: rounds of all, of the best.
-            most: options of each base that go on after the first rounds; None: all of a recording that is not long.
-            restarted: of the best fits, so many begin once more with other noise.
+            first: rounds with the noise of the base, of the `keep` best starts.
+            most: options of each base that go on, `_AHEAD` times as many after the first round; None: all.
+            restarted: of the best, so many go on from other noise as well.
+            rounds: of those that go on.
         """
         if not options:
             return []
-        is_screened = self.screening is not self.fitting and len(options) > (most or _SCREENED_MOST)
-        most = most or (_SCREENED_MOST if is_screened else len(options))
-        screening = self.screening if is_screened else self.fitting
+        is_screened = self.screening is not self.fitting and first > 0
+        searched = self.screening if is_screened else self.fitting
         every = [[self._fit(option, start) for start in option.starts] for option in options]
-        kept = _best_starts(screening, every, keep)
-        improved = iter(screening.improved([fit for fits in kept for fit in fits], first, is_noise_free=False))
-        best = [min((next(improved) for _ in fits), key=lambda fit: fit.loss) for fits in kept]
+        kept = _best_starts(searched, every, keep)
         bases = {id(option.base): option.base for option in options if option.base is not None}
-        at = dict(zip(bases, screening.started([base.fit for base in bases.values()]), strict=True))
-        pairs = []
-        for base in dict.fromkeys(id(option.base) for option in options):
-            own = [(option, fit) for option, fit in zip(options, best, strict=True) if id(option.base) == base]
-            if base in at:
-                own = [(option, fit) for option, fit in own if fit.loss < at[base].loss + is_screened]
-            pairs += sorted(own, key=lambda pair: pair[1].loss)[:most]
-        ready = self.fitting.improved([fit for _, fit in pairs], more)
+        at = dict(zip(bases, searched.started([base.fit for base in bases.values()]), strict=True))
+        pairs = [(option, fit) for option, fits in zip(options, kept, strict=True) for fit in fits]
+        for begun, left in ((1, _AHEAD * most if most else None), (first - 1, most)) if first else ():
+            ready = searched.improved([fit for _, fit in pairs], begun, is_noise_free=False)
+            pairs = _best_of_each(zip((option for option, _ in pairs), ready, strict=True), left)
+        if first:
+            pairs = [
+                (o, fit) for o, fit in pairs if id(o.base) not in at or fit.loss < at[id(o.base)].loss + is_screened
+            ]
+        ready = self._from_other_noise(searched, [fit for _, fit in pairs], restarted, rounds)
         chosen = [
             (option, fit)
             for (option, _), fit in zip(pairs, ready, strict=True)
-            if option.base is None or fit.loss < option.base.fit.loss - _HOPELESS
+            if option.base is None or fit.loss < at[id(option.base)].loss - _HOPELESS
         ]
-        weighed = self.fitting.weighed(self._from_other_noise([fit for _, fit in chosen], restarted))
+        if is_screened:
+            chosen = sorted(chosen, key=lambda pair: pair[1].loss)[:_VERIFIED]
+            ready = self.fitting.improved([fit for _, fit in chosen], _ON_ALL_ROUNDS, within=self.within)
+            chosen = [(option, fit) for (option, _), fit in zip(chosen, ready, strict=True)]
+        weighed = self.fitting.weighed([fit for _, fit in chosen])
         return [self._contender(option.parts, own) for (option, _), own in zip(chosen, weighed, strict=True)]
 
-    def _from_other_noise(self, fits: Sequence[Fit], most: int) -> list[Fit]:
-        """The best fits once more from where readings, or motion, have most of the noise: each is an optimum."""
-        best = sorted(range(len(fits)), key=lambda k: fits[k].loss)[:most]
-        tried = [_noisy(fits[k], split) for k in best for split in _SPLITS]
-        tried += [replace(fits[k], freedom=NORMAL) for k in best if fits[k].freedom < NORMAL]
-        owners = [k for k in best for _ in _SPLITS] + [k for k in best if fits[k].freedom < NORMAL]
-        result = list(fits)
-        for k, fit in zip(owners, self.fitting.improved(tried, _OTHER_ROUNDS), strict=True):
-            result[k] = min(result[k], fit, key=_tailed)
-        for k, fit in zip(best, self.fitting.improved([result[k] for k in best], _TO_THE_END), strict=True):
-            result[k] = fit
-        return result
+    def _from_other_noise(self, searched: Fitting, fits: Sequence[Fit], most: int, rounds: int) -> list[Fit]:
+        """Fitted to the end; the best also with most of the noise in readings, or in motion: each is an optimum."""
+        owners, tried = list(range(len(fits))), list(fits)
+        for k in sorted(owners, key=lambda k: fits[k].loss)[:most]:
+            others = [_noisy(fits[k], split) for split in _SPLITS]
+            others += [replace(fits[k], freedom=NORMAL)] if fits[k].freedom < NORMAL else []
+            owners += [k] * len(others)
+            tried += others
+        best = dict[int, Fit]()
+        for k, fit in zip(owners, searched.improved(tried, rounds, within=self.within), strict=True):
+            best[k] = min(best.get(k, fit), fit, key=_tailed)
+        return [best[k] for k in range(len(fits))]
 
     def polished(self, contender: Contender) -> Contender:
         """The same model, fitted to the end, with tails as heavy as suits it."""
-        fits = self.fitting.improved([replace(contender.fit, freedom=freedom) for freedom in _FREEDOMS], _TO_THE_END)
-        return self._contender(contender.parts, self.fitting.weighed([min(fits, key=_tailed)])[0])
+        tried = [replace(contender.fit, freedom=freedom) for freedom in _FREEDOMS]
+        best = min(self.screening.improved(tried, TO_THE_END), key=_tailed)
+        if self.screening is not self.fitting:
+            (best,) = self.fitting.improved([best], TO_THE_END)
+        return self._contender(contender.parts, self.fitting.weighed([best])[0])
 
     def _nominal(self) -> Contender:
-        nothing = Option(self.as_told, np.hstack([np.zeros((1, 0)), *(part.starts for part in self.as_told)]))
-        tried = self.fitted([nothing], more=12, restarted=1)
-        for freedom in _FREEDOMS[1:]:
-            self.noise, self.freedom = tried[0].fit.noise, freedom
-            tried += self.fitted([nothing], restarted=1)
-        best = max(tried, key=lambda one: one.evidence - _NORMAL * (one.fit.freedom < NORMAL))
-        self.noise, self.freedom = best.fit.noise, best.fit.freedom
-        return best
+        start = np.hstack([np.zeros((1, 0)), *(part.starts for part in self.as_told)])[0]
+        begun = self._fit(Option(self.as_told, start[None]), start)
+        splits = [begun, *(_noisy(begun, split) for split in _SPLITS)]
+        tried = [replace(fit, freedom=freedom) for fit in splits for freedom in _FREEDOMS]
+        best = min(self.screening.improved(tried, TO_THE_END, within=self.within), key=_tailed)
+        if self.screening is not self.fitting:
+            (best,) = self.fitting.improved([best], TO_THE_END)
+        self.noise, self.freedom = best.noise, best.freedom
+        return self._contender(self.as_told, self.fitting.weighed([best])[0])
 
     # -- what is worth it
 
@@ -357,7 +373,7 @@ class Contenders:
 
 def _best_starts(fitting: Fitting, every: Sequence[Sequence[Fit]], keep: int) -> list[list[Fit]]:
     """The best starts of each option, each with as much of the noise as suits it: what explains more leaves less."""
-    quieter = [[_quieter(fit, by) for fit in fits for by in _QUIETER] for fits in every]
+    quieter = [[fit.with_noise(fit.noise[: len(STDS)] - by) for fit in fits for by in _QUIETER] for fits in every]
     started = iter(fitting.started([fit for fits in quieter for fit in fits]))
     kept = []
     for fits in every:
@@ -366,21 +382,21 @@ def _best_starts(fitting: Fitting, every: Sequence[Sequence[Fit]], keep: int) ->
     return kept
 
 
-def _quieter(fit: Fit, by: float) -> Fit:
-    return _with_stds(fit, fit.noise[: len(STDS)] - by)
+def _best_of_each(pairs: Iterable[tuple[Option, Fit]], most: int | None) -> list[tuple[Option, Fit]]:
+    """The best fit of each option; of these the best for each base, best first."""
+    best = dict[int, tuple[Option, Fit]]()
+    for option, fit in pairs:
+        if id(option) not in best or fit.loss < best[id(option)][1].loss:
+            best[id(option)] = option, fit
+    of_base = dict[int, list[tuple[Option, Fit]]]()
+    for option, fit in sorted(best.values(), key=lambda pair: pair[1].loss):
+        of_base.setdefault(id(option.base), []).append((option, fit))
+    return [pair for own in of_base.values() for pair in own[:most]]
 
 
 def _noisy(fit: Fit, split: Sequence[float]) -> Fit:
     """A fit with its noise split otherwise."""
-    return _with_stds(fit, float(fit.noise[: len(STDS)].max()) + np.array(split))
-
-
-def _with_stds(fit: Fit, logs: Floats) -> Fit:
-    """A fit with other noise, within its bounds."""
-    own, first = slice(fit.free.own, fit.free.own + len(STDS)), len(fit.vector) - len(NOISE)
-    vector = fit.vector.copy()
-    vector[first : first + len(STDS)] = np.clip(logs, fit.free.low[own], fit.free.high[own])
-    return replace(fit, vector=vector, loss=np.inf)
+    return fit.with_noise(float(fit.noise[: len(STDS)].max()) + np.array(split))
 
 
 def _tailed(fit: Fit) -> float:

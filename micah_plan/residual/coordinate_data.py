@@ -39,7 +39,7 @@ from micah_plan.residual.prediction import first_belief, inputs_of
 WARM_UP = 30
 # Segments of long runs have at most this many rows, which costs a quarter more for warming up, and the time of a
 # prediction goes with the longest segment. Fewer rows are read than `MOST_ROWS`, evenly over the recording.
-_LONGEST = 120
+_LONGEST = 60
 MOST_ROWS = 20_000
 # Roll-outs go over whole runs, up to this many rows.
 _LONGEST_ROLLOUT = 3000

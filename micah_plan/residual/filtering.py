@@ -32,6 +32,7 @@ NOISE = (*STDS, "low", "high")
 """Logs of `STDS` [of rad or m], and by how much the ends of the range are beside those that are known [rad or m]."""
 # Correlation of the wandering error from row to row.
 _STAYS = 0.9
+_STAYING = np.array([1.0, _STAYS, _STAYS**2]).reshape(3, 1, 1)
 # Share of the variance that is left where something holds the part: a stop is no perfect pin.
 _HELD_VARIANCE = 0.05
 # Share of rows that may lie anywhere in the range (Box and Tiao, Biometrika 1968: contaminated normal).
@@ -128,7 +129,11 @@ class _Acting:
 
 
 class _Filter:
-    """The state of the loop over rows: c, d and their covariance (B, S), and the memories of the terms."""
+    """The state of the loop over rows, and the memories of the terms.
+
+    Attributes:
+        state: (2, B, S) c and d. covariance: (3, B, S) of c, of c with d, and of d.
+    """
 
     def __init__(self, data: CoordinateData, batches: Sequence[ModelBatch], kind: Kind) -> None:
         self.data, self.kind = data, kind
@@ -152,13 +157,12 @@ class _Filter:
         self.is_held = any(bool(np.any(release > 0)) for release in self.release)
         self.low, self.high = self._ends_at(0)
         offset, slope = self._reading(0)
-        self.c = np.clip((self.z[0] - offset) / slope, self.low, self.high) * np.ones(self.shape)
-        self.d = np.zeros(self.shape)
-        self.cc = self.white * self.noise[0] / slope**2 * np.ones(self.shape)
-        self.cd = np.zeros(self.shape)
-        self.dd = self.wander * np.ones(self.shape)
+        self.state, self.covariance = np.zeros((2, *self.shape)), np.zeros((3, *self.shape))
+        self.state[0] = np.clip((self.z[0] - offset) / slope, self.low, self.high)
+        self.covariance[0] = self.white * self.noise[0] / slope**2
+        self.covariance[2] = self.wander
         for acting in self._all():
-            acting.memory = acting.form.at_rest_in(self.c[acting.rows], acting.p)
+            acting.memory = acting.form.at_rest_in(self.c[acting.rows].copy(), acting.p)  # the memory keeps it
         self.at_ends, self.ends_before = (self.c <= self.low, self.c >= self.high), (self.low, self.high)
 
     def run(self) -> tuple[Floats, Floats]:
@@ -178,6 +182,11 @@ class _Filter:
         """(S,) what the first hypothesis reads in row t."""
         offset, slope = self._reading(t)
         return np.asarray((offset + slope * self.c)[0])
+
+    @property
+    def c(self) -> Floats:
+        """(B, S) configuration."""
+        return np.asarray(self.state[0])
 
     def _all(self) -> list[_Acting]:
         return [acting for layer in self.acting.values() for acting in layer]
@@ -215,7 +224,7 @@ class _Filter:
 
     def _respond(self, acting: _Acting, t: int, v: Floats, slope: Floats | None) -> None:
         """Commands that come out of a place; what is uncertain of the configuration shrinks on the way there."""
-        c, place, kept = self.c[acting.rows], self.place[t], acting.memory
+        c, place, kept = self.c[acting.rows].copy(), self.place[t], acting.memory  # the memory keeps it
         out, acting.memory = acting.form.respond(np, c, place - c, kept, acting.p)
         ahead, _ = acting.form.respond(np, c + DIFFERENCE, place - c - DIFFERENCE, kept, acting.p)
         v[acting.rows] = out
@@ -224,28 +233,31 @@ class _Filter:
 
     def _move(self, v: Floats, free: Floats, slope: Floats | None, t: int) -> None:
         """Take the part to where it is free to go, or to what ends its way."""
-        slope = np.ones(self.shape) if slope is None else np.minimum(np.maximum(slope, -1.0), 1.0)
+        if slope is not None:
+            slope = np.minimum(np.maximum(slope, -1.0), 1.0)
         if self.is_bounded:
             self.low, self.high = self._ends_at(t)
             ended = np.minimum(np.maximum(free, self.low), self.high)
-            is_stopped = ended != free
+            is_free = ended == free
             if self.is_held:
                 at_low, at_high = self._held(v, ended)
                 ended = np.where(at_high, self.high, np.where(at_low, self.low, ended))
-                is_stopped |= at_low | at_high
-            slope[is_stopped] = 0.0
+                is_free &= ~(at_low | at_high)
+            if not is_free.all():
+                slope = is_free.astype(np.float64) if slope is None else slope * is_free
             free = ended
-        self.c = free
-        shrunk = slope * slope
-        shrunk *= 1.0 - _HELD_VARIANCE
-        shrunk += _HELD_VARIANCE
-        self.cc *= shrunk
-        self.cc += self.process + self.motion * self.effort[t]
-        slope *= _STAYS
-        self.cd *= slope
-        self.dd *= _STAYS**2
-        self.dd += (1.0 - _STAYS**2) * self.wander
-        self.d *= _STAYS
+        covariance = self.covariance
+        if slope is not None:
+            shrunk = slope * slope
+            shrunk *= 1.0 - _HELD_VARIANCE
+            shrunk += _HELD_VARIANCE
+            covariance[0] *= shrunk
+            covariance[1] *= slope
+        covariance *= _STAYING
+        covariance[0] += self.process + self.motion * self.effort[t]
+        covariance[2] += (1.0 - _STAYS**2) * self.wander
+        self.state[0] = free
+        self.state[1] *= _STAYS
 
     def _held(self, v: Floats, free: Floats) -> tuple[Booleans, Booleans]:
         """Whether the part is held at its lower and upper end: until a command releases it, or the end is gone."""
@@ -260,30 +272,33 @@ class _Filter:
         """Compare with row t and take the measurement in."""
         offset, slope = self._reading(t)
         white = self.white * self.noise[t]
-        error = self.z[t] - offset - slope * self.c - self.d
-        of_c, of_d = slope * self.cc + self.cd, slope * self.cd + self.dd
-        variance = slope * of_c + of_d + white
+        state, covariance = self.state, self.covariance
+        error = self.z[t] - offset - slope * state[0] - state[1]
+        of_state = slope * covariance[:2] + covariance[1:]
+        variance = slope * of_state[0] + of_state[1] + white
         if self.kind == "rollout":
             return error, variance
         gone = self._let_go(t, error, slope) if self.is_held else None
         if self.kind == "one_step":
             seen = self.data.is_measured[:, t]
-            self.c = np.where(seen, self.c + (error + self.d) / slope, self.c)
-            self.cc = np.where(seen, (white + self.wander) / slope**2, self.cc)
+            state[0] = np.where(seen, state[0] + (error + state[1]) / slope, state[0])
+            covariance[0] = np.where(seen, (white + self.wander) / slope**2, covariance[0])
             return error, variance
-        weight = error * error / variance
-        weight = np.minimum((self.freedom + 1.0) / (self.freedom + weight), 1.0) / variance
-        gain_c, gain_d = of_c * weight, of_d * weight
-        self.c = self.c + gain_c * error
-        self.d = self.d + gain_d * error
-        self.cc -= gain_c * of_c
-        self.cd -= gain_c * of_d
-        self.dd -= gain_d * of_d
+        weight = error * error
+        weight /= variance
+        weight += self.freedom
+        weight = np.minimum((self.freedom + 1.0) / weight, 1.0)
+        weight /= variance
+        gain = of_state * weight
+        state += gain * error
+        covariance[:2] -= gain[0] * of_state
+        covariance[2] -= gain[1] * of_state[1]
         if gone is not None and gone.any():
-            self.c = np.where(gone, (self.z[t] - offset) / slope, self.c)
-            self.cc, self.cd = np.where(gone, white / slope**2, self.cc), np.where(gone, 0.0, self.cd)
+            state[0] = np.where(gone, (self.z[t] - offset) / slope, state[0])
+            covariance[0] = np.where(gone, white / slope**2, covariance[0])
+            covariance[1] = np.where(gone, 0.0, covariance[1])
         if self.is_bounded:
-            self.c = np.minimum(np.maximum(self.c, self.low), self.high)
+            np.minimum(np.maximum(state[0], self.low), self.high, out=state[0])
         return error, variance
 
     def _let_go(self, t: int, error: Floats, slope: Any) -> Booleans:

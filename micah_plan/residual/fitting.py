@@ -34,6 +34,8 @@ NORMAL = 60.0
 # Gains [nats] below which a round has failed, and below which it was the last.
 _FAILED, _DONE = 0.02, 0.1
 _MOST_FAILURES = 2
+# Gains of later rounds together, over that of the last: steps of Fisher scoring get shorter.
+_FORESEEN = 5.0
 ENOUGH_INDEPENDENT = 5
 """Runs, or motions of the only run, from which on what rows show is evidence."""
 # Groups of runs, or of rows of few runs, that are held out.
@@ -96,6 +98,13 @@ class Fit:
         free = {name: getattr(self.free, name)[kept] for name in ("at", "scale", "low", "high", "centre", "std")}
         return replace(self, vector=vector, free=replace(self.free, **free), loss=np.inf)
 
+    def with_noise(self, logs: Floats) -> Fit:
+        """The same with other stds of `filtering.STDS` [logs], within their bounds."""
+        own, first = slice(self.free.own, self.free.own + len(STDS)), len(self.vector) - len(NOISE)
+        vector = self.vector.copy()
+        vector[first : first + len(STDS)] = np.clip(logs, self.free.low[own], self.free.high[own])
+        return replace(self, vector=vector, loss=np.inf)
+
     def hypotheses(self, vectors: Floats) -> ModelBatch:
         """Its model with other vectors (B, ...)."""
         count = columns(self.model)
@@ -123,7 +132,7 @@ class _Slopes:
         tried: vectors whose losses were needed for the quotients, its own first; losses: theirs.
         density: (N,) of the rows. gradient: (k, N) of it; error, log_variance: (k, N) of innovations and variances.
         of_error, of_variance: (N,), and one number: Fisher information that quotients have.
-        spread: log of the root mean square of innovations over their stds.
+        innovations, variance: (N,) themselves. freedom: of the t distribution.
     """
 
     tried: Floats
@@ -134,7 +143,14 @@ class _Slopes:
     log_variance: Floats
     of_error: Floats
     of_variance: float
-    spread: float
+    innovations: Floats
+    variance: Floats
+    freedom: float
+
+    def spread(self, jump: Floats | None = None) -> float:
+        """Log of the root mean square of innovations over their stds, here or after a jump of the first entries."""
+        after = self.innovations if jump is None else self.innovations + jump @ self.error[: len(jump)]
+        return _spread(after, self.variance, self.freedom)
 
     def information(self, rows: Floats | slice = slice(None)) -> Floats:
         """(k, k) Fisher information of some rows."""
@@ -167,16 +183,33 @@ class Fitting:
         sums = np.split(-rows.density.sum(axis=1), np.cumsum([len(own) for own in vectors])[:-1])
         return [fit.penalty(own) + total for fit, own, total in zip(fits, vectors, sums, strict=True)]
 
+    def rescaled(self, fits: Sequence[Fit]) -> list[Fit]:
+        """With all noise as large as the innovations ask for."""
+        if not fits:
+            return []
+        rows = filtered(self.data, [fit.hypotheses(fit.vector[None]) for fit in fits])
+        variance = np.exp(rows.log_variance)
+        return [
+            fit.with_noise(fit.noise[: len(STDS)] + _spread(rows.error[k], variance[k], fit.freedom))
+            for k, fit in enumerate(fits)
+        ]
+
     def started(self, fits: Sequence[Fit]) -> list[Fit]:
         """With their losses."""
         losses = self.losses(fits, [fit.vector[None] for fit in fits])
         return [replace(fit, loss=float(loss[0])) for fit, loss in zip(fits, losses, strict=True)]
 
-    def improved(self, fits: Sequence[Fit], rounds: int, *, is_noise_free: bool = True) -> list[Fit]:
-        """Better fits after at most so many rounds; those of the noise as well, or of the model's own alone."""
+    def improved(
+        self, fits: Sequence[Fit], rounds: int, *, is_noise_free: bool = True, within: float = np.inf
+    ) -> list[Fit]:
+        """Better fits after at most so many rounds; those of the noise as well, or of the model's own alone.
+
+        Args:
+            within: a fit that would stay so far behind the best if all its rounds were like its last is left [nats].
+        """
         climbs = [_Climb(fit, len(fit.free.at) if is_noise_free else fit.free.own) for fit in fits]
         live = [climb for climb in climbs if climb.count and rounds]
-        for _ in range(rounds + 1):
+        for left in range(rounds, -1, -1):
             if not live:
                 break
             asked = [climb.asked() for climb in live]
@@ -184,6 +217,8 @@ class Fitting:
                 [climb.fit for climb in live], [climb.steps for climb in live], asked, [climb.line for climb in live]
             )
             live = [climb for climb, own, line in zip(live, slopes, losses, strict=True) if climb.goes_on(own, line)]
+            best = min(climb.fit.loss for climb in climbs)
+            live = [climb for climb in live if climb.fit.loss - min(left, _FORESEEN) * climb.gain < best + within]
         return [climb.fit for climb in climbs]
 
     def weighed(self, fits: Sequence[Fit]) -> list[Weighed]:
@@ -318,13 +353,15 @@ def _quotients(fit: Fit, tried: Floats, rows: Rows, own: slice, k: int) -> _Slop
         log_variance=of_variance,
         of_error=(freedom + 1.0) / (freedom + 3.0) * np.exp(-log_variance[0]),
         of_variance=0.5 * freedom / (freedom + 3.0),
-        spread=_spread(error[0], log_variance[0], freedom),
+        innovations=error[0],
+        variance=np.exp(log_variance[0]),
+        freedom=freedom,
     )
 
 
-def _spread(error: Floats, log_variance: Floats, freedom: float) -> float:
+def _spread(error: Floats, variance: Floats, freedom: float) -> float:
     """Log of the root mean square of errors over their stds, far ones counting less (one step of EM of Student's t)."""
-    squared = error**2 * np.exp(-log_variance)
+    squared = error**2 / variance
     mean = float(np.mean((freedom + 1.0) / (freedom + squared) * squared))
     return 0.5 * float(np.log(max(mean, ROUND_OFF)))
 
@@ -341,12 +378,14 @@ class _Climb:
         fit: the best so far. count: of its entries, the first so many are free.
         steps: of the quotients, and of the search along each entry.
         line: (b, ...) vectors that are tried beside the one that quotients are asked at.
+        gain: of the better of the last two rounds [nats].
     """
 
     def __init__(self, fit: Fit, count: int) -> None:
         self.fit, self.count = fit, count
         self.steps = _FIRST_STEP * fit.free.scale[:count]
         self.line = fit.vector[None][:0]
+        self.gain = self._gain = np.inf
         self._full: Floats | None = None
         self._damping, self._failures = 1e-3, 0
         self._slopes: _Slopes | None = None
@@ -367,6 +406,7 @@ class _Climb:
         tried = np.concatenate([slopes.losses, losses, [] if self._slopes is None else self._slopes.losses[1:]])
         best = int(tried.argmin())
         gain = before - float(tried[best])
+        self.gain, self._gain = max(gain, self._gain), gain
         if gain < _FAILED:
             self._failures += 1
             if self._failures >= _MOST_FAILURES:
@@ -394,7 +434,7 @@ class _Climb:
         self._full, self.line = whole, np.array(shorter)
 
     def _along(self, slopes: _Slopes) -> Floats:
-        """(4 or 5, ...) vectors along the step of Fisher scoring."""
+        """(b, ...) vectors along the step of Fisher scoring, and with noise as large as innovations are."""
         free, k = self.fit.free, self.count
         hessian = slopes.information() + np.diag(1.0 / free.std[:k] ** 2)
         away = (self.fit.vector[free.at[:k]] - free.centre[:k]) / free.std[:k] ** 2
@@ -402,8 +442,10 @@ class _Climb:
         self.steps = np.minimum(self.steps, np.maximum(1.0 / np.sqrt(np.diag(hessian)), 1e-7 * free.scale[:k]))
         damped = hessian + np.diag(self._damping * np.diag(hessian) + 1e-8 / free.scale[:k] ** 2)
         jump = np.linalg.solve(damped, slopes.gradient.sum(axis=1) - away)
-        jumps = [*(_LINE[:, None] * jump)]
-        if k > free.own:  # all noise as much larger or smaller as the innovations are
-            jumps.append(np.zeros(k))
-            jumps[-1][free.own + np.flatnonzero(_is_std(self.fit))] = slopes.spread
-        return self.fit.moved(np.array(jumps))
+        jumps = np.zeros((len(_LINE) + 2, len(free.at)))
+        jumps[: len(_LINE), :k] = _LINE[:, None] * jump
+        # All noise as much larger or smaller as the innovations are, and as they would be after the step.
+        own, is_std = min(k, free.own), free.own + np.flatnonzero(_is_std(self.fit))
+        jumps[-2, is_std] = slopes.spread()
+        jumps[-1, :own], jumps[-1, is_std] = jump[:own], slopes.spread(jump[:own])
+        return self.fit.moved(jumps)

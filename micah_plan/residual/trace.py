@@ -106,6 +106,7 @@ def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrac
     chosen = nominal if modes or closest else found.chosen
     findings = () if chosen is nominal else _findings(held_out, found)
     final = _final(held_out, found, chosen)
+    left = held_out.left_by(chosen)
     is_passing = any(begins_later(one.parts[-1]) for one in found.left)
     facts = Facts(
         effects=len(findings),
@@ -117,6 +118,7 @@ def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrac
         is_single=_is_single(data),
         is_changing=len({gate for part in chosen.parts if np.isfinite(gate := float(part.starts[0, -GATES]))}) > 1,
         is_passing=is_passing,
+        is_following=left is not None and left.is_more,
         smooth=0.0 if modes else share,
         is_corrected=any(effect.name == UNNAMED for effect in data.effects),
     )
@@ -133,7 +135,7 @@ def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrac
         facts=facts,
         outcome=outcome_of(facts),
         whiteness=held_out.whiteness(chosen),
-        left=held_out.left_by(chosen),
+        left=left,
         floor=held_out.noise_floor(final),
         rollout_floor=held_out.rollout_floor(final),
         closest=closest,

@@ -30,6 +30,7 @@ class Facts:
         is_over: whether the last runs are predicted better without the effects.
         is_longer: whether roll-outs of held-out rows get longer with what was found.
         is_single: whether there is one run of few motions alone, which no other run can confirm.
+        is_following: whether innovations certainly follow something, and by more than a trifle.
         is_changing: whether effects began at different times: what changed twice may be changing still.
         smooth: share of the explainable residual that a correction without a name takes out on top; 0: none.
         is_passing: whether one run alone shows that something more began.
@@ -47,6 +48,7 @@ class Facts:
     is_longer: bool = False
     is_single: bool = False
     is_changing: bool = False
+    is_following: bool = False
 
     @property
     def is_kept_out(self) -> bool:
@@ -71,7 +73,7 @@ OUTCOMES: tuple[tuple[Outcome, Callable[[Facts], bool]], ...] = (
     (Outcome("mode", "partly", "a mode of its own is missing"), lambda f: f.modes > 0),
     (
         Outcome("unnamed", "unexplained", "what is left follows something that no effect names"),
-        lambda f: f.smooth > UNEXPLAINED or (not f.effects and (f.smooth > 0 or f.is_corrected)),
+        lambda f: f.smooth > UNEXPLAINED or (not f.effects and (f.smooth > 0 or f.is_corrected or f.is_following)),
     ),
     (
         Outcome("remembered", "partly", "with runs like these the effect may as well come from earlier commands"),
@@ -109,6 +111,10 @@ OUTCOMES: tuple[tuple[Outcome, Callable[[Facts], bool]], ...] = (
             "it changed more than once on the way, by steps or little by little, so it may go on changing",
         ),
         lambda f: f.is_changing,
+    ),
+    (
+        Outcome("not white", "partly", "what is left is no noise, but nothing that helps in roll-outs names it"),
+        lambda f: f.is_following,
     ),
     (Outcome("named", "explained", "the effects leave noise alone"), lambda f: f.effects > 0),
     (Outcome("nothing", "none", "the model leaves noise alone"), lambda _: True),

@@ -32,6 +32,7 @@ class Effect:
         modes: in which it acts; empty: in all.
         note: a remark for people.
         since: from when on; None: always.
+        tied: names of other effects that its recording was as likely with in its place.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Effect:
     modes: tuple[str, ...] = ()
     note: str = ""
     since: Since | None = None
+    tied: tuple[str, ...] = ()
 
     @property
     def values(self) -> tuple[float, ...]:

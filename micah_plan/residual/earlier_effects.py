@@ -1,0 +1,44 @@
+"""Effects that an earlier calibration put into a model: whether a new recording asks for others in their place.
+
+What could not be told apart in an earlier recording may be told in the next. So a model whose effects were estimated is
+calibrated twice, as it is and without these; the likelier of the two is kept. Evidence of earlier recordings is in the
+model alone: an effect is only replaced by one that was tied with it, or by itself with other parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from micah_plan.automaton.effects.registry import form
+from micah_plan.automaton.effects.value import Effect
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.residual.contenders import Contender
+
+_ON_MOTION = ("command", "memory", "force", "place")
+
+
+def estimated_effects(automaton: HybridAutomaton) -> tuple[Effect, ...]:
+    """The effects on motion whose parameters a calibration estimated; those that a person wrote have no std."""
+    return tuple(effect for effect in automaton.effects if effect.std and form(effect.name).layer in _ON_MOTION)
+
+
+def without_estimated(automaton: HybridAutomaton) -> HybridAutomaton:
+    """The model without `estimated_effects`."""
+    estimated = estimated_effects(automaton)
+    return replace(automaton, effects=tuple(effect for effect in automaton.effects if effect not in estimated))
+
+
+def replaces(found: Sequence[Effect], earlier: Sequence[Effect]) -> bool:
+    """Whether each of the earlier effects is among those that were found, itself or as one that it was tied with."""
+    return all(any(_may_be(new, old) for new in found) for old in earlier)
+
+
+def _may_be(new: Effect, old: Effect) -> bool:
+    same = {old.name, *old.tied} & {new.name, *new.tied}
+    return bool(same) and new.coordinate == old.coordinate
+
+
+def evidence_of(finals: Sequence[Contender]) -> float:
+    """Log probability of a recording [nats]: the sum over its coordinates."""
+    return sum(final.evidence for final in finals)
