@@ -32,7 +32,8 @@ from micah_plan.learn.joints.final_fit import fit_joint
 from micah_plan.learn.settings import LearnSettings
 from micah_plan.recording.read import read_recording
 from micah_plan.recording.value import Recording
-from micah_plan.residual.calibrate import Calibration, FoundEffect, calibrate
+from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.calibration import Calibration, FoundEffect
 from micah_plan.residual.prediction import estimate_errors, predict_recording
 
 DATA = Path(os.environ.get("MICAH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from micah_plan.documents.model_difference import Difference
-    from micah_plan.residual.calibrate import Calibration, FoundEffect
+    from micah_plan.residual.calibration import Calibration, FoundEffect
     from micah_plan.residual.judgement import Judgement
     from micah_plan.residual.missing_mode import MissingMode
     from micah_plan.residual.prediction import PredictionError, RunPrediction

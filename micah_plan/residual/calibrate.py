@@ -1,4 +1,4 @@
-"""Measured against predicted, what the model lacks, and the model with it: the result of a calibration as one value.
+"""Measured against predicted, what the model lacks, and the model with it.
 
 **Missing modes.** The mode that it lies in is cut, and the search made again in the halves.
 
@@ -10,8 +10,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,6 +27,7 @@ from micah_plan.automaton.tracks import Track
 from micah_plan.errors import InputError
 from micah_plan.quantities import Progress, count, interval, percent, plain, quantity
 from micah_plan.recording.value import Recording
+from micah_plan.residual.calibration import Calibration, FoundEffect, pose_sizes, size_of, spread_runs
 from micah_plan.residual.candidates import GATES, TermCandidate
 from micah_plan.residual.compared_runs import dated, sections
 from micah_plan.residual.coordinate_data import MOST_ROWS, CoordinateData, coordinate_data_of
@@ -38,7 +38,7 @@ from micah_plan.residual.geometry import DirectFinding, systematic_transverse_er
 from micah_plan.residual.held_out import HeldOut
 from micah_plan.residual.likelihood import FEWEST_ROWS, LEAST_EVIDENCE, TIE
 from micah_plan.residual.missing_mode import MissingMode
-from micah_plan.residual.prediction import RunPrediction, predict_recording, refused, rmse, rmse_of_coordinates
+from micah_plan.residual.prediction import predict_recording, refused
 from micah_plan.residual.range_exceeded import RangeExceeded, with_range_ends, with_shifts, without_old_ends
 from micah_plan.residual.trace import A_LINE, CoordinateFinding, CoordinateTrace, may_remember, trace
 from micah_plan.residual.verdict import Verdict, overall
@@ -46,144 +46,6 @@ from micah_plan.residual.verdict import Verdict, overall
 # Poses this far beside the joints [m], and this share of the lever arm, are those of another object.
 _FAR = 0.08
 _FAR_SHARE = 0.25
-# Rows whose poses are predicted for the report.
-_POSE_ROWS = 2000
-
-
-@dataclass(frozen=True, eq=False)
-class FoundEffect:
-    """An effect that was found, with what is known of it.
-
-    Attributes:
-        effect: what the new automaton has.
-        units: of its parameters.
-        interval: (low, high) of each parameter at 95 %; low = high for one that was not fitted.
-        evidence: what held-out predictions lose without it [nats].
-        tied: other effects that would do as well.
-        derived: (name, value) of parameters in other units: times in s of those in steps.
-        sentence, source: of its form.
-        experiment: what would tell it from those it is tied with; empty if there are none.
-        is_added: whether the new automaton has it; not if it may as well come from earlier commands, if one of few runs
-            contradicts it, or if the automaton would refuse the recording.
-    """
-
-    effect: Effect
-    units: tuple[str, ...]
-    interval: tuple[tuple[float, float], ...]
-    evidence: float
-    tied: tuple[str, ...]
-    derived: tuple[tuple[str, float], ...]
-    sentence: str
-    source: str
-    experiment: str
-    is_added: bool = True
-
-
-@dataclass(frozen=True)
-class ResidualSize:
-    """Root mean square errors over held-out rows: of the configuration [rad or m]; of positions [m] for geometry."""
-
-    one_step: float
-    rollout: float
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Errors of one unit: `of` a coordinate, or of all together; `unit` is that of all numbers, floors included."""
-
-    of: str
-    unit: str
-    before: ResidualSize
-    after: ResidualSize
-    noise_floor: float
-    rollout_floor: float
-
-
-@dataclass(frozen=True, eq=False)
-class Calibration:
-    """What a calibration found.
-
-    Attributes:
-        automaton: the new one; the old one if nothing was found.
-        effects: strongest first.
-        before, after: errors on runs or segments that the parameters were not fitted to.
-        noise_floor, rollout_floor: errors of one step and of roll-outs that noise alone would leave [rad or m].
-        unexplained_fraction: share of the explainable error that named effects leave, 0 to 1.
-        traces: per coordinate.
-        notes: what can and cannot be concluded, one sentence each.
-        experiment: the next one worth making.
-        nominal, recording: what was calibrated, without runs that were set aside.
-        reviewed: the calibration that keeps what an earlier one added, where this one has other effects in its place.
-    """
-
-    automaton: HybridAutomaton
-    verdict: Verdict
-    effects: tuple[FoundEffect, ...]
-    before: ResidualSize
-    after: ResidualSize
-    noise_floor: float
-    rollout_floor: float
-    unexplained_fraction: float
-    traces: tuple[CoordinateTrace, ...]
-    notes: tuple[str, ...]
-    experiment: str
-    nominal: HybridAutomaton
-    recording: Recording
-    reviewed: Calibration | None = None
-
-    @property
-    def least(self) -> float:
-        """Evidence that an effect more must have [nats]."""
-        return max(trace.held_out.competition.least for trace in self.traces)
-
-    @property
-    def errors(self) -> tuple[Errors, ...]:
-        """Of positions where a joint was changed, of all coordinates if they have one unit, else of each."""
-        units = {trace.data.unit for trace in self.traces}
-        if any(form(effect.effect.name).layer == "geometry" for effect in self.effects):
-            return (Errors("positions", "m", self.before, self.after, self.noise_floor, self.rollout_floor),)
-        if len(units) == 1:
-            return (Errors("", units.pop(), self.before, self.after, self.noise_floor, self.rollout_floor),)
-        traces = zip((self.reviewed or self).traces, self.traces, strict=True)
-        sizes = [(_size([before], is_final=False), _size([after], is_final=True)) for before, after in traces]
-        return tuple(
-            Errors(trace.data.coordinate, trace.data.unit, before, after, trace.floor, trace.rollout_floor)
-            for trace, (before, after) in zip(self.traces, sizes, strict=True)
-        )
-
-    @cached_property
-    def _runs(self) -> tuple[RunPrediction, ...]:
-        """All runs as the new model has them; none where it refuses one."""
-        return () if refused(self.automaton, self.recording) else predict_recording(self.automaton, self.recording)
-
-    @cached_property
-    def written(self) -> tuple[ResidualSize, ...]:
-        """Errors of each coordinate with the new model on all of its recording [rad or m], as `predict` has them.
-
-        `after` is of rows that the parameters were not fitted to. Empty where `predict` refuses these runs.
-        """
-        if not self._runs:
-            return ()
-        sizes = (rmse_of_coordinates([getattr(run, name) for run in self._runs]) for name in ("one_step", "rollout"))
-        return tuple(ResidualSize(*of_kind) for of_kind in zip(*sizes, strict=True))
-
-    @cached_property
-    def predicted(self) -> tuple[list[RunPrediction], list[RunPrediction]]:
-        """Some of the runs as the model has them before and after; none where one of the two refuses them."""
-        if not self._runs or refused(self.nominal, self.recording):
-            return [], []
-        chosen = _spread_runs(self.recording, _POSE_ROWS)
-        before = predict_recording(self.nominal, self.recording, runs=chosen)
-        return list(before), [run for run in self._runs if run.run in chosen]
-
-    @cached_property
-    def pose_errors(self) -> tuple[tuple[str, str, ResidualSize, ResidualSize], ...]:
-        """(what, unit, before, after) of positions [m] and orientations [rad], over all rows of `predicted`."""
-        sizes = [_pose_sizes(runs) for runs in self.predicted if runs]
-        if not sizes:
-            return ()
-        names = ("positions", "m"), ("orientations", "rad")
-        return tuple((*name, *both) for name, both in zip(names, zip(*sizes, strict=True), strict=False))
 
 
 def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progress | None = None) -> Calibration:
@@ -255,15 +117,15 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
     effects = [
         replace(effect, is_added=False) if _identity(effect.effect) in kept_out else effect for effect in effects
     ]
-    before, after = _size(traces, is_final=False), _size(traces, is_final=True)
+    before, after = size_of(traces, is_final=False), size_of(traces, is_final=True)
     floors = [
         _together(floors_of_kind, traces)
         for floors_of_kind in zip(*((trace.floor, trace.rollout_floor) for trace in traces), strict=True)
     ]
     if examination.geometry:
-        spread = _spread_runs(recording, MOST_ROWS)
+        spread = spread_runs(recording, MOST_ROWS)
         before, after = (
-            _pose_sizes(predict_recording(model, recording, runs=spread))[0] for model in (automaton, improved)
+            pose_sizes(predict_recording(model, recording, runs=spread))[0] for model in (automaton, improved)
         )
         across, arm = transverse_rms(corrected, measured)
         floors = [float(np.hypot(across, arm * floor)) for floor in floors]
@@ -455,29 +317,6 @@ def _to_add(traces: Sequence[CoordinateTrace]) -> list[Effect]:
 def _acting(part: TermCandidate) -> tuple[object, ...]:
     """What an effect is, where and since when it acts."""
     return part.name, part.term.modes, *part.starts[0, -GATES:].tolist()
-
-
-def _size(traces: Sequence[CoordinateTrace], *, is_final: bool) -> ResidualSize:
-    models = [(trace, trace.final if is_final else trace.nominal) for trace in traces]
-    steps = [trace.held_out.errors(model, "one_step")[trace.data.counted] for trace, model in models]
-    rolls = [trace.held_out.rollout_errors(model) for trace, model in models]
-    one_step, rollout = (float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) for errors in (steps, rolls))
-    return ResidualSize(one_step, rollout)
-
-
-def _spread_runs(recording: Recording, most: int) -> tuple[int, ...]:
-    """Numbers of runs of two rows and more, all or as many evenly over the recording as have about so many rows."""
-    able = tuple(run for run in recording.runs if len(np.unique(recording.time[recording.index(run=run)])) > 1)
-    count = max(1, min(len(able), len(able) * most // max(len(recording.time), 1)))
-    return tuple(able[k] for k in np.linspace(0, len(able) - 1, count).astype(int).tolist())
-
-
-def _pose_sizes(runs: Sequence[RunPrediction]) -> list[ResidualSize]:
-    """Errors of positions [m] and, where they were measured, orientations [rad]."""
-    kinds = [[run.one_step for run in runs], [run.rollout for run in runs]]
-    sizes = [ResidualSize(*(rmse([error.position for error in kind]) for kind in kinds))]
-    turns = [[error.rotation for error in kind if error.rotation is not None] for kind in kinds]
-    return [*sizes, ResidualSize(*map(rmse, turns))] if all(turns) else sizes
 
 
 def _together(sizes: Sequence[float], traces: Sequence[CoordinateTrace]) -> float:

@@ -47,14 +47,16 @@ _FINEST = 1e-5
 # The most that an end's std is, as a share of the range, how many of these it may be beside, and where a recording gets
 # to it.
 _BESIDE, _ENDS_FAR, _NEAR_AN_END = 0.002, 3.0, 0.03
-_LOW, _HIGH = NOISE.index("low"), NOISE.index("high")
+_LOW, _HIGH, _STAYS = NOISE.index("low"), NOISE.index("high"), NOISE.index("stays")
+# Log odds of the correlation of an error that wanders, 0.9 from row to row.
+_STAYS_ODDS = 2.2
 _FREEDOMS = (NORMAL, 4.0, 12.0)
 _NORMAL = 2.0  # nats by which heavy tails must be ahead
 # What was meant is more regular than what a measurement's noise is in, the displacements or the places; so much of the
 # log density counts, since rows are no independent witnesses, up to so much: goals may be stored late, or as they came.
 _HEARD, _MOST_HEARD = 0.25, 20.0
-# Logs of the noise's parts over the largest, where readings or motion have most of it; how many fits try both.
-_SPLITS = ((-0.3, -2.5, -3.0, -2.5), (-2.0, -0.3, -2.0, -2.5))
+# Logs of the noise's parts over the largest, where readings, motion or what wanders have most of it; fits that try all.
+_SPLITS = ((-0.3, -2.5, -3.0, -2.5), (-2.0, -0.3, -2.0, -2.5), (-2.5, -2.5, -3.0, -0.3))
 RESTARTED, TO_THE_END = 5, 20
 # After one round so many times as many options are left as go on.
 _AHEAD = 3
@@ -168,8 +170,8 @@ class Contenders:
         self.screening = self.fitting if few is None else Fitting(few)
         self._blur = float(np.log(max(data.blur, 1e-7)))
         finest = float(np.log(max(data.resolution, _FINEST * float(np.ptp(data.visited)), ROUND_OFF)))
-        self._finest = (finest, *(finest - 2.0,) * (len(STDS) - 1), -np.inf, -np.inf)
-        self.noise, self.freedom = np.array([*(self._blur + _NOISE_START), 0.0, 0.0]), NORMAL
+        self._finest = (finest, *(finest - 2.0,) * (len(STDS) - 1), -np.inf, -np.inf, -np.inf)
+        self.noise, self.freedom = np.array([*(self._blur + _NOISE_START), 0.0, 0.0, _STAYS_ODDS]), NORMAL
         return self._nominal()
 
     # -- fits
@@ -217,7 +219,7 @@ class Contenders:
         return Fit(model, np.concatenate([self._given, start, noise]), free, freedom)
 
     def _uncertain(self) -> list[tuple[int, float, float, float]]:
-        """(entry, centre, std, what is large) of the noise: its logs, and the ends that the recording gets to.
+        """(entry, centre, std, what is large) of the noise: its logs, ends that the recording gets to, what wanders.
 
         Ends are as uncertain as a measurement: those of a model were measured once.
         """
@@ -228,7 +230,7 @@ class Contenders:
         reading = min(float(np.exp(self._blur)), _BESIDE * (high - low))
         for k, is_visited in ((_LOW, low < self.data.lower + near), (_HIGH, high > self.data.upper - near)):
             found += [(k, 0.0, reading, reading)] if is_visited else []
-        return found
+        return [*found, (_STAYS, _STAYS_ODDS, 1.0, 0.5)]
 
     def _contender(self, parts: Sequence[TermCandidate], weighed: Weighed) -> Contender:
         fitted, at = [], columns(self.given)

@@ -173,6 +173,11 @@ class CoordinateData:
         return max(float(np.sqrt(np.mean(self.u[self.counted_starts] ** 2))), 1e-9)
 
     @property
+    def goes_on(self) -> Booleans:
+        """(S,) whether a segment goes on from rows before it: its own first rows do not count."""
+        return ~self.counted[:, 1:3].any(axis=1)
+
+    @property
     def counted_starts(self) -> Booleans:
         """(S, T) whether the step that starts at this row counts."""
         return np.roll(self.counted, -1, axis=1)

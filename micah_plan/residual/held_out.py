@@ -209,17 +209,21 @@ class HeldOut:
     def _left_by(self, model: Contender) -> ResidualTest | None:
         """The less certain of two tests: an error that wanders is noise, and may hide what is missing."""
         wandering = self.errors(model, "filter"), self.spread(model)
-        tests = [self._tested(*innovations) for innovations in (self.innovations(model), wandering)]
+        size = float(np.sqrt(np.mean(self._predicted(model, "filter")[1][self.data.counted])))
+        tests = [self._tested(*innovations, size) for innovations in (self.innovations(model), wandering)]
         known = [test for test in tests if test is not None]
         return max(known, key=lambda test: min(test.probability, test.least), default=None)
 
-    def _tested(self, error: Floats, spread: Floats) -> ResidualTest | None:
+    def _tested(self, error: Floats, spread: Floats, size: float) -> ResidualTest | None:
+        """The test of innovations, whose std a model has as `size`: where they are less, so is what they follow."""
         starts = self.data.counted_starts
         innovations = error / spread
         past = np.stack([np.roll(innovations, k, axis=1) for k in range(LAGS)], axis=-1)
         past[:, :LAGS] = 0.0
         under = replace(self._circumstances, errors=past[starts], spread=np.roll(spread, -1, axis=1)[starts])
-        return whiteness_test(np.roll(innovations, -1, axis=1)[starts][:, None], under)
+        test = whiteness_test(np.roll(innovations, -1, axis=1)[starts][:, None], under)
+        left = float(np.mean(innovations[self.data.counted] ** 2))
+        return test and replace(test, share=test.share * min(left / size**2, 1.0))
 
 
 def _floor(model: Contender, data: CoordinateData, kind: Kind) -> float:

@@ -19,7 +19,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import tracks
 from micah_plan.quantities import plain
 from micah_plan.recording.value import Recording
-from micah_plan.residual.calibrate import Calibration
+from micah_plan.residual.calibration import Calibration
 from micah_plan.residual.candidates import candidates, untried
 from micah_plan.residual.contenders import Contender, best_first
 from micah_plan.residual.coordinate_data import CoordinateData

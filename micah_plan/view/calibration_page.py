@@ -9,7 +9,8 @@ import numpy as np
 
 from micah_plan.arrays import INTERVAL_STDS, Floats
 from micah_plan.quantities import Table, count, interval, listed, percent, plain, quantity, with_spread
-from micah_plan.residual.calibrate import Calibration, FoundEffect, began
+from micah_plan.residual.calibrate import began
+from micah_plan.residual.calibration import Calibration, FoundEffect
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.prediction import trajectory_errors
 from micah_plan.residual.trace import CoordinateTrace

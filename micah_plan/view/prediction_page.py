@@ -16,7 +16,7 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.quantities import count, quantity
 from micah_plan.recording.value import Recording
-from micah_plan.residual.calibrate import Calibration
+from micah_plan.residual.calibration import Calibration
 from micah_plan.residual.judgement import Floor, Judgement
 from micah_plan.residual.prediction import (
     PredictionError,

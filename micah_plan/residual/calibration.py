@@ -1,0 +1,180 @@
+"""What a calibration found, as values: effects with their evidence, errors before and after, and the new model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from micah_plan.automaton.effects.registry import form
+from micah_plan.automaton.effects.value import Effect
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.recording.value import Recording
+from micah_plan.residual.prediction import RunPrediction, predict_recording, refused, rmse, rmse_of_coordinates
+from micah_plan.residual.trace import CoordinateTrace
+from micah_plan.residual.verdict import Verdict
+
+# Rows whose poses are predicted for the report.
+_POSE_ROWS = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class FoundEffect:
+    """An effect that was found, with what is known of it.
+
+    Attributes:
+        effect: what the new automaton has.
+        units: of its parameters.
+        interval: (low, high) of each parameter at 95 %; low = high for one that was not fitted.
+        evidence: what held-out predictions lose without it [nats].
+        tied: other effects that would do as well.
+        derived: (name, value) of parameters in other units: times in s of those in steps.
+        sentence, source: of its form.
+        experiment: what would tell it from those it is tied with; empty if there are none.
+        is_added: whether the new automaton has it; not if it may as well come from earlier commands, if one of few runs
+            contradicts it, or if the automaton would refuse the recording.
+    """
+
+    effect: Effect
+    units: tuple[str, ...]
+    interval: tuple[tuple[float, float], ...]
+    evidence: float
+    tied: tuple[str, ...]
+    derived: tuple[tuple[str, float], ...]
+    sentence: str
+    source: str
+    experiment: str
+    is_added: bool = True
+
+
+@dataclass(frozen=True)
+class ResidualSize:
+    """Root mean square errors over held-out rows: of the configuration [rad or m]; of positions [m] for geometry."""
+
+    one_step: float
+    rollout: float
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of one unit: `of` a coordinate, or of all together; `unit` is that of all numbers, floors included."""
+
+    of: str
+    unit: str
+    before: ResidualSize
+    after: ResidualSize
+    noise_floor: float
+    rollout_floor: float
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What a calibration found.
+
+    Attributes:
+        automaton: the new one; the old one if nothing was found.
+        effects: strongest first.
+        before, after: errors on runs or segments that the parameters were not fitted to.
+        noise_floor, rollout_floor: errors of one step and of roll-outs that noise alone would leave [rad or m].
+        unexplained_fraction: share of the explainable error that named effects leave, 0 to 1.
+        traces: per coordinate.
+        notes: what can and cannot be concluded, one sentence each.
+        experiment: the next one worth making.
+        nominal, recording: what was calibrated, without runs that were set aside.
+        reviewed: the calibration that keeps what an earlier one added, where this one has other effects in its place.
+    """
+
+    automaton: HybridAutomaton
+    verdict: Verdict
+    effects: tuple[FoundEffect, ...]
+    before: ResidualSize
+    after: ResidualSize
+    noise_floor: float
+    rollout_floor: float
+    unexplained_fraction: float
+    traces: tuple[CoordinateTrace, ...]
+    notes: tuple[str, ...]
+    experiment: str
+    nominal: HybridAutomaton
+    recording: Recording
+    reviewed: Calibration | None = None
+
+    @property
+    def least(self) -> float:
+        """Evidence that an effect more must have [nats]."""
+        return max(trace.held_out.competition.least for trace in self.traces)
+
+    @property
+    def errors(self) -> tuple[Errors, ...]:
+        """Of positions where a joint was changed, of all coordinates if they have one unit, else of each."""
+        units = {trace.data.unit for trace in self.traces}
+        if any(form(effect.effect.name).layer == "geometry" for effect in self.effects):
+            return (Errors("positions", "m", self.before, self.after, self.noise_floor, self.rollout_floor),)
+        if len(units) == 1:
+            return (Errors("", units.pop(), self.before, self.after, self.noise_floor, self.rollout_floor),)
+        traces = zip((self.reviewed or self).traces, self.traces, strict=True)
+        sizes = [(size_of([before], is_final=False), size_of([after], is_final=True)) for before, after in traces]
+        return tuple(
+            Errors(trace.data.coordinate, trace.data.unit, before, after, trace.floor, trace.rollout_floor)
+            for trace, (before, after) in zip(self.traces, sizes, strict=True)
+        )
+
+    @cached_property
+    def _runs(self) -> tuple[RunPrediction, ...]:
+        """All runs as the new model has them; none where it refuses one."""
+        return () if refused(self.automaton, self.recording) else predict_recording(self.automaton, self.recording)
+
+    @cached_property
+    def written(self) -> tuple[ResidualSize, ...]:
+        """Errors of each coordinate with the new model on all of its recording [rad or m], as `predict` has them.
+
+        `after` is of rows that the parameters were not fitted to. Empty where `predict` refuses these runs.
+        """
+        if not self._runs:
+            return ()
+        sizes = (rmse_of_coordinates([getattr(run, name) for run in self._runs]) for name in ("one_step", "rollout"))
+        return tuple(ResidualSize(*of_kind) for of_kind in zip(*sizes, strict=True))
+
+    @cached_property
+    def predicted(self) -> tuple[list[RunPrediction], list[RunPrediction]]:
+        """Some of the runs as the model has them before and after; none where one of the two refuses them."""
+        if not self._runs or refused(self.nominal, self.recording):
+            return [], []
+        chosen = spread_runs(self.recording, _POSE_ROWS)
+        before = predict_recording(self.nominal, self.recording, runs=chosen)
+        return list(before), [run for run in self._runs if run.run in chosen]
+
+    @cached_property
+    def pose_errors(self) -> tuple[tuple[str, str, ResidualSize, ResidualSize], ...]:
+        """(what, unit, before, after) of positions [m] and orientations [rad], over all rows of `predicted`."""
+        sizes = [pose_sizes(runs) for runs in self.predicted if runs]
+        if not sizes:
+            return ()
+        names = ("positions", "m"), ("orientations", "rad")
+        return tuple((*name, *both) for name, both in zip(names, zip(*sizes, strict=True), strict=False))
+
+
+def size_of(traces: Sequence[CoordinateTrace], *, is_final: bool) -> ResidualSize:
+    """Errors of all coordinates together, with what the new model has or as it was."""
+    models = [(trace, trace.final if is_final else trace.nominal) for trace in traces]
+    steps = [trace.held_out.errors(model, "one_step")[trace.data.counted] for trace, model in models]
+    rolls = [trace.held_out.rollout_errors(model) for trace, model in models]
+    one_step, rollout = (float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) for errors in (steps, rolls))
+    return ResidualSize(one_step, rollout)
+
+
+def spread_runs(recording: Recording, most: int) -> tuple[int, ...]:
+    """Numbers of runs of two rows and more, all or as many evenly over the recording as have about so many rows."""
+    able = tuple(run for run in recording.runs if len(np.unique(recording.time[recording.index(run=run)])) > 1)
+    count = max(1, min(len(able), len(able) * most // max(len(recording.time), 1)))
+    return tuple(able[k] for k in np.linspace(0, len(able) - 1, count).astype(int).tolist())
+
+
+def pose_sizes(runs: Sequence[RunPrediction]) -> list[ResidualSize]:
+    """Errors of positions [m] and, where they were measured, orientations [rad]."""
+    kinds = [[run.one_step for run in runs], [run.rollout for run in runs]]
+    sizes = [ResidualSize(*(rmse([error.position for error in kind]) for kind in kinds))]
+    turns = [[error.rotation for error in kind if error.rotation is not None] for kind in kinds]
+    return [*sizes, ResidualSize(*map(rmse, turns))] if all(turns) else sizes
