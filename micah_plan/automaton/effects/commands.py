@@ -16,6 +16,7 @@ from micah_plan.automaton.effects.form import (
     Value,
     Values,
     command_sizes,
+    step_sizes,
 )
 
 # Smaller commands, as a share of the usual one, go neither way; fewer than that share of the rows show no direction.
@@ -93,7 +94,8 @@ class Saturation(EffectForm):
         return ops.maximum(ops.minimum(v, p[0]), -p[0])
 
     def begun(self, data: Shown) -> FitStart | None:
-        at = command_sizes(data, 0.3, 0.6, 0.85)
+        # Of commands that are places, or far larger than the limit, what was moved tells it.
+        at = [*command_sizes(data, 0.3, 0.6, 0.85), *step_sizes(data, 0.9, 0.98)]
         return FitStart([[q] for q in at], (0,), [0.3 * data.command_size]) if at else None
 
 

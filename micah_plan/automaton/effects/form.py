@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
-from micah_plan.arrays import Booleans, Floats
+from micah_plan.arrays import ROUND_OFF, Booleans, Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 
 if TYPE_CHECKING:
@@ -255,6 +255,12 @@ class Same:
 
     name: str
     below: float = float("inf")
+
+
+def step_sizes(data: Shown, *shares: float) -> list[float]:
+    """Quantiles of the sizes of the measured steps [rad or m]; none if nothing moved."""
+    sizes = np.abs(np.diff(data.z, axis=1)[data.counted_starts[:, :-1]])
+    return [float(q) for q in np.quantile(sizes, shares) if q > ROUND_OFF] if sizes.size else []
 
 
 def command_sizes(data: Shown, *shares: float) -> list[float]:
