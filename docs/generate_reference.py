@@ -67,6 +67,12 @@ INTRODUCTIONS = {
         "`door.conventions.yaml` beside it. See [other people's tables]"
         "(../concepts/recording.md#other-peoples-tables).",
     ),
+    "tags": (
+        "Tags file",
+        "examples/video/tags.yaml",
+        "Which printed tags are on which part of an object: what `micah-plan track --tags` reads a video by. See "
+        "[from a phone to a model](../guides/video.md).",
+    ),
     "plan": (
         "Plan file",
         "",

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from micah_plan.api.learning import learn as learn
     from micah_plan.api.planning import execute as execute
     from micah_plan.api.planning import solve as solve
+    from micah_plan.api.tracking import track as track
     from micah_plan.automaton.hybrid import HybridAutomaton as HybridAutomaton
     from micah_plan.errors import InputError as InputError
     from micah_plan.recording.value import Recording as Recording
@@ -40,6 +41,7 @@ _PLACES = {
     **dict.fromkeys(("execute", "solve"), "api.planning"),
     **dict.fromkeys(("explore", "learn"), "api.learning"),
     **dict.fromkeys(("load", "save", "show"), "api.files"),
+    "track": "api.tracking",
 }
 __all__ = ["__version__", *sorted(_PLACES)]
 _PACKAGES = ("explore", "learn")  # subpackages with the names of functions

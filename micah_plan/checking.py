@@ -75,6 +75,13 @@ def _check_conventions(file: Path) -> tuple[str, ...]:
     return ()
 
 
+def _check_tags(file: Path) -> tuple[str, ...]:
+    from micah_plan.documents.tags import load_tags
+
+    load_tags(file)
+    return ()
+
+
 def suspicions_of(problem: Problem) -> tuple[str, ...]:
     """What looks like a mistake in a problem, its model and its plant, one line each."""
     from micah_plan.automaton.plausible import implausible, suspicions_of_automaton
@@ -139,6 +146,7 @@ _CHECKS: dict[FileKind, Callable[[Path], tuple[str, ...]]] = {
     "sweep": _check_sweep,
     "experiment": _check_experiment,
     "conventions": _check_conventions,
+    "tags": _check_tags,
     "plan": _check_plan,
     "recording": _check_recording,
 }

@@ -22,12 +22,14 @@ FOLDERS = {
     "problems/experiments": "experiment",
     "examples/demonstrations": "recording",
     "examples/logs": "recording",
+    "examples/video": "tags",
 }
 OTHERS = {"explore_handle": "scene", "laboratory.conventions": "conventions"}
 SHIPPED = [
     (OTHERS.get(file.stem, kind), file)
     for place, kind in FOLDERS.items()
     for file in sorted((ROOT / place).glob("*.*"))
+    if file.suffix != ".mp4"
 ]
 
 

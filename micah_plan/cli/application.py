@@ -20,11 +20,13 @@ from micah_plan.cli.learning import calibrate, explore, learn, predict
 from micah_plan.cli.pages import show
 from micah_plan.cli.planning import execute, explain, solve
 from micah_plan.cli.sweeping import sweep
+from micah_plan.cli.tracking import track
 from micah_plan.errors import InputError, MicahError, MissingDependencyError
 
 COMMANDS = (
     demo,
     new,
+    track,
     learn,
     solve,
     explain,

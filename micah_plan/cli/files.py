@@ -130,7 +130,7 @@ def _packages(options: Sequence[str]) -> dict[str, str]:
 
 def schema(
     kind: Annotated[
-        Literal["problem", "model", "parts", "scene", "sweep", "experiment", "conventions", "plan"],
+        Literal["problem", "model", "parts", "scene", "sweep", "experiment", "conventions", "tags", "plan"],
         typer.Argument(help="The kind of file."),
     ],
     output: Annotated[
@@ -281,8 +281,8 @@ def _print_checked(checks: Sequence[FileCheck]) -> None:
         for warning in item.warnings:
             out.print(f"warning: {item.file}: {warning}", style="yellow")
         if not item.faults:
-            article = "an" if item.kind == "experiment" else "a"
-            out.print(f"{item.file}: {article} {item.kind} that can be used")
+            article = {"experiment": "an ", "tags": ""}.get(item.kind or "", "a ")
+            out.print(f"{item.file}: {article}{item.kind} that can be used")
 
 
 def diff(

@@ -15,13 +15,24 @@ from micah_plan.documents.layout import Document
 from micah_plan.documents.yaml_lines import read_yaml_file
 from micah_plan.errors import InputError, choices, shown
 
-FileKind = Literal["model", "parts", "problem", "scene", "sweep", "experiment", "conventions", "plan", "recording"]
-_YAML_KINDS: tuple[FileKind, ...] = ("model", "parts", "problem", "scene", "sweep", "experiment", "conventions")
+FileKind = Literal[
+    "model", "parts", "problem", "scene", "sweep", "experiment", "conventions", "tags", "plan", "recording"
+]
+_YAML_KINDS: tuple[FileKind, ...] = (
+    "model",
+    "parts",
+    "problem",
+    "scene",
+    "sweep",
+    "experiment",
+    "conventions",
+    "tags",
+)
 
 
 _YAML = (".yaml", ".yml")
 _MOST_NAMED = 1000
-_NAME_NOTHING = ("model", "parts", "conventions")  # models may be large, and are read once
+_NAME_NOTHING = ("model", "parts", "conventions", "tags")  # models may be large, and are read once
 
 
 def kind_of(path: str | Path) -> FileKind:
@@ -81,7 +92,7 @@ def schema(kind: str) -> dict[str, Any]:
 
     Args:
         kind: ``"model"``, ``"parts"``, ``"problem"``, ``"scene"``, ``"sweep"``, ``"experiment"``,
-            ``"conventions"`` or ``"plan"``.
+            ``"conventions"``, ``"tags"`` or ``"plan"``.
 
     Raises:
         InputError: for another kind.
@@ -93,6 +104,7 @@ def schema(kind: str) -> dict[str, Any]:
     from micah_plan.documents.plan import PlanDocument
     from micah_plan.documents.problem import ProblemDocument
     from micah_plan.documents.sweep import SweepDocument
+    from micah_plan.documents.tags import TagsDocument
 
     layouts: dict[str, type[Document]] = {
         "model": ModelDocument,
@@ -102,6 +114,7 @@ def schema(kind: str) -> dict[str, Any]:
         "sweep": SweepDocument,
         "experiment": ExperimentDocument,
         "conventions": ConventionsDocument,
+        "tags": TagsDocument,
         "plan": PlanDocument,
     }
     if kind not in layouts:

@@ -175,7 +175,7 @@ class CoordinateData:
     @property
     def goes_on(self) -> Booleans:
         """(S,) whether a segment goes on from rows before it: its own first rows do not count."""
-        return ~self.counted[:, 1:3].any(axis=1)
+        return np.asarray(~self.counted[:, 1:3].any(axis=1))
 
     @property
     def counted_starts(self) -> Booleans:

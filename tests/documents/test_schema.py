@@ -52,7 +52,7 @@ def test_a_half_space_is_text_or_named_text() -> None:
 
 def test_another_kind_is_refused() -> None:
     with pytest.raises(
-        InputError, match="choose one of model, parts, problem, scene, sweep, experiment, conventions, plan"
+        InputError, match="choose one of model, parts, problem, scene, sweep, experiment, conventions, tags, plan"
     ):
         schema("robot")
 

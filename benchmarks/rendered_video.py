@@ -1,0 +1,239 @@
+"""Videos of tagged objects, rendered: how precise poses, axes, radii and stops that `track` and `learn` find are.
+
+    python -m benchmarks rendered_video [--seeds 3]
+    python -m benchmarks rendered_video --example examples/video
+
+Planes with tags are moved by a law and seen by a camera that is known: fixed or in a hand, with tags of 30 to 60 px,
+with and without a camera file, one of them covered for half a second. Beside each number stands what was said of it
+(95 %). With --example the video of the guide is written.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import micah_plan
+from micah_plan.api.tracking import track
+from micah_plan.recording.tag_layout import PlacedTag, TagLayout
+from micah_plan.recording.value import Recording
+from micah_plan.vision.camera import Camera
+
+WIDTH, HEIGHT, FOCAL = 960, 540, 760.0
+MATRIX = np.array([[FOCAL, 0.0, 482.0], [0.0, FOCAL, 268.0], [0.0, 0.0, 1.0]])
+PX_PER_M = 2000
+
+
+@dataclass(frozen=True)
+class Face:
+    """A plane with tags: x right, y up, z out of it; tags are (number, size [m], x, y)."""
+
+    width: float
+    height: float
+    tags: Sequence[tuple[int, float, float, float]]
+    pose: Callable[[float], np.ndarray]  # (4, 4) to the world at a configuration
+    grey: int = 150
+
+
+def rigid(turn: Rotation, place: Sequence[float]) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = turn.as_matrix(), place
+    return pose
+
+
+# A face that looks along -y of the world, with x to the right and y up.
+FRONT = Rotation.from_matrix(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
+
+
+def eased(t: float) -> float:
+    t = min(max(t, 0.0), 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+def door(size: float = 0.06, more: bool = False) -> list[Face]:
+    """A door of 0.25 m to the middle of its tag, hinged on the left; configuration: how far it is open [rad]."""
+    body = Face(0.62, 0.36, [(0, size, 0.24, 0.08)], lambda _: rigid(FRONT, (0.0, 0.005, 0.0)))
+    tags = [(1, size, 0.02, -0.02), *([(11, size, -0.12, 0.08)] if more else [])]
+
+    def turned(q: float) -> np.ndarray:
+        hinge = rigid(Rotation.from_rotvec([0.0, 0.0, -q]), (-0.30, 0.0, 0.0))
+        return hinge @ rigid(FRONT, (0.23, 0.0, 0.0))
+
+    return [body, Face(0.44, 0.32, tags, turned, 120)]
+
+
+def drawer(size: float = 0.06) -> list[Face]:
+    """Configuration: how far it is pulled out [m]."""
+    body = Face(0.6, 0.6, [(0, size, 0.0, 0.2)], lambda _: rigid(FRONT, (0.0, 0.005, 0.0)))
+    return [body, Face(0.5, 0.2, [(1, size, 0.1, 0.0)], lambda q: rigid(FRONT, (0.0, -0.005 - q, -0.02)), 120)]
+
+
+def looking(eye: Sequence[float], at: Sequence[float]) -> np.ndarray:
+    """(4, 4) world to camera: x right, y down, z ahead."""
+    ahead = np.subtract(at, eye) / np.linalg.norm(np.subtract(at, eye))
+    right = np.cross(ahead, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    turn = np.stack([right, np.cross(ahead, right), ahead])
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = turn, -turn @ np.asarray(eye, dtype=float)
+    return pose
+
+
+def hand_held(t: float) -> np.ndarray:
+    eye = np.add((-0.3, -0.95, 0.25), (0.08 * np.sin(0.9 * t), 0.06 * np.sin(1.3 * t), 0.04 * np.sin(t + 1.0)))
+    return looking(eye, (-0.1 + 0.03 * np.sin(t), -0.1, 0.02 * np.sin(2.0 * t)))
+
+
+def standing(t: float) -> np.ndarray:
+    del t
+    return looking((-0.3, -0.95, 0.25), (-0.1, -0.1, 0.0))
+
+
+def film(
+    path: Path,
+    faces: Sequence[Face],
+    law: Callable[[float], float],
+    camera: Callable[[float], np.ndarray] = standing,
+    *,
+    seconds: float = 4.0,
+    rate: float = 15.0,
+    noise: float = 3.0,
+    covered: Callable[[float], tuple[int, int, int, int] | None] | None = None,
+    seed: int = 0,
+) -> None:
+    """Write a video, or pictures into a folder."""
+    rng = np.random.default_rng(seed)
+    textures = [_texture(face) for face in faces]
+    background = np.clip(
+        cv2.resize(rng.normal(0, 25, (9, 16)).astype(np.float32), (2 * WIDTH, 2 * HEIGHT)) + 110, 0, 255
+    )
+    is_video = path.suffix == ".mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), rate, (WIDTH, HEIGHT)) if is_video else None
+    for k in range(round(seconds * rate)):
+        t = k / rate
+        picture = background.astype(np.uint8).copy()
+        for face, texture in zip(faces, textures, strict=True):
+            pose = camera(t) @ face.pose(law(t))
+            if pose[:3, 2] @ pose[:3, 3] < 0.0:  # its front looks at the camera
+                cv2.warpPerspective(
+                    texture, _homography(face, pose), (2 * WIDTH, 2 * HEIGHT), dst=picture,
+                    flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT,
+                )  # fmt: skip
+        small = cv2.resize(picture, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA).astype(np.float32)
+        small = cv2.GaussianBlur(small, (0, 0), 0.6) + rng.normal(0.0, noise, small.shape)
+        grey = np.clip(small, 0, 255).astype(np.uint8)
+        box = None if covered is None else covered(t)
+        if box is not None:
+            x, y, wide, high = box
+            grey[y : y + high, x : x + wide] = 95
+        if writer is None:
+            cv2.imwrite(str(path / f"{k:05d}.png"), grey)
+        else:
+            writer.write(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
+    if writer is not None:
+        writer.release()
+
+
+def _texture(face: Face) -> np.ndarray:
+    picture = np.full((int(face.height * PX_PER_M), int(face.width * PX_PER_M)), face.grey, np.uint8)
+    markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    for number, size, x, y in face.tags:
+        side = round(size * PX_PER_M / 8) * 8
+        tag = cv2.aruco.generateImageMarker(markers, number, side)
+        tag = np.clip(cv2.copyMakeBorder(tag, *(side // 8,) * 4, cv2.BORDER_CONSTANT, value=245), 18, 245)
+        left = round((x + face.width / 2) * PX_PER_M - tag.shape[1] / 2)
+        top = round((face.height / 2 - y) * PX_PER_M - tag.shape[0] / 2)
+        picture[top : top + tag.shape[0], left : left + tag.shape[1]] = tag
+    return picture
+
+
+def _homography(face: Face, pose: np.ndarray) -> np.ndarray:
+    scale = 1.0 / PX_PER_M
+    plane = np.array(
+        [[scale, 0.0, 0.5 * scale - face.width / 2], [0.0, -scale, face.height / 2 - 0.5 * scale], [0, 0, 1]]
+    )
+    twice = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]])
+    return twice @ MATRIX @ np.column_stack([pose[:3, 0], pose[:3, 1], pose[:3, 3]]) @ plane
+
+
+def shutting(t: float) -> float:
+    """A door: open by 1 rad, shut at 3 s."""
+    return 1.0 - eased((t - 0.5) / 2.5)
+
+
+def pulled(t: float) -> float:
+    """A drawer: pulled out by 0.3 m until 3 s."""
+    return 0.3 * eased((t - 0.5) / 2.5)
+
+
+def _row(name: str, folder: Path, seed: int) -> str:
+    kind, how, size, is_known = SCENES[name]
+    faces, law = (door(size), shutting) if kind == "door" else (drawer(size), pulled)
+    video = folder / f"{seed}.mp4"
+    covered = (lambda t: (0, 0, WIDTH, HEIGHT) if 1.4 < t < 1.9 else None) if how is hand_held else None
+    film(video, faces, law, how, seconds=7.0, covered=covered, seed=seed)
+    layout = TagLayout("tag36h11", {0: PlacedTag("base", size), 1: PlacedTag(kind, size)})
+    camera = Camera(MATRIX, np.zeros(0), (WIDTH, HEIGHT)) if is_known else None
+    found = track(video, layout, camera=camera)
+    segments = [segment for edge in micah_plan.learn(found.recording).graph.edges for segment in edge.segments]
+    kinds = " ".join(segment.joint.kind for segment in segments)
+    truth = np.array([0.0, 1.0, 0.0]) if kind == "door" else np.array([0.0, 0.0, 1.0])
+    axis = float(np.arccos(min(abs(float(np.dot(segments[0].joint.axis, truth))), 1.0)))
+    stop = float(found.recording.time[segments[1].start]) if len(segments) > 1 else np.nan
+    place, turn = found.tracked.stds[kind]
+    off, turned = errors_of(found.recording, faces, law)
+    return (
+        f"{name:28}{seed:5}{1e3 * off:8.2f}{1e3 * place:7.2f}{1e3 * turned:8.1f}{1e3 * turn:7.1f}{1e3 * axis:10.1f}"
+        f"{stop:8.2f}  {kinds}"
+    )
+
+
+SCENES: dict[str, tuple[str, Callable[[float], np.ndarray], float, bool]] = {
+    "door, fixed": ("door", standing, 0.06, True),
+    "door, in a hand": ("door", hand_held, 0.06, True),
+    "door, in a hand, 30 px": ("door", hand_held, 0.04, True),
+    "door, fixed, no camera file": ("door", standing, 0.06, False),
+    "drawer, fixed": ("drawer", standing, 0.06, True),
+    "drawer, in a hand": ("drawer", hand_held, 0.06, True),
+}
+
+
+def errors_of(recording: Recording, faces: Sequence[Face], law: Callable[[float], float]) -> tuple[float, float]:
+    """Root mean square errors of positions [m] and of turns [rad], along one axis, beside the truth."""
+    offs, turns = [], []
+    for k, time in enumerate(recording.time.tolist()):
+        base, part = (face.pose(law(time)) @ rigid(Rotation.identity(), (*face.tags[0][2:], 0.0)) for face in faces)
+        truth = np.linalg.inv(base) @ part
+        offs.append(recording.position[k] - truth[:3, 3])
+        turn = Rotation.from_quat(recording.quaternion[k]).inv() * Rotation.from_matrix(truth[:3, :3])
+        turns.append(turn.magnitude())
+    return float(np.sqrt(np.mean(np.square(offs)))), float(np.sqrt(np.mean(np.square(turns)) / 3.0))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--example", type=Path, help="folder to write the video of the guide into")
+    given = parser.parse_args()
+    if given.example is not None:
+        film(given.example / "door.mp4", door(), shutting, hand_held)
+        return
+    print(
+        f"{'scene':28}{'seed':>5}{'mm off':>8}{'said':>7}{'mrad off':>9}{'said':>6}{'axis mrad':>10}{'stop s':>8}"
+        "  kinds"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        for name in SCENES:
+            for seed in range(given.seeds):
+                print(_row(name, Path(folder), seed), flush=True)
+
+
+if __name__ == "__main__":
+    main()

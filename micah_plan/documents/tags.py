@@ -1,0 +1,63 @@
+"""Tag files: which printed tags are on which part of an object (`micah-plan track --tags`)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from micah_plan.documents.fields import Distance, PartName, Quaternion, Vector3
+from micah_plan.documents.layout import Document, Scope, doc
+from micah_plan.documents.located import Located
+from micah_plan.documents.validation import validated
+from micah_plan.documents.yaml_lines import read_yaml_file
+from micah_plan.recording.tag_layout import Family, PlacedTag, TagLayout
+
+
+class TagDocument(Document):
+    makes = PlacedTag
+
+    part: PartName = doc("Part that it is on.")
+    size: Distance = doc("Length of an edge of the black square [m], measured on the paper.")
+    position: Vector3 | None = doc(
+        "Of its middle in the frame of the part [m]; absent: the first tag of a part is where its frame is, "
+        "the others are found from frames that show both.",
+        None,
+    )
+    quaternion: Quaternion = doc(
+        "Tag to part, scalar last; of a tag x points right, y up and z out of the paper.", (0.0, 0.0, 0.0, 1.0)
+    )
+
+
+class TagsDocument(Document):
+    """Printed tags on the parts of an object."""
+
+    makes = TagLayout
+
+    format: Literal["micah-plan/tags/1"] = doc("Format and version of this file.")
+    family: Family = doc("Family of all tags.", "tag36h11")
+    tags: Annotated[dict[str, TagDocument], Field(min_length=1, max_length=200)] = doc("Every tag, by its number.")
+
+    def check(self, at: Located) -> None:
+        for key in self.tags:
+            if not key.isdecimal() or len(key) > 4:
+                raise at.at("tags").error(f"expected the number of a tag, found {key[:40]!r}", "e.g. 0")
+        numbers = [int(key) for key in self.tags]
+        if len(set(numbers)) < len(numbers):
+            raise at.at("tags").error("expected each number once", "tags of one scene have different numbers")
+
+    def read(self, at: Located, scope: Scope) -> TagLayout:
+        parts = tuple(dict.fromkeys(tag.part for tag in self.tags.values()))
+        meant: dict[str, Any] = self.meanings(at, {**scope, "part": parts})
+        return TagLayout(meant["family"], {int(key): tag for key, tag in meant["tags"].items()})
+
+
+def load_tags(path: str | Path) -> TagLayout:
+    """The tags that a file describes.
+
+    Raises:
+        InputError: if it cannot be used; one line names file, line, key, what was expected and found, and the remedy.
+    """
+    located = read_yaml_file(path)
+    return validated(located, TagsDocument).read(located, {})

@@ -1,0 +1,293 @@
+"""From a video with printed tags to a recording of the parts' poses in the frame of the base.
+
+**The camera.** Where no file says it, the focal length is what makes the squares square: it is found from the tags
+themselves, and how uncertain it is is told, since all lengths are as uncertain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.spatial.transform import Rotation
+
+from micah_plan.arrays import Floats
+from micah_plan.errors import InputError, shown
+from micah_plan.quantities import Progress, count, percent, quantity
+from micah_plan.recording.tag_layout import TagLayout
+from micah_plan.recording.value import Recording
+from micah_plan.vision.camera import Camera, guessed_camera
+from micah_plan.vision.corners import Corners, detector
+from micah_plan.vision.tag_poses import Pose, Sighting, chosen_poses, corner_noise, placed_corners, pooled, sighting
+from micah_plan.vision.video import grey_frames
+
+# A tag of fewer pixels has an ambiguous tilt (measured: 19 px seen head-on put an axis off by 59 mrad).
+_ENOUGH_PX = 25.0
+# Frames that the focal length is found from, and the range in which it is sought, over the larger side of a picture.
+_FOCAL_FRAMES, _FOCAL_RANGE = 40, (0.35, 6.0)
+# Std of a focal length, as a share of it, where the camera's axis need not meet the middle of the picture.
+_OF_AXIS = 0.02
+# An axis that turns by less than so many times its noise, or a part that moves by less, does not move.
+_MOVES = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """What a video shows of the parts.
+
+    Attributes:
+        recording: poses of the parts in the frame of the base's tags; frames that do not show a part are left out.
+        camera: that was used, with its focal length if that was found from the tags.
+        frames: of the video. noise: std of a corner [px].
+        is_fixed: whether the camera stood still, so that the base is known in all frames.
+        seen: in how many frames each part was seen. stds: (position [m], turn [rad]) of the poses of each part, median.
+        notes: what to know of it, one sentence each.
+    """
+
+    recording: Recording
+    camera: Camera
+    frames: int
+    noise: float
+    is_fixed: bool
+    seen: Mapping[str, int]
+    stds: Mapping[str, tuple[float, float]]
+    notes: tuple[str, ...]
+
+    def rows_of(self, part: str) -> int:
+        """In how many frames a part is seen together with the base."""
+        return sum(name == part for name in self.recording.part)
+
+
+def track_tags(
+    video: str | Path,
+    layout: TagLayout,
+    camera: Camera | None = None,
+    *,
+    base: str | None = None,
+    rate: float | None = None,
+    progress: Progress | None = None,
+) -> Tracked:
+    """The poses of tagged parts in a video.
+
+    Args:
+        camera: that made it; None: its focal length is found from the tags.
+        base: part whose frame the poses are in; default: the part called base, else the first.
+        rate: frames per second, in place of what the video says.
+
+    Raises:
+        InputError: if a file cannot be used, or the base or all parts are never seen.
+        MissingDependencyError: without OpenCV.
+    """
+    base = _base(layout, base)
+    times, frames, size = _detected(video, layout, rate, progress)
+    _check_seen(video, layout, frames, base)
+    used = _of_size(camera, size) if camera is not None else _focal_length(guessed_camera(*size), layout, frames)
+    placed = placed_corners(layout, frames, used)
+    sightings = {part: [sighting(placed[part], frame, used) for frame in frames] for part in layout.parts}
+    noise = corner_noise([one for own in sightings.values() for one in own if one is not None])
+    poses = {part: chosen_poses(own, times, noise, used) for part, own in sightings.items()}
+    still = pooled(poses[base], sightings[base], used)
+    of_base: list[Pose | None] = list(poses[base]) if still is None else [still] * len(frames)
+    relative = {part: _beside(poses[part], of_base) for part in layout.parts if part != base}
+    together = {part: sum(pose is not None for pose in own) for part, own in relative.items()}
+    if not any(together.values()):
+        remedy = f"keep the tags of {shown(base)} and of the part in the picture, or name another --base"
+        raise InputError(f"no part is seen together with {shown(base)}", source=video, remedy=remedy)
+    stds = {part: _stds(own) for part, own in relative.items() if together[part]}
+    notes = (
+        *_notes_on_camera(used, camera is None),
+        *_notes_on_tags(layout, frames, placed, sightings),
+        *_notes_on_parts(base, together, len(frames), relative, stds),
+        *_notes_on_base(base, poses[base] if still is None else [still]),
+    )
+    recording = _recording(times, relative, notes)
+    seen = {part: sum(one is not None for one in own) for part, own in sightings.items()}
+    return Tracked(recording, used, len(frames), noise, still is not None, seen, stds, notes)
+
+
+def _beside(poses: Sequence[Pose | None], base: Sequence[Pose | None]) -> list[Pose | None]:
+    return [
+        None if pose is None or beside is None else pose.seen_from(beside)
+        for pose, beside in zip(poses, base, strict=True)
+    ]
+
+
+def _base(layout: TagLayout, base: str | None) -> str:
+    if len(layout.parts) < 2:
+        raise InputError("expected tags on two parts or more", remedy="put one on what the part is joined to as well")
+    if base is None:
+        return "base" if "base" in layout.parts else layout.parts[0]
+    if base not in layout.parts:
+        remedy = f"choose one of {', '.join(layout.parts)}"
+        raise InputError(f"no tag is on a part called {shown(base)}", source="--base", remedy=remedy)
+    return base
+
+
+def _detected(
+    video: str | Path, layout: TagLayout, rate: float | None, progress: Progress | None
+) -> tuple[Floats, list[Corners], tuple[int, int]]:
+    find, times, frames, size = detector(layout.family), list[float](), list[Corners](), (0, 0)
+    for time, grey in grey_frames(video, rate):
+        own = (int(grey.shape[1]), int(grey.shape[0]))
+        if frames and own != size:
+            problem = f"expected pictures of {size[0]}x{size[1]}, found one of {own[0]}x{own[1]}"
+            raise InputError(problem, source=video, remedy="put pictures of one camera into a folder")
+        size = own
+        times.append(time)
+        frames.append(find(grey))
+        if progress is not None and len(frames) % 30 == 0:
+            progress(f"{count(len(frames), 'frame')}", min(0.9, len(frames) / 3000.0))
+    of_layout = [{number: frame[number] for number in frame if number in layout.tags} for frame in frames]
+    return np.array(times), of_layout, size
+
+
+def _of_size(camera: Camera, size: tuple[int, int]) -> Camera:
+    if camera.size is None or camera.size == size:
+        return camera
+    width, height = camera.size
+    if width * size[1] != height * size[0]:
+        problem = f"the camera is for pictures of {width}x{height}, those of the video have {size[0]}x{size[1]}"
+        raise InputError(
+            problem, source="--camera", remedy="give the camera of this format: part of its view is cut off"
+        )
+    scale = size[0] / width
+    matrix = camera.matrix * np.array([[scale], [scale], [1.0]])
+    matrix[:2, 2] = scale * (camera.matrix[:2, 2] + 0.5) - 0.5  # the middle of the first pixel is at 0
+    return replace(camera, matrix=matrix, size=size)
+
+
+def _check_seen(video: str | Path, layout: TagLayout, frames: Sequence[Corners], base: str) -> None:
+    seen = {number for frame in frames for number in frame}
+    if not seen:
+        remedy = "check the family, more light, larger tags with a white border, less blur"
+        problem = f"in none of {count(len(frames), 'frame')} is a tag of the family {layout.family} with a given number"
+        raise InputError(problem, source=video, remedy=remedy)
+    if not seen & set(layout.of(base)):
+        remedy = f"choose another --base, or check the numbers: seen were {', '.join(map(str, sorted(seen)))}"
+        raise InputError(f"no tag of the base {shown(base)} is ever seen", source=video, remedy=remedy)
+
+
+def _focal_length(camera: Camera, layout: TagLayout, frames: Sequence[Corners]) -> Camera:
+    """The camera with the focal length that makes squares square, and its uncertainty."""
+    able = [frame for frame in frames if frame]
+    some = [able[k] for k in np.unique(np.linspace(0, len(able) - 1, _FOCAL_FRAMES).astype(int))]
+    largest = max(camera.size or (1, 1))
+    alone = [(number, {number: frame[number]}) for frame in some for number in sorted(frame)]
+
+    def misfit(log_focal: float) -> float:
+        tried = camera.with_focal_length(float(np.exp(log_focal)))
+        squares = ({number: _square(layout.tags[number].size)} for number, _ in alone)
+        found = (sighting(square, frame, tried) for square, (_, frame) in zip(squares, alone, strict=True))
+        left = np.array([one.misfit for one in found if one is not None])
+        scale = max(float(np.median(left)), 1e-6)
+        return float((scale * np.log1p(left / scale)).sum()) if len(left) else np.inf
+
+    low, high = (float(np.log(share * largest)) for share in _FOCAL_RANGE)
+    grid = np.linspace(low, high, 25)
+    values = [misfit(at) for at in grid]
+    k = int(np.argmin(values))
+    bounds = (grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)])
+    best = minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": 1e-3})
+    step, freedom = 0.05, max(2 * len(alone), 1)
+    curvature = (misfit(best.x + step) - 2.0 * best.fun + misfit(best.x - step)) / step**2
+    noise = best.fun / freedom
+    of_corners = float(np.sqrt(2.0 * noise / curvature)) if curvature > 0.0 else 1.0
+    uncertainty = float(np.hypot(of_corners, _OF_AXIS))
+    return replace(camera.with_focal_length(float(np.exp(best.x))), uncertainty=min(uncertainty, 1.0))
+
+
+def _square(size: float) -> Floats:
+    half = 0.5 * size
+    return half * np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
+
+
+def _stds(poses: Sequence[Pose | None]) -> tuple[float, float]:
+    """Medians of the stds of a position [m] and of a turn [rad], in any direction."""
+    every = np.array([pose.covariance for pose in poses if pose is not None])
+    return tuple(
+        float(np.median(np.sqrt(np.trace(every[:, s, s], axis1=1, axis2=2) / 3.0))) for s in (slice(0, 3), slice(3, 6))
+    )  # type: ignore[return-value]
+
+
+def _recording(times: Floats, relative: Mapping[str, Sequence[Pose | None]], notes: tuple[str, ...]) -> Recording:
+    rows = [
+        (times[k], part, pose)
+        for k in range(len(times))
+        for part, own in relative.items()
+        if (pose := own[k]) is not None
+    ]
+    return Recording(
+        time=np.array([time for time, _, _ in rows]) - times[0],
+        position=np.array([pose.position for _, _, pose in rows]),
+        quaternion=Rotation.from_matrix(np.array([pose.turn for _, _, pose in rows])).as_quat(canonical=True),
+        part=tuple(part for _, part, _ in rows),
+        has_part=True,
+        notes=notes,
+    )
+
+
+def _notes_on_camera(camera: Camera, is_found: bool) -> list[str]:
+    if not is_found:
+        return []
+    focal, off = camera.matrix[0, 0], 2.0 * camera.uncertainty
+    return [
+        f"no camera file: f = {focal:.0f} px from the tags; lengths may be off by {percent(min(off, 1.0), 0)}, "
+        "and more where the lens bends straight lines"
+    ]
+
+
+def _notes_on_tags(
+    layout: TagLayout,
+    frames: Sequence[Corners],
+    placed: Mapping[str, Mapping[int, Floats]],
+    sightings: Mapping[str, Sequence[Sighting | None]],
+) -> list[str]:
+    notes = []
+    for number, tag in layout.tags.items():
+        sizes = [
+            float(np.linalg.norm(f[number] - np.roll(f[number], 1, axis=0), axis=1).mean())
+            for f in frames
+            if number in f
+        ]
+        if not sizes:
+            notes.append(f"tag {number} ({tag.part}) is never seen")
+        elif number not in placed[tag.part]:
+            notes.append(f"tag {number} ({tag.part}) is never seen beside another of its part, so it was left out")
+        elif np.median(sizes) < _ENOUGH_PX and max(len(s.points) for s in sightings[tag.part] if s is not None) == 4:
+            notes.append(
+                f"tag {number} ({tag.part}) is {np.median(sizes):.0f} px wide; below {_ENOUGH_PX:.0f} px its tilt is "
+                "ambiguous: come closer, print it larger or add a second tag"
+            )
+    return notes
+
+
+def _notes_on_base(base: str, poses: Sequence[Pose | None]) -> list[str]:
+    """What no number of frames makes better: the frame itself, of a camera that stands."""
+    place, turn = _stds(poses)
+    known = f"{quantity(place, 'm', digits=2)} and {quantity(turn, 'rad', digits=2, degrees=False)}"
+    return [f"the frame of {base} is known to {known}; axes of joints are no better"] if len(poses) == 1 else []
+
+
+def _notes_on_parts(
+    base: str,
+    together: Mapping[str, int],
+    frames: int,
+    relative: Mapping[str, Sequence[Pose | None]],
+    stds: Mapping[str, tuple[float, float]],
+) -> list[str]:
+    notes = []
+    for part, number in together.items():
+        if number < 0.5 * frames:
+            notes.append(f"{part} and {base} are seen together in {number} of {frames} frames")
+        if part not in stds:
+            continue
+        places = np.array([pose.position for pose in relative[part] if pose is not None])
+        turns = Rotation.from_matrix(np.array([pose.turn for pose in relative[part] if pose is not None]))
+        way = float(np.linalg.norm(np.ptp(places, axis=0)))
+        turned = float((turns[0].inv() * turns).magnitude().max())
+        if way < _MOVES * stds[part][0] and turned < _MOVES * stds[part][1]:
+            notes.append(f"{part} does not move: by less than {quantity(max(way, 1e-6), 'm')} beside {base}")
+    return notes

@@ -1,0 +1,188 @@
+"""From a rendered video with tags to a recording and a model; cameras, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from extras import module_requires
+from typer.testing import CliRunner
+
+pytestmark = module_requires("vision")
+
+import rendered_video as rendered
+
+import micah_plan
+from micah_plan.api.tracking import track
+from micah_plan.checking import check_file
+from micah_plan.cli.application import app
+from micah_plan.documents.tags import load_tags
+from micah_plan.errors import InputError
+from micah_plan.recording.tag_layout import PlacedTag, TagLayout
+from micah_plan.vision.camera import Camera, load_camera
+
+CAMERA = Camera(rendered.MATRIX, np.zeros(0), (rendered.WIDTH, rendered.HEIGHT))
+DOOR = TagLayout("tag36h11", {0: PlacedTag("base", 0.06), 1: PlacedTag("door", 0.06)})
+SHUT_AT = 3.0
+
+
+@pytest.fixture(scope="module")
+def videos(tmp_path_factory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("videos")
+    made = {name: folder / f"{name}.mp4" for name in ("standing", "hand_held", "drawer")}
+    rendered.film(made["standing"], rendered.door(), rendered.shutting)
+    rendered.film(
+        made["hand_held"], rendered.door(more=True), rendered.shutting, rendered.hand_held, seed=1,
+        covered=lambda t: (0, 0, rendered.WIDTH, rendered.HEIGHT) if 1.4 < t < 1.8 else None,
+    )  # fmt: skip
+    rendered.film(made["drawer"], rendered.drawer(), rendered.pulled, rendered.hand_held, seed=2)
+    return made
+
+
+def test_poses_of_a_door_are_as_precise_as_said(videos) -> None:
+    found = track(videos["standing"], DOOR, camera=CAMERA)
+    off, turned = rendered.errors_of(found.recording, rendered.door(), rendered.shutting)
+    place, turn = found.tracked.stds["door"]
+    assert found.tracked.is_fixed
+    assert len(found.recording) == found.tracked.frames == 60
+    assert off < 2.0 * place
+    assert turned < 2.0 * turn
+    assert off < 0.0015
+
+
+def test_a_model_of_the_door_is_learned_from_the_video(videos) -> None:
+    recording = track(videos["standing"], DOOR, camera=CAMERA).recording
+    learned = micah_plan.learn(recording)
+    hinge, rest = (segment for edge in learned.graph.edges for segment in edge.segments)
+    assert (hinge.joint.kind, rest.joint.kind) == ("revolute", "rigid")
+    assert abs(hinge.joint.axis[1]) > np.cos(0.02)  # up, which is y of the base's tag
+    assert recording.time[rest.start] == pytest.approx(SHUT_AT, abs=0.3)
+
+
+def test_a_hand_held_video_with_a_gap_and_two_tags_on_the_door(videos) -> None:
+    layout = TagLayout("tag36h11", {**DOOR.tags, 11: PlacedTag("door", 0.06)})
+    found = track(videos["hand_held"], layout, camera=CAMERA)
+    assert not found.tracked.is_fixed
+    assert 48 <= len(found.recording) <= 56  # 6 of 60 frames show nothing
+    off, _ = rendered.errors_of(found.recording, rendered.door(), rendered.shutting)
+    assert off < 0.002
+    kinds = [segment.joint.kind for edge in micah_plan.learn(found.recording).graph.edges for segment in edge.segments]
+    assert kinds == ["revolute", "rigid"]
+
+
+def test_a_drawer_and_no_camera_file(videos) -> None:
+    layout = TagLayout("tag36h11", {0: PlacedTag("base", 0.06), 1: PlacedTag("drawer", 0.06)})
+    found = track(videos["drawer"], layout)
+    camera = found.tracked.camera
+    assert camera.matrix[0, 0] == pytest.approx(rendered.FOCAL, rel=3.0 * camera.uncertainty)
+    assert found.warnings[0].startswith("no camera file: f = ")
+    kinds = [segment.joint.kind for edge in micah_plan.learn(found.recording).graph.edges for segment in edge.segments]
+    assert kinds[0] == "prismatic"
+    assert np.ptp(np.linalg.norm(found.recording.position - found.recording.position[0], axis=1)) == pytest.approx(
+        0.3, rel=0.1
+    )
+
+
+def test_the_command_writes_what_learn_reads(videos, tmp_path) -> None:
+    tags = tmp_path / "tags.yaml"
+    tags.write_text("format: micah-plan/tags/1\ntags:\n  0: {part: base, size: 0.06}\n  1: {part: door, size: 0.06}\n")
+    assert load_tags(tags) == DOOR
+    output, page = tmp_path / "door.csv", tmp_path / "door.html"
+    files = ("--tags", tags, "-o", output, "--html", page)
+    result = CliRunner().invoke(app, ["track", str(videos["standing"]), *map(str, files), "--json"])
+    assert result.exit_code == 0
+    said = json.loads(result.stdout)
+    assert said["parts"]["door"]["frames"] == 60
+    assert said["camera_is_fixed"] is True
+    assert micah_plan.load(output).parts == ("door",)
+    assert page.stat().st_size > 10_000
+    assert check_file(tags).faults == ()
+
+
+def test_pictures_with_stamps_are_a_video(tmp_path) -> None:
+    rendered.film(tmp_path, rendered.door(), rendered.shutting, seconds=0.4)
+    with pytest.raises(InputError, match=r"add stamps\.txt or say --rate"):
+        track(tmp_path, DOOR, camera=CAMERA)
+    (tmp_path / "stamps.txt").write_text("\n".join(str(10.0 + 0.1 * k) for k in range(6)))
+    found = track(tmp_path, DOOR, camera=CAMERA)
+    assert found.recording.time.tolist() == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
+    assert track(tmp_path, DOOR, camera=CAMERA, rate=15.0).recording.time[1] == pytest.approx(1 / 15)
+    (tmp_path / "stamps.txt").write_text("0\n0.1\n")
+    with pytest.raises(InputError, match="expected 6 increasing times"):
+        track(tmp_path, DOOR, camera=CAMERA)
+
+
+@pytest.mark.parametrize(
+    ("layout", "base", "camera", "message"),
+    [
+        (TagLayout("tag36h11", {0: PlacedTag("base", 0.06)}), None, CAMERA, "expected tags on two parts"),
+        (TagLayout("aruco_4x4", DOOR.tags), None, CAMERA, "in none of 60 frames is a tag of the family aruco_4x4"),
+        (TagLayout("tag36h11", {7: PlacedTag("base", 0.06), 1: PlacedTag("door", 0.06)}), None, CAMERA, "is ever seen"),
+        (DOOR, "lid", CAMERA, "choose one of base, door"),
+        (DOOR, None, Camera(rendered.MATRIX, np.zeros(0), (640, 480)), "is for pictures of 640x480"),
+    ],
+    ids=["one part", "family", "base unseen", "base unknown", "size"],
+)
+def test_what_cannot_be_tracked_is_said(videos, layout, base, camera, message) -> None:
+    with pytest.raises(InputError, match=message):
+        track(videos["standing"], layout, camera=camera, base=base)
+
+
+def test_what_is_no_video_is_said(tmp_path) -> None:
+    (tmp_path / "text.mp4").write_text("no video")
+    for path in (tmp_path / "text.mp4", tmp_path / "none.mp4"):
+        with pytest.raises(InputError, match=r"found no frame|does not exist"):
+            track(path, DOOR)
+
+
+def test_a_camera_for_a_smaller_picture_of_the_same_format_is_scaled(videos) -> None:
+    half = rendered.MATRIX * np.array([[0.5], [0.5], [1.0]])
+    half[:2, 2] = 0.5 * (rendered.MATRIX[:2, 2] + 0.5) - 0.5
+    size = (rendered.WIDTH // 2, rendered.HEIGHT // 2)
+    first = track(videos["standing"], DOOR, camera=Camera(half, np.zeros(0), size)).recording
+    second = track(videos["standing"], DOOR, camera=CAMERA).recording
+    np.testing.assert_allclose(first.position, second.position, atol=1e-7)
+
+
+CAMERA_FILES = {
+    "ros.yaml": "image_width: 960\nimage_height: 540\ncamera_name: head\ncamera_matrix:\n  rows: 3\n  cols: 3\n"
+    "  data: [760.0, 0, 482.0, 0, 760.0, 268.0, 0, 0, 1]\ndistortion_model: plumb_bob\n"
+    "distortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [0.1, -0.2, 0.001, 0.002, 0.03]\n",
+    "topic.yaml": "width: 960\nheight: 540\ndistortion_model: plumb_bob\nd: [0.1, -0.2, 0.001, 0.002, 0.03]\n"
+    "k: [760.0, 0, 482.0, 0, 760.0, 268.0, 0, 0, 1]\n",
+    "kalibr.yaml": "cam0:\n  camera_model: pinhole\n  intrinsics: [760.0, 760.0, 482.0, 268.0]\n"
+    "  distortion_model: radtan\n  distortion_coeffs: [0.1, -0.2, 0.001, 0.002]\n  resolution: [960, 540]\n",
+    "opencv.yaml": "%YAML:1.0\n---\nimage_width: 960\nimage_height: 540\ncamera_matrix: !!opencv-matrix\n   rows: 3\n"
+    "   cols: 3\n   dt: d\n   data: [ 760., 0., 482., 0., 760., 268., 0., 0., 1. ]\n"
+    "distortion_coefficients: !!opencv-matrix\n   rows: 5\n   cols: 1\n   dt: d\n"
+    "   data: [ 0.1, -0.2, 0.001, 0.002, 0.03 ]\n",
+    "realsense.json": '{"width": 960, "height": 540, "fx": 760.0, "fy": 760.0, "ppx": 482.0, "ppy": 268.0,'
+    ' "model": "Brown Conrady", "coeffs": [0.1, -0.2, 0.001, 0.002, 0.03]}',
+}
+
+
+@pytest.mark.parametrize("name", CAMERA_FILES)
+def test_files_of_cameras(name, tmp_path) -> None:
+    (tmp_path / name).write_text(CAMERA_FILES[name])
+    camera = load_camera(tmp_path / name)
+    np.testing.assert_allclose(camera.matrix, rendered.MATRIX)
+    np.testing.assert_allclose(camera.distortion[:4], [0.1, -0.2, 0.001, 0.002])
+    assert camera.size == (960, 540)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: 1\n", "expected intrinsics of a camera, found none"),
+        ("K: [1, 2]\n", "key 'K': expected 9 numbers"),
+        ("K: [760, 0, 482, 0, 760, 268, 0, 0, 1]\ndistortion_model: equidistant\n", "undistort the video first"),
+        ("K: [0.5, 0, 482, 0, 0.5, 268, 0, 0, 1]\n", "expected focal lengths and a centre in px"),
+        ("- 1\n", "expected"),
+    ],
+)
+def test_files_that_are_no_cameras(text, message, tmp_path) -> None:
+    (tmp_path / "camera.yaml").write_text(text)
+    with pytest.raises(InputError, match=message):
+        load_camera(tmp_path / "camera.yaml")
