@@ -1,4 +1,4 @@
-"""`track`: from a video with printed tags to a recording."""
+"""`track`: from a video with printed tags, or from tracks of points, to a recording."""
 
 from __future__ import annotations
 
@@ -6,13 +6,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from micah_plan.api.result import Result
+from micah_plan.arrays import Floats
 from micah_plan.automaton.graph import KinematicGraph
 from micah_plan.documents.tags import load_tags
+from micah_plan.errors import InputError, located_in
 from micah_plan.quantities import Progress, Table, plain, quantity
 from micah_plan.recording.tag_layout import TagLayout
 from micah_plan.recording.value import Recording
 from micah_plan.vision.camera import Camera, load_camera
+from micah_plan.vision.track_points import LENGTHS, Axes, TrackedPoints, check_unit, load_points, track_points
 from micah_plan.vision.track_tags import Tracked, track_tags
 
 if TYPE_CHECKING:
@@ -103,6 +108,112 @@ class TrackResult(Result):
         from micah_plan.recording.read import write_recording
 
         write_recording(self.recording, path)
+
+
+@dataclass(frozen=True, eq=False)
+class PointsResult(Result):
+    """Bodies that tracked points are on.
+
+    Attributes:
+        tracked: what was found.
+    """
+
+    tracked: TrackedPoints
+
+    @property
+    def recording(self) -> Recording:
+        """The poses of the bodies in the frame of the base; give it to `learn`."""
+        return self.tracked.recording
+
+    @property
+    def success(self) -> bool:
+        return True
+
+    @property
+    def outcome(self) -> str:
+        return "tracked"
+
+    @property
+    def reason(self) -> str:
+        return ""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return self.tracked.notes
+
+    @property
+    def title(self) -> str:
+        return "Tracked bodies"
+
+    def report(self) -> list[str | Table]:
+        found, rows = self.tracked, []
+        for name, body in zip(found.names, found.bodies, strict=True):
+            spread = found.stds.get(name)
+            precise = ("", "") if spread is None else (quantity(spread[0], "m"), quantity(spread[1], "rad"))
+            rows.append((name, str(len(body.points)), f"{int(body.is_seen.sum())} of {found.frames}", *precise))
+        columns = ("body", "points", "frames", "position ±", "turn ±")
+        noise = f"{len(found.body)} points, known to {quantity(found.noise, 'm', digits=2)}"
+        return [noise, Table(columns, tuple(rows), numeric=(1, 2, 3, 4))]
+
+    def json(self) -> dict[str, Any]:
+        found = self.tracked
+        bodies = {
+            name: {
+                "points": body.points.tolist(),
+                "frames": int(body.is_seen.sum()),
+                "position_std": found.stds[name][0] if name in found.stds else None,
+                "turn_std": found.stds[name][1] if name in found.stds else None,
+            }
+            for name, body in zip(found.names, found.bodies, strict=True)
+        }
+        return {
+            "outcome": self.outcome,
+            "frames": found.frames,
+            "noise": found.noise,
+            "bodies": bodies,
+            "warnings": list(self.warnings),
+        }
+
+    def plot(self) -> Figure:
+        """The tracks of the bodies over time."""
+        from micah_plan.view.learning_figure import learning_figure
+
+        return learning_figure(self.recording, KinematicGraph(()))
+
+    def page(self, title: str = "") -> str:
+        """The tracks in 3-D."""
+        from micah_plan.view.recording_page import recording_page
+
+        return recording_page(self.recording, title=title or self.title)
+
+    def save(self, path: str | Path) -> None:
+        """Write the recording."""
+        from micah_plan.recording.read import write_recording
+
+        write_recording(self.recording, path)
+
+
+def track_bodies(
+    tracks: str | Path | Floats, *, rate: float | None, axes: Axes | None = None, units: str = "m"
+) -> PointsResult:
+    """The bodies that tracked points are on, and their poses as a recording.
+
+    Args:
+        tracks: NPZ file, or array (points, frames, 3), NaN where a point is not seen.
+        rate: frames per second.
+        axes: order of the first two axes of a file's array; None: the one along which points move less is of frames.
+        units: of lengths.
+
+    Raises:
+        InputError: if the file cannot be used, or no body moves.
+    """
+    if rate is None:
+        raise InputError("how many frames a second there are is not known", source="--rate", remedy="e.g. --rate 30")
+    if isinstance(tracks, np.ndarray):
+        places = np.asarray(tracks, dtype=np.float64) * LENGTHS[check_unit(units)]
+        return PointsResult(track_points(places, rate))
+    with located_in(tracks):
+        return PointsResult(track_points(load_points(tracks, axes=axes, unit=check_unit(units)), rate))
 
 
 def track(

@@ -29,7 +29,17 @@ from micah_plan.residual.candidates import (
     variants,
 )
 from micah_plan.residual.command_meaning import CONTAINED
-from micah_plan.residual.contenders import RESTARTED, Contender, Contenders, Option, begins_later, best_first, on_top
+from micah_plan.residual.contenders import (
+    NO_MENTION,
+    RESTARTED,
+    SPECIAL_CASES,
+    Contender,
+    Contenders,
+    Option,
+    begins_later,
+    best_first,
+    on_top,
+)
 from micah_plan.residual.likelihood import TIE
 
 # Models that a second effect is tried on; of these effects, how many are fitted to the end.
@@ -48,8 +58,8 @@ _LINE_LIKE = ("gain", "bias", "dead_zone")
 # Where a change that nothing told of may have been: shares of the recording.
 _PLACES_OF_CHANGE = (0.25, 0.5, 0.75)
 _COMMON = 0.05
-# Evidence "not worth more than a bare mention" [nats] (Kass and Raftery, JASA 1995): the plainest is then as good.
-_NO_MENTION = 1.0
+# What no other run confirms must be so many times what an effect must add.
+_UNCONFIRMED = 2.0
 _ROUNDS_OF_CORRECTIONS = 8
 
 
@@ -106,6 +116,10 @@ class Competition(Contenders):
                     near = (*near, *near_best)
         progress(f"{data.coordinate}: what changes", 0.7)
         chosen, passing = self._changed(chosen, every, library)
+        if chosen is nominal and not passing:
+            least = nominal.evidence + _UNCONFIRMED * self.least
+            likelier = [one for one in best_first(every) if one.evidence > least]
+            passing = [one for one in likelier if self.is_real(one, nominal)][:1]
         near = near if chosen is rivals[0] else (chosen,)
         progress(f"{data.coordinate}: what remains", 0.8)
         of = {id(one): one for one in (chosen, *rivals) if one is not nominal}.values()
@@ -285,6 +299,7 @@ class Competition(Contenders):
             before, after = parts[:k], parts[k + 1 :]
             rests = [(*before, *after)] if len(parts) > 1 else []
             rests += [(*before, always(part), *after)] if begins_later(part) else []
+            rests += [(*before, plain, *after) for plain in self._special_cases(part)]
             options += [Option(rest, np.hstack([other.starts for other in rest])) for rest in rests]
         simpler = [
             one
@@ -292,6 +307,15 @@ class Competition(Contenders):
             if one.evidence > contender.evidence - self._odds(one, contender)
         ]
         return self._pruned(best_first(simpler)[0]) if simpler else contender
+
+    def _special_cases(self, part: TermCandidate) -> list[TermCandidate]:
+        """What an effect is if its parameters are alike."""
+        plain = next((own for own in candidates(self.data) if own.name == SPECIAL_CASES.get(part.name)), None)
+        if plain is None:
+            return []
+        starts = plain.starts[:1].copy()
+        starts[0, plain.free], starts[0, -GATES:] = part.starts[0, part.free].mean(), part.starts[0, -GATES:]
+        return [replace(plain, term=replace(plain.term, modes=part.term.modes), starts=starts)]
 
     def _odds(self, simpler: Contender, contender: Contender) -> float:
         """What a model must be ahead of a simpler one [nats]: with an effect more, or only since some row."""
@@ -373,9 +397,9 @@ def are_compatible(head: Contender, part: TermCandidate) -> bool:
 
 
 def simplest(contenders: Sequence[Contender]) -> tuple[Contender, tuple[Contender, ...]]:
-    """The plainest of those as good as the best, and all within a tie of it."""
+    """The likeliest, and all within a tie of it; in its place the plainest as good, or a special case that is tied."""
     best = max(contenders, key=lambda one: one.evidence)
-    near = [one for one in contenders if one.evidence > best.evidence - TIE]
-    return min((one for one in near if one.evidence > best.evidence - _NO_MENTION), key=lambda one: one.rank), tuple(
-        near
-    )
+    near = tuple(one for one in contenders if one.evidence > best.evidence - TIE)
+    plain = [one for one in near if not any(other.is_special_case_of(one) for other in near)]
+    most = max(one.evidence for one in plain)
+    return min((one for one in plain if one.evidence > most - NO_MENTION), key=lambda one: one.rank), near

@@ -15,7 +15,7 @@ import numpy as np
 from micah_plan.arrays import ROUND_OFF, Floats
 from micah_plan.automaton.effects.form import EffectForm
 from micah_plan.automaton.effects.memories import is_as_commanded
-from micah_plan.automaton.effects.registry import form
+from micah_plan.automaton.effects.registry import form, forms
 from micah_plan.residual.candidates import (
     FOLLOW,
     GATES,
@@ -78,6 +78,12 @@ _HOPELESS = 1.0
 _CHANCE = 2.0
 
 
+SPECIAL_CASES = {"direction_gain": "gain"}
+"""Effects that are others if their parameters are alike."""
+NO_MENTION = 1.0
+"""Evidence "not worth more than a bare mention" [nats] (Kass and Raftery, JASA 1995)."""
+
+
 @dataclass(frozen=True, eq=False)
 class Contender:
     """A model of effects with its evidence.
@@ -108,10 +114,25 @@ class Contender:
         return self.weighed.evidence - _BEGINS * sum(map(begins_later, self.parts))
 
     @property
-    def rank(self) -> tuple[int, int, int]:
-        """Plainest first: parameters, effects, ranks of the forms."""
-        size = sum(len(part.free) for part in self.parts)
-        return size, len(self.parts), sum(part.term.form.complexity_rank for part in self.parts)
+    def rank(self) -> tuple[int, int, int, bool]:
+        """Plainest first: parameters, effects, ranks of the forms, and these in the order of the library."""
+        size, order = sum(len(part.free) for part in self.parts), [own.name for own in forms()]
+        at = [order.index(name) if name in order else -1 for name in self.names]
+        ranks = sum(part.term.form.complexity_rank for part in self.parts)
+        return size, len(self.parts), ranks, at != sorted(at)
+
+    def is_special_case_of(self, other: Contender) -> bool:
+        """Whether another model does the same with some of its parameters alike, or in an order that is not usual.
+
+        Of two orders that fit equally well (a gain of a bias, and a bias of a gain) evidence only tells that their
+        parameters are of other sizes.
+        """
+        if len(self.names) != len(other.names) or self.rank >= other.rank:
+            return False
+        if sorted(self.names) == sorted(other.names) and self.rank[:3] == other.rank[:3]:
+            return self.fit.loss < other.fit.loss + NO_MENTION
+        pairs = zip(self.names, other.names, strict=True)
+        return self.names != other.names and all(own in (name, SPECIAL_CASES.get(name)) for own, name in pairs)
 
 
 def _is_gated(part: TermCandidate) -> bool:

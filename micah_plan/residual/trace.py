@@ -107,7 +107,7 @@ def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrac
     findings = () if chosen is nominal else _findings(held_out, found)
     final = _final(held_out, found, chosen)
     left = held_out.left_by(chosen)
-    is_passing = any(begins_later(one.parts[-1]) for one in found.left)
+    is_passing = any(one.names[-1] not in (UNNAMED, MEMORY) for one in found.left)
     facts = Facts(
         effects=len(findings),
         modes=len(modes),
@@ -116,7 +116,7 @@ def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrac
         is_over=_is_over(held_out, final),
         is_longer=final is not nominal and _rolled(held_out, final) > LONGER * _rolled(held_out, nominal),
         is_single=_is_single(data),
-        is_changing=len({gate for part in chosen.parts if np.isfinite(gate := float(part.starts[0, -GATES]))}) > 1,
+        is_changing=_is_changing(chosen, left),
         is_passing=is_passing,
         is_following=left is not None and left.is_more,
         smooth=0.0 if modes else share,
@@ -196,6 +196,12 @@ def _is_over(held_out: HeldOut, named: Contender) -> bool:
     freedom = named.fit.freedom
     with_it, without = (float(student_t_log_density(e[latest] / scale, freedom).sum()) for e in errors)
     return with_it - without < -LEAST_EVIDENCE
+
+
+def _is_changing(chosen: Contender, left: ResidualTest | None) -> bool:
+    """Whether what began goes on changing: effects began at several times, or one did and time tells more than that."""
+    begun = {gate for part in chosen.parts if np.isfinite(gate := float(part.starts[0, -GATES]))}
+    return len(begun) > 1 or (len(begun) == 1 and left is not None and "time" in (what for what, _ in left.follows))
 
 
 def _is_single(data: CoordinateData) -> bool:

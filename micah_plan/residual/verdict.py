@@ -33,7 +33,7 @@ class Facts:
         is_following: whether innovations certainly follow something, and by more than a trifle.
         is_changing: whether effects began at different times: what changed twice may be changing still.
         smooth: share of the explainable residual that a correction without a name takes out on top; 0: none.
-        is_passing: whether one run alone shows that something more began.
+        is_passing: whether one run alone shows that there is something more, or that it began.
         is_corrected: whether the model came with a correction without a name.
     """
 
@@ -73,7 +73,10 @@ OUTCOMES: tuple[tuple[Outcome, Callable[[Facts], bool]], ...] = (
     (Outcome("mode", "partly", "a mode of its own is missing"), lambda f: f.modes > 0),
     (
         Outcome("unnamed", "unexplained", "what is left follows something that no effect names"),
-        lambda f: f.smooth > UNEXPLAINED or (not f.effects and (f.smooth > 0 or f.is_corrected or f.is_following)),
+        lambda f: (
+            f.smooth > UNEXPLAINED
+            or (not f.effects and (f.smooth > 0 or f.is_corrected or (f.is_following and not f.is_passing)))
+        ),
     ),
     (
         Outcome("remembered", "partly", "with runs like these the effect may as well come from earlier commands"),
@@ -85,7 +88,7 @@ OUTCOMES: tuple[tuple[Outcome, Callable[[Facts], bool]], ...] = (
     ),
     (Outcome("over", "partly", "the last runs are predicted better without, so it is over"), lambda f: f.is_over),
     (
-        Outcome("passing", "partly", "one run alone shows that more began, and no other run can confirm it"),
+        Outcome("passing", "partly", "one run alone shows that there is more, and no other run can confirm it"),
         lambda f: f.is_passing,
     ),
     (

@@ -10,7 +10,7 @@ import planted_effects as plants
 import pytest
 
 from micah_plan.errors import InputError
-from micah_plan.residual import calibrate as calibrate_module
+from micah_plan.residual import calibration as calibration_module
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.prediction import predict_recording, rmse
 from micah_plan.view.calibration_page import calibration_page
@@ -71,7 +71,9 @@ def test_a_calibration_plays_the_runs_before_and_after_unless_the_new_model_refu
     worst = max(predict_recording(door, recording), key=lambda run: float(np.mean(run.rollout.configuration**2))).run
     assert f"run {worst} after" in scene
     assert re.search(r"door = [\d.]+ rad measured, [\d.]+ rad before, [\d.]+ rad after", scene)
-    monkeypatch.setattr(calibrate_module, "refused", lambda model, _: "" if model is door else "a run starts elsewhere")
+    monkeypatch.setattr(
+        calibration_module, "refused", lambda model, _: "" if model is door else "a run starts elsewhere"
+    )
     again = replace(found)
     assert calibration_scene(again, "door") is None
     assert again.pose_errors == ()
