@@ -56,12 +56,12 @@ if TYPE_CHECKING:
 
 
 def new(
-    kind: Annotated[Literal["problem", "effect", "robot", "sweep"], typer.Argument(help="What to write.")],
+    kind: Annotated[Literal["problem", "effect", "robot", "sweep", "tags"], typer.Argument(help="What to write.")],
     folder: Annotated[Path, typer.Argument(help="Folder for the files; created if it does not exist.")],
     model: Annotated[Path | None, typer.Option(help="Only for a problem: the model (YAML) of its object.")] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Write a commented problem, effect, sweep or problem with a robot that works as it is; nothing is overwritten."""
+    """Write a commented problem, effect, sweep, problem with a robot, or tags to print; nothing is overwritten."""
     from micah_plan.templates.write import write_template
 
     written = write_template(kind, folder, model=model)

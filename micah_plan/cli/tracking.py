@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from micah_plan.cli.console import JsonFlag, OutputPath, progress_bar, write_and_print
+from micah_plan.cli.console import JsonFlag, OutputPath, print_files, print_summary, progress_bar, write_and_print
 from micah_plan.errors import InputError
-from micah_plan.files import PAGE, TABLE, Output, check_outputs
+from micah_plan.files import MODEL, PAGE, TABLE, Output, check_outputs, replace_file
 
 if TYPE_CHECKING:
     from micah_plan.api.result import Result
@@ -37,10 +37,17 @@ def track(
         Literal["points,frames", "frames,points"] | None, typer.Option(help="Of points: order of the array's axes.")
     ] = None,
     points: Annotated[Path | None, typer.Option(help="Write which point is on which body (CSV).")] = None,
+    board: Annotated[
+        str | None,
+        typer.Option(metavar="9x6,30mm,22mm", help="The video is of this ChArUco board: write the camera (YAML)."),
+    ] = None,
     html: Annotated[Path | None, typer.Option(help="Write the tracks as a page.")] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Track parts with printed tags in a video, or bodies in tracks of points, and write their poses for `learn`."""
+    if board is not None:
+        _camera(source, board, output, as_json)
+        return
     from micah_plan.api.tracking import track as tracked
     from micah_plan.api.tracking import track_bodies
     from micah_plan.recording.csv_file import csv_bytes
@@ -71,3 +78,22 @@ def track(
             result, recording = of_tags, of_tags.recording
     pages = {} if html is None else {html: result.page(source.stem).encode()}
     write_and_print(result, {output: csv_bytes(recording, output), **files, **pages}, as_json)
+
+
+def _camera(video: Path, text: str, output: Path, as_json: bool) -> None:
+    """Write the intrinsics that a video of a board shows."""
+    from micah_plan.vision.board import board_of, camera_of_board, camera_text
+
+    check_outputs((video,), (Output("-o", output, MODEL),))
+    camera, rms, views = camera_of_board(video, board_of(text))
+    replace_file(output, camera_text(camera).encode())
+    focal, share = float(camera.matrix[0, 0]), camera.uncertainty
+    summary = {"focal_length_px": focal, "focal_length_std_px": focal * share, "rms_px": rms, "views": views}
+
+    def said() -> None:
+        print(
+            f"focal length {focal:.1f} +- {2.0 * focal * share:.1f} px, corners known to {rms:.2f} px in {views} views"
+        )
+        print_files((output,))
+
+    print_summary(as_json, summary, said)

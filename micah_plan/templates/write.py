@@ -18,7 +18,7 @@ from micah_plan.errors import InputError, shown
 from micah_plan.files import replace_file
 from micah_plan.templates.first_problem import first_problem
 
-TemplateKind = Literal["problem", "effect", "robot", "sweep"]
+TemplateKind = Literal["problem", "effect", "robot", "sweep", "tags"]
 
 # The name that each file gets, by the name that it has here.
 _FILES: Mapping[TemplateKind, Mapping[str, str]] = {
@@ -26,6 +26,7 @@ _FILES: Mapping[TemplateKind, Mapping[str, str]] = {
     "effect": {"effect.py": "effect.py", "model.yaml": "model.yaml"},
     "robot": {"problem_with_arm.yaml": "problem.yaml", "model.yaml": "model.yaml", "robot.urdf": "robot.urdf"},
     "sweep": {"sweep.yaml": "sweep.yaml", "problem.yaml": "problem.yaml", "model.yaml": "model.yaml"},
+    "tags": {"tags.yaml": "tags.yaml", "tags.svg": "tags.svg"},
 }
 
 
@@ -33,7 +34,7 @@ def write_template(kind: TemplateKind, folder: str | Path, *, model: str | Path 
     """Write the template of a kind and the JSON Schemas that its YAML files name.
 
     Args:
-        kind: ``"problem"``, ``"effect"``, ``"robot"`` or ``"sweep"``.
+        kind: ``"problem"``, ``"effect"``, ``"robot"``, ``"sweep"`` or ``"tags"``.
         model: of a problem: the model that it shall be about, copied into the folder; None for a drawer.
         folder: is made if it is not there; the folder around it must be.
 
@@ -53,7 +54,7 @@ def write_template(kind: TemplateKind, folder: str | Path, *, model: str | Path 
             raise InputError(f"a {kind} is not made from a model", remedy="leave out --model")
         contents["problem.yaml"] = first_problem(load_model(model)).encode()
         contents["model.yaml"] = Path(model).read_bytes()
-    for described in ("sweep", "problem", "model"):
+    for described in ("sweep", "problem", "model", "tags"):
         if f"{described}.yaml" in contents:
             contents[f"{described}.schema.json"] = (json.dumps(schema(described), indent=2) + "\n").encode()
     for name in contents:
