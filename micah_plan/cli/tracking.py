@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -12,7 +13,9 @@ from micah_plan.errors import InputError
 from micah_plan.files import MODEL, PAGE, TABLE, Output, check_outputs, replace_file
 
 if TYPE_CHECKING:
-    from micah_plan.api.result import Result
+    from micah_plan.api.tracking import PointsResult, TrackResult
+    from micah_plan.quantities import Progress
+    from micah_plan.vision.track_points import Axes
 
 
 def track(
@@ -48,36 +51,49 @@ def track(
     if board is not None:
         _camera(source, board, output, as_json)
         return
-    from micah_plan.api.tracking import track as tracked
-    from micah_plan.api.tracking import track_bodies
-    from micah_plan.recording.csv_file import csv_bytes
-    from micah_plan.vision.track_points import points_table
-
     asked = (Output("-o", output, TABLE[:1]), Output("--points", points, TABLE[:1]), Output("--html", html, PAGE))
     check_outputs((source, tags, camera), asked)
+    of_video, of_points = {"--tags": tags, "--camera": camera, "--base": base}, {"--axes": axes, "--points": points}
     is_points = source.suffix.lower() == ".npz"
-    needless = (
-        {"--tags": tags, "--camera": camera, "--base": base} if is_points else {"--axes": axes, "--points": points}
-    )
-    for option, value in needless.items():
-        if value is not None:
-            what = "a video" if is_points else "tracks of points (NPZ)"
-            raise InputError(f"only {what} can be given it", source=option, remedy="leave it out")
-    files = {}
+    _refuse(of_video if is_points else of_points, "a video" if is_points else "tracks of points (NPZ)")
+    result: PointsResult | TrackResult
+    files: dict[Path, bytes] = {}
     with progress_bar(as_json) as progress:
         if is_points:
-            of_points = track_bodies(source, rate=rate, axes=axes, units=units)
-            files = {} if points is None else {points: points_table(of_points.tracked)}
-            result: Result = of_points
-            recording = of_points.recording
-        elif tags is None:
-            remedy = "say which tag is on which part in a YAML file; micah-plan schema tags describes it"
-            raise InputError("missing option '--tags'", remedy=remedy)
+            result, files = _of_points(source, rate, axes, units, points)
         else:
-            of_tags = tracked(source, tags, camera=camera, base=base, rate=rate, progress=progress)
-            result, recording = of_tags, of_tags.recording
+            result = _of_video(source, tags, camera, base, rate, progress)
+    from micah_plan.recording.csv_file import csv_bytes
+
     pages = {} if html is None else {html: result.page(source.stem).encode()}
-    write_and_print(result, {output: csv_bytes(recording, output), **files, **pages}, as_json)
+    write_and_print(result, {output: csv_bytes(result.recording, output), **files, **pages}, as_json)
+
+
+def _refuse(options: Mapping[str, object], needed: str) -> None:
+    for option, value in options.items():
+        if value is not None:
+            raise InputError(f"only {needed} can be given it", source=option, remedy="leave it out")
+
+
+def _of_points(
+    source: Path, rate: float | None, axes: Axes | None, units: str, points: Path | None
+) -> tuple[PointsResult, dict[Path, bytes]]:
+    from micah_plan.api.tracking import track_bodies
+    from micah_plan.vision.track_points import points_table
+
+    result = track_bodies(source, rate=rate, axes=axes, units=units)
+    return result, {} if points is None else {points: points_table(result.tracked)}
+
+
+def _of_video(
+    source: Path, tags: Path | None, camera: Path | None, base: str | None, rate: float | None, progress: Progress
+) -> TrackResult:
+    from micah_plan.api.tracking import track as tracked
+
+    if tags is None:
+        remedy = "say which tag is on which part: micah-plan new tags FOLDER writes a file to begin with"
+        raise InputError("missing option '--tags'", remedy=remedy)
+    return tracked(source, tags, camera=camera, base=base, rate=rate, progress=progress)
 
 
 def _camera(video: Path, text: str, output: Path, as_json: bool) -> None:
