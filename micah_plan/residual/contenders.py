@@ -47,9 +47,7 @@ _FINEST = 1e-5
 # The most that an end's std is, as a share of the range, how many of these it may be beside, and where a recording gets
 # to it.
 _BESIDE, _ENDS_FAR, _NEAR_AN_END = 0.002, 3.0, 0.03
-_LOW, _HIGH, _STAYS = NOISE.index("low"), NOISE.index("high"), NOISE.index("stays")
-# Log odds of the correlation of an error that wanders, 0.9 from row to row.
-_STAYS_ODDS = 2.2
+_LOW, _HIGH = NOISE.index("low"), NOISE.index("high")
 _FREEDOMS = (NORMAL, 4.0, 12.0)
 _NORMAL = 2.0  # nats by which heavy tails must be ahead
 # What was meant is more regular than what a measurement's noise is in, the displacements or the places; so much of the
@@ -58,8 +56,6 @@ _HEARD, _MOST_HEARD = 0.25, 20.0
 # Logs of the noise's parts over the largest, where readings, motion or what wanders have most of it; fits that try all.
 _SPLITS = ((-0.3, -2.5, -3.0, -2.5), (-2.0, -0.3, -2.0, -2.5), (-2.5, -2.5, -3.0, -0.3))
 RESTARTED, TO_THE_END = 5, 20
-# After one round so many times as many options are left as go on.
-_AHEAD = 3
 # Logs by which the noise of a start may be less than that of the model that it begins with.
 _QUIETER = (0.0, 1.5, 3.0, 4.5)
 # Rows of a long recording that are searched; models that are then fitted to all, and in how many rounds.
@@ -191,8 +187,8 @@ class Contenders:
         self.screening = self.fitting if few is None else Fitting(few)
         self._blur = float(np.log(max(data.blur, 1e-7)))
         finest = float(np.log(max(data.resolution, _FINEST * float(np.ptp(data.visited)), ROUND_OFF)))
-        self._finest = (finest, *(finest - 2.0,) * (len(STDS) - 1), -np.inf, -np.inf, -np.inf)
-        self.noise, self.freedom = np.array([*(self._blur + _NOISE_START), 0.0, 0.0, _STAYS_ODDS]), NORMAL
+        self._finest = (finest, *(finest - 2.0,) * (len(STDS) - 1), -np.inf, -np.inf)
+        self.noise, self.freedom = np.array([*(self._blur + _NOISE_START), 0.0, 0.0]), NORMAL
         return self._nominal()
 
     # -- fits
@@ -240,7 +236,7 @@ class Contenders:
         return Fit(model, np.concatenate([self._given, start, noise]), free, freedom)
 
     def _uncertain(self) -> list[tuple[int, float, float, float]]:
-        """(entry, centre, std, what is large) of the noise: its logs, ends that the recording gets to, what wanders.
+        """(entry, centre, std, what is large) of the noise: its logs, and the ends that the recording gets to.
 
         Ends are as uncertain as a measurement: those of a model were measured once.
         """
@@ -251,7 +247,7 @@ class Contenders:
         reading = min(float(np.exp(self._blur)), _BESIDE * (high - low))
         for k, is_visited in ((_LOW, low < self.data.lower + near), (_HIGH, high > self.data.upper - near)):
             found += [(k, 0.0, reading, reading)] if is_visited else []
-        return [*found, (_STAYS, _STAYS_ODDS, 1.0, 0.5)]
+        return found
 
     def _contender(self, parts: Sequence[TermCandidate], weighed: Weighed) -> Contender:
         fitted, at = [], columns(self.given)
@@ -275,7 +271,7 @@ class Contenders:
 
         Args:
             first: rounds with the noise of the base, of the `keep` best starts.
-            most: options of each base that go on, `_AHEAD` times as many after the first round; None: all.
+            most: options of each base that go on; None: all.
             restarted: of the best, so many go on from other noise as well.
             rounds: of those that go on.
         """
@@ -288,14 +284,13 @@ class Contenders:
         bases = {id(option.base): option.base for option in options if option.base is not None}
         at = dict(zip(bases, searched.started([base.fit for base in bases.values()]), strict=True))
         pairs = [(option, fit) for option, fits in zip(options, kept, strict=True) for fit in fits]
-        for begun, left in ((1, _AHEAD * most if most else None), (first - 1, most)) if first else ():
-            ready = searched.improved([fit for _, fit in pairs], begun, is_noise_free=False)
-            pairs = _best_of_each(zip((option for option, _ in pairs), ready, strict=True), left)
+        rest = [list[Fit]() for _ in pairs]
         if first:
-            pairs = [
-                (o, fit) for o, fit in pairs if id(o.base) not in at or fit.loss < at[id(o.base)].loss + is_screened
-            ]
-        ready = self._from_other_noise(searched, [fit for _, fit in pairs], restarted, rounds)
+            begun, ready = pairs, searched.improved([fit for _, fit in pairs], first, is_noise_free=False)
+            pairs = _best_of_each(zip((option for option, _ in pairs), ready, strict=True), most)
+            ended = [(option, fit) for (option, _), fit in zip(begun, ready, strict=True)]
+            rest = [[fit for own, fit in ended if own is option and fit is not best] for option, best in pairs]
+        ready = self._from_other_noise(searched, [fit for _, fit in pairs], rest, restarted, rounds)
         chosen = [
             (option, fit)
             for (option, _), fit in zip(pairs, ready, strict=True)
@@ -308,10 +303,19 @@ class Contenders:
         weighed = self.fitting.weighed([fit for _, fit in chosen])
         return [self._contender(option.parts, own) for (option, _), own in zip(chosen, weighed, strict=True)]
 
-    def _from_other_noise(self, searched: Fitting, fits: Sequence[Fit], most: int, rounds: int) -> list[Fit]:
-        """Fitted to the end; the best also with most of the noise in readings, or in motion: each is an optimum."""
+    def _from_other_noise(
+        self, searched: Fitting, fits: Sequence[Fit], rest: Sequence[Sequence[Fit]], most: int, rounds: int
+    ) -> list[Fit]:
+        """Fitted to the end; the best also with most of the noise in readings, or in motion: each is an optimum.
+
+        Args:
+            rest: from where each begins as well.
+        """
         owners, tried = list(range(len(fits))), list(fits)
-        for k in sorted(owners, key=lambda k: fits[k].loss)[:most]:
+        for k, others in enumerate(rest):
+            owners += [k] * len(others)
+            tried += others
+        for k in sorted(range(len(fits)), key=lambda k: fits[k].loss)[:most]:
             others = [_noisy(fits[k], split) for split in _SPLITS]
             others += [replace(fits[k], freedom=NORMAL)] if fits[k].freedom < NORMAL else []
             owners += [k] * len(others)

@@ -28,9 +28,11 @@ Kind = Literal["filter", "one_step", "rollout"]
 STDS = ("white", "process", "motion", "wander")
 """Stds: of a reading; of what moves the part in a step, always and with a command of the usual size; of a reading's
 error that wanders."""
-NOISE = (*STDS, "low", "high", "stays")
-"""Logs of `STDS` [of rad or m], and by how much the ends of the range are beside those that are known [rad or m];
-log odds of what the wandering error is correlated by from row to row."""
+NOISE = (*STDS, "low", "high")
+"""Logs of `STDS` [of rad or m], and by how much the ends of the range are beside those that are known [rad or m]."""
+# Correlation of the wandering error from row to row. Fitted, it comes near 1 and takes what a model lacks for noise.
+_STAYS = 0.9
+_STAYING = np.array([1.0, _STAYS, _STAYS**2]).reshape(3, 1, 1)
 # Share of the variance that is left where something holds the part: a stop is no perfect pin.
 _HELD_VARIANCE = 0.05
 # Share of rows that may lie anywhere in the range (Box and Tiao, Biometrika 1968: contaminated normal).
@@ -46,7 +48,7 @@ class ModelBatch:
     Attributes:
         model: the terms.
         values: (B, columns) parameters of the terms, gates included.
-        noise: (B, 7) see `NOISE`.
+        noise: (B, 6) see `NOISE`.
         freedom: (B,) degrees of freedom of the t distribution.
     """
 
@@ -145,10 +147,7 @@ class _Filter:
         noise = np.concatenate([batch.noise for batch in batches])
         variances = np.exp(2.0 * noise[:, : len(STDS)])
         self.white, self.process, self.motion, self.wander = (variances[:, k : k + 1] for k in range(len(STDS)))
-        low, high, odds = (noise[:, NOISE.index(name)][:, None] for name in ("low", "high", "stays"))
-        self.beside = low, high
-        self.stays = 1.0 / (1.0 + np.exp(-odds))
-        self.staying = np.stack([np.ones_like(self.stays), self.stays, self.stays**2])
+        self.beside = noise[:, -2:-1], noise[:, -1:]
         self.effort = (self.u / data.command_size) ** 2
         self.freedom = np.concatenate([batch.freedom for batch in batches])[:, None]
         self.commands = self._commands()
@@ -261,11 +260,11 @@ class _Filter:
             shrunk += _HELD_VARIANCE
             covariance[0] *= shrunk
             covariance[1] *= slope
-        covariance *= self.staying
+        covariance *= _STAYING
         covariance[0] += self.process + self.motion * self.effort[t]
-        covariance[2] += (1.0 - self.staying[2]) * self.wander
+        covariance[2] += (1.0 - _STAYS**2) * self.wander
         self.state[0] = free
-        self.state[1] *= self.stays
+        self.state[1] *= _STAYS
 
     def _held(self, v: Floats, free: Floats) -> tuple[Booleans, Booleans]:
         """Whether the part is held at its lower and upper end: until a command releases it, or the end is gone."""
