@@ -61,6 +61,7 @@ LIBRARIES = (
     Library("rerun-sdk", "rerun", "write .rrd for Rerun", "rerun"),
     Library("distributed", "distributed", "sweep on a Dask cluster", "cluster"),
     Library("pyarrow", "pyarrow.parquet", "read recordings and write tables as Parquet", "parquet"),
+    Library("opencv-python-headless", "cv2", "track printed tags in a video", "vision"),
     Library("example-robot-data", "", "arms with meshes", "robots"),
     Library("pytest", "pytest", "run the tests", "test"),
     Library("pytest-xdist", "xdist", "run the tests", "test"),

@@ -35,7 +35,7 @@ def test_templates_and_the_marker_of_types_are_package_data() -> None:
 
 def test_every_library_at_run_time_is_bounded_and_has_its_licence_in_the_docs() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    extras = ("sim", "ros", "rerun", "evo", "robots", "cluster", "parquet")
+    extras = ("sim", "ros", "rerun", "evo", "robots", "cluster", "parquet", "vision")
     needed = {"": project["dependencies"], **{extra: project["optional-dependencies"][extra] for extra in extras}}
     table = (ROOT / "docs" / "reference" / "dependencies.md").read_text()
     rows = dict(re.findall(r"^\| ([\w.-]+) \| [^|]+ \| (?:`(\w+)`)? ?\| [^|]+ \|$", table, re.MULTILINE))
