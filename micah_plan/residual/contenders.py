@@ -7,7 +7,7 @@ Sources: Kass and Raftery, "Bayes factors", JASA 1995; Stone, JRSS B 1974 (predi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -272,7 +272,7 @@ class Contenders:
         Args:
             first: rounds with the noise of the base, of the `keep` best starts.
             most: options of each base that go on; None: all.
-            restarted: of the best, so many go on from other noise as well.
+            restarted: of the best, so many go on from other noise as well, and all that take commands for places.
             rounds: of those that go on.
         """
         if not options:
@@ -290,7 +290,10 @@ class Contenders:
             pairs = _best_of_each(zip((option for option, _ in pairs), ready, strict=True), most)
             ended = [(option, fit) for (option, _), fit in zip(begun, ready, strict=True)]
             rest = [[fit for own, fit in ended if own is option and fit is not best] for option, best in pairs]
-        ready = self._from_other_noise(searched, [fit for _, fit in pairs], rest, restarted, rounds)
+        again = set(sorted(range(len(pairs)), key=lambda k: pairs[k][1].loss)[:restarted])
+        if restarted:
+            again |= {k for k, (option, _) in enumerate(pairs) if _is_first_of_places(option)}
+        ready = self._from_other_noise(searched, [fit for _, fit in pairs], rest, again, rounds)
         chosen = [
             (option, fit)
             for (option, _), fit in zip(pairs, ready, strict=True)
@@ -304,18 +307,18 @@ class Contenders:
         return [self._contender(option.parts, own) for (option, _), own in zip(chosen, weighed, strict=True)]
 
     def _from_other_noise(
-        self, searched: Fitting, fits: Sequence[Fit], rest: Sequence[Sequence[Fit]], most: int, rounds: int
+        self, searched: Fitting, fits: Sequence[Fit], rest: Sequence[Sequence[Fit]], again: Collection[int], rounds: int
     ) -> list[Fit]:
         """Fitted to the end; the best also with most of the noise in readings, or in motion: each is an optimum.
 
         Args:
-            rest: from where each begins as well.
+            rest: from where each begins as well. again: numbers of those that other noise is tried with.
         """
         owners, tried = list(range(len(fits))), list(fits)
         for k, others in enumerate(rest):
             owners += [k] * len(others)
             tried += others
-        for k in sorted(range(len(fits)), key=lambda k: fits[k].loss)[:most]:
+        for k in sorted(again):
             others = [_noisy(fits[k], split) for split in _SPLITS]
             others += [replace(fits[k], freedom=NORMAL)] if fits[k].freedom < NORMAL else []
             owners += [k] * len(others)
@@ -407,6 +410,12 @@ def _best_starts(fitting: Fitting, every: Sequence[Sequence[Fit]], keep: int) ->
         best = [min((next(started) for _ in _QUIETER), key=lambda fit: fit.loss) for _ in fits]
         kept.append(sorted(best, key=lambda fit: fit.loss)[:keep])
     return kept
+
+
+def _is_first_of_places(option: Option) -> bool:
+    """Whether commands become places with it: the noise of displacements says nothing of theirs."""
+    is_before = option.base is not None and FOLLOW in option.base.names
+    return not is_before and any(part.name == FOLLOW for part in option.parts)
 
 
 def _best_of_each(pairs: Iterable[tuple[Option, Fit]], most: int | None) -> list[tuple[Option, Fit]]:
