@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TrackResult(Result):
     """Poses of parts that a video shows.
 
@@ -110,7 +110,7 @@ class TrackResult(Result):
         write_recording(self.recording, path)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PointsResult(Result):
     """Bodies that tracked points are on.
 
