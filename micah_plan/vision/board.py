@@ -14,13 +14,13 @@ import numpy as np
 
 from micah_plan.errors import InputError, shown
 from micah_plan.quantities import count
+from micah_plan.recording.conventions import LENGTHS
 from micah_plan.vision.camera import Camera
 from micah_plan.vision.corners import dictionary
 from micah_plan.vision.opencv import opencv
 from micah_plan.vision.video import grey_frames
 
 _BOARD = re.compile(r"(\d+)x(\d+),([\d.]+)(mm|cm|m),([\d.]+)(mm|cm|m)")
-_METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0}
 # Corners that a view needs, views that are used, and the fewest.
 _CORNERS, _VIEWS, _FEWEST = 8, 40, 5
 
@@ -45,7 +45,7 @@ def board_of(text: str) -> Board:
     if found is not None:
         along, across, square, unit, marker, other = found.groups()
         try:
-            sizes = float(square) * _METRES[unit], float(marker) * _METRES[other]
+            sizes = float(square) * LENGTHS[unit], float(marker) * LENGTHS[other]
         except ValueError:
             sizes = (0.0, 0.0)
         if 3 <= int(along) <= 50 and 3 <= int(across) <= 50 and 0.0 < sizes[1] < sizes[0]:

@@ -20,12 +20,11 @@ from micah_plan.arrays import Floats, Ints
 from micah_plan.errors import InputError, shown
 from micah_plan.files import read_bytes
 from micah_plan.quantities import count, quantity
+from micah_plan.recording.conventions import LENGTHS
 from micah_plan.recording.value import Recording
 from micah_plan.vision.rigid_bodies import FEWEST_POINTS, RigidBody, rigid_bodies
 
 Axes = Literal["points,frames", "frames,points"]
-LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
-"""Units of lengths [m]."""
 _VISIBLE = ("visib", "seen", "valid")
 _HIDDEN = ("occlu", "hidden")
 _MOST_NUMBERS = 60_000_000

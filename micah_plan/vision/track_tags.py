@@ -21,7 +21,16 @@ from micah_plan.recording.tag_layout import TagLayout
 from micah_plan.recording.value import Recording
 from micah_plan.vision.camera import Camera, guessed_camera
 from micah_plan.vision.corners import Corners, detector
-from micah_plan.vision.tag_poses import Pose, Sighting, chosen_poses, corner_noise, placed_corners, pooled, sighting
+from micah_plan.vision.tag_poses import (
+    Pose,
+    Sighting,
+    chosen_poses,
+    corner_noise,
+    corners_of,
+    placed_corners,
+    pooled,
+    sighting,
+)
 from micah_plan.vision.video import grey_frames
 
 # A tag of fewer pixels has an ambiguous tilt (measured: 19 px seen head-on put an axis off by 59 mrad).
@@ -43,7 +52,7 @@ class Tracked:
         camera: that was used, with its focal length if that was found from the tags.
         frames: of the video. noise: std of a corner [px].
         is_fixed: whether the camera stood still, so that the base is known in all frames.
-        seen: in how many frames each part was seen. stds: (position [m], turn [rad]) of the poses of each part, median.
+        base: part in whose frame the poses are. stds: (position [m], turn [rad]) of the poses of each part, median.
         notes: what to know of it, one sentence each.
     """
 
@@ -52,7 +61,7 @@ class Tracked:
     frames: int
     noise: float
     is_fixed: bool
-    seen: Mapping[str, int]
+    base: str
     stds: Mapping[str, tuple[float, float]]
     notes: tuple[str, ...]
 
@@ -104,8 +113,7 @@ def track_tags(
         *_notes_on_base(base, poses[base] if still is None else [still]),
     )
     recording = _recording(times, relative, notes)
-    seen = {part: sum(one is not None for one in own) for part, own in sightings.items()}
-    return Tracked(recording, used, len(frames), noise, still is not None, seen, stds, notes)
+    return Tracked(recording, used, len(frames), noise, still is not None, base, stds, notes)
 
 
 def _beside(poses: Sequence[Pose | None], base: Sequence[Pose | None]) -> list[Pose | None]:
@@ -179,7 +187,7 @@ def _focal_length(camera: Camera, layout: TagLayout, frames: Sequence[Corners]) 
 
     def misfit(log_focal: float) -> float:
         tried = camera.with_focal_length(float(np.exp(log_focal)))
-        squares = ({number: _square(layout.tags[number].size)} for number, _ in alone)
+        squares = ({number: corners_of(layout.tags[number])} for number, _ in alone)
         found = (sighting(square, frame, tried) for square, (_, frame) in zip(squares, alone, strict=True))
         left = np.array([one.misfit for one in found if one is not None])
         scale = max(float(np.median(left)), 1e-6)
@@ -197,11 +205,6 @@ def _focal_length(camera: Camera, layout: TagLayout, frames: Sequence[Corners]) 
     of_corners = float(np.sqrt(2.0 * noise / curvature)) if curvature > 0.0 else 1.0
     uncertainty = float(np.hypot(of_corners, _OF_AXIS))
     return replace(camera.with_focal_length(float(np.exp(best.x))), uncertainty=min(uncertainty, 1.0))
-
-
-def _square(size: float) -> Floats:
-    half = 0.5 * size
-    return half * np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
 
 
 def _stds(poses: Sequence[Pose | None]) -> tuple[float, float]:

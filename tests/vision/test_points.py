@@ -109,5 +109,6 @@ def test_options_of_the_other_source_are_refused(tmp_path) -> None:
     np.savez(tmp_path / "tracks.npz", tracks=planted("door")[0])
     line = ["track", str(tmp_path / "tracks.npz"), "-o", str(tmp_path / "x.csv"), "--base", "door"]
     result = CliRunner().invoke(app, line)
-    assert result.exit_code != 0
+    assert isinstance(result.exception, InputError)
+    assert "--base" in str(result.exception)
     assert not (tmp_path / "x.csv").exists()
