@@ -14,6 +14,9 @@ from micah_plan.documents.validation import validated
 from micah_plan.documents.yaml_lines import read_yaml_file
 from micah_plan.recording.tag_layout import Family, PlacedTag, TagLayout
 
+# No printer makes a tag larger than this [m]; sizes in mm are.
+_LARGEST = 3.0
+
 
 class TagDocument(Document):
     makes = PlacedTag
@@ -40,7 +43,10 @@ class TagsDocument(Document):
     tags: Annotated[dict[str, TagDocument], Field(min_length=1, max_length=200)] = doc("Every tag, by its number.")
 
     def check(self, at: Located) -> None:
-        for key in self.tags:
+        for key, tag in self.tags.items():
+            if tag.size > _LARGEST:
+                problem = f"expected the edge of a printed tag [m], found {tag.size:g}"
+                raise at.at("tags", key, "size").error(problem, f"in mm it would be {tag.size / 1000.0:g}")
             if not key.isdecimal() or len(key) > 4:
                 raise at.at("tags").error(f"expected the number of a tag, found {key[:40]!r}", "e.g. 0")
         numbers = [int(key) for key in self.tags]

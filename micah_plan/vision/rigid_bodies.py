@@ -250,7 +250,8 @@ def _scale(tracks: Floats, seen: Booleans, bodies: Sequence[RigidBody]) -> float
         at = np.einsum("tij,nj->tni", np.nan_to_num(body.turns), body.shape) + np.nan_to_num(body.positions)[:, None]
         off = np.linalg.norm(np.nan_to_num(tracks[body.points]).transpose(1, 0, 2) - at, axis=2)
         lengths.append(off[there])
-    return float(np.median(np.concatenate(lengths))) / _MEDIAN_LENGTH
+    every = np.concatenate(lengths)
+    return float(np.median(every)) / _MEDIAN_LENGTH if len(every) else bodies[0].noise
 
 
 def _compact(tracks: Floats, seen: Booleans, group: Ints, noise: float) -> Ints:

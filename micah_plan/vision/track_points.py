@@ -126,6 +126,7 @@ def track_points(tracks: Floats, rate: float) -> TrackedPoints:
     Raises:
         InputError: if too few points are seen, no body is found, or only one.
     """
+    tracks = np.where(np.isfinite(tracks), tracks, np.nan)
     points, frames = tracks.shape[:2]
     if points < 2 * FEWEST_POINTS or frames < 3:
         problem = f"expected {2 * FEWEST_POINTS} points and 3 frames at least, found {points} and {frames}"

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 import micah_plan
 from micah_plan.api.tracking import track_bodies
 from micah_plan.cli.application import app
+from micah_plan.documents.tags import load_tags
 from micah_plan.errors import InputError
 from micah_plan.vision.track_points import load_points
 
@@ -103,6 +104,23 @@ def test_what_cannot_be_tracked_is_said(tmp_path) -> None:
         track_bodies(np.random.default_rng(0).uniform(0.0, 1.0, (20, 50, 3)), rate=30.0)
     with pytest.raises(InputError, match="--rate 30"):
         track_bodies(tracks, rate=None)
+
+
+def test_infinite_places_are_not_seen_and_one_point_many_times_is_no_body() -> None:
+    tracks, _ = planted("door")
+    tracks[3, 4] = np.inf
+    assert len(track_bodies(tracks, rate=30.0).tracked.bodies) == 2
+    with pytest.raises(InputError):
+        track_bodies(np.repeat(tracks[:1], 20, axis=0), rate=30.0)
+
+
+def test_sizes_of_tags_in_mm_are_refused(tmp_path) -> None:
+    path = tmp_path / "tags.yaml"
+    path.write_text("format: micah-plan/tags/1\ntags:\n  0: {part: base, size: 2.5}\n")
+    assert load_tags(path).tags[0].size == 2.5
+    path.write_text("format: micah-plan/tags/1\ntags:\n  0: {part: base, size: 60.0}\n")
+    with pytest.raises(InputError, match=r"tags\.0\.size.*in mm it would be 0\.06"):
+        load_tags(path)
 
 
 def test_options_of_the_other_source_are_refused(tmp_path) -> None:
