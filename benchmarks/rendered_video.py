@@ -29,6 +29,7 @@ from micah_plan.vision.camera import Camera
 WIDTH, HEIGHT, FOCAL = 960, 540, 760.0
 MATRIX = np.array([[FOCAL, 0.0, 482.0], [0.0, FOCAL, 268.0], [0.0, 0.0, 1.0]])
 PX_PER_M = 2000
+FINER = 4  # pixels that one of the picture is the mean of, along each side
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,7 @@ def film(
     seconds: float = 4.0,
     rate: float = 15.0,
     noise: float = 3.0,
+    blur: float = 0.6,
     covered: Callable[[float], tuple[int, int, int, int] | None] | None = None,
     seed: int = 0,
 ) -> None:
@@ -112,7 +114,7 @@ def film(
     rng = np.random.default_rng(seed)
     textures = [_texture(face) for face in faces]
     background = np.clip(
-        cv2.resize(rng.normal(0, 25, (9, 16)).astype(np.float32), (2 * WIDTH, 2 * HEIGHT)) + 110, 0, 255
+        cv2.resize(rng.normal(0, 25, (9, 16)).astype(np.float32), (FINER * WIDTH, FINER * HEIGHT)) + 110, 0, 255
     )
     is_video = path.suffix == ".mp4"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), rate, (WIDTH, HEIGHT)) if is_video else None
@@ -123,11 +125,11 @@ def film(
             pose = camera(t) @ face.pose(law(t))
             if pose[:3, 2] @ pose[:3, 3] < 0.0:  # its front looks at the camera
                 cv2.warpPerspective(
-                    texture, _homography(face, pose), (2 * WIDTH, 2 * HEIGHT), dst=picture,
+                    texture, _homography(face, pose), (FINER * WIDTH, FINER * HEIGHT), dst=picture,
                     flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT,
                 )  # fmt: skip
         small = cv2.resize(picture, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA).astype(np.float32)
-        small = cv2.GaussianBlur(small, (0, 0), 0.6) + rng.normal(0.0, noise, small.shape)
+        small = cv2.GaussianBlur(small, (0, 0), blur) + rng.normal(0.0, noise, small.shape)
         grey = np.clip(small, 0, 255).astype(np.uint8)
         box = None if covered is None else covered(t)
         if box is not None:
@@ -159,8 +161,8 @@ def _homography(face: Face, pose: np.ndarray) -> np.ndarray:
     plane = np.array(
         [[scale, 0.0, 0.5 * scale - face.width / 2], [0.0, -scale, face.height / 2 - 0.5 * scale], [0, 0, 1]]
     )
-    twice = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]])
-    return twice @ MATRIX @ np.column_stack([pose[:3, 0], pose[:3, 1], pose[:3, 3]]) @ plane
+    finer = np.array([[FINER, 0.0, 0.5 * (FINER - 1)], [0.0, FINER, 0.5 * (FINER - 1)], [0.0, 0.0, 1.0]])
+    return finer @ MATRIX @ np.column_stack([pose[:3, 0], pose[:3, 1], pose[:3, 3]]) @ plane
 
 
 def shutting(t: float) -> float:

@@ -20,9 +20,10 @@ COMMANDS = (
     "learn examples/demonstrations/microwave.csv -o {out}/microwave.yaml --figure {images}/microwave_segments.png",
     "solve problems/microwave_close.yaml -o {out}/microwave_close.json --html {out}/microwave_close.html",
     "solve problems/stapler_on_books.yaml -o {out}/stapler_on_books.json --html {out}/stapler_on_books.html",
+    "track examples/video/door.mp4 --tags examples/video/tags.yaml -o {out}/door.csv --html {out}/video.html",
 )
-PAGES = {"microwave_close": 0.6, "stapler_on_books": 0.3}
-"""Shares of the time at which the plans are pictured."""
+PAGES = {"microwave_close": 0.6, "stapler_on_books": 0.3, "video": 0.4}
+"""Shares of the time at which the pages are pictured."""
 
 
 def main(site: str | None = None) -> None:

@@ -29,7 +29,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if item.get_closest_marker("sweep") is None:
             continue
         function = (item.path, item.parent and item.parent.nodeid, getattr(item, "originalname", item.name))
-        if function in swept:
+        if function in swept and item.get_closest_marker("evidence") is None:
             item.add_marker(pytest.mark.slow)
         swept.add(function)
 

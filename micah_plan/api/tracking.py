@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from micah_plan.api.inputs import Measured, located, recording_of
 from micah_plan.api.result import Result
 from micah_plan.arrays import Floats
 from micah_plan.documents.tags import load_tags
 from micah_plan.errors import InputError, located_in
 from micah_plan.quantities import Progress, Table, plain, quantity
+from micah_plan.recording.beside import ClockOffset, clock_in_words, with_commands_beside
 from micah_plan.recording.conventions import LENGTHS
 from micah_plan.recording.tag_layout import TagLayout
 from micah_plan.recording.value import Recording
 from micah_plan.vision.camera import Camera, load_camera
-from micah_plan.vision.track_points import Axes, TrackedPoints, check_unit, load_points, track_points
+from micah_plan.vision.point_files import Axes, PointTracks, check_unit, load_points
+from micah_plan.vision.track_points import TrackedPoints, track_points
 from micah_plan.vision.track_tags import Tracked, track_tags
 
 if TYPE_CHECKING:
@@ -76,13 +79,32 @@ class _Tracking(Result):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TrackResult(_Tracking):
-    """Poses of parts that a video shows."""
+    """Poses of parts that a video shows.
+
+    Attributes:
+        clock: how the robot's clock stands to the video's; None without commands.
+    """
 
     tracked: Tracked
+    clock: ClockOffset | None = None
 
     @property
     def title(self) -> str:
         return "Tracked parts"
+
+    def page(self, title: str = "") -> str:
+        """Frames of the video with what was found in them, beside the tracks and the joints that they show.
+
+        Raises:
+            InputError: if the video is no longer there.
+        """
+        from micah_plan.learn.learn import learn_graph
+        from micah_plan.learn.settings import FEWEST_ROWS
+        from micah_plan.view.tracked_page import tracked_page
+
+        recording = self.recording
+        is_enough = all(len(recording.select(part=part)) >= FEWEST_ROWS for part in recording.parts)
+        return tracked_page(self.tracked, learn_graph(recording) if is_enough else None, title=title or self.title)
 
     def report(self) -> list[str | Table]:
         found = self.tracked
@@ -111,6 +133,7 @@ class TrackResult(_Tracking):
             "focal_length_px": float(found.camera.matrix[0, 0]),
             "focal_length_std_px": float(found.camera.matrix[0, 0] * found.camera.uncertainty),
             "parts": parts,
+            "clock_offset": None if self.clock is None else asdict(self.clock),
             "warnings": list(self.warnings),
         }
 
@@ -156,26 +179,41 @@ class PointsResult(_Tracking):
 
 
 def track_bodies(
-    tracks: str | Path | Floats, *, rate: float | None, axes: Axes | None = None, units: str = "m"
+    tracks: str | Path | Floats,
+    *,
+    rate: float | None = None,
+    axes: Axes | None = None,
+    units: str | None = None,
+    camera: str | Path | Camera | None = None,
 ) -> PointsResult:
     """The bodies that tracked points are on, and their poses as a recording.
 
     Args:
-        tracks: NPZ file, or array (points, frames, 3), NaN where a point is not seen.
-        rate: frames per second.
+        tracks: NPZ, TRC, C3D or table of markers, or array (points, frames, 3), NaN where a point is not seen.
+        rate: frames per second; None: as the file says.
         axes: order of the first two axes of a file's array; None: the one along which points move less is of frames.
-        units: of lengths.
+        units: of lengths; None: as the file says, else m.
+        camera: of tracks in pixels with depths, where the file does not hold its intrinsics.
 
     Raises:
         InputError: if the file cannot be used, or no body moves.
+        MissingDependencyError: for C3D without ezc3d.
     """
-    if rate is None:
-        raise InputError("how many frames a second there are is not known", source="--rate", remedy="e.g. --rate 30")
+    unit = None if units is None else check_unit(units)
     if isinstance(tracks, np.ndarray):
-        places = np.asarray(tracks, dtype=np.float64) * LENGTHS[check_unit(units)]
-        return PointsResult(track_points(places, rate))
+        found = PointTracks(np.asarray(tracks, dtype=np.float64) * LENGTHS[unit or "m"])
+        return PointsResult(track_points(found, _rate_of(found, rate)))
+    lens = load_camera(camera) if isinstance(camera, str | Path) else camera
+    found = load_points(tracks, axes=axes, unit=unit, camera=lens)
     with located_in(tracks):
-        return PointsResult(track_points(load_points(tracks, axes=axes, unit=check_unit(units)), rate))
+        return PointsResult(track_points(found, _rate_of(found, rate)))
+
+
+def _rate_of(tracks: PointTracks, rate: float | None) -> float:
+    known = rate or tracks.rate
+    if known is None:
+        raise InputError("how many frames a second there are is not known", source="--rate", remedy="e.g. --rate 30")
+    return known
 
 
 def track(
@@ -185,6 +223,8 @@ def track(
     camera: str | Path | Camera | None = None,
     base: str | None = None,
     rate: float | None = None,
+    actions: Measured | None = None,
+    offset: float | None = None,
     progress: Progress | None = None,
 ) -> TrackResult:
     """The poses of parts with printed tags in a video, as a recording.
@@ -195,11 +235,20 @@ def track(
         camera: file or value; None: its focal length is found from the tags.
         base: part in whose frame poses are; default: the one called base, else the first.
         rate: frames per second, in place of what the video says.
+        actions: a recording of what a robot was commanded meanwhile, in any frame.
+        offset: time of the actions minus time of the video [s]; None: found from the motion.
 
     Raises:
-        InputError: if a file cannot be used, or no part is seen together with the base.
+        InputError: if a file cannot be used, no part is seen together with the base, or none moves as was commanded.
         MissingDependencyError: without OpenCV (extra ``vision``).
     """
     layout = tags if isinstance(tags, TagLayout) else load_tags(tags)
     lens = camera if isinstance(camera, Camera) or camera is None else load_camera(camera)
-    return TrackResult(track_tags(video, layout, lens, base=base, rate=rate, progress=progress))
+    commands = None if actions is None else recording_of(actions)
+    found = track_tags(video, layout, lens, base=base, rate=rate, progress=progress)
+    if commands is None:
+        return TrackResult(found)
+    with located(actions):
+        recording, clock = with_commands_beside(found.recording, commands, offset)
+    notes = (*found.notes, clock_in_words(clock))
+    return TrackResult(replace(found, recording=replace(recording, notes=notes), notes=notes), clock)

@@ -15,13 +15,15 @@ from micah_plan.files import MODEL, PAGE, TABLE, Output, check_outputs, replace_
 if TYPE_CHECKING:
     from micah_plan.api.tracking import PointsResult, TrackResult
     from micah_plan.quantities import Progress
-    from micah_plan.vision.track_points import Axes
+    from micah_plan.vision.point_files import Axes
+
+POINT_FILES = (".npz", ".trc", ".c3d", ".csv")
 
 
 def track(
     source: Annotated[
         Path,
-        typer.Argument(help="Video, folder of pictures with their times in stamps.txt, or tracks of points (NPZ)."),
+        typer.Argument(help="Video, folder of pictures with stamps.txt, or tracks of points (NPZ, TRC, C3D, CSV)."),
     ],
     output: OutputPath,
     tags: Annotated[Path | None, typer.Option(help="Which printed tags are on which part (YAML); of a video.")] = None,
@@ -35,7 +37,16 @@ def track(
     rate: Annotated[
         float | None, typer.Option(metavar="HZ", min=0.01, max=100_000.0, help="Frames per second, if it says wrong.")
     ] = None,
-    units: Annotated[str, typer.Option(help="Of points: m, cm, mm or in.")] = "m",
+    actions: Annotated[
+        Path | None, typer.Option(help="Recording of what a robot was commanded meanwhile, by its own clock.")
+    ] = None,
+    offset: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="Time of the actions minus time of the video; default: from the motion."),
+    ] = None,
+    units: Annotated[
+        str | None, typer.Option(help="Of points: m, cm, mm or in; default: as the file says, else m.")
+    ] = None,
     axes: Annotated[
         Literal["points,frames", "frames,points"] | None, typer.Option(help="Of points: order of the array's axes.")
     ] = None,
@@ -52,17 +63,18 @@ def track(
         _camera(source, board, output, as_json)
         return
     asked = (Output("-o", output, TABLE[:1]), Output("--points", points, TABLE[:1]), Output("--html", html, PAGE))
-    check_outputs((source, tags, camera), asked)
-    of_video, of_points = {"--tags": tags, "--camera": camera, "--base": base}, {"--axes": axes, "--points": points}
-    is_points = source.suffix.lower() == ".npz"
-    _refuse(of_video if is_points else of_points, "a video" if is_points else "tracks of points (NPZ)")
+    check_outputs((source, tags, camera, actions), asked)
+    is_points = source.suffix.lower() in POINT_FILES
+    of_video = {"--tags": tags, "--base": base, "--actions": actions}
+    of_points = {"--axes": axes, "--points": points, "--units": units}
+    _refuse(of_video if is_points else of_points, "a video" if is_points else "tracks of points")
     result: PointsResult | TrackResult
     files: dict[Path, bytes] = {}
     with progress_bar(as_json) as progress:
         if is_points:
-            result, files = _of_points(source, rate, axes, units, points)
+            result, files = _of_points(source, rate, axes, units, camera, points)
         else:
-            result = _of_video(source, tags, camera, base, rate, progress)
+            result = _of_video(source, tags, camera, base, rate, actions, offset, progress)
     from micah_plan.recording.csv_file import csv_bytes
 
     pages = {} if html is None else {html: result.page(source.stem).encode()}
@@ -76,24 +88,34 @@ def _refuse(options: Mapping[str, object], needed: str) -> None:
 
 
 def _of_points(
-    source: Path, rate: float | None, axes: Axes | None, units: str, points: Path | None
+    source: Path, rate: float | None, axes: Axes | None, units: str | None, camera: Path | None, points: Path | None
 ) -> tuple[PointsResult, dict[Path, bytes]]:
     from micah_plan.api.tracking import track_bodies
     from micah_plan.vision.track_points import points_table
 
-    result = track_bodies(source, rate=rate, axes=axes, units=units)
+    result = track_bodies(source, rate=rate, axes=axes, units=units, camera=camera)
     return result, {} if points is None else {points: points_table(result.tracked)}
 
 
 def _of_video(
-    source: Path, tags: Path | None, camera: Path | None, base: str | None, rate: float | None, progress: Progress
+    source: Path,
+    tags: Path | None,
+    camera: Path | None,
+    base: str | None,
+    rate: float | None,
+    actions: Path | None,
+    offset: float | None,
+    progress: Progress,
 ) -> TrackResult:
     from micah_plan.api.tracking import track as tracked
 
     if tags is None:
         remedy = "say which tag is on which part: micah-plan new tags FOLDER writes a file to begin with"
         raise InputError("missing option '--tags'", remedy=remedy)
-    return tracked(source, tags, camera=camera, base=base, rate=rate, progress=progress)
+    if offset is not None and actions is None:
+        raise InputError("there are no actions to shift", source="--offset", remedy="say --actions ROBOT.csv")
+    told = {"camera": camera, "base": base, "rate": rate, "actions": actions, "offset": offset}
+    return tracked(source, tags, progress=progress, **told)  # type: ignore[arg-type]
 
 
 def _camera(video: Path, text: str, output: Path, as_json: bool) -> None:

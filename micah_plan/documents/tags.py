@@ -7,12 +7,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from micah_plan.documents.apriltag_ros import ours_of_apriltag_ros
 from micah_plan.documents.fields import Distance, PartName, Quaternion, Vector3
 from micah_plan.documents.layout import Document, Scope, doc
 from micah_plan.documents.located import Located
 from micah_plan.documents.validation import validated
 from micah_plan.documents.yaml_lines import read_yaml_file
-from micah_plan.recording.tag_layout import Family, PlacedTag, TagLayout
+from micah_plan.errors import located_in
+from micah_plan.recording.tag_layout import Family, PlacedTag, TagLayout, Up
 
 # No printer makes a tag larger than this [m]; sizes in mm are.
 _LARGEST = 3.0
@@ -40,6 +42,11 @@ class TagsDocument(Document):
 
     format: Literal["micah-plan/tags/1"] = doc("Format and version of this file.")
     family: Family = doc("Family of all tags.", "tag36h11")
+    up: Up = doc(
+        "Axis of the base's first tag that points up: y on a wall, z on a table. The base's frame is turned about x "
+        "(for `x` about y), so that its z points up.",
+        "z",
+    )
     tags: Annotated[dict[str, TagDocument], Field(min_length=1, max_length=200)] = doc("Every tag, by its number.")
 
     def check(self, at: Located) -> None:
@@ -56,14 +63,18 @@ class TagsDocument(Document):
     def read(self, at: Located, scope: Scope) -> TagLayout:
         parts = tuple(dict.fromkeys(tag.part for tag in self.tags.values()))
         meant: dict[str, Any] = self.meanings(at, {**scope, "part": parts})
-        return TagLayout(meant["family"], {int(key): tag for key, tag in meant["tags"].items()})
+        return TagLayout(meant["family"], {int(key): tag for key, tag in meant["tags"].items()}, meant["up"])
 
 
 def load_tags(path: str | Path) -> TagLayout:
-    """The tags that a file describes.
+    """The tags that a file describes: ours, or the one of apriltag_ros for ROS 1 or 2.
 
     Raises:
         InputError: if it cannot be used; one line names file, line, key, what was expected and found, and the remedy.
     """
     located = read_yaml_file(path)
+    with located_in(path):
+        document = ours_of_apriltag_ros(located.data)
+    if document is not None:
+        located = Located(document, located.source)
     return validated(located, TagsDocument).read(located, {})

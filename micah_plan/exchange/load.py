@@ -1,4 +1,4 @@
-"""A recording from any file, by the conventions that are given or lie beside it."""
+"""A recording from any file, by the conventions that are given or lie beside it; of tracks of points that of bodies."""
 
 from __future__ import annotations
 
@@ -6,16 +6,18 @@ from dataclasses import replace
 from pathlib import Path
 
 from micah_plan.documents.conventions import conventions_beside
-from micah_plan.errors import located_in
+from micah_plan.errors import InputError, located_in
 from micah_plan.recording.checks import checked_recording
-from micah_plan.recording.conventions import Conventions
+from micah_plan.recording.conventions import Conventions, as_recorded
 from micah_plan.recording.read import read_columns, read_recording
 from micah_plan.recording.value import Recording
+from micah_plan.vision.point_files import holds_points, load_points
+from micah_plan.vision.track_points import track_points
 
 
 def load_recording(path: str | Path, *, minimum_rows: int = 1, conventions: Conventions | None = None) -> Recording:
     """`read_recording`, by the conventions that are given or else those that lie beside the file; of a log of a robot's
-    joints the poses of its tool.
+    joints the poses of its tool, of tracks of points those of the bodies that they are on.
 
     Args:
         path: the recording; of ``door.csv`` the conventions are in ``door.conventions.yaml``.
@@ -25,6 +27,8 @@ def load_recording(path: str | Path, *, minimum_rows: int = 1, conventions: Conv
         InputError: if a file cannot be used.
     """
     meant = conventions_beside(path) if conventions is None else conventions
+    if holds_points(path):
+        return checked_recording(_of_points(path, meant or Conventions()), minimum_rows=minimum_rows)
     if meant is None or meant.robot is None or meant.tool is None:
         return read_recording(path, minimum_rows=minimum_rows, conventions=meant)
     from micah_plan.robot.joint_log import arm_of, tool_recording
@@ -34,3 +38,15 @@ def load_recording(path: str | Path, *, minimum_rows: int = 1, conventions: Conv
     with located_in(path):
         recording = tool_recording(columns, arm, meant)
         return checked_recording(replace(recording, notes=(*notes, *recording.notes)), minimum_rows=minimum_rows)
+
+
+def _of_points(path: str | Path, meant: Conventions) -> Recording:
+    """Poses of the bodies that points are on; the command track says more of them."""
+    tracks = load_points(path, unit=meant.length)
+    with located_in(path):
+        meant.require_open(("columns", "topics", "frame", "robot", "tool"), "tracks of points have no such thing")
+        rate = meant.rate or tracks.rate
+        if rate is None:
+            raise InputError("how many frames a second there are is not known", remedy="e.g. --rate 30")
+        found = track_points(tracks, rate)
+        return as_recorded(found.recording, replace(meant, length=None, rate=None, time=None))

@@ -28,6 +28,7 @@ from micah_plan.automaton.graph import BASE, EdgeCertainty, KinematicEdge, Kinem
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import reversed_direction, shifted
 from micah_plan.errors import InputError, shown
+from micah_plan.learn.joints.shared_error import with_shared_error
 from micah_plan.learn.online import METHODS, Method, OnlineLearner
 from micah_plan.learn.parts.tree import learn_tree
 from micah_plan.learn.run import LearnedRun, learn_acted_run
@@ -39,6 +40,7 @@ from micah_plan.learn.segments import FittedPiece, segment_configurations, to_se
 from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.learn.track import PartTrack, bends, extent, find_inliers, part_track, std_of_bends
 from micah_plan.quantities import Progress, quantity
+from micah_plan.recording.shared_error import shared_error_of
 from micah_plan.recording.value import Recording
 
 # Times [s] of the rows that steps are means of, by part and run.
@@ -79,7 +81,25 @@ def learn_graph(
         chosen, counted = _in_common(recording, chosen)
     if method == "champ":
         recording = replace(recording, action=None)
-    return learn_tree(recording, lambda pair: learn_edge(pair, chosen, seed, counted), progress)
+    graph = learn_tree(recording, lambda pair: learn_edge(pair, chosen, seed, counted), progress)
+    return _widened(graph, recording)
+
+
+def _widened(graph: KinematicGraph, recording: Recording) -> KinematicGraph:
+    """The graph with joints as uncertain as errors that rows share make them; the base's frame moves no inner joint."""
+    edges = []
+    for edge in graph.edges:
+        error = shared_error_of(recording, edge.child)
+        if error is not None and edge.parent != BASE:
+            error = replace(error, frame=np.zeros((6, 6)))
+        if error is not None:
+            segments = (
+                replace(each, joint=with_shared_error(each.joint, each.configuration_range, error))
+                for each in edge.segments
+            )
+            edge = replace(edge, segments=tuple(segments))
+        edges.append(edge)
+    return replace(graph, edges=tuple(edges))
 
 
 def _in_common(recording: Recording, settings: LearnSettings) -> tuple[LearnSettings, Counted]:

@@ -10,6 +10,10 @@ Family = Literal["tag36h11", "tag25h9", "tag16h5", "aruco_4x4", "aruco_5x5", "ar
 """Families of tags: three of AprilTag and four of ArUco (the first 100 markers of 4 x 4 to 6 x 6 cells)."""
 
 
+Up = Literal["x", "-x", "y", "-y", "z", "-z"]
+"""Axis of the base's first tag that points up: y on a wall, z on a table."""
+
+
 @dataclass(frozen=True)
 class PlacedTag:
     """One tag.
@@ -29,10 +33,18 @@ class PlacedTag:
 
 @dataclass(frozen=True)
 class TagLayout:
-    """All tags of an object, by number; every number is there once in a scene."""
+    """All tags of an object.
+
+    Attributes:
+        family: of all tags.
+        tags: by number; every number is there once in a scene.
+        up: axis of the base's frame, as its tags have it, that points up. Poses are in that frame turned, so that z
+            points up (about its x where that can be).
+    """
 
     family: Family
     tags: Mapping[int, PlacedTag]
+    up: Up = "z"
 
     @property
     def parts(self) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ The same value gives the same bytes.
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -152,6 +153,7 @@ class ScenePage:
         hidden: layers that are switched off at first.
         charts: shown in a column of their own, below the panel where the window is narrow.
         runs: to choose from; the first is shown at first.
+        pictures: (time on the player [s], JPEG) of what a camera saw, shown beside the scene.
         is_within: whether it is shown within another page, which has its title and says what its colours are.
     """
 
@@ -168,6 +170,7 @@ class ScenePage:
     hidden: Sequence[str] = ()
     charts: Sequence[Block] = ()
     runs: Sequence[RunEntry] = ()
+    pictures: Sequence[tuple[float, bytes]] = ()
     is_within: bool = False
 
 
@@ -191,6 +194,10 @@ def render_scene(page: ScenePage, scene: DrawnScene) -> str:
                 "readouts": [[round(time, 4), list(lines)] for time, lines in run.readouts],
             }
             for run in page.runs
+        ],
+        "pictures": [
+            [round(time, 4), f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}"]
+            for time, jpeg in page.pictures
         ],
         "charts": [[[round(time, 4), x] for time, x in block.keyframes] for block in page.charts],
     }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from micah_plan.arrays import Floats
@@ -34,12 +36,19 @@ _MOST_KEYFRAMES = 400
 _MOST_LANES = 5
 
 
-def recording_page(recording: Recording, graph: KinematicGraph | None = None, *, title: str = "Recording") -> str:
+def recording_page(
+    recording: Recording,
+    graph: KinematicGraph | None = None,
+    *,
+    title: str = "Recording",
+    pictures: Sequence[tuple[float, bytes]] = (),
+) -> str:
     """The page as HTML text.
 
     Args:
         recording: at least one row.
         graph: the segments learned from it; None shows the track alone.
+        pictures: (time [s], JPEG) of the camera that saw a recording of one run; shown beside the scene.
     """
     scene = DrawnScene()
     scene.reserve(recording.position)
@@ -76,6 +85,7 @@ def recording_page(recording: Recording, graph: KinematicGraph | None = None, *,
         legend=legend,
         timeline=timeline,
         charts=() if graph is None else learning_charts(recording, learned_runs(recording, graph), shown),
+        pictures=_shown_pictures(recording, shown, pictures),
     )
     return render_scene(page, scene)
 
@@ -108,6 +118,16 @@ def _shown_times(recording: Recording) -> tuple[Floats, float]:
         return np.zeros(len(recording)), 0.0
     scale = min(max(clock, SHORTEST_S), LONGEST_S) / clock
     return scale * (recording.time + np.array([starts[int(run)] for run in recording.run])), clock * scale
+
+
+def _shown_pictures(
+    recording: Recording, shown: Floats, pictures: Sequence[tuple[float, bytes]]
+) -> tuple[tuple[float, bytes], ...]:
+    """Pictures at their times on the player; those before the first row and after the last are left out."""
+    order = np.argsort(recording.time, kind="stable")
+    time, place = recording.time[order], shown[order]
+    inside = [(at, jpeg) for at, jpeg in pictures if time[0] - 1e-9 <= at <= time[-1] + 1e-9]
+    return tuple((float(np.interp(at, time, place)), jpeg) for at, jpeg in inside)
 
 
 def _animate(

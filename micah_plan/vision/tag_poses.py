@@ -22,8 +22,9 @@ from micah_plan.vision.opencv import opencv
 
 # Turns from frame to frame: of a part at rest [rad], and how fast parts turn [rad/s]; the most that one jump costs.
 _JITTER, _TURNS, _MOST_COST = 0.02, 2.0, 400.0
-# Corners are never more precise than that [px].
-_FINEST = 0.05
+_REFINEMENTS = 20  # steps of a pose, at most
+# Corners are never more precise than that [px], and those of a tag that stands are wrong alike in all frames by that.
+_FINEST, _LASTING = 0.02, 0.02
 # Of normal noise, the median of a square over its mean.
 _MEDIAN_OF_SQUARES = 0.455
 _MEDIAN_OF_TWO = 1.386  # of the sum of two
@@ -154,9 +155,7 @@ def _poses(points: Floats, pixels: Floats, camera: Camera) -> tuple[Pose, ...]:
         return ()
     found = []
     for turn, shift in zip(turns, shifts, strict=True):
-        turn, shift = cv2.solvePnPRefineLM(own, pixels, camera.matrix, camera.distortion, turn, shift)
-        matrix = np.asarray(cv2.Rodrigues(turn)[0])
-        position = np.ravel(shift)
+        matrix, position = _refined(own, pixels, np.asarray(cv2.Rodrigues(turn)[0]), np.ravel(shift), camera)
         if is_flat:
             matrix = matrix @ frame
             position = position - matrix @ middle
@@ -164,6 +163,32 @@ def _poses(points: Floats, pixels: Floats, camera: Camera) -> tuple[Pose, ...]:
         if (points @ matrix.T + position)[:, 2].min() > 0.0 and np.isfinite(misfit):
             found.append(Pose(matrix, position, np.zeros((6, 6)), misfit))
     return tuple(found)
+
+
+def _refined(points: Floats, pixels: Floats, turn: Floats, position: Floats, camera: Camera) -> tuple[Floats, Floats]:
+    """The pose (3, 3), (3,) that misses pixels least, from one nearby (Levenberg and Marquardt)."""
+    cv2 = opencv()
+    at = np.concatenate([np.ravel(cv2.Rodrigues(turn)[0]), position])
+
+    def look(at: Floats) -> tuple[float, Floats, Floats]:
+        seen, slopes = cv2.projectPoints(points, at[:3], at[3:], camera.matrix, camera.distortion)
+        left = (pixels - seen[:, 0]).ravel()
+        return float(left @ left), slopes[:, :6].T @ slopes[:, :6], slopes[:, :6].T @ left
+
+    cost, information, pull = look(at)
+    damped = 1e-4
+    for _ in range(_REFINEMENTS):
+        step = np.linalg.solve(information + damped * np.diag(np.diag(information) + 1e-9), pull)
+        tried = look(at + step)
+        if not tried[0] <= cost:
+            damped *= 10.0
+            continue
+        is_there = cost - tried[0] < 1e-9 * max(cost, 1e-12)
+        at, damped = at + step, 0.1 * damped
+        cost, information, pull = tried
+        if is_there:
+            break
+    return np.asarray(cv2.Rodrigues(at[:3])[0]), at[3:]
 
 
 def _missed(points: Floats, pixels: Floats, turn: Floats, position: Floats, camera: Camera) -> Floats:
@@ -222,22 +247,17 @@ def pooled(poses: Sequence[Pose | None], sightings: Sequence[Sighting | None], c
     able = [(pose, one) for pose, one in zip(poses, sightings, strict=True) if pose is not None and one is not None]
     if len(able) < 2:
         return None
-    cv2 = opencv()
     points = np.concatenate([one.points for _, one in able])
     pixels = np.concatenate([one.pixels for _, one in able])
     start, _ = min(able, key=lambda own: own[0].misfit)
-    turn, shift = cv2.solvePnPRefineLM(
-        points, pixels, camera.matrix, camera.distortion, cv2.Rodrigues(start.turn)[0], start.position.copy()
-    )
-    matrix: Floats = np.asarray(cv2.Rodrigues(turn)[0], dtype=np.float64)
-    position: Floats = np.asarray(shift, dtype=np.float64).ravel()
+    matrix, position = _refined(points, pixels, start.turn, start.position, camera)
     missed = _missed(points, pixels, matrix, position, camera)
     noise = corner_noise([one for _, one in able])
     if float(np.sqrt(np.median(np.sum(missed**2, axis=1)) / _MEDIAN_OF_TWO)) > _FIXED * noise:
         return None
     alone = Pose(matrix, position, np.zeros((6, 6)))
     # What lens and compression do to a picture that stands still is the same in every frame.
-    lasting = _with_covariance(alone, able[0][1].points, _FINEST, camera).covariance
+    lasting = _with_covariance(alone, able[0][1].points, _LASTING, camera).covariance
     together = _with_covariance(alone, points, noise, camera).covariance
     return Pose(matrix, position, lasting + together)
 

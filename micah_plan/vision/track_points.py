@@ -1,33 +1,20 @@
-"""From tracks of points to a recording: the bodies that they are on, their poses, and which point is on which.
-
-**Files.** NPZ with one array of places (points, frames, 3) or (frames, points, 3), as CoTracker, TAPVid-3D and
-SpatialTracker write them after lifting, and whether each is visible.
-"""
+"""From tracks of points to a recording: the bodies that they are on, their poses, and which point is on which."""
 
 from __future__ import annotations
 
-import io
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats, Ints
-from micah_plan.errors import InputError, shown
-from micah_plan.files import read_bytes
+from micah_plan.errors import InputError
 from micah_plan.quantities import count, quantity
-from micah_plan.recording.conventions import LENGTHS
 from micah_plan.recording.value import Recording
+from micah_plan.vision.point_files import PointTracks
 from micah_plan.vision.rigid_bodies import FEWEST_POINTS, RigidBody, rigid_bodies
 
-Axes = Literal["points,frames", "frames,points"]
-_VISIBLE = ("visib", "seen", "valid")
-_HIDDEN = ("occlu", "hidden")
-_MOST_NUMBERS = 60_000_000
 # Points of a body from which on nothing is said of its number.
 _ENOUGH_POINTS = 7
 # A turn that is known no better than that is no measurement of one [rad].
@@ -59,66 +46,8 @@ class TrackedPoints:
     notes: tuple[str, ...]
 
 
-def load_points(path: str | Path, *, axes: Axes | None = None, unit: str = "m") -> Floats:
-    """Tracks (N, T, 3) [m] of an NPZ file, NaN where a point is not seen.
-
-    Raises:
-        InputError: if it holds no such array, several, or one of which it is not known what its axes are.
-    """
-    arrays = _arrays(path)
-    places = {name: array for name, array in arrays.items() if array.ndim == 3 and array.shape[2] == 3}
-    if len(places) != 1:
-        found = f"found {', '.join(sorted(places)) or ', '.join(sorted(arrays)) or 'none'}"
-        problem = f"expected one array (points, frames, 3) or (frames, points, 3), {found}"
-        raise InputError(problem, source=path, remedy="store the tracks in space [x, y, z] alone, e.g. as 'tracks'")
-    ((name, tracks),) = places.items()
-    visible = _visible(arrays, tracks.shape[:2], path)
-    if axes is None:
-        first, second = tracks.shape[:2]
-        if first == second:
-            problem = f"the tracks '{name}' {tracks.shape} may be of points or frames first"
-            raise InputError(problem, source=path, remedy="say --axes points,frames or --axes frames,points")
-        axes = _axes_of(tracks)
-    tracks = np.where(visible[..., None], tracks.astype(np.float64), np.nan) * LENGTHS[unit]
-    return np.asarray(tracks if axes == "points,frames" else tracks.transpose(1, 0, 2))
-
-
-def _arrays(path: str | Path) -> dict[str, Floats]:
-    try:
-        with np.load(io.BytesIO(read_bytes(path)), allow_pickle=False) as file:
-            sizes = [info.file_size for info in file.zip.infolist()] if hasattr(file, "zip") else [0]
-            if sum(sizes) > 8 * _MOST_NUMBERS:
-                raise InputError(
-                    "expected at most 480 MB of arrays", source=path, remedy="store fewer points or frames"
-                )
-            return {name: np.asarray(file[name]) for name in file.files}
-    except (ValueError, OSError, EOFError, AttributeError, zipfile.BadZipFile):
-        remedy = "write it with numpy.savez(path, tracks=..., visibility=...)"
-        raise InputError("expected an NPZ file of plain arrays", source=path, remedy=remedy) from None
-
-
-def _visible(arrays: dict[str, Floats], shape: tuple[int, ...], path: str | Path) -> Floats:
-    for name, array in arrays.items():
-        is_hidden = any(word in name.lower() for word in _HIDDEN)
-        if not is_hidden and not any(word in name.lower() for word in _VISIBLE):
-            continue
-        own = array[..., 0] if array.ndim == 3 and array.shape[2] == 1 else array
-        if own.shape != tuple(shape):
-            problem = f"expected '{name}' {tuple(shape)} as the tracks, found {own.shape}"
-            raise InputError(problem, source=path, remedy="store both with the same axes")
-        numbers = np.nan_to_num(own.astype(np.float64))
-        return np.asarray(numbers < 0.5 if is_hidden else numbers > 0.5)
-    return np.ones(shape, dtype=bool)
-
-
-def _axes_of(tracks: Floats) -> Axes:
-    """Along frames points move less than from one point to another."""
-    steps = [float(np.nanmedian(np.linalg.norm(np.diff(tracks, axis=axis), axis=-1))) for axis in (0, 1)]
-    return "frames,points" if steps[0] < steps[1] else "points,frames"
-
-
-def track_points(tracks: Floats, rate: float) -> TrackedPoints:
-    """The bodies that points (N, T, 3) [m] are on, and a recording of their poses.
+def track_points(tracks: PointTracks, rate: float) -> TrackedPoints:
+    """The bodies that points are on, and a recording of their poses.
 
     Args:
         rate: frames per second.
@@ -126,12 +55,12 @@ def track_points(tracks: Floats, rate: float) -> TrackedPoints:
     Raises:
         InputError: if too few points are seen, no body is found, or only one.
     """
-    tracks = np.where(np.isfinite(tracks), tracks, np.nan)
-    points, frames = tracks.shape[:2]
+    places = np.where(np.isfinite(tracks.places), tracks.places, np.nan)
+    points, frames = places.shape[:2]
     if points < 2 * FEWEST_POINTS or frames < 3:
         problem = f"expected {2 * FEWEST_POINTS} points and 3 frames at least, found {points} and {frames}"
         raise InputError(problem, remedy="track more points")
-    bodies = rigid_bodies(tracks)
+    bodies = rigid_bodies(places)
     if not bodies:
         raise InputError("no four points keep their distances", remedy="check the unit, --axes, and the tracks")
     base, others = bodies[0], bodies[1:]
@@ -139,7 +68,7 @@ def track_points(tracks: Floats, rate: float) -> TrackedPoints:
         way = _largest_way(base)
         problem = f"one rigid body only: beside it nothing moves, it moves by {quantity(way, 'm', digits=2)}"
         raise InputError(problem, remedy="track points on what stands and on what moves, while it moves")
-    names = ("base", *(f"body {number}" for number in range(1, len(bodies))))
+    names = ("base", *_names(others, tracks.names))
     first = int(np.flatnonzero(base.is_seen)[0])
     poses = {name: _relative(base, body, first) for name, body in zip(names[1:], others, strict=True)}
     stds = {name: (float(np.median(own[3])), float(np.median(own[4]))) for name, own in poses.items() if len(own[0])}
@@ -149,6 +78,18 @@ def track_points(tracks: Floats, rate: float) -> TrackedPoints:
     notes = _notes(bodies, names, stds, label)
     recording = _recording(poses, rate, notes)
     return TrackedPoints(recording, bodies, names, label, base.noise, frames, stds, notes)
+
+
+def _names(bodies: Sequence[RigidBody], markers: Sequence[str]) -> list[str]:
+    """What the names of a body's markers begin with, if that is one body's own; else its number."""
+    names = []
+    for number, body in enumerate(bodies, start=1):
+        own = [markers[k] for k in body.points] if markers else [""]
+        alike = [len(set(letters)) == 1 for letters in zip(*own, strict=False)]
+        common = own[0][: (*alike, False).index(False)]
+        name = common.rpartition(":")[2].strip(" _-.0123456789")
+        names.append(name if name and name != "base" and name not in names else f"body {number}")
+    return names
 
 
 def _largest_way(body: RigidBody) -> float:
@@ -210,14 +151,3 @@ def points_table(found: TrackedPoints) -> bytes:
     """A CSV file: number of each point, and the body that it is on (empty: none)."""
     rows = (f"{number},{found.names[body] if body >= 0 else ''}" for number, body in enumerate(found.body.tolist()))
     return ("\n".join(("point,body", *rows)) + "\n").encode()
-
-
-def check_unit(unit: str) -> str:
-    """The unit of a length, if it is known.
-
-    Raises:
-        InputError: if it is not.
-    """
-    if unit not in LENGTHS:
-        raise InputError(f"unknown unit {shown(unit)}", source="--units", remedy=f"choose one of {', '.join(LENGTHS)}")
-    return unit

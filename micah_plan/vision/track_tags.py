@@ -17,7 +17,8 @@ from scipy.spatial.transform import Rotation
 from micah_plan.arrays import Floats
 from micah_plan.errors import InputError, shown
 from micah_plan.quantities import Progress, count, percent, quantity
-from micah_plan.recording.tag_layout import TagLayout
+from micah_plan.recording.shared_error import SharedError, with_shared_errors
+from micah_plan.recording.tag_layout import TagLayout, Up
 from micah_plan.recording.value import Recording
 from micah_plan.vision.camera import Camera, guessed_camera
 from micah_plan.vision.corners import Corners, detector
@@ -39,8 +40,33 @@ _ENOUGH_PX = 25.0
 _FOCAL_FRAMES, _FOCAL_RANGE = 40, (0.35, 6.0)
 # Std of a focal length, as a share of it, where the camera's axis need not meet the middle of the picture.
 _OF_AXIS = 0.02
+# Of the variance of a pose, what its neighbours share (`benchmarks video_intervals`: 95 % intervals of joints hold).
+_SHARED = 0.15
 # An axis that turns by less than so many times its noise, or a part that moves by less, does not move.
 _MOVES = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Footage:
+    """What a camera saw, frame by frame.
+
+    Attributes:
+        video, rate: what was read, and the frames per second that were said in place of its own.
+        layout: which tags are on which part.
+        camera: that was used, with its focal length if that was found from the tags.
+        times: (n,) of all frames [s], from 0. corners: of the tags that each frame shows.
+        poses: of each part in the camera, by frame; None where it is not seen.
+        base_poses: of the base in the camera, by frame; one for all where the camera stood still.
+    """
+
+    video: str | Path
+    rate: float | None
+    layout: TagLayout
+    camera: Camera
+    times: Floats
+    corners: Sequence[Corners]
+    poses: Mapping[str, Sequence[Pose | None]]
+    base_poses: Sequence[Pose | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,21 +75,30 @@ class Tracked:
 
     Attributes:
         recording: poses of the parts in the frame of the base's tags; frames that do not show a part are left out.
-        camera: that was used, with its focal length if that was found from the tags.
-        frames: of the video. noise: std of a corner [px].
+        footage: what it was made of.
+        noise: std of a corner [px].
         is_fixed: whether the camera stood still, so that the base is known in all frames.
         base: part in whose frame the poses are. stds: (position [m], turn [rad]) of the poses of each part, median.
         notes: what to know of it, one sentence each.
     """
 
     recording: Recording
-    camera: Camera
-    frames: int
+    footage: Footage
     noise: float
     is_fixed: bool
     base: str
     stds: Mapping[str, tuple[float, float]]
     notes: tuple[str, ...]
+
+    @property
+    def camera(self) -> Camera:
+        """The camera that was used."""
+        return self.footage.camera
+
+    @property
+    def frames(self) -> int:
+        """How many frames the video has."""
+        return len(self.footage.times)
 
     def rows_of(self, part: str) -> int:
         """In how many frames a part is seen together with the base."""
@@ -99,7 +134,7 @@ def track_tags(
     noise = corner_noise([one for own in sightings.values() for one in own if one is not None])
     poses = {part: chosen_poses(own, times, noise, used) for part, own in sightings.items()}
     still = pooled(poses[base], sightings[base], used)
-    of_base: list[Pose | None] = list(poses[base]) if still is None else [still] * len(frames)
+    of_base = poses[base] = _upright(poses[base] if still is None else [still] * len(frames), layout.up)
     relative = {part: _beside(poses[part], of_base) for part in layout.parts if part != base}
     together = {part: sum(pose is not None for pose in own) for part, own in relative.items()}
     if not any(together.values()):
@@ -110,10 +145,20 @@ def track_tags(
         *_notes_on_camera(used, camera is None),
         *_notes_on_tags(layout, frames, placed, sightings),
         *_notes_on_parts(base, together, len(frames), relative, stds),
-        *_notes_on_base(base, poses[base] if still is None else [still]),
+        *_notes_on_base(base, of_base if still is None else of_base[:1]),
     )
-    recording = _recording(times, relative, notes)
-    return Tracked(recording, used, len(frames), noise, still is not None, base, stds, notes)
+    errors = {part: _shared_error(relative[part], of_base, poses[part], still is not None, used) for part in stds}
+    recording = with_shared_errors(_recording(times, relative, notes), errors)
+    footage = Footage(video, rate, layout, used, times - times[0], frames, poses, of_base)
+    return Tracked(recording, footage, noise, still is not None, base, stds, notes)
+
+
+def _upright(poses: Sequence[Pose | None], up: Up) -> list[Pose | None]:
+    """Poses of the base turned so that its z points up, where an axis of its tags does."""
+    turns = {"z": (0, 0), "-z": (0, 180), "y": (0, -90), "-y": (0, 90), "x": (1, 90), "-x": (1, -90)}
+    axis, angle = turns[up]
+    turn = np.round(Rotation.from_euler("xy"[axis], angle, degrees=True).as_matrix())
+    return [None if pose is None else replace(pose, turn=pose.turn @ turn) for pose in poses]
 
 
 def _beside(poses: Sequence[Pose | None], base: Sequence[Pose | None]) -> list[Pose | None]:
@@ -213,6 +258,27 @@ def _stds(poses: Sequence[Pose | None]) -> tuple[float, float]:
     return tuple(
         float(np.median(np.sqrt(np.trace(every[:, s, s], axis1=1, axis2=2) / 3.0))) for s in (slice(0, 3), slice(3, 6))
     )  # type: ignore[return-value]
+
+
+def _shared_error(
+    poses: Sequence[Pose | None],
+    of_base: Sequence[Pose | None],
+    of_part: Sequence[Pose | None],
+    is_fixed: bool,
+    camera: Camera,
+) -> SharedError:
+    """What no number of frames averages out.
+
+    Args:
+        poses: of the part in the frame of the base. of_base, of_part: both in the camera.
+    """
+    if not is_fixed:
+        every = [pose.covariance for pose in poses if pose is not None]
+        return SharedError(np.zeros((6, 6)), _SHARED * np.mean(every, axis=0), camera.uncertainty)
+    base = next(pose for pose in of_base if pose is not None)
+    along = np.kron(np.eye(2), base.turn.T)
+    own = np.mean([pose.covariance for pose in of_part if pose is not None], axis=0)
+    return SharedError(along @ base.covariance @ along.T, _SHARED * along @ own @ along.T, camera.uncertainty)
 
 
 def _recording(times: Floats, relative: Mapping[str, Sequence[Pose | None]], notes: tuple[str, ...]) -> Recording:

@@ -19,7 +19,14 @@ _MOST_FRAMES, _MOST_PIXELS = 2_600_000, 100_000_000
 
 
 def grey_frames(path: str | Path, rate: float | None = None) -> Iterator[tuple[float, Any]]:
-    """(time [s], grey picture) of every frame, one after the other.
+    """`frames` in grey."""
+    cv2 = opencv()
+    for time, picture in frames(path, rate):
+        yield time, cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
+
+
+def frames(path: str | Path, rate: float | None = None) -> Iterator[tuple[float, Any]]:
+    """(time [s], picture in grey or blue, green, red) of every frame, one after the other.
 
     Args:
         rate: frames per second, in place of what the file says.
@@ -29,9 +36,9 @@ def grey_frames(path: str | Path, rate: float | None = None) -> Iterator[tuple[f
     """
     if not Path(path).exists():
         raise InputError("does not exist", source=path, remedy="check the path")
-    frames = _of_folder(Path(path), rate) if Path(path).is_dir() else _of_video(path, rate)
+    read = _of_folder(Path(path), rate) if Path(path).is_dir() else _of_video(path, rate)
     is_empty = True
-    for k, frame in enumerate(frames):
+    for k, frame in enumerate(read):
         if k >= _MOST_FRAMES:
             raise InputError(f"expected at most {_MOST_FRAMES} frames", source=path, remedy="cut the video")
         is_empty = False
@@ -56,7 +63,7 @@ def _of_video(path: str | Path, rate: float | None) -> Iterator[tuple[float, Any
             time = count * period if rate is not None or not told > last else told
             last = max(time, last)
             count += 1
-            yield time, cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
+            yield time, picture
     finally:
         capture.release()
 
@@ -74,8 +81,8 @@ def _of_folder(folder: Path, rate: float | None) -> Iterator[tuple[float, Any]]:
             "when its pictures were taken is not known", source=folder, remedy=f"add {STAMPS} or say --rate"
         )
     for file, time in zip(files, times if files else (), strict=True):
-        picture = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
-        if picture is None or picture.size > _MOST_PIXELS:
+        picture = cv2.imread(str(file), cv2.IMREAD_COLOR)
+        if picture is None or picture.size > 3 * _MOST_PIXELS:
             raise InputError("expected a picture", source=file, remedy="leave it out of the folder")
         yield float(time), picture
 

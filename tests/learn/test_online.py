@@ -172,7 +172,7 @@ def test_a_window_holds_a_bounded_number_of_rows() -> None:
     assert learner.segments()[0].end == 2999
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_a_long_run_is_learned_online_as_part_of_a_recording() -> None:
     recording = lifted_and_opened(cycles=20, rows=12)
     (edge,) = learn_graph(recording, method="champ", settings=SMALL).edges

@@ -79,7 +79,7 @@ def assert_same_in_turned_frames(recording: Recording, frames: list[Rotation]) -
     assert same >= len(frames) - (len(FRAMES) - SAME_AT_LEAST), f"{same} of {len(frames)}"
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize(
     ("draw", "orientation"),
     [(wandering, False), *(pytest.param(one, True, marks=pytest.mark.slow) for one in (shut, resting))],

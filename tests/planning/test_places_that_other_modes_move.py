@@ -34,7 +34,7 @@ def gripping(width: float) -> Problem:
     return Problem(automaton((approach, carry), edges), Start((0.0, 0.4), (0.002, 0.03)), Goal(((1, 0.8, 0.05),)))
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_a_part_is_met_where_it_is_believed_to_be_and_then_carried() -> None:
     result = solve(gripping(0.02))
     assert result.outcome == "solved", result.reason

@@ -129,7 +129,7 @@ def test_an_effect_that_changes_is_the_same_effect_once_more(door) -> None:
     assert rolled(found.automaton, now) < 0.2 * rolled(door, now)
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_what_turns_round_shows_in_no_mean(door) -> None:
     def moves(c, u, _, memory):
         return c + u + (0.012 if memory["run"] < 4 else -0.012)
@@ -140,14 +140,14 @@ def test_what_turns_round_shows_in_no_mean(door) -> None:
     assert (always.values[0], later.values[0]) == pytest.approx((0.012, -0.024), abs=0.002)
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_what_changed_twice_may_go_on_changing(door) -> None:
     recording = plants.door_recording(plants.runs_of(worn_since((2, 20), (5, 10)), 8, 50, 3))
     found = calibrate(door, recording)
     assert found.verdict == "partly"
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize(
     "share_of_run",
     [

@@ -51,7 +51,7 @@ def test_what_all_runs_show_is_no_fault_of_any(door, plant) -> None:
     assert told(calibrate(door, plants.door_recording(plants.runs_of(plant, 9, 30, 1)))) == []
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize("last", [1, pytest.param(2, marks=pytest.mark.evidence)])
 def test_what_lasts_to_the_end_may_be_a_change(door, last) -> None:
     recording = plants.door_recording(plants.runs_of(slipping_in(range(9 - last, 9)), 9, 30, 1))
@@ -61,7 +61,7 @@ def test_what_lasts_to_the_end_may_be_a_change(door, last) -> None:
     assert found.verdict not in ("none", "explained")
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_the_last_run_does_not_hide_what_the_others_show(door) -> None:
     def moves(c, u, _, memory):
         return c + 0.8 * u - (0.02 if memory["run"] == 7 else 0.0)

@@ -59,7 +59,7 @@ def led_to_places(runs, rows=80, share=0.35):
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @pytest.mark.parametrize("runs", [3, pytest.param(2, marks=pytest.mark.slow), pytest.param(6, marks=pytest.mark.slow)])
 def test_few_runs_of_a_machine_that_is_led_to_places_bear_that_out(door, runs) -> None:
     found = calibrate(door, plants.door_recording(led_to_places(runs)))

@@ -76,7 +76,7 @@ def test_displacements_that_fall_short_are_no_places(door, noise, disturbance) -
 
 
 @requires("sim")
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_places_are_seen_where_a_motor_swings_beyond_the_range() -> None:
     """Alone places then predict single steps worse than two effects on displacements, which roll out far worse."""
     from position_control import KINDS, model, recording_of, simulated

@@ -14,7 +14,9 @@ from micah_plan.api.tracking import track_bodies
 from micah_plan.cli.application import app
 from micah_plan.documents.tags import load_tags
 from micah_plan.errors import InputError
-from micah_plan.vision.track_points import load_points
+from micah_plan.recording.conventions import Conventions
+from micah_plan.vision.camera import Camera
+from micah_plan.vision.point_files import load_points
 
 
 def planted(name: str, seed: int = 0, **how):
@@ -57,8 +59,8 @@ def test_files_with_both_orders_units_and_visibility(tmp_path) -> None:
     filled = np.nan_to_num(tracks)
     np.savez(tmp_path / "a.npz", tracks=filled, visibility=visible)
     np.savez(tmp_path / "b.npz", tracks_XYZ=1000.0 * filled.transpose(1, 0, 2), occluded=~visible.T)
-    np.testing.assert_allclose(load_points(tmp_path / "a.npz"), tracks)
-    np.testing.assert_allclose(load_points(tmp_path / "b.npz", unit="mm"), tracks)
+    np.testing.assert_allclose(load_points(tmp_path / "a.npz").places, tracks)
+    np.testing.assert_allclose(load_points(tmp_path / "b.npz", unit="mm").places, tracks)
 
 
 def test_the_command_writes_bodies_and_points(tmp_path) -> None:
@@ -95,7 +97,7 @@ def test_what_cannot_be_tracked_is_said(tmp_path) -> None:
     ):
         with pytest.raises(InputError, match=message):
             load_points(tmp_path / name)
-    assert load_points(tmp_path / "square.npz", axes="points,frames").shape == square.shape
+    assert load_points(tmp_path / "square.npz", axes="points,frames").places.shape == square.shape
     with pytest.raises(InputError, match="one rigid body only"):
         track_bodies(tracks[:40], rate=30.0)
     with pytest.raises(InputError, match="expected 8 points"):
@@ -130,3 +132,129 @@ def test_options_of_the_other_source_are_refused(tmp_path) -> None:
     assert isinstance(result.exception, InputError)
     assert "--base" in str(result.exception)
     assert not (tmp_path / "x.csv").exists()
+
+
+FOCAL = np.array([[600.0, 0.0, 320.0], [0.0, 590.0, 240.0], [0.0, 0.0, 1.0]])
+
+
+def ahead(name: str) -> np.ndarray:
+    """Planted tracks, wholly before the camera."""
+    tracks, _ = planted(name)
+    return tracks - [0.0, 0.0, min(0.0, float(np.nanmin(tracks[..., 2])) - 0.5)]
+
+
+def test_tracks_in_pixels_are_lifted_by_their_depths(tmp_path) -> None:
+    tracks = ahead("door")
+    depth = tracks[..., 2]
+    pixels = (tracks / depth[..., None]) @ FOCAL.T
+    np.savez(tmp_path / "a.npz", pred_tracks=pixels[None, ..., :2], depth=depth, intrinsics=FOCAL)
+    np.testing.assert_allclose(load_points(tmp_path / "a.npz").places, tracks, atol=1e-9)
+    turned = pixels[..., :2].transpose(1, 0, 2)
+    np.savez(tmp_path / "b.npz", tracks=turned, depths=1000.0 * depth.T, fx_fy_cx_cy=[600.0, 590.0, 320.0, 240.0])
+    np.testing.assert_allclose(load_points(tmp_path / "b.npz", unit="mm").places, tracks, atol=1e-9)
+    np.savez(tmp_path / "c.npz", tracks=turned, depth=depth.T)
+    with pytest.raises(InputError, match=r"need the camera's intrinsics; say --camera"):
+        load_points(tmp_path / "c.npz")
+    np.testing.assert_allclose(
+        load_points(tmp_path / "c.npz", camera=Camera(FOCAL, np.zeros(0))).places, tracks, atol=1e-9
+    )
+    np.savez(tmp_path / "d.npz", tracks=turned, intrinsics=FOCAL)
+    with pytest.raises(InputError, match="need the depth of each point"):
+        load_points(tmp_path / "d.npz")
+    np.savez(tmp_path / "e.npz", tracks=turned, intrinsics=FOCAL, depth=depth[:5])
+    with pytest.raises(InputError, match="expected depths"):
+        load_points(tmp_path / "e.npz")
+
+
+def test_maps_of_depth_are_read_at_the_pixels(tmp_path) -> None:
+    pixels = np.array([[[3.0, 2.0], [4.2, 2.0]], [[0.0, 0.0], [50.0, 2.0]]])  # the last one is outside
+    maps = np.arange(2 * 5 * 6, dtype=float).reshape(2, 5, 6)
+    np.savez(tmp_path / "a.npz", tracks=pixels, depth_maps=maps, K=FOCAL)
+    places = load_points(tmp_path / "a.npz", axes="points,frames").places
+    assert places[0, :, 2].tolist() == [maps[0, 2, 3], maps[1, 2, 4]]
+    assert np.isnan(places[1]).all()  # 0: no depth
+
+
+def trc_of(tracks: np.ndarray, names: list[str], rate: float) -> str:
+    lines = ["PathFileType\t4\t(X/Y/Z)\tdoor.trc", "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits"]
+    lines += [f"{rate}\t{rate}\t{tracks.shape[1]}\t{len(names)}\tmm", "Frame#\tTime\t" + "\t\t\t".join(names)]
+    lines += ["\t\t" + "\t".join(f"X{k}\tY{k}\tZ{k}" for k in range(1, len(names) + 1)), ""]
+    for k in range(tracks.shape[1]):
+        numbers = ["" if np.isnan(v) else f"{1000.0 * v:.6f}" for v in tracks[:, k].ravel()]
+        lines.append("\t".join([str(k + 1), f"{k / rate:.4f}", *numbers]))
+    return "\n".join(lines) + "\n"
+
+
+def marker_names(label: np.ndarray) -> list[str]:
+    return [f"{('frame', 'leaf', 'other')[int(own)]}_{k}" for k, own in enumerate(label)]
+
+
+@pytest.fixture(scope="module")
+def markers() -> tuple[np.ndarray, list[str]]:
+    tracks, label = planted("door", is_moving=False)
+    kept = np.concatenate([np.flatnonzero(label == body)[:12] for body in (0, 1)])
+    return tracks[kept], marker_names(label[kept])
+
+
+def test_markers_of_trc_files_and_tables(tmp_path, markers) -> None:
+    tracks, names = markers
+    (tmp_path / "door.trc").write_text(trc_of(tracks, names, 25.0))
+    found = load_points(tmp_path / "door.trc")
+    np.testing.assert_allclose(found.places, tracks, atol=1e-8)
+    assert (found.rate, list(found.names)) == (25.0, names)
+    header = ",".join(["t", *(f"{name}_{axis}" for name in names for axis in "xyz")])
+    rows = [",".join(["%.3f" % (0.04 * k), *("" if np.isnan(v) else repr(float(v)) for v in tracks[:, k].ravel())])
+            for k in range(tracks.shape[1])]  # fmt: skip
+    (tmp_path / "door.csv").write_text("\n".join([header, *rows]) + "\n")
+    table = load_points(tmp_path / "door.csv")
+    np.testing.assert_allclose(table.places, tracks)
+    assert table.rate == pytest.approx(25.0)
+    bodies = track_bodies(tmp_path / "door.csv")
+    assert bodies.recording.parts == ("leaf",)  # what its markers are called
+    for text, message in (
+        ("nothing\n", "expected a header with DataRate"),
+        (trc_of(tracks, names, 25.0).replace("mm", "furlong"), "Units 'furlong'"),
+        (trc_of(tracks, names, 25.0) + "7\t0.1\ta\n", "expected numbers"),
+    ):
+        (tmp_path / "bad.trc").write_text(text)
+        with pytest.raises(InputError, match=message):
+            load_points(tmp_path / "bad.trc")
+    (tmp_path / "poses.csv").write_text("t,x,y,z\n0,1,2,3\n")
+    with pytest.raises(InputError, match="expected columns of markers"):
+        load_points(tmp_path / "poses.csv")
+
+
+def test_markers_of_c3d_files(tmp_path, markers) -> None:
+    ezc3d = pytest.importorskip("ezc3d")
+    tracks, names = markers
+    file = ezc3d.c3d()
+    file["parameters"]["POINT"]["RATE"]["value"] = [25.0]
+    file["parameters"]["POINT"]["LABELS"]["value"] = names
+    file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
+    points = np.ones((4, *tracks.shape[:2]))
+    points[:3] = 1000.0 * np.nan_to_num(tracks).transpose(2, 0, 1)
+    file["data"]["points"] = points
+    file.write(str(tmp_path / "door.c3d"))
+    found = load_points(tmp_path / "door.c3d")
+    np.testing.assert_allclose(found.places, tracks, atol=1e-5)
+    assert (found.rate, list(found.names)) == (25.0, names)
+    (tmp_path / "bad.c3d").write_bytes(b"no c3d")
+    with pytest.raises(InputError, match="expected a C3D file"):
+        load_points(tmp_path / "bad.c3d")
+
+
+def test_learn_takes_tracks_as_they_are(tmp_path, markers) -> None:
+    tracks, names = markers
+    (tmp_path / "door.trc").write_text(trc_of(tracks, names, 25.0))
+    np.savez(tmp_path / "door.npz", tracks=1000.0 * tracks, visibility=np.isfinite(tracks).all(axis=2))
+    of_markers = micah_plan.learn(tmp_path / "door.trc")
+    of_arrays = micah_plan.learn(tmp_path / "door.npz", conventions=Conventions(rate=25.0, length="mm"))
+    for learned in (of_markers, of_arrays):
+        assert "revolute" in [s.joint.kind for edge in learned.graph.edges for s in edge.segments]
+    model = tmp_path / "door.yaml"
+    line = ["learn", str(tmp_path / "door.npz"), "--units", "mm", "-o", str(model)]
+    refused = CliRunner().invoke(app, line)
+    assert isinstance(refused.exception, InputError)
+    assert "e.g. --rate 30" in str(refused.exception)
+    assert CliRunner().invoke(app, [*line, "--rate", "25"]).exit_code == 0
+    assert model.exists()

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +15,7 @@ from typer.testing import CliRunner
 
 pytestmark = module_requires("vision")
 
+import cv2
 import rendered_video as rendered
 
 import micah_plan
@@ -20,7 +24,9 @@ from micah_plan.checking import check_file
 from micah_plan.cli.application import app
 from micah_plan.documents.tags import load_tags
 from micah_plan.errors import InputError
+from micah_plan.recording.read import write_recording
 from micah_plan.recording.tag_layout import PlacedTag, TagLayout
+from micah_plan.recording.value import Recording
 from micah_plan.vision.camera import Camera, load_camera
 
 CAMERA = Camera(rendered.MATRIX, np.zeros(0), (rendered.WIDTH, rendered.HEIGHT))
@@ -186,3 +192,107 @@ def test_files_that_are_no_cameras(text, message, tmp_path) -> None:
     (tmp_path / "camera.yaml").write_text(text)
     with pytest.raises(InputError, match=message):
         load_camera(tmp_path / "camera.yaml")
+
+
+def test_the_base_is_turned_so_that_its_z_points_up(videos) -> None:
+    plain = track(videos["standing"], DOOR, camera=CAMERA).recording
+    for up, axis in (
+        ("y", (0.0, 1.0, 0.0)),
+        ("x", (1.0, 0.0, 0.0)),
+        ("-y", (0.0, -1.0, 0.0)),
+        ("-z", (0.0, 0.0, -1.0)),
+    ):
+        turned = track(videos["standing"], replace(DOOR, up=up), camera=CAMERA).recording
+        assert turned.position[:, 2] == pytest.approx(plain.position @ axis)
+        assert np.linalg.norm(turned.position, axis=1) == pytest.approx(np.linalg.norm(plain.position, axis=1))
+    # The door's hinge stands upright where y is up.
+    learned = micah_plan.learn(track(videos["standing"], replace(DOOR, up="y"), camera=CAMERA).recording)
+    assert abs(learned.graph.edges[0].segments[0].joint.axis[2]) > np.cos(0.02)
+
+
+ROS_1 = """standalone_tags:
+  [
+    {id: 0, size: 0.06, name: base},
+  ]
+tag_bundles:
+  [
+    {name: 'door', layout: [{id: 1, size: 0.06, x: 0.0, y: 0.0, z: 0.0, qw: 1.0, qx: 0.0, qy: 0.0, qz: 0.0},
+                            {id: 2, size: 0.04, x: 0.1, y: 0.0, z: 0.0, qw: 1.0, qx: 0.0, qy: 0.0, qz: 0.0}]}
+  ]
+"""
+ROS_2 = """apriltag:
+  ros__parameters:
+    family: 36h11
+    size: 0.06
+    tag:
+      ids: [0, 1]
+      frames: [base, door]
+"""
+
+
+def test_tags_of_apriltag_ros_are_read_as_they_are(tmp_path) -> None:
+    first, second = tmp_path / "tags.yaml", tmp_path / "apriltag.yaml"
+    first.write_text(ROS_1)
+    second.write_text(ROS_2)
+    assert load_tags(second) == DOOR
+    layout = load_tags(first)
+    assert layout.parts == ("base", "door")
+    assert layout.tags[2] == PlacedTag("door", 0.04, (0.1, 0.0, 0.0))
+    second.write_text(ROS_2.replace("[base, door]", "[base]"))
+    with pytest.raises(InputError, match="expected as many frames and sizes as ids"):
+        load_tags(second)
+    first.write_text(ROS_1.replace("size: 0.06, name", "name"))
+    with pytest.raises(InputError, match="missing key 'size'"):
+        load_tags(first)
+
+
+def test_the_page_shows_the_video_with_what_was_found(videos) -> None:
+    found = track(videos["hand_held"], DOOR, camera=CAMERA)
+    page = found.page("Door")
+    data = json.loads(re.search(r'id="page-data">(.*?)</script>', page, re.DOTALL)[1])
+    assert 40 <= len(data["pictures"]) <= 60
+    assert [time for time, _ in data["pictures"]] == sorted(time for time, _ in data["pictures"])
+    jpeg = base64.b64decode(data["pictures"][0][1].removeprefix("data:image/jpeg;base64,"))
+    shown = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR).astype(int)
+    assert shown.shape[1] == 640
+    # The video is grey; what was found is drawn in colour, about the tags and along the door's hinge.
+    coloured = np.argwhere(np.ptp(shown, axis=2) > 60)
+    assert len(coloured) > 200
+    near = found.tracked.footage.corners[0][1].mean(axis=0) * 640 / rendered.WIDTH
+    assert np.linalg.norm(coloured - near[::-1], axis=1).min() < 30.0
+
+
+def test_a_page_without_its_video_is_one_line(videos, tmp_path) -> None:
+    copy = tmp_path / "copy.mp4"
+    copy.write_bytes(videos["standing"].read_bytes())
+    found = track(copy, DOOR, camera=CAMERA)
+    copy.unlink()
+    with pytest.raises(InputError, match="does not exist"):
+        found.page()
+
+
+def test_commands_of_a_robot_are_joined_by_its_own_clock(videos, tmp_path) -> None:
+    time = np.arange(-2.0, 6.0, 0.01)
+    hand = np.array([[0.3 * np.cos(rendered.shutting(t)), 0.3 * np.sin(rendered.shutting(t)), 0.0] for t in time])
+    action = np.vstack([np.diff(hand, axis=0), np.full((1, 3), np.nan)])
+    robot, tags, output = tmp_path / "robot.csv", tmp_path / "tags.yaml", tmp_path / "door.csv"
+    write_recording(Recording(time + 100.0, hand, action=action), robot)
+    tags.write_text("format: micah-plan/tags/1\ntags:\n  0: {part: base, size: 0.06}\n  1: {part: door, size: 0.06}\n")
+    line = ["track", str(videos["standing"]), "--tags", str(tags), "-o", str(output), "--json"]
+    result = CliRunner().invoke(app, [*line, "--actions", str(robot)])
+    assert result.exit_code == 0
+    clock = json.loads(result.stdout)["clock_offset"]
+    assert clock["seconds"] == pytest.approx(100.0, abs=0.04)
+    joined = micah_plan.load(output)
+    assert joined.has_actions
+    learned = micah_plan.learn(output)
+    assert learned.graph.edges[0].segments[0].joint.kind == "revolute"
+    assert learned.graph.edges[0].certainty.channel is not None
+    for wrong, message in (
+        (["--offset", "3"], "there are no actions to shift"),
+        (["--actions", str(robot), "--offset", "-900"], "at this offset the commands are from"),
+        (["--actions", str(tmp_path / "none.csv")], "does not exist"),
+    ):
+        refused = CliRunner().invoke(app, [*line, *wrong])
+        assert isinstance(refused.exception, InputError)
+        assert message in str(refused.exception)

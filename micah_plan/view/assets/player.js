@@ -230,6 +230,18 @@
     return lines;
   }
 
+  // What the camera saw at a time of the player.
+  const picture = document.getElementById("picture");
+  function showPicture(time) {
+    if (!picture) return;
+    let source = data.pictures[0][1];
+    for (const [start, each] of data.pictures) {
+      if (start > time + 1e-9) break;
+      source = each;
+    }
+    if (picture.src !== source) picture.src = source;
+  }
+
   function setUpPlayer() {
     const slider = document.getElementById("time");
     if (!slider) return;
@@ -260,6 +272,7 @@
       follow();
       clock.textContent = `${time.toFixed(1)} of ${data.duration.toFixed(1)} s`;
       moveCursors(time);
+      showPicture(time);
       sources.forEach((source, i) => { texts[i].textContent = linesAt(source(), time).join("\n"); });
     }
     showAgain = () => show(time);
