@@ -19,7 +19,8 @@ from micah_plan.vision.opencv import opencv
 _FINE, _MARGIN = 10, 0.4
 # Pixels of a tag that are looked at, and a sequence that fills the plane evenly (Roberts, 2018).
 _EVEN = (0.7548776662, 0.5698402910)
-_FEWEST_PIXELS, _MOST_PIXELS = 60, 3000
+_FEWEST_PIXELS, _MOST_PIXELS = 60, 1500
+_LARGEST_CELL = 12.0  # px
 _STEPS, _CONVERGED = 12, 5e-3  # px
 _BLUR, _LEAST_BLUR, _MOST_BLUR = 0.25, 0.3, 4.0  # at first [cells]; bounds [px]
 _RIDGE = 1e-9
@@ -58,8 +59,29 @@ def pattern_of(markers: Any, number: int) -> Pattern:
 
 def aligned_corners(grey: Any, corners: Floats, pattern: Pattern) -> Floats | None:
     """The corners (4, 2) [px] at which the pattern is the picture, from some nearby; None where it is not."""
-    sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
-    cell = float(sides.mean()) / pattern.cells
+    smaller = int(np.ceil(_cell(corners, pattern) / _LARGEST_CELL))
+    if smaller <= 1:
+        return _aligned_from(grey, corners, pattern)
+    # Of a tag with many pixels most are flat: it is looked at from further away.
+    low = np.maximum(np.floor(corners.min(axis=0) - 2.0 * _cell(corners, pattern)).astype(int), 0)
+    high = np.ceil(corners.max(axis=0) + 2.0 * _cell(corners, pattern)).astype(int)
+    crop = grey[low[1] : high[1], low[0] : high[0]]
+    height, width = (length // smaller * smaller for length in crop.shape[:2])
+    if min(height, width) < smaller:
+        return None
+    cv2 = opencv()
+    shrunk = cv2.resize(crop[:height, :width], (width // smaller, height // smaller), interpolation=cv2.INTER_AREA)
+    found = _aligned_from(shrunk, (corners - low + 0.5) / smaller - 0.5, pattern)
+    return None if found is None else (found + 0.5) * smaller - 0.5 + low
+
+
+def _cell(corners: Floats, pattern: Pattern) -> float:
+    """Mean width of a cell [px]."""
+    return float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean()) / pattern.cells
+
+
+def _aligned_from(grey: Any, corners: Floats, pattern: Pattern) -> Floats | None:
+    cell = _cell(corners, pattern)
     pixels, values = _pixels(grey, corners, pattern)
     if len(pixels) < _FEWEST_PIXELS:
         return None

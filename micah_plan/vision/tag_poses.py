@@ -183,7 +183,7 @@ def _refined(points: Floats, pixels: Floats, turn: Floats, position: Floats, cam
         if not tried[0] <= cost:
             damped *= 10.0
             continue
-        is_there = cost - tried[0] < 1e-9 * max(cost, 1e-12)
+        is_there = cost - tried[0] < 1e-7 * max(cost, 1e-12)
         at, damped = at + step, 0.1 * damped
         cost, information, pull = tried
         if is_there:

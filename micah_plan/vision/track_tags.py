@@ -37,7 +37,7 @@ from micah_plan.vision.video import grey_frames
 # A tag of fewer pixels has an ambiguous tilt (measured: 19 px seen head-on put an axis off by 59 mrad).
 _ENOUGH_PX = 25.0
 # Frames that the focal length is found from, and the range in which it is sought, over the larger side of a picture.
-_FOCAL_FRAMES, _FOCAL_RANGE = 40, (0.35, 6.0)
+_FOCAL_FRAMES, _FOCAL_RANGE = 25, (0.35, 6.0)
 # Std of a focal length, as a share of it, where the camera's axis need not meet the middle of the picture.
 _OF_AXIS = 0.02
 # Of the variance of a pose, what its neighbours share (`benchmarks video_intervals`: 95 % intervals of joints hold).
