@@ -183,7 +183,7 @@ def _learned(
     from micah_plan.automaton.effects.commanded_places import as_commanded
     from micah_plan.learn.learn import learn_graph, small_motions
     from micah_plan.learn.parts.relative import relative_to
-    from micah_plan.recording.suspicion import suspicions_of_recording
+    from micah_plan.recording.suspicion import suspicions_of_recording, turned_grips
 
     begin = time.perf_counter()
     if base is not None:
@@ -196,7 +196,9 @@ def _learned(
         provenance["conventions"] = "; ".join(f"{name} {text}" for name, text in recording.conventions.items())
     _check_names(graph, parts)
     refusal = no_single_joint_error(graph)
-    warnings = recording.notes + suspicions_of_recording(recording) + small_motions(recording, settings)
+    on_paths = {edge.child for edge in graph.edges if any(each.joint.kind == "path" for each in edge.segments)}
+    grips = tuple(line for part, line in turned_grips(recording).items() if part not in on_paths)
+    warnings = recording.notes + suspicions_of_recording(recording) + grips + small_motions(recording, settings)
     automaton = (
         None
         if refusal is not None

@@ -45,6 +45,9 @@ Commands = Annotated[
     Literal["displacement", "position", "velocity"] | None,
     typer.Option(help="What actions mean: a displacement, the way to a commanded position, or a velocity [m/s]."),
 ]
+PositionsOnly = Annotated[
+    bool, typer.Option("--positions-only", help="Leave orientations out: a hand turned on what it held.")
+]
 PartName = Annotated[str | None, typer.Option("--name", metavar="NAME", help="Name of the only part.")]
 
 
@@ -63,6 +66,7 @@ class Said:
     robot: str | None = None
     tool: str | None = None
     commands: Literal["displacement", "position", "velocity"] | None = None
+    positions_only: bool = False
 
     def conventions(self) -> Conventions | None:
         """The same as conventions; None where they say nothing, so that a file beside the recording may.
@@ -89,6 +93,7 @@ class Said:
             robot=self.robot,
             tool=self.tool,
             commands=self.commands,
+            positions_only=self.positions_only or None,
         )
 
 

@@ -38,6 +38,7 @@ from micah_plan.cli.conventions import (
     Frame,
     Order,
     PartName,
+    PositionsOnly,
     Rate,
     Robot,
     Said,
@@ -87,6 +88,7 @@ def convert(
     quaternion: Order = None,
     name: PartName = None,
     commands: Commands = None,
+    positions_only: PositionsOnly = False,
     density: Annotated[
         float, typer.Option(min=1.0, max=30000.0, help="Of a model's shapes [kg/m^3], for the masses of bodies.")
     ] = 500.0,
@@ -109,7 +111,9 @@ def convert(
         poses_only=poses_only,
         density=density,
         packages=_packages(package or ()),
-        conventions=Said(columns, units, rate, up, quaternion, name, topic, frame, robot, tool, commands).conventions(),
+        conventions=Said(
+            columns, units, rate, up, quaternion, name, topic, frame, robot, tool, commands, positions_only
+        ).conventions(),
     )
     print_warnings(notes)
     summary = {"kind": kind, "notes": list(notes), "file": str(target), "bytes": target.stat().st_size}

@@ -30,6 +30,7 @@ from micah_plan.cli.conventions import (
     Frame,
     Order,
     PartName,
+    PositionsOnly,
     Rate,
     Robot,
     Said,
@@ -71,6 +72,7 @@ def learn(
     robot: Robot = None,
     tool: Tool = None,
     commands: Commands = None,
+    positions_only: PositionsOnly = False,
     list_topics: Annotated[bool, typer.Option("--list-topics", help="Only say what a ROS log has.")] = False,
     setting: Annotated[
         list[str] | None,
@@ -87,7 +89,7 @@ def learn(
         raise typer.Exit
     if output is None:
         raise InputError("missing option '-o' / '--output'", remedy="see micah-plan learn --help")
-    said = Said(columns, units, rate, up, quaternion, name, topic, frame, robot, tool, commands)
+    said = Said(columns, units, rate, up, quaternion, name, topic, frame, robot, tool, commands, positions_only)
     from micah_plan.api.learning import learn as learned
     from micah_plan.documents.model import model_text
     from micah_plan.documents.parts import load_parts

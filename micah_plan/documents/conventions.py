@@ -41,6 +41,9 @@ class ConventionsDocument(Document):
         "What the actions are: displacement, the way to a commanded position, or velocity [m/s]; default: not said.",
         None,
     )
+    positions_only: bool | None = doc(
+        "Whether orientations are left out, as where a hand turns on what it holds; default: they are used.", None
+    )
     name: str | None = doc("Name of the only part.", None)
     topics: list[str] = doc(
         "Of a ROS log, topics with poses or child frames of transforms, one part each; none: all of them.", list

@@ -27,6 +27,11 @@ def load_recording(path: str | Path, *, minimum_rows: int = 1, conventions: Conv
         InputError: if a file cannot be used.
     """
     meant = conventions_beside(path) if conventions is None else conventions
+    recording = _loaded(path, minimum_rows, meant)
+    return replace(recording, quaternion=None) if meant is not None and meant.positions_only else recording
+
+
+def _loaded(path: str | Path, minimum_rows: int, meant: Conventions | None) -> Recording:
     if holds_points(path):
         return checked_recording(_of_points(path, meant or Conventions()), minimum_rows=minimum_rows)
     if meant is None or meant.robot is None or meant.tool is None:

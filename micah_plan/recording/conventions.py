@@ -64,6 +64,7 @@ class Conventions:
             those of its tool in the frame of its base.
         tool: the frame of the robot that moves with the part.
         commands: what ``ax,ay,az`` are: a displacement, the way to a commanded position, or a velocity [m/s].
+        positions_only: leave orientations out, as where a hand turns on what it holds.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -79,6 +80,7 @@ class Conventions:
     robot: str | None = None
     tool: str | None = None
     commands: CommandKind | None = None
+    positions_only: bool | None = None
 
     def __post_init__(self) -> None:
         choices = {

@@ -45,6 +45,7 @@ from micah_plan.quantities import FARTHEST_M, count, percent, quantity
 from micah_plan.recording.checks import QUATERNION
 from micah_plan.recording.continuity import FLOORS, Continuity, apart, continuity_of, stretches
 from micah_plan.recording.conventions import TIMES
+from micah_plan.recording.turned_grip import TurnedGrip, turned_grip
 from micah_plan.recording.value import Recording
 
 LARGEST_EXTENT_M = 20.0
@@ -202,6 +203,8 @@ def _quaternion(rows: Recording, part: str) -> str:
     if rows.quaternion is None or len(rows) < _FEWEST_ROWS:
         return ""
     rotation = Rotation.from_quat(rows.quaternion)
+    if _turned_grip(rows) is not None:
+        return ""  # a better reason, see turned_grips
     turned = float(np.quantile((rotation * rotation[len(rows) // 2].inv()).magnitude(), 0.95))
     if turned < _LEAST_TURN:
         return ""
@@ -227,6 +230,24 @@ def _quaternion(rows: Recording, part: str) -> str:
         f"{percent(unexplained[meaning, option], 0)} of the motion unexplained, as they are {percent(as_given, 0)}); "
         f"they are read as turns of the part in the base frame, scalar last: if they are not, say so: {option}"
     )
+
+
+def turned_grips(recording: Recording) -> dict[str, str]:
+    """By part what looks as if a hand had turned on it, one line each; of a part on another one nothing is said."""
+    if len(recording.parts) > 1 or not recording.has_orientation:
+        return {}
+    (part,) = recording.parts
+    grip = _turned_grip(recording)
+    return {} if grip is None else {part: grip.in_words(part)}
+
+
+def _turned_grip(rows: Recording) -> TurnedGrip | None:
+    for run in rows.runs:
+        own = rows.select(run=run)
+        grip = turned_grip(own.position, own.poses().rotation)
+        if grip is not None:
+            return grip
+    return None
 
 
 def _unexplained(position: Floats, rotation: Rotation) -> float:

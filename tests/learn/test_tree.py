@@ -34,7 +34,8 @@ from micah_plan.automaton.graph import (
     Segment,
     SegmentCertainty,
 )
-from micah_plan.automaton.joint import prismatic, rigid
+from micah_plan.automaton.joint import prismatic, revolute, rigid
+from micah_plan.automaton.kinematics import forward
 from micah_plan.errors import InputError
 from micah_plan.learn.learn import learn_graph
 from micah_plan.learn.parts.relative import branch_poses, relative_rows
@@ -430,3 +431,55 @@ def test_parts_that_are_moved_one_after_the_other_have_their_stops(seed: int, pu
         starts = np.array([np.searchsorted(rows, s.start) for s in edge.segments if s.joint.kind == "rigid"])
         assert all((np.abs(starts - stop) <= cycles.NEAR).any() for stop in made[edge.child][1])
         assert len(starts[starts > 0]) == (2 if pushed else 0)
+
+
+def at_once(*parts: tuple[str, RigidTransform], noise: tuple[float, float], seed: int = 0) -> Recording:
+    """Parts that a simulator moves at the same time."""
+    rng = np.random.default_rng(seed)
+    time, names, positions, turns = [], [], [], []
+    for name, poses in parts:
+        n = len(poses)
+        time.append(0.05 * np.arange(n))
+        names += [name] * n
+        positions.append(poses.translation + rng.normal(0.0, max(noise[0], 1e-15), (n, 3)))
+        turned = Rotation.from_rotvec(rng.normal(0.0, max(noise[1], 1e-15), (n, 3))) * poses.rotation
+        turns.append(turned.as_quat(canonical=True))
+    return Recording(
+        np.concatenate(time), np.concatenate(positions), np.concatenate(turns), part=tuple(names), has_part=True
+    )
+
+
+WAY = 3 * np.linspace(0.0, 1.0, 100) ** 2 - 2 * np.linspace(0.0, 1.0, 100) ** 3
+A_DOOR = forward(revolute((0, 0, 1), (0, 0, 0), (0.45, 0, 0.8)), 1.2 * WAY)
+A_DRAWER = forward(prismatic((0, 1, 0), (0.2, 0.3, 0.4)), 0.4 * WAY)
+EARLIER = np.interp(np.linspace(0, 1, 100), [0.2, 0.8], [0.0, 1.0])
+NOISES = [(0.0, 0.0), (1e-3, 0.0), (0.0, 2e-3), (1e-5, 1e-5)]
+
+
+@pytest.mark.parametrize("noise", NOISES)
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        (A_DOOR, A_DRAWER),
+        (A_DRAWER, forward(prismatic((0, 1, 0), (0.2, 0.3, 0.1)), 0.15 * EARLIER)),
+        (A_DOOR, forward(revolute((0, 0, 1), (1, 0, 0), (0.6, 0, 0.8)), -WAY)),
+        (A_DRAWER, forward(revolute((1, 0, 0), (0, 0.5, 0.9), (0.1, 0.2, 0.9)), EARLIER)),
+    ],
+    ids=["door and drawer", "parallel drawers", "two doors", "drawer and lid"],
+)
+def test_parts_that_move_at_once_stand_on_the_base(first, second, noise) -> None:
+    graph = learn_graph(at_once(("a", first), ("b", second), noise=noise))
+    assert {edge.child: edge.parent for edge in graph.edges} == {"a": BASE, "b": BASE}
+    assert all(segment.no_single_joint is None for edge in graph.edges for segment in edge.segments)
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_a_part_that_is_carried_belongs_to_what_carries_it(noise) -> None:
+    handle = forward(revolute((0, 1, 0), (0.1, 0.05, 0), (0.2, 0.05, 0.0)), 0.6 * np.sin(np.linspace(0.0, 10.0, 100)))
+    graph = learn_graph(at_once(("door", A_DOOR), ("handle", A_DOOR * handle), noise=noise))
+    assert {edge.child: edge.parent for edge in graph.edges} == {"door": BASE, "handle": "door"}
+    # Rails across each other: the inner one rests in the outer one at first.
+    inner = forward(prismatic((1, 0, 0), (0.0, 0.05, 0.0)), 0.2 * np.clip(2.0 * np.linspace(-0.5, 0.5, 100), 0.0, 1.0))
+    outer = forward(prismatic((0, 1, 0), (0.2, 0.3, 0.4)), 0.3 * WAY)
+    graph = learn_graph(at_once(("outer", outer), ("inner", outer * inner), noise=noise))
+    assert {edge.child: edge.parent for edge in graph.edges} == {"outer": BASE, "inner": "outer"}
