@@ -461,11 +461,10 @@ NOISES = [(0.0, 0.0), (1e-3, 0.0), (0.0, 2e-3), (1e-5, 1e-5)]
     ("first", "second"),
     [
         (A_DOOR, A_DRAWER),
-        (A_DRAWER, forward(prismatic((0, 1, 0), (0.2, 0.3, 0.1)), 0.15 * EARLIER)),
         (A_DOOR, forward(revolute((0, 0, 1), (1, 0, 0), (0.6, 0, 0.8)), -WAY)),
         (A_DRAWER, forward(revolute((1, 0, 0), (0, 0.5, 0.9), (0.1, 0.2, 0.9)), EARLIER)),
     ],
-    ids=["door and drawer", "parallel drawers", "two doors", "drawer and lid"],
+    ids=["door and drawer", "two doors", "drawer and lid"],
 )
 def test_parts_that_move_at_once_stand_on_the_base(first, second, noise) -> None:
     graph = learn_graph(at_once(("a", first), ("b", second), noise=noise))

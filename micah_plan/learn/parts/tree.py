@@ -18,14 +18,10 @@ parents of one child thus compete for the same data y_j, and only such differenc
   move wins. Sturm et al. give all pairs the same noise instead. Here the parent is put where its own edge says that it
   was (`relative.branch_poses`), which leaves the child's noise, the same for every parent. Its edge belongs
   to a tree, so this starts with all parts on the base and is repeated along the tree found, until the tree stays.
-
 - Free motion is no attachment: a part that moves freely beside another moves freely beside the base. An edge with as
   many rows of it as that of the base is left out. (Free motion follows poses without noise closer than any joint may,
   so its evidence is greater than that of the true joint.) Rows that leave their joint further than real ones do count
   as free.
-- A part that a joint on the base explains in all rows is attached to another only if that one carries it somewhere:
-  moves while the part rests relative to it. Two parallel drawers that are pulled at once have a perfect joint between
-  them, of less motion and so of greater evidence than that on the base; it says nothing.
 
 Where two parents explain a child equally well (parts that only ever moved in step, about one axis) the prior decides:
 the base.
@@ -61,7 +57,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from micah_plan.arrays import ROUND_OFF, Booleans, Floats, Ints
+from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.kinematics import ROTATION_LENGTH
 from micah_plan.errors import InputError, shown
@@ -75,7 +71,6 @@ PairLearner = Callable[[Recording], KinematicEdge]
 
 _MOST_ROUNDS = 5  # of poses along a tree and trees in turn
 _LOG_BASE_ODDS = 3.0  # prior, 20 to 1: that a moving part stands on the base and not on a certain other one
-_CARRIED = 0.09  # of the windows in which a part moves: in some two move alike without belonging together
 _EVIDENCE_DIGITS = 6  # evidences that agree so far [nats] are ties
 
 
@@ -209,20 +204,7 @@ class _Pairs:
 
     def is_attachment(self, pair: PairEdge, child: str) -> bool:
         """Whether a pair may say that its child stands on its parent, which is not the base."""
-        whole = self.measured(BASE, child)
-        if whole.free_rows:
-            return pair.free_rows < whole.free_rows
-        return not pair.free_rows and self._is_carried(pair, child)
-
-    def _is_carried(self, pair: PairEdge, child: str) -> bool:
-        """Whether the parent moves somewhere while the child rests relative to it."""
-        beside, parent = pair.relative.recording, pair.relative.parent
-        for run in beside.runs:
-            moves = moving_windows(self.recording, run, parent)
-            rests = moves & ~moving_windows(beside, run, child)
-            if moves.any() and _resting(beside, run, child, rests).sum() >= _CARRIED * moves.sum():
-                return True
-        return False
+        return not pair.free_rows or pair.free_rows < self.measured(BASE, child).free_rows
 
     def final(self, parent: str, child: str) -> KinematicEdge:
         """The edge from measured poses, in rows of the whole recording."""
@@ -447,36 +429,15 @@ def moving_windows(recording: Recording, run: int, part: str) -> Booleans:
     if len(own) < 3:
         return moves
     place = _places(recording.rows(own))
-    window = _window_of(recording, in_run, own)
+    edges = np.linspace(recording.time[in_run].min(), recording.time[in_run].max(), _WINDOWS + 1)
+    window = np.clip(np.searchsorted(edges, recording.time[own], side="right") - 1, 0, _WINDOWS - 1)
     threshold = _MOTION_STDS * float(std_of_bends(bends(place)))
     for k in range(_WINDOWS):
         # With its neighbours: a window between rows of a slow recording would have none or one.
         rows = place[np.abs(window - k) <= 1]
         if len(rows) > 1:
-            moves[k] = extent(rows) > max(threshold, ROUND_OFF)
+            moves[k] = extent(rows) > threshold
     return moves
-
-
-def _resting(recording: Recording, run: int, part: str, windows: Booleans) -> Booleans:
-    """Those of the windows in a row over which a part stays at one place: what is slow moves in the end."""
-    in_run = recording.run == run
-    own = np.flatnonzero(in_run & np.array([name == part for name in recording.part], dtype=bool))
-    place = _places(recording.rows(own))
-    window = _window_of(recording, in_run, own)
-    threshold = _MOTION_STDS * float(std_of_bends(bends(place)))
-    stays = np.zeros(_WINDOWS, dtype=bool)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], windows, [False]]).astype(int)))
-    for first, after in edges.reshape(-1, 2).tolist():
-        rows = place[(window >= first) & (window < after)]
-        if len(rows) > 1 and extent(rows) <= max(threshold, ROUND_OFF):
-            stays[first:after] = True
-    return stays
-
-
-def _window_of(recording: Recording, in_run: Booleans, rows: Ints) -> Ints:
-    """In which window of a run each of some rows is."""
-    edges = np.linspace(recording.time[in_run].min(), recording.time[in_run].max(), _WINDOWS + 1)
-    return np.clip(np.searchsorted(edges, recording.time[rows], side="right") - 1, 0, _WINDOWS - 1)
 
 
 def _carries(parent: Booleans, child: Booleans) -> bool:
