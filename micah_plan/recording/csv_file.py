@@ -114,7 +114,7 @@ def csv_bytes(recording: Recording, path: str | Path) -> bytes:
 
 def _table(lines: list[str], meant: Conventions) -> CaptureTable:
     """The lines as columns and rows."""
-    raw, rows, numbers = _rows(lines)
+    raw, rows, numbers = _rows(lines, are_numbered=bool(meant.columns))
     where = f"line {numbers[0]}"
     own, sources = columns_by_name(raw, meant, where)
     without_time = meant.rate is not None and "t" not in own
@@ -129,9 +129,9 @@ def _table(lines: list[str], meant: Conventions) -> CaptureTable:
     return CaptureTable(columns, numbers[1:], sources=sources, called=called, numbers=frozenset(further))
 
 
-def _rows(lines: list[str]) -> tuple[list[str], list[list[str]], list[int]]:
+def _rows(lines: list[str], *, are_numbered: bool = False) -> tuple[list[str], list[list[str]], list[int]]:
     """Names, fields of each row, and line numbers of the header and of each row; blank lines, and comments above the
-    header, are skipped."""
+    header, are skipped. Columns without a header are called by their numbers, from 1, where these may be named."""
     filled = [number for number, line in enumerate(lines, start=1) if line and not line.isspace()]
     comments = list(takewhile(lambda number: lines[number - 1].lstrip().startswith("#"), filled))
     filled = filled[len(comments) :]
@@ -147,9 +147,11 @@ def _rows(lines: list[str]) -> tuple[list[str], list[list[str]], list[int]]:
     if comments and all(is_number(name) for name in raw):  # NumPy writes the names as a comment
         header, numbers = comments[-1], filled
         raw = _fields(lines[header - 1].lstrip(" \t#"), header, separator)
-    if all(is_number(name) for name in raw):
+    if all(is_number(name) for name in raw) and are_numbered:
+        numbers, raw = filled, [str(number) for number in range(1, len(raw) + 1)]
+    elif all(is_number(name) for name in raw):
         problem = f"expected a header line, found {shown(','.join(raw))}"
-        remedy = "put the names of the columns first, such as t,x,y,z"
+        remedy = "put the names of the columns first, such as t,x,y,z, or say them by number: --columns t=1,x=2,y=3,z=4"
         raise InputError(problem, where=f"line {header}", remedy=remedy)
     rows = [fields(number) for number in numbers]
     for number, row in zip(numbers, rows, strict=True):

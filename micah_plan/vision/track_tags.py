@@ -38,6 +38,8 @@ from micah_plan.vision.video import grey_frames
 _ENOUGH_PX = 25.0
 # Frames that the focal length is found from, and the range in which it is sought, over the larger side of a picture.
 _FOCAL_FRAMES, _FOCAL_RANGE = 25, (0.35, 6.0)
+# Stds that a camera's file may differ from what the tags say before it is doubted.
+_DOUBTED = 3.0
 # Std of a focal length, as a share of it, where the camera's axis need not meet the middle of the picture.
 _OF_AXIS = 0.02
 # Of the variance of a pose, what its neighbours share (`benchmarks video_intervals`: 95 % intervals of joints hold).
@@ -128,7 +130,7 @@ def track_tags(
     base = _base(layout, base)
     times, frames, size = _detected(video, layout, rate, progress)
     _check_seen(video, layout, frames, base)
-    used = _of_size(camera, size) if camera is not None else _focal_length(guessed_camera(*size), layout, frames)
+    used, notes_on_camera = _camera(camera, size, layout, frames)
     placed = placed_corners(layout, frames, used)
     sightings = {part: [sighting(placed[part], frame, used) for frame in frames] for part in layout.parts}
     noise = corner_noise([one for own in sightings.values() for one in own if one is not None])
@@ -142,7 +144,7 @@ def track_tags(
         raise InputError(f"no part is seen together with {shown(base)}", source=video, remedy=remedy)
     stds = {part: _stds(own) for part, own in relative.items() if together[part]}
     notes = (
-        *_notes_on_camera(used, camera is None),
+        *notes_on_camera,
         *_notes_on_tags(layout, frames, placed, sightings),
         *_notes_on_parts(base, together, len(frames), relative, stds),
         *_notes_on_base(base, of_base if still is None else of_base[:1]),
@@ -223,6 +225,26 @@ def _check_seen(video: str | Path, layout: TagLayout, frames: Sequence[Corners],
         raise InputError(f"no tag of the base {shown(base)} is ever seen", source=video, remedy=remedy)
 
 
+def _camera(
+    camera: Camera | None, size: tuple[int, int], layout: TagLayout, frames: Sequence[Corners]
+) -> tuple[Camera, list[str]]:
+    """The camera that is used, and what to know of it."""
+    given = guessed_camera(*size) if camera is None else _of_size(camera, size)
+    found = _focal_length(given, layout, frames)
+    focal, off = found.matrix[0, 0], 2.0 * found.uncertainty
+    if camera is None:
+        return found, [
+            f"no camera file: f = {focal:.0f} px from the tags; lengths may be off by {percent(min(off, 1.0), 0)}, "
+            "and more where the lens bends straight lines"
+        ]
+    if abs(float(np.log(focal / given.matrix[0, 0]))) < _DOUBTED * found.uncertainty:
+        return given, []
+    return given, [
+        f"the camera file says f = {given.matrix[0, 0]:.0f} px, but squares are square at {focal:.0f} ± "
+        f"{focal * off:.0f} px: is it of this camera, its zoom and this size of pictures?"
+    ]
+
+
 def _focal_length(camera: Camera, layout: TagLayout, frames: Sequence[Corners]) -> Camera:
     """The camera with the focal length that makes squares square, and its uncertainty."""
     able = [frame for frame in frames if frame]
@@ -296,16 +318,6 @@ def _recording(times: Floats, relative: Mapping[str, Sequence[Pose | None]], not
         has_part=True,
         notes=notes,
     )
-
-
-def _notes_on_camera(camera: Camera, is_found: bool) -> list[str]:
-    if not is_found:
-        return []
-    focal, off = camera.matrix[0, 0], 2.0 * camera.uncertainty
-    return [
-        f"no camera file: f = {focal:.0f} px from the tags; lengths may be off by {percent(min(off, 1.0), 0)}, "
-        "and more where the lens bends straight lines"
-    ]
 
 
 def _notes_on_tags(

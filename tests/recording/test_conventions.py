@@ -474,3 +474,17 @@ def test_blanks_separate_columns_where_nothing_else_does(tmp_path: Path) -> None
     (tmp_path / "log.csv").write_text("t x y z\n0.0 1 2\n")
     with pytest.raises(InputError, match="line 2: expected 4 fields as in the header, found 3"):
         read_recording(tmp_path / "log.csv")
+
+
+def test_columns_without_a_header_are_named_by_their_numbers(tmp_path):
+    path = tmp_path / "plain.txt.csv"
+    path.write_text("".join(f"{0.1 * k:.1f} 7 {10.0 * k:.1f} 200 300\n" for k in range(8)))
+    meant = Conventions(columns={"t": "1", "x": "0.001*3", "y": "4", "z": "5"})
+    recording = read_recording(path, conventions=meant)
+    assert len(recording) == 8
+    assert recording.time[-1] == pytest.approx(0.7)
+    assert recording.position[-1].tolist() == pytest.approx([0.07, 200.0, 300.0])
+    with pytest.raises(InputError, match=r"line 1: expected a header line.*say them by number: --columns t=1"):
+        read_recording(path)
+    with pytest.raises(InputError, match="no column '9'"):
+        read_recording(path, conventions=Conventions(columns={"t": "1", "x": "9", "y": "4", "z": "5"}))

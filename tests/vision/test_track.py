@@ -296,3 +296,11 @@ def test_commands_of_a_robot_are_joined_by_its_own_clock(videos, tmp_path) -> No
         refused = CliRunner().invoke(app, [*line, *wrong])
         assert isinstance(refused.exception, InputError)
         assert message in str(refused.exception)
+
+
+@pytest.mark.parametrize(("factor", "is_doubted"), [(1.0, False), (1.03, False), (1.25, True), (0.8, True)])
+def test_a_camera_file_of_another_zoom_is_doubted(videos, factor: float, is_doubted: bool) -> None:
+    matrix = rendered.MATRIX * [[factor], [factor], [1.0]]
+    matrix[:2, 2] = rendered.MATRIX[:2, 2]
+    found = track(videos["hand_held"], DOOR, camera=Camera(matrix, np.zeros(0), (rendered.WIDTH, rendered.HEIGHT)))
+    assert any(note.startswith("the camera file says f = ") for note in found.warnings) == is_doubted
