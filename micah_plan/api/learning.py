@@ -196,7 +196,7 @@ def _learned(
         provenance["conventions"] = "; ".join(f"{name} {text}" for name, text in recording.conventions.items())
     _check_names(graph, parts)
     refusal = no_single_joint_error(graph)
-    on_paths = {edge.child for edge in graph.edges if any(each.joint.kind == "path" for each in edge.segments)}
+    on_paths = {edge.child for edge in graph.edges if any(each.joint.knots for each in edge.segments)}
     grips = tuple(line for part, line in turned_grips(recording).items() if part not in on_paths)
     warnings = recording.notes + suspicions_of_recording(recording) + grips + small_motions(recording, settings)
     automaton = (

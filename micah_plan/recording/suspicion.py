@@ -33,7 +33,7 @@ Rules, each of them with what it cannot see:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -203,8 +203,6 @@ def _quaternion(rows: Recording, part: str) -> str:
     if rows.quaternion is None or len(rows) < _FEWEST_ROWS:
         return ""
     rotation = Rotation.from_quat(rows.quaternion)
-    if _turned_grip(rows) is not None:
-        return ""  # a better reason, see turned_grips
     turned = float(np.quantile((rotation * rotation[len(rows) // 2].inv()).magnitude(), 0.95))
     if turned < _LEAST_TURN:
         return ""
@@ -225,6 +223,8 @@ def _quaternion(rows: Recording, part: str) -> str:
     if not better:
         return ""
     meaning, option = min(better, key=unexplained.__getitem__)
+    if _turned_grip(rows) is not None and _turned_grip(replace(rows, quaternion=others[meaning, option])) is not None:
+        return ""  # read like that they contradict the positions as well, see turned_grips
     return (
         f"part '{part}' turns about a fixed axis only if its quaternions {meaning} (they then leave "
         f"{percent(unexplained[meaning, option], 0)} of the motion unexplained, as they are {percent(as_given, 0)}); "
@@ -238,7 +238,8 @@ def turned_grips(recording: Recording) -> dict[str, str]:
         return {}
     (part,) = recording.parts
     grip = _turned_grip(recording)
-    return {} if grip is None else {part: grip.in_words(part)}
+    is_misread = "quaternion" not in recording.conventions and bool(_quaternion(recording, part))
+    return {} if grip is None or is_misread else {part: grip.in_words(part)}
 
 
 def _turned_grip(rows: Recording) -> TurnedGrip | None:
