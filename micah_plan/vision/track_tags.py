@@ -40,6 +40,8 @@ _ENOUGH_PX = 25.0
 _FOCAL_FRAMES, _FOCAL_RANGE = 25, (0.35, 6.0)
 # Stds that a camera's file may differ from what the tags say before it is doubted.
 _DOUBTED = 3.0
+# Distortion k1 of a lens that nobody calibrated, one std.
+_BENT = 0.06
 # Std of a focal length, as a share of it, where the camera's axis need not meet the middle of the picture.
 _OF_AXIS = 0.02
 # Of the variance of a pose, what its neighbours share (`benchmarks video_intervals`: 95 % intervals of joints hold).
@@ -150,6 +152,9 @@ def track_tags(
         *_notes_on_base(base, of_base if still is None else of_base[:1]),
     )
     errors = {part: _shared_error(relative[part], of_base, poses[part], still is not None, used) for part in stds}
+    if camera is None:
+        bent = replace(used, distortion=np.array([_BENT, 0.0, 0.0, 0.0]))
+        errors = {part: _with_lens(errors[part], part, base, placed, frames, (used, bent), layout.up) for part in stds}
     recording = with_shared_errors(_recording(times, relative, notes), errors)
     footage = Footage(video, rate, layout, used, times - times[0], frames, poses, of_base)
     return Tracked(recording, footage, noise, still is not None, base, stds, notes)
@@ -301,6 +306,44 @@ def _shared_error(
     along = np.kron(np.eye(2), base.turn.T)
     own = np.mean([pose.covariance for pose in of_part if pose is not None], axis=0)
     return SharedError(along @ base.covariance @ along.T, _SHARED * along @ own @ along.T, camera.uncertainty)
+
+
+def _with_lens(
+    error: SharedError,
+    part: str,
+    base: str,
+    placed: Mapping[str, Mapping[int, Floats]],
+    frames: Sequence[Corners],
+    cameras: tuple[Camera, Camera],
+    up: Up,
+) -> SharedError:
+    """The error with what a lens that bends as usual ones do makes of poses, where nobody says how it bends."""
+    moved = []
+    both = [frame for frame in frames if not {*placed[part], *placed[base]}.isdisjoint(frame)]
+    for k in np.unique(np.linspace(0, len(both) - 1, _FOCAL_FRAMES).astype(int)):
+        poses = [_seen_beside(placed[part], placed[base], both[k], camera, up) for camera in cameras]
+        if poses[0] is None or poses[1] is None:
+            continue
+        turn = Rotation.from_matrix(poses[1].turn @ poses[0].turn.T).as_rotvec()
+        moved.append(np.concatenate([poses[1].position - poses[0].position, turn]))
+    if not moved:
+        return error
+    every = np.array(moved)
+    middle = np.median(every, axis=0)  # flipped ones count for nothing
+    away = np.clip(every - middle, -np.abs(middle) - 0.01, np.abs(middle) + 0.01)
+    return replace(error, frame=error.frame + np.outer(middle, middle), pose=error.pose + away.T @ away / len(away))
+
+
+def _seen_beside(
+    tags: Mapping[int, Floats], of_base: Mapping[int, Floats], frame: Corners, camera: Camera, up: Up
+) -> Pose | None:
+    """The likeliest pose of a part in the frame of the base, by one frame alone."""
+    both = sighting(tags, frame, camera), sighting(of_base, frame, camera)
+    if both[0] is None or both[1] is None:
+        return None
+    own, base = (min(one.poses, key=lambda pose: pose.misfit) for one in both if one is not None)
+    (upright,) = _upright([base], up)
+    return None if upright is None else own.seen_from(upright)
 
 
 def _recording(times: Floats, relative: Mapping[str, Sequence[Pose | None]], notes: tuple[str, ...]) -> Recording:
