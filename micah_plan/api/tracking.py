@@ -12,7 +12,7 @@ from micah_plan.api.inputs import Measured, located, recording_of
 from micah_plan.api.result import Result
 from micah_plan.arrays import Floats
 from micah_plan.documents.tags import load_tags
-from micah_plan.errors import InputError, located_in
+from micah_plan.errors import located_in
 from micah_plan.quantities import Progress, Table, plain, quantity
 from micah_plan.recording.beside import ClockOffset, clock_in_words, with_commands_beside
 from micah_plan.recording.conventions import LENGTHS
@@ -202,18 +202,11 @@ def track_bodies(
     unit = None if units is None else check_unit(units)
     if isinstance(tracks, np.ndarray):
         found = PointTracks(np.asarray(tracks, dtype=np.float64) * LENGTHS[unit or "m"])
-        return PointsResult(track_points(found, _rate_of(found, rate)))
+        return PointsResult(track_points(found, found.rate_or(rate)))
     lens = load_camera(camera) if isinstance(camera, str | Path) else camera
     found = load_points(tracks, axes=axes, unit=unit, camera=lens)
     with located_in(tracks):
-        return PointsResult(track_points(found, _rate_of(found, rate)))
-
-
-def _rate_of(tracks: PointTracks, rate: float | None) -> float:
-    known = rate or tracks.rate
-    if known is None:
-        raise InputError("how many frames a second there are is not known", source="--rate", remedy="e.g. --rate 30")
-    return known
+        return PointsResult(track_points(found, found.rate_or(rate)))
 
 
 def track(

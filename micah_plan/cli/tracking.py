@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from micah_plan.quantities import Progress
     from micah_plan.vision.point_files import Axes
 
-POINT_FILES = (".npz", ".trc", ".c3d", ".csv")
-
 
 def track(
     source: Annotated[
@@ -64,8 +62,11 @@ def track(
         return
     asked = (Output("-o", output, TABLE[:1]), Output("--points", points, TABLE[:1]), Output("--html", html, PAGE))
     check_outputs((source, tags, camera, actions), asked)
+    from micah_plan.recording.csv_file import csv_bytes
+    from micah_plan.vision.point_files import POINT_FILES
+
     is_points = source.suffix.lower() in POINT_FILES
-    of_video = {"--tags": tags, "--base": base, "--actions": actions}
+    of_video = {"--tags": tags, "--base": base, "--actions": actions, "--offset": offset}
     of_points = {"--axes": axes, "--points": points, "--units": units}
     _refuse(of_video if is_points else of_points, "a video" if is_points else "tracks of points")
     result: PointsResult | TrackResult
@@ -75,10 +76,8 @@ def track(
             result, files = _of_points(source, rate, axes, units, camera, points)
         else:
             result = _of_video(source, tags, camera, base, rate, actions, offset, progress)
-    from micah_plan.recording.csv_file import csv_bytes
-
-    pages = {} if html is None else {html: result.page(source.stem).encode()}
-    write_and_print(result, {output: csv_bytes(result.recording, output), **files, **pages}, as_json)
+    files |= {} if html is None else {html: result.page(source.stem).encode()}
+    write_and_print(result, {output: csv_bytes(result.recording, output), **files}, as_json)
 
 
 def _refuse(options: Mapping[str, object], needed: str) -> None:

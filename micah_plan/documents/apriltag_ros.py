@@ -11,6 +11,7 @@ from typing import Any
 
 from micah_plan.errors import InputError
 
+_IDENTITY = {"qx": 0.0, "qy": 0.0, "qz": 0.0, "qw": 1.0}
 _FAMILIES = {"36h11": "tag36h11", "25h9": "tag25h9", "16h5": "tag16h5"}
 
 
@@ -35,39 +36,47 @@ def _document(tags: dict[str, Any], family: str) -> dict[str, Any]:
 
 
 def _of_ros_1(data: Mapping[str, Any]) -> dict[str, Any]:
-    tags: dict[str, Any] = {}
+    tags: list[tuple[str, dict[str, Any]]] = []
     for entry in _entries(data, "standalone_tags"):
         number = str(_value(entry, "id", "standalone_tags"))
-        tags[number] = {
-            "part": str(entry.get("name", f"tag_{number}")),
-            "size": _value(entry, "size", "standalone_tags"),
-        }
+        size = _value(entry, "size", "standalone_tags")
+        tags.append((number, {"part": str(entry.get("name", f"tag_{number}")), "size": size}))
     for bundle in _entries(data, "tag_bundles"):
         for entry in _entries(bundle, "layout"):
-            place = [entry.get(key, 0.0) for key in ("x", "y", "z")]
-            turn = [entry.get(key, 0.0) for key in ("qx", "qy", "qz")] + [entry.get("qw", 1.0)]
-            part, size = str(_value(bundle, "name", "tag_bundles")), _value(entry, "size", "layout")
-            tags[str(_value(entry, "id", "layout"))] = {
-                "part": part,
-                "size": size,
-                "position": place,
-                "quaternion": turn,
-            }
-    return tags
+            tag = {"part": str(_value(bundle, "name", "tag_bundles")), "size": _value(entry, "size", "layout")}
+            tag["position"] = [entry.get(key, 0.0) for key in ("x", "y", "z")]
+            tag["quaternion"] = [entry.get(key, default) for key, default in _IDENTITY.items()]
+            tags.append((str(_value(entry, "id", "layout")), tag))
+    return _each_once(tags)
 
 
 def _of_ros_2(parameters: Mapping[str, Any]) -> dict[str, Any]:
     own = parameters["tag"]
-    numbers = _value(own, "ids", "tag")
-    frames = own.get("frames") or [f"tag_{number}" for number in numbers]
-    sizes = own.get("sizes") or [_value(parameters, "size", "ros__parameters")] * len(numbers)
+    numbers = _values(own, "ids")
+    frames = _values(own, "frames") or [f"tag_{number}" for number in numbers]
+    sizes = _values(own, "sizes") or [_value(parameters, "size", "ros__parameters")] * len(numbers)
     if not len(numbers) == len(frames) == len(sizes):
         problem = f"expected as many frames and sizes as ids, found {len(frames)} and {len(sizes)} for {len(numbers)}"
         raise InputError(problem, where="key 'tag'", remedy="name a frame and a size for each id")
-    return {
-        str(number): {"part": str(frame), "size": size}
-        for number, frame, size in zip(numbers, frames, sizes, strict=True)
-    }
+    parts = ({"part": str(frame), "size": size} for frame, size in zip(frames, sizes, strict=True))
+    return _each_once(list(zip(map(str, numbers), parts, strict=True)))
+
+
+def _each_once(tags: Sequence[tuple[str, dict[str, Any]]]) -> dict[str, Any]:
+    numbers = [number for number, _ in tags]
+    twice = next((number for number in numbers if numbers.count(number) > 1), None)
+    if twice is not None:
+        raise InputError(f"tag {twice} is there twice", remedy="tags of one scene have different numbers")
+    return dict(tags)
+
+
+def _values(data: Mapping[str, Any], key: str) -> Sequence[Any]:
+    values = data.get(key) or []
+    if not isinstance(values, list):
+        raise InputError(
+            "expected a list", where=f"key 'tag.{key}'", remedy="write one entry for each tag, in brackets"
+        )
+    return values
 
 
 def _parameters(data: Mapping[str, Any]) -> Mapping[str, Any] | None:

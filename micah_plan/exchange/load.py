@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from micah_plan.documents.conventions import conventions_beside
-from micah_plan.errors import InputError, located_in
+from micah_plan.errors import located_in
 from micah_plan.recording.checks import checked_recording
 from micah_plan.recording.conventions import Conventions, as_recorded
 from micah_plan.recording.read import read_columns, read_recording
@@ -50,8 +50,5 @@ def _of_points(path: str | Path, meant: Conventions) -> Recording:
     tracks = load_points(path, unit=meant.length)
     with located_in(path):
         meant.require_open(("columns", "topics", "frame", "robot", "tool"), "tracks of points have no such thing")
-        rate = meant.rate or tracks.rate
-        if rate is None:
-            raise InputError("how many frames a second there are is not known", remedy="e.g. --rate 30")
-        found = track_points(tracks, rate)
+        found = track_points(tracks, tracks.rate_or(meant.rate))
         return as_recorded(found.recording, replace(meant, length=None, rate=None, time=None))

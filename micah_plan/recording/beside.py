@@ -56,7 +56,7 @@ def with_commands_beside(
         raise InputError("expected commands, found none", remedy=remedy)
     if len(recording.runs) > 1 or len(commands.runs) > 1 or len(commands.parts) > 1:
         raise InputError("expected one run of one part", remedy="join each run with its own commands")
-    time, total = commands.time, _total(commands, commands.action)
+    time, total = _commanded(commands, commands.action)
     found = _found(recording, time, total) if offset is None else _given(recording, time, total, offset)
     action = np.zeros((len(recording), 3))
     rows = recording.index(part=found.part)
@@ -67,12 +67,13 @@ def with_commands_beside(
     return replace(recording, action=action), found
 
 
-def _total(commands: Recording, action: Floats) -> Floats:
-    """(n, 3) what was commanded until each row [m]."""
+def _commanded(commands: Recording, action: Floats) -> tuple[Floats, Floats]:
+    """Times (n,) and what was commanded until then (n, 3) [m]: where to, or the sum of all displacements."""
     if command_meaning(commands) == "position":
-        return np.asarray(commands.position + np.nan_to_num(action))
+        is_told = np.isfinite(action).all(axis=1)
+        return commands.time[is_told], (commands.position + action)[is_told]
     steps = np.nan_to_num(action[:-1])
-    return np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    return commands.time, np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
 
 
 def _at(time: Floats, total: Floats, when: Floats) -> Floats:

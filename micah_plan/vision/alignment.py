@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import STDS_PER_MAD, Floats
 from micah_plan.vision.opencv import opencv
 
 # Samples per cell of the pattern, and cells of white around it that are looked at.
@@ -24,9 +24,9 @@ _LARGEST_CELL = 12.0  # px
 _STEPS, _CONVERGED = 12, 5e-3  # px
 _BLUR, _LEAST_BLUR, _MOST_BLUR = 0.25, 0.3, 4.0  # at first [cells]; bounds [px]
 _RIDGE = 1e-9
-# Residuals beyond so many stds are glare and fingers; std of a normal density over its median distance, and the least:
-# most of a large tag is flat, so that the median says nothing of what is left at its edges.
-_FAR, _STD_OF_MEDIAN, _LEAST_STD = 2.5, 1.48, 0.03
+# Residuals beyond so many stds are glare and fingers; a std is not less, since most of a large tag is flat, so that the
+# median says nothing of what is left at its edges.
+_FAR, _LEAST_STD = 2.5, 0.03
 # What moves further has found something else [cells], and so has what leaves more than this share of the contrast.
 _REACH, _UNEXPLAINED = 0.8, 0.3
 _LEAST_CONTRAST = 0.02  # of 1 between black and white
@@ -93,7 +93,7 @@ def _aligned_from(grey: Any, corners: Floats, pattern: Pattern) -> Floats | None
         found = found + np.clip(step[:8], -1.0, 1.0).reshape(4, 2)
         blur = float(np.clip(blur + np.clip(step[8], -0.5, 0.5), _LEAST_BLUR, _MOST_BLUR))
         rest = np.abs(left - slopes @ step)
-        weight = 1.0 / (1.0 + (rest / (_FAR * max(_STD_OF_MEDIAN * float(np.median(rest)), _LEAST_STD))) ** 2)
+        weight = 1.0 / (1.0 + (rest / (_FAR * max(STDS_PER_MAD * float(np.median(rest)), _LEAST_STD))) ** 2)
         is_lost = not np.abs(found - corners).max() < _REACH * max(cell, 1.0)
         if is_lost or np.abs(step[:8]).max() < _CONVERGED:
             break

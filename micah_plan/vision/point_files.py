@@ -28,6 +28,8 @@ from micah_plan.recording.text import read_lines
 from micah_plan.vision.camera import Camera
 
 Axes = Literal["points,frames", "frames,points"]
+POINT_FILES = (".npz", ".trc", ".c3d", ".csv")
+"""Endings of files that may hold tracks of points."""
 _VISIBLE = ("visib", "seen", "valid")
 _HIDDEN = ("occlu", "hidden")
 _DEPTH, _INTRINSICS = ("depth", "disp_z"), ("intrinsics", "K", "camera_matrix", "fx_fy_cx_cy")
@@ -50,20 +52,29 @@ class PointTracks:
     rate: float | None = None
     names: tuple[str, ...] = ()
 
+    def rate_or(self, said: float | None) -> float:
+        """Frames per second, as somebody said or else the file does.
+
+        Raises:
+            InputError: if neither does.
+        """
+        rate = said or self.rate
+        if rate is None:
+            raise InputError("how many frames a second there are is not known", remedy="e.g. --rate 30")
+        return rate
+
 
 def holds_points(path: str | Path) -> bool:
-    """Whether a file has tracks of points, and no poses."""
+    """Whether a file has tracks of points, and no poses; a table of markers only says it by the command track."""
     suffix = Path(path).suffix.lower()
-    if suffix in (".trc", ".c3d"):
-        return True
-    if suffix == ".npz":
-        try:
-            with zipfile.ZipFile(path) as archive:
-                names = {name.removesuffix(".npy") for name in archive.namelist()}
-        except (OSError, zipfile.BadZipFile):
-            return False
-        return "position" not in names and "time" not in names
-    return False
+    if suffix != ".npz":
+        return suffix in (".trc", ".c3d")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = {name.removesuffix(".npy") for name in archive.namelist()}
+    except (OSError, zipfile.BadZipFile):
+        return False
+    return "position" not in names and "time" not in names
 
 
 def load_points(

@@ -42,6 +42,8 @@ _FOCAL_FRAMES, _FOCAL_RANGE = 25, (0.35, 6.0)
 _DOUBTED = 3.0
 # Distortion k1 of a lens that nobody calibrated, one std.
 _BENT = 0.06
+# What a lens moves one pose by beyond all others is a flip of its tag [m, rad].
+_FLIPPED = 0.01
 # Std of a focal length, as a share of it, where the camera's axis need not meet the middle of the picture.
 _OF_AXIS = 0.02
 # Of the variance of a pose, what its neighbours share (`benchmarks video_intervals`: 95 % intervals of joints hold).
@@ -138,7 +140,8 @@ def track_tags(
     noise = corner_noise([one for own in sightings.values() for one in own if one is not None])
     poses = {part: chosen_poses(own, times, noise, used) for part, own in sightings.items()}
     still = pooled(poses[base], sightings[base], used)
-    of_base = poses[base] = _upright(poses[base] if still is None else [still] * len(frames), layout.up)
+    seen: list[Pose | None] = list(poses[base]) if still is None else [still] * len(frames)
+    of_base = poses[base] = [None if pose is None else _upright(pose, layout.up) for pose in seen]
     relative = {part: _beside(poses[part], of_base) for part in layout.parts if part != base}
     together = {part: sum(pose is not None for pose in own) for part, own in relative.items()}
     if not any(together.values()):
@@ -160,12 +163,12 @@ def track_tags(
     return Tracked(recording, footage, noise, still is not None, base, stds, notes)
 
 
-def _upright(poses: Sequence[Pose | None], up: Up) -> list[Pose | None]:
-    """Poses of the base turned so that its z points up, where an axis of its tags does."""
+def _upright(pose: Pose, up: Up) -> Pose:
+    """A pose of the base turned so that its z points up, where an axis of its tags does."""
     turns = {"z": (0, 0), "-z": (0, 180), "y": (0, -90), "-y": (0, 90), "x": (1, 90), "-x": (1, -90)}
     axis, angle = turns[up]
     turn = np.round(Rotation.from_euler("xy"[axis], angle, degrees=True).as_matrix())
-    return [None if pose is None else replace(pose, turn=pose.turn @ turn) for pose in poses]
+    return replace(pose, turn=pose.turn @ turn)
 
 
 def _beside(poses: Sequence[Pose | None], base: Sequence[Pose | None]) -> list[Pose | None]:
@@ -318,20 +321,24 @@ def _with_lens(
     up: Up,
 ) -> SharedError:
     """The error with what a lens that bends as usual ones do makes of poses, where nobody says how it bends."""
-    moved = []
-    both = [frame for frame in frames if not {*placed[part], *placed[base]}.isdisjoint(frame)]
-    for k in np.unique(np.linspace(0, len(both) - 1, _FOCAL_FRAMES).astype(int)):
-        poses = [_seen_beside(placed[part], placed[base], both[k], camera, up) for camera in cameras]
-        if poses[0] is None or poses[1] is None:
+    frame_moved, places = [], []
+    both = [frame for frame in frames if not placed[part].keys().isdisjoint(frame)]
+    both = [frame for frame in both if not placed[base].keys().isdisjoint(frame)]
+    for k in np.unique(np.linspace(0, len(both) - 1, _FOCAL_FRAMES).astype(int)) if both else ():
+        plain, bent = (_seen_beside(placed[part], placed[base], both[k], camera, up) for camera in cameras)
+        if plain is None or bent is None:
             continue
-        turn = Rotation.from_matrix(poses[1].turn @ poses[0].turn.T).as_rotvec()
-        moved.append(np.concatenate([poses[1].position - poses[0].position, turn]))
-    if not moved:
+        turn = Rotation.from_matrix(bent.turn @ plain.turn.T).as_rotvec()
+        # As a move of the frame: a point p is moved by v + w x p.
+        frame_moved.append(np.concatenate([bent.position - plain.position - np.cross(turn, plain.position), turn]))
+        places.append(plain.position)
+    if not frame_moved:
         return error
-    every = np.array(moved)
+    every = np.array(frame_moved)
     middle = np.median(every, axis=0)  # flipped ones count for nothing
-    away = np.clip(every - middle, -np.abs(middle) - 0.01, np.abs(middle) + 0.01)
-    return replace(error, frame=error.frame + np.outer(middle, middle), pose=error.pose + away.T @ away / len(away))
+    away = np.clip(every - middle, -np.abs(middle) - _FLIPPED, np.abs(middle) + _FLIPPED)
+    left = np.concatenate([away[:, :3] + np.cross(away[:, 3:], np.array(places)), away[:, 3:]], axis=1)
+    return replace(error, frame=error.frame + np.outer(middle, middle), pose=error.pose + left.T @ left / len(left))
 
 
 def _seen_beside(
@@ -342,8 +349,7 @@ def _seen_beside(
     if both[0] is None or both[1] is None:
         return None
     own, base = (min(one.poses, key=lambda pose: pose.misfit) for one in both if one is not None)
-    (upright,) = _upright([base], up)
-    return None if upright is None else own.seen_from(upright)
+    return own.seen_from(_upright(base, up))
 
 
 def _recording(times: Floats, relative: Mapping[str, Sequence[Pose | None]], notes: tuple[str, ...]) -> Recording:

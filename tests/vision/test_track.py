@@ -241,6 +241,17 @@ def test_tags_of_apriltag_ros_are_read_as_they_are(tmp_path) -> None:
     second.write_text(ROS_2.replace("[base, door]", "[base]"))
     with pytest.raises(InputError, match="expected as many frames and sizes as ids"):
         load_tags(second)
+    for wrong, message in (
+        (ROS_2.replace("[0, 1]", "3"), "key 'tag.ids': expected a list"),
+        (ROS_2.replace("[0, 1]", "[]"), "tags"),
+        (ROS_2.replace("[0, 1]", "[1, 1]"), "tag 1 is there twice"),
+        (ROS_2.replace("36h11", "Standard41h12"), "found 'Standard41h12'"),
+        (ROS_1.replace("id: 2", "id: 0"), "tag 0 is there twice"),
+        ("standalone_tags: 5\n", "expected a list of tags"),
+    ):
+        second.write_text(wrong)
+        with pytest.raises(InputError, match=message):
+            load_tags(second)
     first.write_text(ROS_1.replace("size: 0.06, name", "name"))
     with pytest.raises(InputError, match="missing key 'size'"):
         load_tags(first)

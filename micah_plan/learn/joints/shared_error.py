@@ -13,16 +13,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import TINY, Floats
 from micah_plan.automaton.joint import KINDS, Joint, ParameterCovariance, axis_basis
 from micah_plan.automaton.kinematics import forward, jacobian
+from micah_plan.learn.joints.joint_arrays import cross_matrix
 from micah_plan.learn.joints.parametrization import JointChart, chart_of, stepped
 from micah_plan.recording.shared_error import SharedError
 
 _POSES = 3
-_LEAST = 1e-12  # m^2, rad^2
 _STEP = 1e-5  # rad, m, m/rad
 _UNKNOWN = 1.0  # std of what three poses do not determine, in the same units
+_PARAMETERS = (*KINDS["screw"].parameters, *(f"{what}_{k}" for what in ("rotation", "position") for k in (1, 2, 3)))
+_ROWS = {name: row for row, name in enumerate(_PARAMETERS)}
 
 
 def with_shared_error(joint: Joint, ends: tuple[float, float], error: SharedError) -> Joint:
@@ -41,10 +43,6 @@ def with_shared_error(joint: Joint, ends: tuple[float, float], error: SharedErro
     return replace(joint, covariance=ParameterCovariance(names, tuple(tuple(row) for row in rows)))
 
 
-_PARAMETERS = (*KINDS["screw"].parameters, *(f"{what}_{k}" for what in ("rotation", "position") for k in (1, 2, 3)))
-_ROWS = {name: row for row, name in enumerate(_PARAMETERS)}
-
-
 def _slopes_by_frame(joint: Joint) -> Floats:
     """(11, 7) derivatives of the parameters by a shift and a turn of the frame, and by the factor of lengths."""
     slopes = np.zeros((11, 7))
@@ -52,18 +50,13 @@ def _slopes_by_frame(joint: Joint) -> Floats:
         basis = axis_basis(joint.axis)
         slopes[0:2, 3:6] = basis
         slopes[2:4, :3] = basis
-        slopes[2:4, 3:6] = -basis @ _cross(joint.center)
+        slopes[2:4, 3:6] = -basis @ cross_matrix(np.array(joint.center))
         slopes[2:4, 6] = basis @ np.array(joint.center)
         slopes[4, 6] = joint.pitch
     slopes[5:8, 3:6] = slopes[8:, :3] = np.eye(3)
-    slopes[8:, 3:6] = -_cross(joint.position)
+    slopes[8:, 3:6] = -cross_matrix(np.array(joint.position))
     slopes[8:, 6] = joint.position
     return slopes
-
-
-def _cross(point: tuple[float, float, float]) -> Floats:
-    x, y, z = point
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def _of_few_poses(joint: Joint, names: tuple[str, ...], ends: tuple[float, float], pose: Floats) -> Floats:
@@ -75,7 +68,7 @@ def _of_few_poses(joint: Joint, names: tuple[str, ...], ends: tuple[float, float
     seen = slice(0, 6) if has_turns else slice(0, 3)
     # As the fit weighs them: positions and turns, each alike in all directions.
     spread = np.repeat([np.trace(pose[:3, :3]) / 3.0, np.trace(pose[3:, 3:]) / 3.0], 3)[seen]
-    weight = np.diag(1.0 / (spread + _LEAST))
+    weight = np.diag(1.0 / (spread + TINY))
     places = np.linspace(*ends, _POSES) if joint.moves else np.zeros(1)
     slopes = np.stack([_by_number(joint, chart, places, k) for k in range(chart.free.shape[1])], axis=2)
     information = np.eye(chart.free.shape[1]) / _UNKNOWN**2
