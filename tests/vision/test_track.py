@@ -20,6 +20,7 @@ import rendered_video as rendered
 
 import micah_plan
 from micah_plan.api.tracking import track
+from micah_plan.automaton.joint import axis_std
 from micah_plan.checking import check_file
 from micah_plan.cli.application import app
 from micah_plan.documents.tags import load_tags
@@ -315,3 +316,16 @@ def test_a_camera_file_of_another_zoom_is_doubted(videos, factor: float, is_doub
     matrix[:2, 2] = rendered.MATRIX[:2, 2]
     found = track(videos["hand_held"], DOOR, camera=Camera(matrix, np.zeros(0), (rendered.WIDTH, rendered.HEIGHT)))
     assert any(note.startswith("the camera file says f = ") for note in found.warnings) == is_doubted
+
+
+def test_without_a_camera_file_a_lens_that_bends_is_within_what_is_said(tmp_path) -> None:
+    video = tmp_path / "bent.mp4"
+    rendered.film(video, rendered.door(), rendered.shutting, rendered.hand_held, bent=np.array([-0.06, 0.0, 0.0, 0.0]))
+    errors, stds = [], []
+    for camera in (None, CAMERA):
+        joint = micah_plan.learn(track(video, DOOR, camera=camera).recording).graph.edges[0].segments[0].joint
+        assert joint.kind == "revolute"
+        errors.append(float(np.arccos(abs(joint.axis[1]))))
+        stds.append(axis_std(joint))
+    assert errors[0] < 2.0 * stds[0]
+    assert stds[0] > 2.0 * stds[1]  # a file is believed
