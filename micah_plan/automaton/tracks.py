@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -12,7 +14,7 @@ from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.hybrid import HybridAutomaton, Link
 from micah_plan.automaton.link_motion import link_motions
 from micah_plan.errors import InputError, shown
-from micah_plan.recording.continuity import continuity_of
+from micah_plan.recording.continuity import continuity
 from micah_plan.recording.value import DEFAULT_PART, Recording
 
 
@@ -80,11 +82,11 @@ def tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[Track, ...
         InputError: if parts and links do not match, or the parts of a run were not measured at the same times.
     """
     names = _part_of_link(automaton, recording)
-    runs = {run: recording.select(run=run) for run in recording.runs}
-    inside = tuple(_track(automaton, rows, run, names, is_outside=False) for run, rows in runs.items())
+    seen = _Seen.of(automaton, recording, names)
+    inside = _tracks(automaton, seen, is_outside=False)
     if inside[0].believed is None or not any(form(effect.name).layer == "sensor" for effect in automaton.effects):
         return inside
-    outside = tuple(_track(automaton, rows, run, names, is_outside=True) for run, rows in runs.items())
+    outside = _tracks(automaton, seen, is_outside=True)
     return outside if _disbelief(outside) < _disbelief(inside) else inside
 
 
@@ -107,61 +109,115 @@ def _part_of_link(automaton: HybridAutomaton, recording: Recording) -> tuple[str
     return children
 
 
-def _track(automaton: HybridAutomaton, rows: Recording, run: int, names: tuple[str, ...], *, is_outside: bool) -> Track:
-    by_link = [rows.select(part=name) for name in names]
-    time = by_link[0].time
-    for name, part in zip(names, by_link, strict=True):
-        if not np.array_equal(part.time, time):
-            raise InputError(
-                f"run {run}: part {shown(name)} was not measured at the same times as part {shown(names[0])}",
-                where="column 't'",
-                remedy="write one row per part and time",
-            )
-    named = dict(zip(names, by_link, strict=True))
-    relative, position, quaternion, x = _seen(automaton, named)
-    since, believed = time - time[:1], _believed(automaton, named, x)
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """All runs one after another (N rows), as their links see them: the time of a run goes into calls, not arithmetic.
+
+    Attributes:
+        runs: number of each, and its rows.
+        by_link: (l) rows of each link's child. relative: (l) the same relative to its parent.
+        position: (N, l, 3) [m], quaternion: (N, l, 4) or None, of these.
+        x: (N, n) configurations.
+    """
+
+    runs: tuple[tuple[int, slice], ...]
+    by_link: tuple[Recording, ...]
+    relative: tuple[Recording, ...]
+    position: Floats
+    quaternion: Floats | None
+    x: Floats
+
+    @classmethod
+    def of(cls, automaton: HybridAutomaton, recording: Recording, names: Sequence[str]) -> _Seen:
+        """The rows of each part in one order.
+
+        Raises:
+            InputError: if the parts of a run were not measured at the same times.
+        """
+        rows = {name: [recording.index(run=run, part=name) for run in recording.runs] for name in names}
+        for run, *by_part in zip(recording.runs, *(rows[name] for name in names), strict=True):
+            for name, own in zip(names, by_part, strict=True):
+                if not len(own):
+                    recording.select(run=run, part=name)  # says that there are none
+                if not np.array_equal(recording.time[own], recording.time[by_part[0]]):
+                    raise InputError(
+                        f"run {run}: part {shown(name)} was not measured at the same times as part {shown(names[0])}",
+                        where="column 't'",
+                        remedy="write one row per part and time",
+                    )
+        edges = np.cumsum([0, *map(len, rows[names[0]])]).tolist()
+        runs = tuple((run, slice(a, b)) for run, (a, b) in zip(recording.runs, pairwise(edges), strict=True))
+        named = {name: recording.rows(np.concatenate(rows[name])) for name in names}
+        relative, position, quaternion = _relative_poses(automaton, named)
+        turned = [None if quaternion is None else quaternion[own] for _, own in runs]
+        by_run = zip(runs, turned, strict=True)
+        x = np.concatenate([configurations(automaton, position[own], q) for (_, own), q in by_run])
+        return cls(runs, tuple(named[name] for name in names), relative, position, quaternion, x)
+
+
+def _tracks(automaton: HybridAutomaton, seen: _Seen, *, is_outside: bool) -> tuple[Track, ...]:
+    time = seen.by_link[0].time
+    since = np.concatenate([time[own] - time[own][:1] for _, own in seen.runs])
+    x, believed = seen.x, _believed(automaton, seen)
+    is_outside = is_outside and believed is not None
     if is_outside and believed is not None:
         believed = read_by_sensors(automaton, believed, since)
     else:
         x = read_by_sensors(automaton, x, since)
     u = actions = None
-    if all(part.action is not None for part in by_link):
-        actions = _relative_actions(automaton, by_link, relative, x)
+    if all(part.action is not None for part in seen.by_link):
+        actions = _relative_actions(automaton, seen, x)
         u = displacements(automaton, x, actions)
-    is_measured = np.all([continuity_of(part).is_measured for part in by_link], axis=0)
-    is_outside = is_outside and believed is not None
-    return Track(run, time, position, quaternion, x, u, is_measured, actions, believed, is_outside)
+    return tuple(
+        Track(
+            run=run,
+            time=time[own],
+            position=seen.position[own],
+            quaternion=None if seen.quaternion is None else seen.quaternion[own],
+            x=x[own],
+            u=None if u is None else u[own][:-1],
+            is_measured=np.all([_is_measured(part, own) for part in seen.by_link], axis=0),
+            action=None if actions is None else actions[own][:-1],
+            believed=None if believed is None or np.isnan(believed[own]).all() else believed[own],
+            is_outside=is_outside and believed is not None and not np.isnan(believed[own]).all(),
+        )
+        for run, own in seen.runs
+    )
 
 
-def _seen(
-    automaton: HybridAutomaton, named: dict[str, Recording], near: Floats | None = None
-) -> tuple[list[Recording], Floats, Floats | None, Floats]:
-    """Each link's rows relative to its parent, their positions and quaternions, and the configurations they show."""
-    relative = [_relative(named, link) for link in automaton.links]
+def _is_measured(part: Recording, own: slice) -> Booleans:
+    """(T,) rows of a run that are measurements of its motion."""
+    quaternion, action = (None if column is None else column[own] for column in (part.quaternion, part.action))
+    return continuity(part.time[own], part.position[own], quaternion, action).is_measured
+
+
+def _relative_poses(
+    automaton: HybridAutomaton, named: dict[str, Recording]
+) -> tuple[tuple[Recording, ...], Floats, Floats | None]:
+    """Each link's rows relative to its parent, their positions (N, l, 3) and quaternions (N, l, 4)."""
+    relative = tuple(_relative(named, link) for link in automaton.links)
     position = np.stack([r.position for r in relative], axis=1)
     quaternions = [r.quaternion for r in relative if r.quaternion is not None]
-    quaternion = np.stack(quaternions, axis=1) if len(quaternions) == len(relative) else None
-    return relative, position, quaternion, configurations(automaton, position, quaternion, near)
+    return relative, position, np.stack(quaternions, axis=1) if len(quaternions) == len(relative) else None
 
 
-def _believed(automaton: HybridAutomaton, named: dict[str, Recording], x: Floats) -> Floats | None:
-    """(T, n) configurations that the controller believed, NaN where a pose is missing; None if all are.
+def _believed(automaton: HybridAutomaton, seen: _Seen) -> Floats | None:
+    """(N, n) configurations that the controller believed, NaN where a pose is missing; None if all are.
 
-    Args:
-        x: (T, n) measured ones, in whose turn believed ones are.
+    They are in the turn of the measured ones.
     """
-    poses = {name: part.believed() for name, part in named.items()}
+    poses = {part.part[0]: part.believed() for part in seen.by_link}
     measured = {name: part for name, part in poses.items() if part is not None}
     if len(measured) < len(poses):
         return None
     is_known = np.all([np.isfinite(part.position).all(axis=1) for part in measured.values()], axis=0)
     if not is_known.any():
         return None
-    configurations = np.full((len(is_known), automaton.n), np.nan)
-    configurations[is_known] = _seen(
-        automaton, {name: part.rows(is_known) for name, part in measured.items()}, x[is_known]
-    )[3]
-    return configurations
+    known = {name: part.rows(is_known) for name, part in measured.items()}
+    _, position, quaternion = _relative_poses(automaton, known)
+    believed = np.full((len(is_known), automaton.n), np.nan)
+    believed[is_known] = configurations(automaton, position, quaternion, seen.x[is_known])
+    return believed
 
 
 def read_by_sensors(automaton: HybridAutomaton, x: Floats, since: Floats) -> Floats:
@@ -199,27 +255,24 @@ def _relative(parts: dict[str, Recording], link: Link) -> Recording:
     )
 
 
-def _relative_actions(
-    automaton: HybridAutomaton, by_link: list[Recording], relative: list[Recording], x: Floats
-) -> Floats:
-    """(T-1, l, 3) commanded displacements of the parts' origins relative to their parents [m].
+def _relative_actions(automaton: HybridAutomaton, seen: _Seen, x: Floats) -> Floats:
+    """(N, l, 3) commanded displacements of the parts' origins relative to their parents [m].
 
     The action of a part on a moving parent includes the parent's commanded motion: what remains for its own joint is
     counted from where its parent was commanded to go, f(c + u) of the links before it. This inverts how a command of
     the model is written as displacements; where the parent really went does not count.
     """
     ahead: dict[str, RigidTransform] = {}
-    actions = []
-    for number, (link, part_track, relative_pose) in enumerate(zip(automaton.links, by_link, relative, strict=True)):
-        action = np.zeros((len(x), 3)) if part_track.action is None else part_track.action
-        asked = part_track.position[:-1] + action[:-1]
-        pose = relative_pose.poses()[:-1]
+    actions, lasts = [], [own.stop - 1 for _, own in seen.runs]
+    for number, (link, part, relative) in enumerate(zip(automaton.links, seen.by_link, seen.relative, strict=True)):
+        asked = part.position.copy() if part.action is None else part.position + part.action
+        asked[lasts] = part.position[lasts]  # nothing follows
         frame = ahead.get(link.parent)
         within = asked if frame is None else frame.inv().apply(asked)
-        actions.append(within - relative_pose.position[:-1])
-        path, c = link_motions(automaton)[number], x[:-1, link.coordinate]
+        actions.append(within - relative.position)
+        path, c = link_motions(automaton)[number], x[:, link.coordinate]
         u = np.nan_to_num(path.commanded(c, actions[-1]))
-        moved = path.poses(c + u) * path.poses(c).inv() * pose
+        moved = path.poses(c + u) * path.poses(c).inv() * relative.poses()
         ahead[link.child] = moved if frame is None else frame * moved
     return np.stack(actions, axis=1)
 

@@ -112,7 +112,7 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
     effects += [effect for trace in traces for effect in _all_found(trace, exceeded)]
     effects.sort(key=lambda effect: -effect.evidence)
     to_add = [dated(effect, recording) for effect in with_shifts(_to_add(traces), exceeded)]
-    improved, refusing = _written(corrected, exceeded, to_add, recording)
+    improved, refusing, why = _written(corrected, exceeded, to_add, recording)
     kept_out = [_identity(effect) for effect in refusing]
     effects = [
         replace(effect, is_added=False) if _identity(effect.effect) in kept_out else effect for effect in effects
@@ -147,7 +147,7 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
             *(f"{name}: no effect has that name" for name in examination.off_joint_error),
             *(_note_on_since(item.effect) for item in effects if item.effect.since is not None and item.is_added),
             *(f"{effect.name} of {effect.coordinate} was not added: {reason}" for effect, reason in refusing.items()),
-            *([f"predict refuses these runs: {why}"] if (why := refused(improved, recording)) else []),
+            *([f"predict refuses these runs: {why}"] if why else []),
             *notes_on_rows(exceeded, measured, examination.late),
             *notes_on_beliefs(corrected, examination.as_read, measured),
         ),
@@ -165,22 +165,27 @@ def _identity(effect: Effect) -> tuple[object, ...]:
 
 def _written(
     corrected: HybridAutomaton, exceeded: Sequence[RangeExceeded], added: Sequence[Effect], recording: Recording
-) -> tuple[HybridAutomaton, dict[Effect, str]]:
-    """The new automaton, and the effects that it cannot have, since they make it refuse what it was calibrated on."""
+) -> tuple[HybridAutomaton, dict[Effect, str], str]:
+    """The new automaton, the effects that it cannot have, since they make it refuse what it was calibrated on, and why.
+
+    The last is why it refuses these runs whatever is added; empty if it does not.
+    """
     kept, refusing = list(added), dict[Effect, str]()
 
     def made(effects: Sequence[Effect]) -> HybridAutomaton:
         added = without_old_ends(effects, exceeded)
         return without_superseded(with_effect(with_range_ends(corrected, exceeded, effects), *added))
 
-    if refused(made(()), recording):
-        return made(kept), refusing  # whatever is added
-    while kept and (reason := refused(made(kept), recording)):
+    why = refused(made(kept), recording)
+    if not why or refused(made(()), recording):
+        return made(kept), refusing, why
+    while kept and why:
         without = {effect: [remaining for remaining in kept if remaining is not effect] for effect in kept}
         effect = next((effect for effect, rest in without.items() if not refused(made(rest), recording)), kept[-1])
-        refusing[effect] = f"with it the model refuses these runs ({reason})"
+        refusing[effect] = f"with it the model refuses these runs ({why})"
         kept = without[effect]
-    return made(kept), refusing
+        why = refused(made(kept), recording)
+    return made(kept), refusing, why
 
 
 def _note_on_since(effect: Effect) -> str:

@@ -30,7 +30,7 @@ from micah_plan.residual.candidates import (
 )
 from micah_plan.residual.command_meaning import regularity
 from micah_plan.residual.coordinate_data import CoordinateData
-from micah_plan.residual.filtering import NOISE, STDS, errors
+from micah_plan.residual.filtering import NOISE, STDS, errors, of_rows
 from micah_plan.residual.fitting import NORMAL, Fit, Fitting, Free, Weighed
 from micah_plan.residual.likelihood import EVIDENCE_PER_ROW, TIE
 
@@ -361,7 +361,7 @@ class Contenders:
         runs, number = np.unique(data.run, return_inverse=True)
         if len(runs) == 1:
             number = self.fitting.group
-        return np.asarray(np.bincount(np.repeat(number[:, None], data.z.shape[1], axis=1)[data.counted], rows))
+        return np.asarray(np.bincount(of_rows(data, number), rows))
 
     def is_worth(self, better: Contender, base: Contender, least: float | None = None) -> bool:
         """Whether a model is likelier than chance makes one of many, and not in one group of runs alone."""

@@ -95,7 +95,8 @@ def examined(automaton: HybridAutomaton, recording: Recording) -> Examined:
     is_at = tuple(map(at_measurements, every))
     geometry, read = geometry_findings(automaton, is_at), estimator_bias_findings(automaton, is_at)
     corrected = with_effect(automaton, *(finding.effect for finding in (*geometry, *read)))
-    measured = tuple(track for track in read_tracks(corrected, recording)[0] if len(track.time) > 1)
+    again = read_tracks(corrected, recording)[0] if geometry or read else every
+    measured = tuple(track for track in again if len(track.time) > 1)
     exceeded = ranges_exceeded(corrected, [at_measurements(track).x for track in measured]) if measured else ()
     uncorrected, corrected = corrected, with_extended_range(corrected, exceeded)
     able = coordinate_data_of(corrected, measured, uncorrected) if measured and _has_own_inputs(corrected) else ()

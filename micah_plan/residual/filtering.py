@@ -32,7 +32,6 @@ NOISE = (*STDS, "low", "high")
 """Logs of `STDS` [of rad or m], and by how much the ends of the range are beside those that are known [rad or m]."""
 # Correlation of the wandering error from row to row. Fitted, it comes near 1 and takes what a model lacks for noise.
 _STAYS = 0.9
-_STAYING = np.array([1.0, _STAYS, _STAYS**2]).reshape(3, 1, 1)
 # Share of the variance that is left where something holds the part: a stop is no perfect pin.
 _HELD_VARIANCE = 0.05
 # Share of rows that may lie anywhere in the range (Box and Tiao, Biometrika 1968: contaminated normal).
@@ -63,7 +62,7 @@ class ModelBatch:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """What B hypotheses make of the N rows that count, in the order of the segments.
+    """What B hypotheses make of the N rows that count, in the order of `of_rows`.
 
     Attributes:
         error: (B, N) measured minus predicted [rad or m].
@@ -78,34 +77,56 @@ class Rows:
 
 def filtered(data: CoordinateData, batches: Sequence[ModelBatch]) -> Rows:
     """Rows of all hypotheses, one batch after the other."""
-    error, variance = _through(data, batches, "filter")
-    error, variance = error[:, data.counted], variance[:, data.counted]
-    freedom = np.concatenate([batch.freedom for batch in batches])[:, None]
+    counted = np.ascontiguousarray(data.counted.T)
     low, high = data.visited
-    anywhere = float(np.log(_ANYWHERE / max(high - low, ROUND_OFF)))
-    log_variance = np.log(variance)
-    half = 0.5 * (freedom + 1.0)
-    density = gammaln(half) - gammaln(0.5 * freedom) - 0.5 * np.log(freedom * np.pi) - 0.5 * log_variance
-    density -= half * np.log1p(error * error / (freedom * variance))
-    return Rows(error, log_variance, np.logaddexp(density, anywhere))
+    anywhere = _ANYWHERE / max(high - low, ROUND_OFF)
+    parts = list[tuple[Floats, ...]]()
+    for some in _in_parts(data, batches):
+        error, variance = (rows.transpose(1, 0, 2)[:, counted] for rows in _Filter(data, some, "filter").run())
+        freedom = np.concatenate([batch.freedom for batch in some])[:, None]
+        parts.append((error, *_densities(error, variance, freedom, anywhere)))
+    return Rows(*parts[0]) if len(parts) == 1 else Rows(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+def _densities(error: Floats, variance: Floats, freedom: Floats, anywhere: float) -> tuple[Floats, Floats]:
+    """Logs of variances (b, N), and of densities: Student's t of freedoms (b, 1), or anywhere in the range."""
+    log_variance, half = np.log(variance), 0.5 * (freedom + 1.0)
+    log_density = error * error
+    log_density /= variance
+    log_density /= freedom
+    log_density += 1.0
+    np.log(log_density, out=log_density)
+    log_density *= -half
+    log_density += gammaln(half) - gammaln(0.5 * freedom) - 0.5 * np.log(freedom * np.pi)
+    log_density -= 0.5 * log_variance
+    density = np.exp(log_density, out=log_density)
+    density += anywhere
+    return log_variance, np.log(density, out=density)
+
+
+def of_rows(data: CoordinateData, of_segment: Ints) -> Ints:
+    """(N,) what each row that counts has from its segment (S,): segments side by side, the first rows of all first."""
+    return np.asarray(np.broadcast_to(of_segment, data.counted.T.shape)[data.counted.T])
 
 
 def errors(data: CoordinateData, batches: Sequence[ModelBatch], kind: Kind) -> tuple[Floats, Floats]:
-    """(B, S, T) measured minus predicted [rad or m], and the variance of that."""
-    return _through(data, batches, kind)
+    """(B, S, T) measured minus predicted [rad or m], 0 where a row does not count, and the variance of that."""
+    parts = [_Filter(data, some, kind).run() for some in _in_parts(data, batches)]
+    error, variance = (np.concatenate(rows, axis=1).transpose(1, 2, 0) for rows in zip(*parts, strict=True))
+    return error * data.counted, variance
 
 
-def _through(data: CoordinateData, batches: Sequence[ModelBatch], kind: Kind) -> tuple[Floats, Floats]:
+def _in_parts(data: CoordinateData, batches: Sequence[ModelBatch]) -> list[list[ModelBatch]]:
+    """As many at once as the processor's cache holds."""
     most = max(1, _AT_ONCE // len(data.z))
-    parts, kept, size = [], list[ModelBatch](), 0
+    parts, size = [list[ModelBatch]()], 0
     for batch in batches:
-        if kept and size + len(batch) > most:
-            parts.append(_Filter(data, kept, kind).run())
-            kept, size = [], 0
-        kept.append(batch)
+        if parts[-1] and size + len(batch) > most:
+            parts.append([])
+            size = 0
+        parts[-1].append(batch)
         size += len(batch)
-    parts.append(_Filter(data, kept, kind).run())
-    return np.concatenate([error for error, _ in parts]), np.concatenate([variance for _, variance in parts])
+    return parts
 
 
 @dataclass(eq=False)
@@ -148,6 +169,7 @@ class _Filter:
         variances = np.exp(2.0 * noise[:, : len(STDS)])
         self.white, self.process, self.motion, self.wander = (variances[:, k : k + 1] for k in range(len(STDS)))
         self.beside = noise[:, -2:-1], noise[:, -1:]
+        self.is_alike = bool((self.noise == 1.0).all())
         self.effort = (self.u / data.command_size) ** 2
         self.freedom = np.concatenate([batch.freedom for batch in batches])[:, None]
         self.commands = self._commands()
@@ -166,15 +188,15 @@ class _Filter:
         self.at_ends, self.ends_before = (self.c <= self.low, self.c >= self.high), (self.low, self.high)
 
     def run(self) -> tuple[Floats, Floats]:
-        """(B, S, T) errors and their variances."""
+        """(T, B, S) errors and their variances."""
         rows = len(self.z)
         error, variance = np.zeros((rows, *self.shape)), np.ones((rows, *self.shape))
         for t in range(rows - 1):
             self._predict(t)
             if t == 0:
                 self._forget()
-            error[t + 1], variance[t + 1] = self._measure(t + 1)
-        return error.transpose(1, 2, 0) * self.data.counted, variance.transpose(1, 2, 0)
+            self._measure(t + 1, error[t + 1], variance[t + 1])
+        return error, variance
 
     def _forget(self) -> None:
         """Take the second row of a segment that goes on as it was measured: what moves on need not have begun here."""
@@ -241,7 +263,7 @@ class _Filter:
     def _move(self, v: Floats, free: Floats, slope: Floats | None, t: int) -> None:
         """Take the part to where it is free to go, or to what ends its way."""
         if slope is not None:
-            slope = np.minimum(np.maximum(slope, -1.0), 1.0)
+            np.minimum(np.maximum(slope, -1.0, out=slope), 1.0, out=slope)
         if self.is_bounded:
             self.low, self.high = self._ends_at(t)
             ended = np.minimum(np.maximum(free, self.low), self.high)
@@ -251,18 +273,19 @@ class _Filter:
                 ended = np.where(at_high, self.high, np.where(at_low, self.low, ended))
                 is_free &= ~(at_low | at_high)
             if not is_free.all():
-                slope = is_free.astype(np.float64) if slope is None else slope * is_free
+                slope = is_free.astype(np.float64) if slope is None else np.multiply(slope, is_free, out=slope)
             free = ended
-        covariance = self.covariance
+        of_place, of_both, of_reading = self.covariance
         if slope is not None:
-            shrunk = slope * slope
-            shrunk *= 1.0 - _HELD_VARIANCE
-            shrunk += _HELD_VARIANCE
-            covariance[0] *= shrunk
-            covariance[1] *= slope
-        covariance *= _STAYING
-        covariance[0] += self.process + self.motion * self.effort[t]
-        covariance[2] += (1.0 - _STAYS**2) * self.wander
+            of_both *= slope
+            slope *= slope
+            slope *= 1.0 - _HELD_VARIANCE
+            slope += _HELD_VARIANCE
+            of_place *= slope
+        of_place += self.process + self.motion * self.effort[t]
+        of_both *= _STAYS
+        of_reading *= _STAYS**2
+        of_reading += (1.0 - _STAYS**2) * self.wander
         self.state[0] = free
         self.state[1] *= _STAYS
 
@@ -275,38 +298,50 @@ class _Filter:
         self.at_ends = stays_low | (free <= self.low), stays_high | (free >= self.high)
         return stays_low & (self.release[0] > 0), stays_high & (self.release[1] > 0)
 
-    def _measure(self, t: int) -> tuple[Floats, Floats]:
-        """Compare with row t and take the measurement in."""
+    def _measure(self, t: int, error: Floats, variance: Floats) -> None:
+        """Compare with row t, write the error and its variance, and take the measurement in."""
         offset, slope = self._reading(t)
-        white = self.white * self.noise[t]
-        state, covariance = self.state, self.covariance
-        error = self.z[t] - offset - slope * state[0] - state[1]
-        of_state = slope * covariance[:2] + covariance[1:]
-        variance = slope * of_state[0] + of_state[1] + white
+        white = self.white if self.is_alike else self.white * self.noise[t]
+        (place, wandered), (of_place, of_both, of_reading) = self.state, self.covariance
+        if "sensor" in self.acting:
+            error[:] = self.z[t] - offset - slope * place
+            to_place, to_reading = slope * of_place + of_both, slope * of_both + of_reading
+            np.multiply(slope, to_place, out=variance)
+            variance += to_reading
+        else:
+            np.subtract(self.z[t], place, out=error)
+            to_place, to_reading = of_place + of_both, of_both + of_reading
+            np.add(to_place, to_reading, out=variance)
+        error -= wandered
+        variance += white
         if self.kind == "rollout":
-            return error, variance
+            return
         gone = self._let_go(t, error, slope) if self.is_held else None
         if self.kind == "one_step":
             seen = self.data.is_measured[:, t]
-            state[0] = np.where(seen, state[0] + (error + state[1]) / slope, state[0])
-            covariance[0] = np.where(seen, (white + self.wander) / slope**2, covariance[0])
-            return error, variance
+            self.state[0] = np.where(seen, place + (error + wandered) / slope, place)
+            self.covariance[0] = np.where(seen, (white + self.wander) / slope**2, of_place)
+            return
         weight = error * error
         weight /= variance
         weight += self.freedom
-        weight = np.minimum((self.freedom + 1.0) / weight, 1.0)
+        np.divide(self.freedom + 1.0, weight, out=weight)
+        np.minimum(weight, 1.0, out=weight)
         weight /= variance
-        gain = of_state * weight
-        state += gain * error
-        covariance[:2] -= gain[0] * of_state
-        covariance[2] -= gain[1] * of_state[1]
+        gain = to_place * weight
+        weight *= to_reading
+        place += gain * error
+        wandered += weight * error
+        of_reading -= weight * to_reading
+        of_both -= gain * to_reading
+        gain *= to_place
+        of_place -= gain
         if gone is not None and gone.any():
-            state[0] = np.where(gone, (self.z[t] - offset) / slope, state[0])
-            covariance[0] = np.where(gone, white / slope**2, covariance[0])
-            covariance[1] = np.where(gone, 0.0, covariance[1])
+            place[:] = np.where(gone, (self.z[t] - offset) / slope, place)
+            of_place[:] = np.where(gone, white / slope**2, of_place)
+            of_both[gone] = 0.0
         if self.is_bounded:
-            np.minimum(np.maximum(state[0], self.low), self.high, out=state[0])
-        return error, variance
+            np.minimum(np.maximum(place, self.low, out=place), self.high, out=place)
 
     def _let_go(self, t: int, error: Floats, slope: Any) -> Booleans:
         """Which parts were predicted on the wrong side of being held: measured away from an end, or left behind there.

@@ -21,14 +21,14 @@ import numpy as np
 from micah_plan.arrays import ROUND_OFF, Booleans, Floats, Ints
 from micah_plan.residual.candidates import Model, columns
 from micah_plan.residual.coordinate_data import CoordinateData
-from micah_plan.residual.filtering import NOISE, STDS, ModelBatch, Rows, filtered
+from micah_plan.residual.filtering import NOISE, STDS, ModelBatch, Rows, filtered, of_rows
 
 # Step of a difference quotient, and of the search along each parameter at first, in units of what is large for it.
 _SLOPE_STEP, _FIRST_STEP = 0.01, 0.02
 # From so many parameters on a quotient is one-sided, and there is no search along each.
 _MANY = 10
-# Parts of a step that are tried; more than one where noise was much too large, since its gradient tells only that.
-_LINE = np.array([1.0, 4.0, 0.3, 0.08])
+# Parts of a step that are tried; noise that is much too large is told by the innovations (`_Climb._along`).
+_LINE = np.array([1.0, 0.3])
 NORMAL = 60.0
 """Degrees of freedom of noise without outliers."""
 # Gains [nats] below which a round has failed, and below which it was the last.
@@ -154,8 +154,9 @@ class _Slopes:
 
     def information(self, rows: Floats | slice = slice(None)) -> Floats:
         """(k, k) Fisher information of some rows."""
-        error, variance = self.error[:, rows], self.log_variance[:, rows]
-        return np.asarray((error * self.of_error[rows]) @ error.T + self.of_variance * variance @ variance.T)
+        error = self.error[:, rows] * np.sqrt(self.of_error[rows])
+        variance = self.log_variance[:, rows]
+        return np.asarray(error @ error.T + self.of_variance * (variance @ variance.T))
 
 
 class Fitting:
@@ -173,7 +174,7 @@ class Fitting:
     @cached_property
     def group_of_rows(self) -> Ints:
         """(N,) group of each row that counts."""
-        return np.repeat(self.group[:, None], self.data.z.shape[1], axis=1)[self.data.counted]
+        return of_rows(self.data, self.group)
 
     def losses(self, fits: Sequence[Fit], vectors: Sequence[Floats]) -> list[Floats]:
         """Losses of some vectors (b, ...) of each fit."""
@@ -341,8 +342,10 @@ def _quotients(fit: Fit, tried: Floats, rows: Rows, own: slice, k: int) -> _Slop
     below = np.concatenate([1 + k + np.arange(two), np.zeros(k - two, dtype=np.int64)])
     at, up = fit.free.at[:k], np.arange(1, k + 1)
     width = tried[up, at] - tried[below, at]
-    width = np.where(np.abs(width) > 1e-300, width, 1e-300)[:, None]
-    gradient, of_error, of_variance = ((a[up] - a[below]) / width for a in (density, error, log_variance))
+    per_width = 1.0 / np.where(np.abs(width) > 1e-300, width, 1e-300)[:, None]
+    gradient, of_error, of_variance = (a[1 : k + 1] - a[below] for a in (density, error, log_variance))
+    for quotients in (gradient, of_error, of_variance):
+        quotients *= per_width
     freedom = fit.freedom
     return _Slopes(
         tried=tried,

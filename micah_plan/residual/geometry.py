@@ -261,9 +261,11 @@ def _held_out(rows: _Rows, without: Floats) -> tuple[float, float]:
         train, test = rows.block != fold, rows.block == fold
         if train.sum() < _FEWEST_ROWS // 2 or not test.any():
             continue
-        evidence += _predicts(rows, with_it, train, test) - _predicts(rows, without, train, test)
-        for k, design in enumerate((with_it, without)):
-            fitted = _regression(rows, design, train)[0]
+        for k, (design, sign) in enumerate(((with_it, 1.0), (without, -1.0))):
+            fitted, _, scatter, memory = _regression(rows, design, train)
+            missed, spread = rows.residual - design @ fitted, scatter[rows.direction][test]
+            foretold = _whitened(rows, missed[:, None], memory)[test, 0]
+            evidence -= sign * float(0.5 * np.sum((foretold / spread) ** 2) + np.log(spread).sum())
             # The new joint takes in the effect alone; a constant that makes it fit stays behind as an error.
             effect = design[:, count:] @ fitted[count:]
             kept[k] += float((((rows.residual - effect) / unit)[test] ** 2).sum())
@@ -277,14 +279,6 @@ def _blocks(rows: Sequence[int]) -> tuple[Ints, NDArray[np.bool_]]:
     return np.concatenate(blocks) % _FOLDS, np.concatenate([np.arange(count) == 0 for count in rows])
 
 
-def _predicts(rows: _Rows, design: Floats, train: NDArray[np.bool_], test: NDArray[np.bool_]) -> float:
-    """Log likelihood of the test rows' whitened residuals under what the training rows say [nats]."""
-    beta, _, scatter, memory = _regression(rows, design, train)
-    spread = scatter[rows.direction][test]
-    residual = _whitened(rows, rows.residual - design @ beta, memory)[test]
-    return float(-0.5 * np.sum((residual / spread) ** 2) - np.log(spread).sum())
-
-
 def _regression(rows: _Rows, design: Floats, chosen: NDArray[np.bool_]) -> tuple[Floats, Floats, Floats, Floats]:
     """Coefficients, their covariance, and of each direction the scatter of the whitened residual and its memory."""
     count = int(rows.direction.max()) + 1
@@ -292,10 +286,8 @@ def _regression(rows: _Rows, design: Floats, chosen: NDArray[np.bool_]) -> tuple
     beta: Floats = np.zeros(design.shape[1])
     covariance: Floats = np.eye(design.shape[1])
     for _ in range(4):
-        target = _whitened(rows, rows.residual, memory)[chosen]
-        columns = design[chosen]
-        if design.shape[1]:
-            columns = np.stack([_whitened(rows, column, memory) for column in design.T], axis=1)[chosen]
+        whitened = _whitened(rows, np.column_stack([design, rows.residual]), memory)[chosen]
+        columns, target = whitened[:, :-1], whitened[:, -1]
         direction = rows.direction[chosen]
         unit = scatter[direction]
         a, b = columns / unit[:, None], target / unit
@@ -315,7 +307,9 @@ def _regression(rows: _Rows, design: Floats, chosen: NDArray[np.bool_]) -> tuple
 
 
 def _whitened(rows: _Rows, values: Floats, memory: Floats) -> Floats:
-    """Values less what the row before foretells; the first row of a run is scaled to the same variance."""
+    """Values (K, j) less what the row before foretells; the first row of a run is scaled to the same variance."""
     memory_of_run = memory[rows.direction]
     first = np.sqrt(np.maximum(1.0 - memory_of_run**2, 1e-6))
-    return np.asarray(np.where(rows.starts, first * values, values - memory_of_run * np.roll(values, 1)))
+    white = values - memory_of_run[:, None] * np.roll(values, 1, axis=0)
+    white[rows.starts] = first[rows.starts, None] * values[rows.starts]
+    return white

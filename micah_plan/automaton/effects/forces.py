@@ -124,9 +124,10 @@ class Unexplained(EffectForm):
         added = p[3] * v * ops.abs(size) + p[4] * ops.abs(v) + p[5] * side
         spacing = width / (SMOOTH_BUMPS - 1)
         x = (ops.minimum(ops.maximum(c, low), low + width) - low) / spacing
-        # exp(-(x - k)² / 2) of each bump k from that of the one before: two exponentials instead of twelve.
-        bump, further = ops.exp(-0.5 * x * x), ops.exp(x)
-        for k in range(SMOOTH_BUMPS):
-            added = added + bump * (p[6 + k] + p[6 + SMOOTH_BUMPS + k] * v)
-            bump = bump * further * float(np.exp(-k - 0.5))
-        return added
+        # The sum of w_k exp(-(x - k)² / 2) is a polynomial in exp(x) times exp(-x² / 2): two exponentials, not twelve.
+        pushes, gains, further = 0.0, 0.0, ops.exp(x)
+        for k in reversed(range(SMOOTH_BUMPS)):
+            lower = float(np.exp(-0.5 * k * k))
+            pushes = pushes * further + lower * p[6 + k]
+            gains = gains * further + lower * p[6 + SMOOTH_BUMPS + k]
+        return added + ops.exp(-0.5 * x * x) * (pushes + gains * v)
