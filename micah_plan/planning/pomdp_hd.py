@@ -27,7 +27,7 @@ from micah_plan.planning.limits import Limits, NoWayError, limits_of, with_input
 from micah_plan.planning.path_constraints import time_cost
 from micah_plan.planning.roll_outs import departure
 from micah_plan.planning.search.mode_search import ModeSequence, SearchResult, search_modes
-from micah_plan.planning.transcription.guess import guess
+from micah_plan.planning.transcription.guess import PhaseGuess, guess, guess_at
 from micah_plan.planning.transcription.programme import transcribe
 from micah_plan.planning.transcription.solve import BeliefPath, solve_transcription, unmet
 from micah_plan.planning.zero_time_transitions import with_zero_time_transitions
@@ -38,6 +38,8 @@ from micah_plan.task.settings import Deadline, TimeLimitError
 
 # Factors on the number of steps of a path, tried in turn: slower inputs, more measurements at a guard.
 _STRETCHES = (1.0, 2.0, 4.0)
+# How often the sides of obstacles are chosen anew on a path, and what that must save.
+_MOST_SIDES, _LEAST_GAIN = 4, 1e-3
 # Searches after the first, each without the narrow places of the paths before.
 _MOST_DETOURS = 2
 
@@ -226,6 +228,7 @@ def _optimised(attempt: Attempt, sequence: ModeSequence) -> _Tried:
         with clock.stage("optimise"):
             path = solve_transcription(nlp, _time_limit(attempt))
         if path.feasible:
+            path = _with_other_sides(attempt, phases, path)
             return _Tried(sequence, path, path.message)
         deadline.check("optimisation", f"{name} was at {steps} steps", "candidates")
     if path.is_out_of_time:  # its state then does not say what is possible
@@ -235,6 +238,25 @@ def _optimised(attempt: Attempt, sequence: ModeSequence) -> _Tried:
     message = "; ".join([path.message, *map(sentence_of, missed)])
     findings = findings_of(problem, sequence.modes, missed) or [finding_of_status(sequence.modes, path.message)]
     return _Tried(sequence, path, message, tuple(findings))
+
+
+def _with_other_sides(attempt: Attempt, phases: tuple[PhaseGuess, ...], path: BeliefPath) -> BeliefPath:
+    """A path on which boundaries hold in part only, once more with the sides of obstacles and guards that suit it.
+
+    By which side a step stays out of them is chosen before the optimisation, and may be another where it ends.
+    """
+    problem = attempt.problem
+    for _ in range(_MOST_SIDES):
+        if not path.in_part or attempt.deadline.is_over():
+            break
+        with attempt.clock.stage("build"):
+            nlp = transcribe(problem, attempt.limits, guess_at(problem, phases, path.means, path.factors, path.inputs))
+        with attempt.clock.stage("optimise"):
+            again = solve_transcription(nlp, _time_limit(attempt))
+        if not again.feasible or again.cost > path.cost - _LEAST_GAIN:
+            break
+        path = again
+    return path
 
 
 def _time_limit(attempt: Attempt) -> float:

@@ -35,6 +35,9 @@ from micah_plan.symbolic.compiled import CasadiOperations, compiled_edge, compil
 from micah_plan.task.path import Pay, Require, path_terms
 from micah_plan.task.problem import Problem
 
+# Half-spaces within so many times k-sigma of a step may be in its way; how far places beside it are, in k-sigma.
+_BESIDE, _SIZES = 4.0, (1.0, 2.0, 3.5)
+
 
 @dataclass(frozen=True, eq=False)
 class Side:
@@ -94,8 +97,8 @@ def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, k: f
     turn = None if leaving is None else input_reversal_of(automaton, leaving)
     fixed = _fixed_boundaries(automaton, mode, exits)
     obstacles = _obstacles(automaton, mode, guess.edge)
-    # A step stays out of a convex set if both its ends are outside of the same half-space.
-    walls = [_farthest(rows, guess) for rows in obstacles]
+    inside: list[tuple[HalfSpace, ...]] = [(h.opposite,) for h, sign, uncertain in fixed if sign > 0.0 and uncertain]
+    walls = _around(automaton, obstacles, inside, guess, k)
     walls += [[None if h.on_input else h for h in kept_out(rows, guess, k)] for rows in mixed_guards(automaton, guess)]
     sides = () if leaving is None else _entered_before(mode, leaving, guess)
     rows, boundaries = [], dict[tuple[str, HalfSpace, float], Side | None]()
@@ -188,13 +191,18 @@ def _entered_before(mode: Mode, leaving: Edge, guess: PhaseGuess) -> tuple[HalfS
 
 
 def mixed_guards(automaton: HybridAutomaton, guess: PhaseGuess) -> list[tuple[HalfSpace, ...]]:
-    """The guards on both x and u of the transitions that a phase does not take."""
-    return [
-        edge.guard.half_spaces
+    """The guards on both x and u of the transitions that a phase does not take.
+
+    Whole ones, though planned edges are divided where others come first: those are on the input as well, and no input
+    of the phase takes them either.
+    """
+    guards = [
+        front_of(edge)
         for index, edge in enumerate(automaton.edges)
         if edge.source == guess.mode and index != guess.edge and not edge.is_self_transition
         if edge.guard.on_input and len(edge.guard.half_spaces) > 1 and not isinstance(edge, ZeroTimeEdge)
     ]
+    return list(dict.fromkeys(guards))
 
 
 def kept_out(guard: tuple[HalfSpace, ...], guess: PhaseGuess, k: float) -> list[HalfSpace]:
@@ -209,28 +217,88 @@ def kept_out(guard: tuple[HalfSpace, ...], guess: PhaseGuess, k: float) -> list[
     chosen = [on_input[i] for i in np.argmax(missed / np.linalg.norm(b, axis=1), axis=1).tolist()]
     if not on_state:
         return chosen
-    apart = _stds_outside(on_state, guess)
+    apart = _stds_outside(on_state, guess, guess.spreads)
     best = np.argmax(apart, axis=0).tolist()
     return [on_state[i] if apart[i, step] >= k else chosen[step] for step, i in enumerate(best)]
 
 
-def _farthest(guard: tuple[HalfSpace, ...], guess: PhaseGuess) -> list[HalfSpace | None]:
-    """The half-space of a guard that each step of the phase is outside of by most standard deviations.
+def _around(
+    automaton: HybridAutomaton,
+    obstacles: list[tuple[HalfSpace, ...]],
+    inside: list[tuple[HalfSpace, ...]],
+    guess: PhaseGuess,
+    k: float,
+) -> list[list[HalfSpace | None]]:
+    """For each obstacle the half-space that each step of the phase stays outside of.
+
+    A step stays out of a convex set if both its ends are outside of the same half-space: of the one that they are
+    outside of by most standard deviations. Where that is too little, obstacles would contradict each other: of two
+    boxes that share a face each asks for its own side of it. So all are asked at the nearest place that is k-sigma out
+    of all of them (an inflated region, as in Deits and Tedrake, "Computing large convex regions of obstacle-free space
+    through semidefinite programming", WAFR 2014).
 
     None for a last step that leaves the mode and ends inside: of transitions at one instant the first listed happens.
+
+    Args:
+        inside: complements of what the mode may not leave; they are no obstacles of their own.
     """
-    rows = [h for h in guard if h.on_state]
-    apart = _stds_outside(rows, guess)
-    sides: list[HalfSpace | None] = [rows[i] for i in np.argmax(apart, axis=0).tolist()]
-    if guess.edge is not None and guess.steps and apart[:, -1].max() <= 0.0:
-        sides[-1] = None
+    rows = [[h for h in guard if h.on_state] for guard in (*obstacles, *inside)]
+    if not obstacles:
+        return []
+    apart = [_stds_outside(own, guess) for own in rows]
+    sides: list[list[HalfSpace | None]] = [
+        [own[i] for i in np.argmax(far, axis=0).tolist()] for own, far in zip(rows, apart, strict=True)
+    ][: len(obstacles)]
+    least = np.min([far.max(axis=0) for far in apart], axis=0)
+    moves = automaton.mode(guess.mode).B
+    for step in np.flatnonzero(least < k).tolist():
+        for wall, h in zip(sides, _beside(rows, [far[:, step] for far in apart], guess, step, moves, k), strict=False):
+            wall[step] = h
+    if guess.edge is not None and guess.steps:
+        for wall, far in zip(sides, apart, strict=False):
+            if far[:, -1].max() <= 0.0:
+                wall[-1] = None
     return sides
 
 
-def _stds_outside(rows: Sequence[HalfSpace], guess: PhaseGuess) -> Floats:
-    """(r, N) standard deviations by which each step is outside of half-spaces on x, at the end where that is less."""
+def _beside(
+    rows: list[list[HalfSpace]], apart: list[Floats], guess: PhaseGuess, step: int, moves: Floats, k: float
+) -> list[HalfSpace]:
+    """The half-spaces to stay outside of at the nearest place beside a step that is k-sigma out of all obstacles.
+
+    Args:
+        apart: (r,) of each obstacle, standard deviations by which the step is outside of its half-spaces.
+        moves: (n, m) how inputs move the state.
+    """
+    a = np.array([h.a for own in rows for h in own])
+    factor = guess.factors[step]
+    stds = np.linalg.norm(a @ factor, axis=1) + SMALLEST_STD * np.linalg.norm(a, axis=1)
+    of = np.repeat(np.arange(len(rows)), [len(own) for own in rows])
+    far, firsts = np.concatenate(apart), np.flatnonzero(np.diff(of, prepend=-1))
+    along = a @ moves @ moves.T
+    reach = (along * a).sum(axis=1)
+    near = np.flatnonzero((np.abs(far) < _BESIDE * k) & (reach > 0.0))
+    away = -along[near] * (stds[near] / reach[near])[:, None]  # by one standard deviation
+    ways = np.concatenate([np.zeros((1, a.shape[1])), *(size * k * away for size in _SIZES)])
+    ways = np.concatenate([ways, *(way + ways for way in ways[1:])])
+    clear = np.minimum.reduceat(np.maximum.reduceat(far - (ways @ a.T) / stds, firsts, axis=1), [0], axis=1)[:, 0]
+    # The nearest that is clear of all, in standard deviations of the belief along the half-spaces; else the clearest.
+    distance = np.abs(ways @ (a / stds[:, None])[near].T).max(axis=1, initial=0.0)
+    best = int(np.argmin(np.where(clear >= k, distance, np.inf))) if (clear >= k).any() else int(np.argmax(clear))
+    after = far - (a @ ways[best]) / stds
+    ends = [*firsts[1:], len(far)]
+    return [own[int(np.argmax(after[i:j]))] for own, i, j in zip(rows, firsts, ends, strict=True)]
+
+
+def _stds_outside(rows: Sequence[HalfSpace], guess: PhaseGuess, spreads: Floats | float = 0.0) -> Floats:
+    """(r, N) standard deviations by which each step is outside of half-spaces on x, at the end where that is less.
+
+    Args:
+        spreads: (N+1, n, n) covariance to be added to the belief's.
+    """
     a, c = np.array([h.a for h in rows]), np.array([[h.c] for h in rows])
-    stds = np.linalg.norm(a[:, None, None] @ guess.factors, axis=-1)[..., 0]
+    covariances = guess.factors @ guess.factors.transpose(0, 2, 1) + spreads
+    stds = np.sqrt(np.maximum(np.einsum("ri,kij,rj->rk", a, covariances, a), 0.0))
     smallest = SMALLEST_STD * np.linalg.norm(a, axis=1, keepdims=True)
     away = (c - a @ guess.means.T) / (stds + smallest)
     return np.asarray(np.minimum(away[:, :-1], away[:, 1:]))

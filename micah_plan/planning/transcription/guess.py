@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -25,6 +25,7 @@ from micah_plan.planning.limits import (
 from micah_plan.planning.search.mode_search import ModeSequence
 from micah_plan.planning.search.path_beliefs import MOST_LOCALISING_STEPS, WORTH_A_STEP, steps_to_correct_start
 from micah_plan.planning.search.polytope import nominal_start
+from micah_plan.planning.transcription.stops import planned_step
 from micah_plan.planning.zero_time_transitions import stds_of
 from micah_plan.symbolic.compiled import CompiledMode, compiled_edge, compiled_mode
 from micah_plan.task.problem import Problem
@@ -94,6 +95,29 @@ def guess_again(problem: Problem, limits: Limits, sequence: ModeSequence, steps:
     return _roll(problem, limits, sequence, steps)[0]
 
 
+def guess_at(
+    problem: Problem, guess: tuple[PhaseGuess, ...], means: Floats, factors: Floats, inputs: Floats
+) -> tuple[PhaseGuess, ...]:
+    """The same phases with another path as their guess: means (K, n), factors (K, n, n) and inputs (K-1, m)."""
+    phases, spread = list[PhaseGuess](), guess[0].spreads[0]
+    for phase in guess:
+        knots = slice(phase.first_knot, phase.first_knot + phase.steps + 1)
+        mode = compiled_mode(problem.automaton, phase.mode)
+        spreads = _spreads(mode, spread, factors[knots], phase.closed)
+        own = inputs[knots.start : knots.start + phase.steps]
+        phases.append(replace(phase, means=means[knots], factors=factors[knots], inputs=own, spreads=spreads))
+        if phase.edge is not None:
+            spread = _carried(problem.automaton, phase.edge, spreads[-1])
+    return tuple(phases)
+
+
+def _carried(automaton: HybridAutomaton, edge: int, spread: Floats) -> Floats:
+    """(n, n) covariance of the estimate behind a reset; there is none of what the new mode pins."""
+    taken = automaton.edges[edge]
+    A, free = matrix_after(automaton, taken), automaton.mode(taken.target).free
+    return np.asarray(A @ spread @ A.T * np.outer(free, free))
+
+
 def _divide(problem: Problem, limits: Limits, sequence: ModeSequence, needed: list[float], stretch: float) -> list[int]:
     """Steps per phase for the least numbers of steps that each needs."""
     automaton, most = problem.automaton, problem.settings.max_knots - len(sequence.modes)
@@ -143,7 +167,7 @@ def _roll(
         edge = sequence.edges[p] if p < len(sequence.edges) else None
         path = np.vstack([mean, *sequence.waypoints[p][1:]])
         if edge is not None:
-            _, factors = _roll_phase(mode, mean, factor, np.zeros((count, automaton.m)))
+            _, factors = _roll_phase(planned_step(automaton, name), mean, factor, np.zeros((count, automaton.m)))
             covariance = factors[-1] @ factors[-1].T + _spreads(mode, spread, factors, closed)[-1]
             path = np.vstack([path, _inside(path[-1], covariance, edge, problem, limits)])
         B = motion_per_input(automaton, name, limits.max_step)
@@ -154,17 +178,14 @@ def _roll(
             # What the guard asks for while the object is still pinned, as large as it may be.
             inputs[:] = limits.max_step * np.sign(sum(np.array(h.b) for h in automaton.edges[edge].guard.half_spaces))
         inputs = np.clip(inputs, -limits.max_step, limits.max_step)
-        means, factors = _roll_phase(mode, mean, factor, inputs)
+        means, factors = _roll_phase(planned_step(automaton, name), mean, factor, inputs)
         spreads = _spreads(mode, spread, factors, closed)
         phases.append(PhaseGuess(name, edge, first_knot, means, factors, inputs, spreads, gain_of_step, closed))
         first_knot += count + 1
         if edge is not None:
             u = inputs[-1] if count else np.zeros(automaton.m)
             mean, factor = _belief(compiled_edge(automaton, edge).belief_reset(means[-1], factors[-1], u))
-            # The estimate's covariance goes through the reset; there is none of what the new mode pins.
-            carried, taken = spreads[-1], automaton.edges[edge]
-            A, free = matrix_after(automaton, taken), automaton.mode(taken.target).free
-            spread = np.asarray(A @ carried @ A.T * np.outer(free, free))
+            spread = _carried(automaton, edge, spreads[-1])
     return tuple(phases), needed
 
 
@@ -180,11 +201,11 @@ def _spreads(mode: CompiledMode, spread: Floats, factors: Floats, closed: Floats
     return np.array(spreads)
 
 
-def _roll_phase(mode: CompiledMode, mean: Floats, factor: Floats, inputs: Floats) -> tuple[Floats, Floats]:
-    """(N+1, n) means and (N+1, n, n) factors of a belief after inputs (N, m)."""
+def _roll_phase(step: ca.Function, mean: Floats, factor: Floats, inputs: Floats) -> tuple[Floats, Floats]:
+    """(N+1, n) means and (N+1, n, n) factors of a belief after steps with inputs (N, m)."""
     if not len(inputs):
         return mean[None], factor[None]
-    means, side_by_side = mode.belief_step.mapaccum("rolled", len(inputs), 2)(mean, factor, inputs.T)
+    means, side_by_side = step.mapaccum("rolled", len(inputs), 2)(mean, factor, inputs.T)
     return np.vstack([mean, np.array(means).T]), np.concatenate([factor[None], _apart(side_by_side)])
 
 

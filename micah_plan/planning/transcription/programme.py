@@ -11,6 +11,7 @@ a'mean - c >= k sqrt(||L'a||² + a'Λa + σ²), where Λ is the spread of the es
   The same holds for constraints that a user puts on the path (`corridor`);
 - all of them further than that, as far as it pays: what misses a guard or crosses a boundary misses the goal, so the
   probability of it costs as much as missing the goal by its tolerance does;
+- rows on the input likewise, with the feedback that is executed around it (`inputs`);
 - what is moved while the guard may have been passed already, and is lost then: at a cost (`lost_motion`).
 
 **Late motion.** Motion that only the mode before a guard makes, where the guard may hold already.
@@ -38,7 +39,6 @@ import numpy as np
 from micah_plan.arrays import SMALLEST_STD, Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.input_reversal import input_reversal_of
-from micah_plan.automaton.region import HalfSpace
 from micah_plan.planning.limits import Limits, steps_of_memory
 from micah_plan.planning.nlp import Programme
 from micah_plan.planning.path_constraints import effort_cost, goal_cost, variance_cost
@@ -48,17 +48,17 @@ from micah_plan.planning.transcription.corridor import (
     corridor,
     factor_of,
     factor_pattern,
-    kept_out,
-    mixed_guards,
     pack,
     packed,
     path_rows,
     pattern_entries,
 )
 from micah_plan.planning.transcription.guess import STRICT_SHARE, PhaseGuess, guard_need
-from micah_plan.planning.transcription.rows import ConstraintRows, Row, boundary_name, unit_of
+from micah_plan.planning.transcription.inputs import InputRow, deepest, input_rows, spread_across
+from micah_plan.planning.transcription.rows import ConstraintRows, Row, unit_of
+from micah_plan.planning.transcription.stops import planned_step
 from micah_plan.planning.zero_time_transitions import stds_of
-from micah_plan.symbolic.compiled import CompiledEdge, CompiledMode, compiled_edge, compiled_mode
+from micah_plan.symbolic.compiled import CompiledEdge, compiled_edge, compiled_mode
 from micah_plan.symbolic.square_root import norm as smooth_norm
 from micah_plan.task.problem import Problem
 
@@ -155,7 +155,6 @@ def transcribe(problem: Problem, limits: Limits, guess: tuple[PhaseGuess, ...]) 
 def _add_phase(nlp: Transcription, guess: PhaseGuess, path: PathRows | None) -> None:
     """Variables, dynamics, effort, inputs, the corridor and constraints on the path of one phase."""
     automaton, steps = nlp.problem.automaton, guess.steps
-    mode = compiled_mode(automaton, guess.mode)
     start = pack(guess.means, guess.factors, nlp.pattern)
     lower, upper = np.full(start.shape, -np.inf), np.full(start.shape, np.inf)
     if not nlp.phases:
@@ -168,29 +167,33 @@ def _add_phase(nlp: Transcription, guess: PhaseGuess, path: PathRows | None) -> 
     slack_start = np.array([row.slack_start(k) for row in boundaries if row.uncertain])
     if path is not None:
         slack_start = np.append(slack_start, path.slack.ravel(order="F"))
-    slack_start = slack_start[:, None]
+    wanted = input_rows(automaton, nlp.limits, guess, k)
+    before_inputs = len(slack_start)
+    slack_start = np.append(slack_start, [row.slack for row in wanted if row.uncertain])[:, None]
     slacks = nlp.variables(slack_start.shape, slack_start, 0.0 * slack_start, np.full_like(slack_start, np.inf))
     nlp.phases.append(PhaseVariables(states, inputs, slacks))
     if steps:
-        stepped = _step_function(mode, nlp.pattern, automaton.m).map(steps)(states[:, :-1], inputs)
+        step = _step_function(planned_step(automaton, guess.mode), nlp.pattern, automaton.m)
+        stepped = step.map(steps)(states[:, :-1], inputs)
         nlp.require(states[:, 1:] - stepped, _defect_rows(automaton, guess, nlp.pattern))
         nlp.cost += effort_cost(nlp.problem, ca.sumsqr(inputs / ca.DM(largest)))
-        _require_inputs(nlp, mode, guess, nlp.phases[-1])
+        if wanted:
+            _require_inputs(nlp, nlp.phases[-1], wanted, slacks[before_inputs:])
         if (lost := lost_motion(automaton, nlp.limits, guess, nlp.pattern)) is not None:
             nlp.cost += _SLACK_WEIGHT * lost(states, inputs)
     if boundaries:
         _require_corridor(nlp, nlp.phases[-1], boundaries)
     if path is not None:
-        _require_path(nlp, guess, nlp.phases[-1], path)
+        _require_path(nlp, guess, nlp.phases[-1], path, slacks[before_inputs - path.slack.size : before_inputs])
     if slack_start.size:
         nlp.cost += _SLACK_WEIGHT * ca.sum1(slacks)
 
 
-def _step_function(mode: CompiledMode, pattern: ca.Sparsity, m: int) -> ca.Function:
-    """(state, u) -> state: the belief step on packed states."""
+def _step_function(step: ca.Function, pattern: ca.Sparsity, m: int) -> ca.Function:
+    """(state, u) -> state: a belief step on packed states."""
     n = pattern.rows()
     state, u = ca.SX.sym("z", n + pattern.nnz()), ca.SX.sym("u", m)
-    stepped = mode.belief_step.call([state[:n], factor_of(state, pattern), u])
+    stepped = step.call([state[:n], factor_of(state, pattern), u])
     return ca.Function("belief", [state, u], [packed(stepped, pattern)])
 
 
@@ -204,37 +207,16 @@ def _defect_rows(automaton: HybridAutomaton, guess: PhaseGuess, pattern: ca.Spar
     return [Row(guess.mode, knot, name, unit, 0.0, 0.0) for knot in knots for name, unit in labels]
 
 
-def _require_inputs(nlp: Transcription, mode: CompiledMode, guess: PhaseGuess, phase: PhaseVariables) -> None:
-    """Rows that depend on the input: admissible inputs, invariants, and guards on inputs that must not be triggered."""
-    automaton = nlp.problem.automaton
-    groups: list[tuple[ca.Function, tuple[HalfSpace, ...], float]] = []
-    if mode.mode.inputs.on_input:
-        groups.append((mode.inputs, mode.mode.inputs.half_spaces, 1.0))
-    if mode.mode.invariant.on_input:
-        groups.append((mode.invariant, mode.mode.invariant.half_spaces, 1.0))
-    for number, edge in enumerate(automaton.edges):
-        guard = edge.guard.half_spaces
-        if edge.source == guess.mode and not edge.is_self_transition and len(guard) == 1 and edge.guard.on_input:
-            groups.append((compiled_edge(automaton, number).guard, guard, -1.0))
-    for function, half_spaces, sign in groups:
-        chosen = [(i, h) for i, h in enumerate(half_spaces) if h.on_input]
-        margins = function.map(guess.steps)(phase.states[: automaton.n, :-1], phase.inputs)
-        margins = sign * margins[[i for i, _ in chosen], :]
-        rows = [_input_row(nlp, guess, k, h, sign) for k in range(guess.steps) for _, h in chosen]
-        nlp.require(margins, rows)
-    for mixed in mixed_guards(automaton, guess):
-        for k, h in enumerate(kept_out(mixed, guess, nlp.problem.settings.sigmas)):
-            if h.on_input:
-                at = ca.dot(ca.DM(h.a), phase.states[: automaton.n, k]) + ca.dot(ca.DM(h.b), phase.inputs[:, k])
-                nlp.require(h.c - at, [_input_row(nlp, guess, k, h, -1.0)])
-
-
-def _input_row(nlp: Transcription, guess: PhaseGuess, step: int, half_space: HalfSpace, sign: float) -> Row:
-    # A closed guard holds on its boundary already: stay a little away from it.
-    closed = sign < 0 and not half_space.strict
-    low = STRICT_SHARE * float(np.abs(half_space.b) @ nlp.limits.max_step) if closed else 0.0
-    name, unit = boundary_name(half_space, sign), unit_of(nlp.problem.automaton, half_space)
-    return Row(guess.mode, guess.first_knot + step, name, unit, low, np.inf, "input")
+def _require_inputs(nlp: Transcription, phase: PhaseVariables, wanted: list[InputRow], slacks: ca.MX) -> None:
+    """What the inputs must meet, with the feedback around them."""
+    steps = [row.step for row in wanted]
+    a, b, c = (np.array([getattr(row, name) for row in wanted]) for name in "abc")
+    margins, stds = _margin_function(nlp.pattern).map(len(wanted))(phase.states[:, steps], a.T, c[None, :])
+    margins += ca.sum1(ca.DM(b.T) * phase.inputs[:, steps])
+    uncertain = [i for i, row in enumerate(wanted) if row.uncertain]
+    total = ca.sqrt(stds[uncertain].T ** 2 + ca.DM([wanted[i].spread + SMALLEST_STD**2 for i in uncertain]))
+    scales = np.array([wanted[i].scale for i in uncertain])
+    _require_with_room(nlp, phase, [row.row for row in wanted], margins, (uncertain, total, scales, slacks))
 
 
 def _require_corridor(nlp: Transcription, phase: PhaseVariables, boundaries: list[CorridorRow]) -> None:
@@ -252,7 +234,7 @@ def _require_corridor(nlp: Transcription, phase: PhaseVariables, boundaries: lis
     _require_with_room(nlp, phase, rows, margins, (uncertain, total, scales, slacks))
 
 
-def _require_path(nlp: Transcription, guess: PhaseGuess, phase: PhaseVariables, path: PathRows) -> None:
+def _require_path(nlp: Transcription, guess: PhaseGuess, phase: PhaseVariables, path: PathRows, slacks: ca.MX) -> None:
     """The constraints on the path for the steps of a phase, and their cost."""
     terms, count = path.terms, len(path.terms.requirements)
     inputs = ca.horzcat(*(nlp.phases[p].inputs[:, i] for p, i in path.inputs))
@@ -265,7 +247,7 @@ def _require_path(nlp: Transcription, guess: PhaseGuess, phase: PhaseVariables, 
         for name, unit in terms.requirements
     ]
     uncertain = [j * count + i for j in range(len(path.knots)) for i in terms.uncertain]
-    scales, slacks = path.lengths[terms.uncertain].ravel(order="F"), phase.slacks[-path.slack.size :]
+    scales = path.lengths[terms.uncertain].ravel(order="F")
     _require_with_room(nlp, phase, rows, margins, (uncertain, ca.vec(stds)[uncertain], scales, slacks))
 
 
@@ -336,8 +318,15 @@ def _join(nlp: Transcription, before: int, after: int) -> None:
         need = guard_need(automaton, guess.mode, half_space, own, (guess.means[-1], covariance), settings.sigmas)
         if not np.array_equal(need.a, half_space.a):
             margin, std = _margin_function(nlp.pattern)(state, need.a, need.c)
-        total = ca.sqrt(std**2 + float(need.a @ guess.spreads[-1] @ need.a + need.own**2))
-        nlp.require(margin - (0.0 if certain else settings.sigmas) * total, [row], None if certain else total)
+        gains = nlp.guess[after].gains
+        gain = gains[0] if half_space.on_input and len(gains) else np.zeros((automaton.m, n))
+        spread = spread_across(need.a, np.array(half_space.b), gain, guess.spreads[-1])
+        total = ca.sqrt(std**2 + spread + need.own**2)
+        if certain:  # the state does not matter, but what the feedback adds to the input does
+            far = min(settings.sigmas * float(np.sqrt(spread)), deepest(edge.edge, half_space, nlp.limits))
+            nlp.require(margin - far, [row])
+        else:
+            nlp.require(margin - settings.sigmas * total, [row], total)
         if not certain:
             nlp.cost += _missing_cost(settings.weight_goal, margin, total)
     name = f"the reset of '{edge.edge.name}'"
