@@ -22,6 +22,7 @@ from typing import NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
+from scipy.optimize import linprog
 
 from micah_plan.arrays import SMALLEST_STD, Floats, Ints
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
@@ -35,7 +36,7 @@ from micah_plan.symbolic.compiled import CasadiOperations, compiled_edge, compil
 from micah_plan.task.path import Pay, Require, path_terms
 from micah_plan.task.problem import Problem
 
-# Half-spaces within so many times k-sigma of a step may be in its way; how far places beside it are, in k-sigma.
+# Half-spaces within so many times k-sigma of a step are near; how far places beside it are, in k-sigma.
 _BESIDE, _SIZES = 4.0, (1.0, 2.0, 3.5)
 
 
@@ -190,19 +191,18 @@ def _entered_before(mode: Mode, leaving: Edge, guess: PhaseGuess) -> tuple[HalfS
     return tuple(h for h in rows if h not in ends)
 
 
-def mixed_guards(automaton: HybridAutomaton, guess: PhaseGuess) -> list[tuple[HalfSpace, ...]]:
-    """The guards on both x and u of the transitions that a phase does not take.
+def mixed_guards(automaton: HybridAutomaton, guess: PhaseGuess) -> dict[tuple[HalfSpace, ...], Edge]:
+    """The guards on both x and u of the transitions that a phase does not take, each with one of those.
 
     Whole ones, though planned edges are divided where others come first: those are on the input as well, and no input
     of the phase takes them either.
     """
-    guards = [
-        front_of(edge)
+    return {
+        front_of(edge): edge
         for index, edge in enumerate(automaton.edges)
         if edge.source == guess.mode and index != guess.edge and not edge.is_self_transition
         if edge.guard.on_input and len(edge.guard.half_spaces) > 1 and not isinstance(edge, ZeroTimeEdge)
-    ]
-    return list(dict.fromkeys(guards))
+    }
 
 
 def kept_out(guard: tuple[HalfSpace, ...], guess: PhaseGuess, k: float) -> list[HalfSpace]:
@@ -246,14 +246,16 @@ def _around(
     if not obstacles:
         return []
     apart = [_stds_outside(own, guess) for own in rows]
+    best = [np.argmax(far, axis=0) for far in apart]
     sides: list[list[HalfSpace | None]] = [
-        [own[i] for i in np.argmax(far, axis=0).tolist()] for own, far in zip(rows, apart, strict=True)
-    ][: len(obstacles)]
+        [own[i] for i in of.tolist()] for own, of in zip(rows, best[: len(obstacles)], strict=False)
+    ]
     least = np.min([far.max(axis=0) for far in apart], axis=0)
-    moves = automaton.mode(guess.mode).B
     for step in np.flatnonzero(least < k).tolist():
-        for wall, h in zip(sides, _beside(rows, [far[:, step] for far in apart], guess, step, moves, k), strict=False):
-            wall[step] = h
+        beside = _Beside.of(automaton, rows, [far[:, step] for far in apart], guess, step, k)
+        if not beside.agree([int(of[step]) for of in best]):
+            for wall, h in zip(sides, beside.sides(rows), strict=False):
+                wall[step] = h
     if guess.edge is not None and guess.steps:
         for wall, far in zip(sides, apart, strict=False):
             if far[:, -1].max() <= 0.0:
@@ -261,33 +263,60 @@ def _around(
     return sides
 
 
-def _beside(
-    rows: list[list[HalfSpace]], apart: list[Floats], guess: PhaseGuess, step: int, moves: Floats, k: float
-) -> list[HalfSpace]:
-    """The half-spaces to stay outside of at the nearest place beside a step that is k-sigma out of all obstacles.
+@dataclass(frozen=True, eq=False)
+class _Beside:
+    """Obstacles around a step, and where beside it inputs can lead.
 
-    Args:
-        apart: (r,) of each obstacle, standard deviations by which the step is outside of its half-spaces.
-        moves: (n, m) how inputs move the state.
+    Attributes:
+        far: (r,) standard deviations by which the step is outside of each half-space of all obstacles.
+        slopes: (r, m) by how much that is less with each input.
+        ways: (w, m) inputs away from half-spaces that are near, each by one standard deviation.
+        firsts: number of the first half-space of each obstacle.
+        k: standard deviations to be kept.
     """
-    a = np.array([h.a for own in rows for h in own])
-    factor = guess.factors[step]
-    stds = np.linalg.norm(a @ factor, axis=1) + SMALLEST_STD * np.linalg.norm(a, axis=1)
-    of = np.repeat(np.arange(len(rows)), [len(own) for own in rows])
-    far, firsts = np.concatenate(apart), np.flatnonzero(np.diff(of, prepend=-1))
-    along = a @ moves @ moves.T
-    reach = (along * a).sum(axis=1)
-    near = np.flatnonzero((np.abs(far) < _BESIDE * k) & (reach > 0.0))
-    away = -along[near] * (stds[near] / reach[near])[:, None]  # by one standard deviation
-    ways = np.concatenate([np.zeros((1, a.shape[1])), *(size * k * away for size in _SIZES)])
-    ways = np.concatenate([ways, *(way + ways for way in ways[1:])])
-    clear = np.minimum.reduceat(np.maximum.reduceat(far - (ways @ a.T) / stds, firsts, axis=1), [0], axis=1)[:, 0]
-    # The nearest that is clear of all, in standard deviations of the belief along the half-spaces; else the clearest.
-    distance = np.abs(ways @ (a / stds[:, None])[near].T).max(axis=1, initial=0.0)
-    best = int(np.argmin(np.where(clear >= k, distance, np.inf))) if (clear >= k).any() else int(np.argmax(clear))
-    after = far - (a @ ways[best]) / stds
-    ends = [*firsts[1:], len(far)]
-    return [own[int(np.argmax(after[i:j]))] for own, i, j in zip(rows, firsts, ends, strict=True)]
+
+    far: Floats
+    slopes: Floats
+    ways: Floats
+    firsts: Ints
+    k: float
+
+    @classmethod
+    def of(
+        cls,
+        automaton: HybridAutomaton,
+        rows: list[list[HalfSpace]],
+        apart: list[Floats],
+        guess: PhaseGuess,
+        step: int,
+        k: float,
+    ) -> _Beside:
+        a = np.array([h.a for own in rows for h in own])
+        stds = np.linalg.norm(a @ guess.factors[step], axis=1) + SMALLEST_STD * np.linalg.norm(a, axis=1)
+        slopes, far = (a @ automaton.mode(guess.mode).B) / stds[:, None], np.concatenate(apart)
+        squared = (slopes**2).sum(axis=1)
+        near = np.flatnonzero((np.abs(far) < _BESIDE * k) & (squared > 0.0))
+        firsts = np.cumsum([0, *map(len, rows[:-1])])
+        return cls(far, slopes, -slopes[near] / squared[near, None], firsts, k)
+
+    def agree(self, chosen: list[int]) -> bool:
+        """Whether inputs lead to where all of these half-spaces, one of each obstacle, are k-sigma away."""
+        at = self.firsts + np.array(chosen)
+        at = at[np.any(self.slopes[at] != 0.0, axis=1)]
+        free = [(None, None)] * self.slopes.shape[1]
+        found = linprog(np.zeros(len(free)), A_ub=self.slopes[at], b_ub=self.far[at] - self.k, bounds=free, method="highs")
+        return bool(found.status == 0)
+
+    def sides(self, rows: list[list[HalfSpace]]) -> list[HalfSpace]:
+        """The half-space of each obstacle to stay outside of, at the nearest place that is k-sigma out of all."""
+        ways = np.concatenate([0.0 * self.ways[:1], *(size * self.k * self.ways for size in _SIZES)])
+        ways = np.concatenate([ways, *(way + ways for way in ways[1:])])
+        away = ways @ self.slopes.T
+        clear = np.maximum.reduceat(self.far - away, self.firsts, axis=1).min(axis=1)
+        far = np.abs(away).max(axis=1, where=np.abs(self.far) < _BESIDE * self.k, initial=0.0)
+        best = int(np.argmin(np.where(clear >= self.k, far, np.inf)) if (clear >= self.k).any() else np.argmax(clear))
+        after = np.split(self.far - away[best], self.firsts[1:])
+        return [own[int(np.argmax(of))] for own, of in zip(rows, after, strict=True)]
 
 
 def _stds_outside(rows: Sequence[HalfSpace], guess: PhaseGuess, spreads: Floats | float = 0.0) -> Floats:

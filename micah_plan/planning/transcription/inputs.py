@@ -60,10 +60,19 @@ def input_rows(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, k:
     for edge in automaton.edges:
         (first, *others) = edge.guard.half_spaces or (None,)
         if edge.source == guess.mode and not edge.is_self_transition and not others and first and first.on_input:
-            sides += [(step, first, -1.0, True) for step in steps]
-    for guard in mixed_guards(automaton, guess):
-        sides += [(step, h, -1.0, True) for step, h in enumerate(kept_out(guard, guess, k)) if h.on_input]
+            sides += [(step, first, -1.0, not _leads_back(automaton, edge)) for step in steps]
+    for guard, edge in mixed_guards(automaton, guess).items():
+        of_steps = enumerate(kept_out(guard, guess, k))
+        sides += [(step, h, -1.0, not _leads_back(automaton, edge)) for step, h in of_steps if h.on_input]
     return [_row(automaton, limits, guess, side, k) for side in dict.fromkeys(sides)]
+
+
+def _leads_back(automaton: HybridAutomaton, edge: Edge) -> bool:
+    """Whether a transition leads to where one leads back: a lost contact is found again, what is broken is not mended.
+
+    Such a transition the planned input must not take, but what the feedback adds to it may.
+    """
+    return any(back.target == edge.source for back in automaton.edges_from(edge.target))
 
 
 def _row(
