@@ -27,8 +27,9 @@ from micah_plan.residual.filtering import NOISE, STDS, ModelBatch, Rows, filtere
 _SLOPE_STEP, _FIRST_STEP = 0.01, 0.02
 # From so many parameters on a quotient is one-sided, and there is no search along each.
 _MANY = 10
-# Parts of a step that are tried; noise that is much too large is told by the innovations (`_Climb._along`).
-_LINE = np.array([1.0, 0.3])
+# Parts of a step that are tried: thresholds need the short ones, noise that is much too large is told by the
+# innovations (`_Climb._along`).
+_LINE = np.array([1.0, 0.3, 0.08])
 NORMAL = 60.0
 """Degrees of freedom of noise without outliers."""
 # Gains [nats] below which a round has failed, and below which it was the last.

@@ -304,7 +304,9 @@ class _Beside:
         at = self.firsts + np.array(chosen)
         at = at[np.any(self.slopes[at] != 0.0, axis=1)]
         free = [(None, None)] * self.slopes.shape[1]
-        found = linprog(np.zeros(len(free)), A_ub=self.slopes[at], b_ub=self.far[at] - self.k, bounds=free, method="highs")
+        found = linprog(
+            np.zeros(len(free)), A_ub=self.slopes[at], b_ub=self.far[at] - self.k, bounds=free, method="highs"
+        )
         return bool(found.status == 0)
 
     def sides(self, rows: list[list[HalfSpace]]) -> list[HalfSpace]:
