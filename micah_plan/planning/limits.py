@@ -42,7 +42,7 @@ class Limits:
     Attributes:
         max_step: (m,) largest |u| per step [rad or m]; none that effects on the command cut off.
         lower, upper: (n,) range in which the search looks for states [rad or m]; finite.
-        speed: (n,) farthest that each coordinate moves in one step; 1 where no input moves it.
+        speed: (n,) farthest that each coordinate moves in one step, by inputs or else by itself; 1 where it never does.
     """
 
     max_step: Floats
@@ -62,7 +62,9 @@ def limits_of(problem: Problem) -> Limits:
     if automaton.effects:
         max_step = np.array([_useful_step(automaton, j, float(most)) for j, most in enumerate(max_step)])
     gains = np.max([np.abs(motion_per_input(automaton, mode.name, max_step)) for mode in automaton.modes], axis=0)
-    speed = gains @ max_step
+    speed, start = gains @ max_step, np.array(problem.start.mean)
+    by_itself = np.max([np.abs(drift_of(automaton, mode, start)) for mode in automaton.modes], axis=0)
+    speed = np.where(speed > 0, speed, by_itself)
     return Limits(max_step, lower, upper, np.where(speed > 0, speed, 1.0))
 
 
@@ -77,6 +79,20 @@ def motion_per_input(automaton: HybridAutomaton, mode: str, largest: Floats) -> 
     inputs = np.concatenate([np.diag(largest), -np.diag(largest)])
     moved = displaced(automaton, automaton.mode(mode), np.zeros((len(inputs), automaton.n)), inputs)[0]
     return np.asarray((moved[: automaton.m] - moved[automaton.m :]).T / (2.0 * largest))
+
+
+def drift_of(automaton: HybridAutomaton, mode: Mode, x: Floats) -> Floats:
+    """(n,) how far a step of a mode moves what none of its inputs moves, at a state x (n,)."""
+    if not automaton.effects:
+        return np.zeros(automaton.n)
+    moved = displaced(automaton, mode, x[None], np.zeros((1, automaton.m)))[0][0]
+    return np.asarray(np.where(mode.driven | ~mode.free, 0.0, moved))
+
+
+def drifts(problem: Problem) -> bool:
+    """Whether something moves by itself that no input of its mode moves: time matters then."""
+    automaton, start = problem.automaton, np.array(problem.start.mean)
+    return any(drift_of(automaton, mode, start).any() for mode in automaton.modes)
 
 
 def holding_inputs(automaton: HybridAutomaton, mode: str, x: Floats, B: Floats) -> Floats:
@@ -97,14 +113,19 @@ def room_for_motion(held: Floats, max_step: Floats) -> Floats:
     return np.asarray(np.maximum(max_step - np.abs(held), _LEAST_ROOM * max_step))
 
 
-def input_length(path: Floats, B: Floats, limits: Limits, held: Floats) -> float:
-    """Least number of steps (not rounded) of the inputs that lead along waypoints (w, n), moved by B (n, m).
+def input_length(path: Floats, B: Floats, limits: Limits, held: Floats, drift: Floats) -> float:
+    """Least number of steps (not rounded) that lead along waypoints (w, n), by inputs through B (n, m) and by drift.
 
     Args:
         held: (w, m) inputs that keep it at each waypoint.
+        drift: (n,) of a step, of what no input moves.
     """
-    u, most = np.diff(path, axis=0) @ np.linalg.pinv(B).T, np.maximum(np.abs(held[:-1]), np.abs(held[1:]))
-    return float(np.sum(np.max(np.abs(u) / room_for_motion(most, limits.max_step), axis=1, initial=0.0)))
+    away, most = np.diff(path, axis=0), np.maximum(np.abs(held[:-1]), np.abs(held[1:]))
+    u = away @ np.linalg.pinv(B).T
+    steps = np.max(np.abs(u) / room_for_motion(most, limits.max_step), axis=1, initial=0.0)
+    moving = drift != 0.0
+    waited = np.max(away[:, moving] / drift[moving], axis=1, initial=0.0)
+    return float(np.sum(np.maximum(steps, waited)))
 
 
 def limited_input(mode: Mode, x: Floats, u: Floats, max_step: Floats) -> Floats:

@@ -23,10 +23,18 @@ from micah_plan.planning.attempt import Attempt, attempted
 from micah_plan.planning.cuts import Cut, tight_places, without
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.findings import finding_of_reason, finding_of_status, findings_of, sentence_of
-from micah_plan.planning.limits import Limits, NoWayError, limits_of, with_input_memory, without_input_memory
+from micah_plan.planning.limits import (
+    Limits,
+    NoWayError,
+    drifts,
+    limits_of,
+    with_input_memory,
+    without_input_memory,
+)
 from micah_plan.planning.path_constraints import time_cost
 from micah_plan.planning.roll_outs import departure
 from micah_plan.planning.search.mode_search import ModeSequence, SearchResult, search_modes
+from micah_plan.planning.search.passing_time import with_passing_time
 from micah_plan.planning.transcription.guess import PhaseGuess, guess, guess_at
 from micah_plan.planning.transcription.programme import transcribe
 from micah_plan.planning.transcription.solve import BeliefPath, solve_transcription, unmet
@@ -36,7 +44,8 @@ from micah_plan.task.plan import Candidate, Finding, Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.settings import Deadline, TimeLimitError
 
-# Factors on the number of steps of a path, tried in turn: slower inputs, more measurements at a guard.
+# Factors on the number of steps of a path, tried in turn: slower inputs, more measurements at a guard. Where something
+# drifts, time may run out: then as fast as inputs allow comes second.
 _STRETCHES = (1.0, 2.0, 4.0)
 # How often the sides of obstacles are chosen anew on a path, and what that must save.
 _MOST_SIDES, _LEAST_GAIN = 4, 1e-3
@@ -119,8 +128,8 @@ def _searched(attempt: Attempt, plain: Problem, cuts: Sequence[Cut]) -> SearchRe
     """The mode sequences of a problem over x, with states cut out of it."""
     attempt.deadline.check("search", "no detour was looked for", "candidates")
     with attempt.clock.stage("search"):
-        task = without(plain, cuts) if cuts else plain
-        return search_modes(task, limits_of(plain), attempt.mode, attempt.seed, deadline=attempt.deadline)
+        task = with_passing_time(without(plain, cuts) if cuts else plain)
+        return search_modes(task, limits_of(task), attempt.mode, attempt.seed, deadline=attempt.deadline)
 
 
 def _is_known(sequence: ModeSequence, tried: Sequence[_Tried]) -> bool:
@@ -216,7 +225,7 @@ def _low_level(attempt: Attempt, sequence: ModeSequence) -> _Tried:
 def _optimised(attempt: Attempt, sequence: ModeSequence) -> _Tried:
     problem, deadline, clock, steps = attempt.problem, attempt.deadline, attempt.clock, -1
     name, state = " -> ".join(sequence.modes), "was not tried"
-    for stretch in _STRETCHES:
+    for stretch in (1.0, problem.settings.pace, *_STRETCHES[1:]) if drifts(problem) else _STRETCHES:
         deadline.check("optimisation", f"{name} {state}", "candidates")
         with clock.stage("build"):
             phases = guess(problem, attempt.limits, sequence, stretch)

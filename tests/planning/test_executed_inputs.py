@@ -158,7 +158,94 @@ goal: {target: {x: {value: 0.9, tolerance: 0.03}, y: {value: 0.5, tolerance: 0.0
 planner: {max_step: {x: 0.05, y: 0.05, z: 0.05}, max_knots: 100}
 """,
 )
-SOLVABLE = {"glass": GLASS, "wall": WALL, "lid": LID, "locked": LOCKED, "put down": PUT_DOWN, "plates": PLATES}
+# A plate of 5 mm is touched by whoever comes along, though no belief is as narrow.
+PLATE = (
+    _model(
+        {"x": "m"},
+        "x: m",
+        ("x: 0.003", "x: 0.01"),
+        "  free: {joints: JOINTS, step: {x: input x}, invariant: [x >= -0.5, x <= 0.5]}\n"
+        "  touch: {joints: JOINTS, step: {}, invariant: [], pins: {x: {value: 0.5, std: 0.001}}}\n",
+        "  - {source: free, target: touch, guard: [x >= 0.5, x <= 0.505]}\n",
+    ),
+    """\
+start: {mean: {x: 0.0}, std: {x: 0.02}, mode: free}
+goal: {target: {}, modes: [touch]}
+planner: {max_step: {x: 0.05}, max_knots: 60}
+""",
+)
+# The same with a button in a frame: beside it the frame is hit.
+BUTTON = (
+    _model(
+        {"x": "m", "z": "m"},
+        "x: m, z: m",
+        ("x: 0.002, z: 0.002", "x: 0.008, z: 0.008"),
+        "  free: {joints: JOINTS, step: {x: input x, z: input z}, invariant: [x >= -0.5, x <= 0.52]}\n"
+        "  pressed: {joints: JOINTS, step: {}, invariant: []}\n"
+        "  frame: {joints: JOINTS, step: {}, invariant: []}\n",
+        "  - {source: free, target: pressed, guard: [x >= 0.5, x <= 0.51, z >= 0.2, z <= 0.26]}\n"
+        "  - {source: free, target: frame, guard: [x >= 0.5, z >= 0.26]}\n"
+        "  - {source: free, target: frame, guard: [x >= 0.5, z <= 0.2]}\n",
+    ),
+    """\
+start: {mean: {x: 0.0, z: 0.0}, std: {x: 0.02, z: 0.02}, mode: free}
+goal: {target: {}, modes: [pressed]}
+planner: {max_step: {x: 0.05, z: 0.05}, max_knots: 60}
+""",
+)
+# A gate rises by 10 mm a step: what is in the way now will not be later.
+GATE = (
+    _model(
+        {"x": "m", "gate": "m"},
+        "x: m",
+        ("x: 0.002, gate: 0.001", "x: 0.005, gate: 0.004"),
+        "  free: {joints: JOINTS, step: {x: input x, gate: 0.01}, invariant: [x >= -0.1, x <= 1, gate <= 0.6]}\n"
+        "  hit: {joints: JOINTS, step: {}, invariant: []}\n",
+        "  - {source: free, target: hit, guard: [x >= 0.3, x <= 0.5, gate <= 0.2]}\n"
+        "  - {source: free, target: free, guard: [gate > 0.6], reset: {gate: 0.6}}\n",
+    ),
+    """\
+start: {mean: {x: 0.0, gate: -0.1}, std: {x: 0.005, gate: 0.003}, mode: free}
+goal: {target: {x: {value: 0.8, tolerance: 0.03}}, modes: [free]}
+planner: {max_step: {x: 0.04}, max_knots: 120}
+""",
+)
+# A gate comes down by 15 mm a step, and has to be passed before.
+RACE = (
+    GATE[0].replace("gate: 0.01}", "gate: -0.015}").replace("gate <= 0.6]", "gate <= 0.6, gate >= -0.6]"),
+    GATE[1].replace("gate: -0.1}", "gate: 0.45}"),
+)
+# A belt carries a box away; who takes hold of it brings it back.
+BELT = (
+    _model(
+        {"h": "m", "box": "m"},
+        "h: m, grip: m",
+        ("h: 0.002, box: 0.002", "h: 0.005, box: 0.01"),
+        "  free: {joints: JOINTS, step: {h: input h, box: 0.02}, invariant: [h >= -0.2, h <= 1.5]}\n"
+        "  holds: {joints: JOINTS, step: {h: input h, box: input h}, invariant: [h >= -0.2, h <= 1.5]}\n"
+        "  fallen: {joints: JOINTS, step: {}, invariant: []}\n",
+        "  - {source: free, target: fallen, guard: [box >= 1.2]}\n"
+        "  - {source: free, target: holds, guard: [input grip > 0.005, h - box >= -0.03, h - box <= 0.03]}\n",
+    ),
+    """\
+start: {mean: {h: 1.0, box: 0.2}, std: {h: 0.005, box: 0.01}, mode: free}
+goal: {target: {box: {value: 0.3, tolerance: 0.03}}, modes: [holds]}
+planner: {max_step: {h: 0.05, grip: 0.01}, max_knots: 90}
+""",
+)
+SOLVABLE = {
+    "glass": GLASS,
+    "wall": WALL,
+    "lid": LID,
+    "locked": LOCKED,
+    "put down": PUT_DOWN,
+    "plates": PLATES,
+    "plate": PLATE,
+    "button": BUTTON,
+    "gate": GATE,
+    "race": RACE,
+    "belt": BELT,
+}
 
 
 def _problem(folder: Path, texts: tuple[str, str], *changes: tuple[str, str]) -> Problem:
@@ -192,6 +279,18 @@ REFUSED = {
     "a hand that is too weak cannot brake the lid": (LID, ("max_step: {lid: 0.08}", "max_step: {lid: 0.015}")),
     "a spring that is stronger than the hand": (LOCKED, ("lid: input lid - 0.06", "lid: input lid - 0.16")),
     "high enough to drop wherever it is let go": (PUT_DOWN, ("z >= 0.01]", "z >= -0.02]")),
+    "a frame as narrow as the noise": (BUTTON, ("z <= 0.26]", "z <= 0.21]"), ("z >= 0.26]", "z >= 0.21]")),
+    "a gate that never rises enough": (
+        GATE,
+        ("gate <= 0.6]", "gate <= 0.15]"),
+        ("0.6], reset: {gate: 0.6}", "0.15], reset: {gate: 0.15}"),
+    ),
+    "a gate that is down before anybody gets there": (RACE, ("gate: 0.45}", "gate: 0.3}")),
+    "a belt that is faster than the hand": (
+        BELT,
+        ("box: 0.02}", "box: 0.12}"),
+        ("h: 1.0, box: 0.2", "h: 0.0, box: 0.4"),
+    ),
     "windows narrower than the noise": (PLATES, ("y >= 0.28", "y >= 0.21"), ("y <= 0.28", "y <= 0.21")),
 }
 

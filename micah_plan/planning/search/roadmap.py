@@ -22,7 +22,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from micah_plan.arrays import EQUAL, ROUND_OFF, Booleans, Floats, Ints
-from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.region import Region
 from micah_plan.planning.limits import Limits, holding_inputs, room_for_motion
 from micah_plan.planning.path_constraints import admitted
@@ -49,6 +49,7 @@ class ModeMotion:
         speed: (n,) scale of each coordinate [rad or m per step].
         obstacles: guards on x alone that leave the mode: a motion may end on the boundary of one, where the transition
             happens, but not enter it.
+        forwards: (m,) inputs that cannot be negative.
         admits: (k,) whether constraints on the path let states (k, n) be passed; None: there are none.
         held: (k, m) inputs that keep states (k, n) where they are; None: none are needed.
     """
@@ -57,6 +58,7 @@ class ModeMotion:
     max_step: Floats
     speed: Floats
     obstacles: tuple[Region, ...]
+    forwards: Booleans
     admits: Callable[[Floats], Booleans] | None = None
     held: Callable[[Floats], Floats] | None = None
 
@@ -70,6 +72,7 @@ class ModeMotion:
             free = room_for_motion(np.maximum(np.abs(self.held(x)), np.abs(self.held(y))), self.max_step)
         steps = np.linalg.norm(u / free, axis=-1)
         steps[missed > _MISS * (1.0 + steps)] = np.inf
+        steps[(u[:, self.forwards] < -_MISS * self.max_step[self.forwards]).any(axis=1)] = np.inf
         for obstacle in self.obstacles:
             steps[_blocked(obstacle, x, y)] = np.inf
         possible = np.flatnonzero(np.isfinite(steps))
@@ -97,9 +100,20 @@ def motions_of(problem: Problem, limits: Limits) -> dict[str, ModeMotion]:
     for mode in automaton.modes:
         admits = partial(admitted, problem, limits, mode.name) if problem.constraints else None
         obstacles = obstacles_on_state(automaton, mode.name)
-        held = partial(holding_inputs, automaton, mode.name, B=mode.B) if automaton.effects else None
-        motions[mode.name] = ModeMotion(mode.B, limits.max_step, limits.speed, obstacles, admits, held)
+        forwards = _forwards(mode)
+        held = partial(holding_inputs, automaton, mode.name, B=mode.B * ~forwards) if automaton.effects else None
+        motions[mode.name] = ModeMotion(mode.B, limits.max_step, limits.speed, obstacles, forwards, admits, held)
     return motions
+
+
+def _forwards(mode: Mode) -> Booleans:
+    """(m,) inputs that admissible ones have no negative values of: time, or the hand on a ratchet."""
+    found = np.zeros(mode.B.shape[1], dtype=bool)
+    for h in mode.inputs.half_spaces:
+        b = np.array(h.b)
+        if not h.on_state and h.c >= 0.0 and np.count_nonzero(b) == 1 and b.max() > 0.0:
+            found |= b > 0.0
+    return found
 
 
 def obstacles_on_state(automaton: HybridAutomaton, mode: str) -> tuple[Region, ...]:

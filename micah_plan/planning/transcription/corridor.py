@@ -29,7 +29,7 @@ from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
 from micah_plan.automaton.input_reversal import input_reversal_of
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.planning.limits import Limits
-from micah_plan.planning.transcription.guess import PhaseGuess
+from micah_plan.planning.transcription.guess import PhaseGuess, crossed
 from micah_plan.planning.transcription.rows import Row, boundary_name, unit_of
 from micah_plan.planning.zero_time_transitions import ZeroTimeEdge, front_of
 from micah_plan.symbolic.compiled import CasadiOperations, compiled_edge, compiled_mode
@@ -179,16 +179,10 @@ def _entered_before(mode: Mode, leaving: Edge, guess: PhaseGuess) -> tuple[HalfS
     The transition happens within that step, at the instant at which the last half-space is entered: where the mode
     ends, or else the one that the guess enters last. The others must hold until then, not only at the next knot.
     """
-    chained = isinstance(leaving, ZeroTimeEdge)
-    rows = [h for h in (front_of(leaving) if chained else leaving.guard.half_spaces) if h.on_state]
-    if leaving.guard.on_input or len(rows) < 2 or guess.steps < 2:
+    if leaving.guard.on_input or guess.steps < 2:
         return ()
-    ends = [h for h in rows if any(inside.excludes(h) for inside in mode.invariant.half_spaces)]
-    if not ends:
-        before, after = (np.array([np.array(h.a) @ guess.means[k] - h.c for h in rows]) for k in (-2, -1))
-        change = np.where(after > before, after - before, np.inf)
-        ends = [rows[int(np.argmax(np.where(before < 0.0, -before / change, -np.inf)))]]
-    return tuple(h for h in rows if h not in ends)
+    rows, ends, far = crossed(mode, leaving, guess.means[-2], guess.means[-1], 0.0)
+    return tuple(h for h in rows if h not in (*ends, *far)) if len(rows) > 1 else ()
 
 
 def mixed_guards(automaton: HybridAutomaton, guess: PhaseGuess) -> dict[tuple[HalfSpace, ...], Edge]:

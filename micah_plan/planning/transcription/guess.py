@@ -9,13 +9,15 @@ import casadi as ca
 import numpy as np
 
 from micah_plan.arrays import Floats
-from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
 from micah_plan.automaton.input_reversal import matrix_after
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.limits import (
     Limits,
     NoWayError,
+    drift_of,
+    drifts,
     holding_inputs,
     input_length,
     linear_step,
@@ -26,7 +28,7 @@ from micah_plan.planning.search.mode_search import ModeSequence
 from micah_plan.planning.search.path_beliefs import MOST_LOCALISING_STEPS, WORTH_A_STEP, steps_to_correct_start
 from micah_plan.planning.search.polytope import nominal_start
 from micah_plan.planning.transcription.stops import planned_step
-from micah_plan.planning.zero_time_transitions import stds_of
+from micah_plan.planning.zero_time_transitions import ZeroTimeEdge, front_of, stds_of
 from micah_plan.symbolic.compiled import CompiledMode, compiled_edge, compiled_mode
 from micah_plan.task.problem import Problem
 
@@ -78,7 +80,9 @@ def guess(problem: Problem, limits: Limits, sequence: ModeSequence, stretch: flo
     """
     flows = [motion_per_input(problem.automaton, mode, limits.max_step) for mode in sequence.modes]
     needed = [
-        input_length(path, B, limits, holding_inputs(problem.automaton, mode, path, B))
+        input_length(
+            path, B, limits, holding_inputs(problem.automaton, mode, path, B), _drift(problem.automaton, mode, path)
+        )
         for mode, path, B in zip(sequence.modes, sequence.waypoints, flows, strict=True)
     ]
     steps = _divide(problem, limits, sequence, needed, stretch)
@@ -156,6 +160,7 @@ def _roll(
     is_transition = np.zeros(len(modes) - 1, dtype=bool)
     is_transition[np.cumsum(np.array(steps) + 1)[:-1] - 1] = True
     gains = belief_lqr(problem, limits, tuple(modes), is_transition)
+    is_late = drifts(problem)
     spread = np.zeros_like(factor)
     phases: list[PhaseGuess] = []
     needed, first_knot = [], 0
@@ -165,13 +170,15 @@ def _roll(
         gain_of_step = gains[first_knot : first_knot + count]
         closed = A + slope @ gain_of_step
         edge = sequence.edges[p] if p < len(sequence.edges) else None
-        path = np.vstack([mean, *sequence.waypoints[p][1:]])
+        # What drifts is elsewhere by now than where the search has met it.
+        path = np.vstack([mean, *sequence.waypoints[p][0 if is_late and len(sequence.waypoints[p]) == 1 else 1 :]])
         if edge is not None:
             _, factors = _roll_phase(planned_step(automaton, name), mean, factor, np.zeros((count, automaton.m)))
             covariance = factors[-1] @ factors[-1].T + _spreads(mode, spread, factors, closed)[-1]
-            path = np.vstack([path, _inside(path[-1], covariance, edge, problem, limits)])
+            path = np.vstack([path, _inside(path[0], path[-1], covariance, edge, problem, limits)])
         B = motion_per_input(automaton, name, limits.max_step)
-        needed.append(input_length(path, B, limits, holding_inputs(automaton, name, path, B)))
+        held, drift = holding_inputs(automaton, name, path, B), _drift(automaton, name, path)
+        needed.append(input_length(path, B, limits, held, drift))
         states = _resample(path, limits.speed, count)
         inputs = np.diff(states, axis=0) @ np.linalg.pinv(B).T + holding_inputs(automaton, name, states[:-1], B)
         if edge is not None and automaton.input_memories and not mode.mode.B.any():
@@ -187,6 +194,11 @@ def _roll(
             mean, factor = _belief(compiled_edge(automaton, edge).belief_reset(means[-1], factors[-1], u))
             spread = _carried(automaton, edge, spreads[-1])
     return tuple(phases), needed
+
+
+def _drift(automaton: HybridAutomaton, mode: str, path: Floats) -> Floats:
+    """(n,) how far a step moves what no input moves, where a path (w, n) begins."""
+    return drift_of(automaton, automaton.mode(mode), path[0])
 
 
 def _spreads(mode: CompiledMode, spread: Floats, factors: Floats, closed: Floats) -> Floats:
@@ -241,22 +253,59 @@ def _localising_steps(problem: Problem, phase: PhaseGuess, spare: int) -> int:
     return min(spare, MOST_LOCALISING_STEPS)
 
 
-def _inside(x: Floats, covariance: Floats, edge: int, problem: Problem, limits: Limits) -> Floats:
-    """A state near x at which every row on x of a guard holds with the planned confidence, as far as B can reach."""
+def _inside(start: Floats, x: Floats, covariance: Floats, edge: int, problem: Problem, limits: Limits) -> Floats:
+    """A state near x at which a guard holds with the planned confidence, as far as B can reach from a start.
+
+    But for what faces the half-space that is crossed: that holds when it is.
+    """
     k = problem.settings.sigmas
     moved = x.copy()
     taken = problem.automaton.edges[edge]
-    guard, B = taken.guard, problem.automaton.mode(taken.source).B
+    guard, source = taken.guard, problem.automaton.mode(taken.source)
+    far = crossed(source, taken, start, x, k)[2]
     for _ in range(3):  # rows that are not perpendicular disturb each other a little
         for row, std in zip(guard.half_spaces, stds_of(taken), strict=True):
             need = guard_need(problem.automaton, taken.source, row, std, (moved, covariance), k)
-            direction = B @ (B.T @ need.a)
-            if row.on_input or need.a @ direction <= 0:
+            direction = source.B @ (source.B.T @ need.a)
+            if row.on_input or row in far or need.a @ direction <= 0:
                 continue
             wanted = k * need.std(covariance) + 2 * STRICT_SHARE * float(np.abs(need.a) @ limits.speed)
             short = max(0.0, wanted - float(need.a @ moved - need.c))
             moved = moved + direction * short / float(need.a @ direction)
     return np.asarray(moved)
+
+
+def crossed(
+    mode: Mode, leaving: Edge, before: Floats, after: Floats, k: float
+) -> tuple[list[HalfSpace], list[HalfSpace], list[HalfSpace]]:
+    """The half-spaces on the state of a guard on it, those that a motion enters last, and those that face these.
+
+    A transition happens at the instant at which the last half-space is entered: where the mode ends, or else the one
+    that the motion from one state (n,) to another enters last. What faces it (the far side of a plate) holds then,
+    however far the step would go on.
+
+    Args:
+        k: standard deviations of both thresholds that must lie between a half-space and one that faces it.
+    """
+    guard = front_of(leaving) if isinstance(leaving, ZeroTimeEdge) else leaving.guard.half_spaces
+    rows = [h for h in guard if h.on_state]
+    if leaving.guard.on_input or not rows:
+        return rows, [], []
+    ends = [h for h in rows if any(inside.excludes(h) for inside in mode.invariant.half_spaces)]
+    if not ends:
+        here, there = (np.array([np.array(h.a) @ x - h.c for h in rows]) for x in (before, after))
+        change = np.where(there > here, there - here, np.inf)
+        ends = [rows[int(np.argmax(np.where(here < 0.0, -here / change, -np.inf)))]]
+    stds = dict(zip(leaving.guard.half_spaces, stds_of(leaving), strict=True))
+
+    def lies_beyond(h: HalfSpace, end: HalfSpace) -> bool:
+        if not h.faces(end):
+            return False
+        sizes = float(np.linalg.norm(h.a)), float(np.linalg.norm(end.a))
+        between = -h.c / sizes[0] - end.c / sizes[1]
+        return between > k * float(np.hypot(stds[h] / sizes[0], stds[end] / sizes[1]))
+
+    return rows, ends, [h for h in rows if any(lies_beyond(h, end) for end in ends)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,7 +53,7 @@ from micah_plan.planning.transcription.corridor import (
     path_rows,
     pattern_entries,
 )
-from micah_plan.planning.transcription.guess import STRICT_SHARE, PhaseGuess, guard_need
+from micah_plan.planning.transcription.guess import STRICT_SHARE, PhaseGuess, crossed, guard_need
 from micah_plan.planning.transcription.inputs import InputRow, deepest, input_rows, spread_across
 from micah_plan.planning.transcription.rows import ConstraintRows, Row, unit_of
 from micah_plan.planning.transcription.stops import planned_step
@@ -302,11 +302,13 @@ def _join(nlp: Transcription, before: int, after: int) -> None:
     crossing = _crossing_function(edge, nlp.pattern, automaton.m)
     margins, stds, reset = crossing(state, u, ca.MX(u) if by_input else last)
     settings, knot = nlp.problem.settings, guess.first_knot + guess.steps
-    free = automaton.mode(guess.mode).free
+    source = automaton.mode(guess.mode)
+    free, before_last = source.free, guess.means[-2] if guess.steps else guess.means[-1]
+    beyond = crossed(source, edge.edge, before_last, guess.means[-1], settings.sigmas)[2]
     for i, (half_space, own) in enumerate(zip(edge.edge.guard.half_spaces, stds_of(edge.edge), strict=True)):
         # Where the mode pins x the guard's rows on it hold or not whatever the plan; the search has checked them.
         certain = not np.any(np.array(half_space.a)[free])
-        if certain and not half_space.on_input:
+        if (certain and not half_space.on_input) or half_space in beyond:
             continue
         scale = float(np.abs(half_space.a) @ nlp.limits.speed + np.abs(half_space.b) @ nlp.limits.max_step)
         low = STRICT_SHARE * scale if half_space.strict else 0.0

@@ -1,0 +1,58 @@
+"""Time as an input of the search: what drifts by itself gets anywhere along its drift, if a plan waits.
+
+A gate that rises, a lid that falls shut, a belt that carries a box away are moved by no input. To a search over inputs
+they would stand still for ever: what is in the way now would always be. Here waiting is one more input, which moves
+them as far in one of its steps as they drift in a step of time, forwards only. It costs what other steps cost, and
+nothing beside a motion that goes on meanwhile.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from micah_plan.automaton.hybrid import Coordinate, Edge
+from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.planning.limits import drift_of, drifts
+from micah_plan.task.problem import Problem
+
+_TIME = "time"
+
+
+def with_passing_time(problem: Problem) -> Problem:
+    """The problem with time as a further input; itself where nothing drifts that no input of its mode moves."""
+    if not drifts(problem):
+        return problem
+    automaton, start = problem.automaton, np.array(problem.start.mean)
+    forwards = HalfSpace((0.0,) * automaton.n, (0.0,) * automaton.m + (1.0,), 0.0, name=f"input {_TIME} >= 0")
+    modes = tuple(
+        replace(
+            mode,
+            input_matrix=tuple(map(tuple, np.column_stack([mode.B, drift_of(automaton, mode, start)]).tolist())),
+            invariant=_longer(mode.invariant),
+            inputs=Region((*_longer(mode.inputs).half_spaces, forwards)),
+        )
+        for mode in automaton.modes
+    )
+    whole = replace(
+        automaton,
+        inputs=(*automaton.inputs, Coordinate(_TIME, "m")),
+        modes=modes,
+        edges=tuple(_edge(edge) for edge in automaton.edges),
+        init=tuple((name, _longer(region)) for name, region in automaton.init),
+    )
+    settings = problem.settings
+    if settings.max_step is not None:
+        settings = replace(settings, max_step=(*settings.max_step, 1.0))
+    return replace(problem, automaton=whole, settings=settings)
+
+
+def _longer(region: Region) -> Region:
+    return Region(tuple(replace(h, b=(*h.b, 0.0)) for h in region.half_spaces))
+
+
+def _edge(edge: Edge) -> Edge:
+    B = edge.reset.B
+    reset = edge.reset if B is None else replace(edge.reset, B=tuple((*row, 0.0) for row in B))
+    return replace(edge, guard=_longer(edge.guard), reset=reset)
