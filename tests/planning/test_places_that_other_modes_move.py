@@ -24,13 +24,17 @@ def automaton(modes: tuple[Mode, ...], edges: tuple[Edge, ...], measured: float 
     return HybridAutomaton((x, y), (x,), links, (Part("x"), Part("y")), modes, edges, noise)
 
 
-def gripping(width: float) -> Problem:
-    """The hand takes hold of a part whose place it sees on the way, from 1 cm to `width` in front of it."""
+def gripping(width: float, *asked: HalfSpace) -> Problem:
+    """The hand takes hold of a part whose place it sees on the way, from 1 cm to `width` in front of it.
+
+    Args:
+        asked: what must hold besides.
+    """
     approach = Mode("approach", JOINTS, ((1.0,), (0.0,)), Region(()))
     carry = Mode("carry", JOINTS, ((1.0,), (1.0,)), Region(()))
     near = HalfSpace((1.0, -1.0), (0.0,), -width - 0.01, False, "near")
     not_too_near = HalfSpace((-1.0, 1.0), (0.0,), 0.01, False, "not too near")
-    edges = (Edge("approach", "carry", Region((near, not_too_near))),)
+    edges = (Edge("approach", "carry", Region((near, not_too_near, *asked))),)
     return Problem(automaton((approach, carry), edges), Start((0.0, 0.4), (0.002, 0.03)), Goal(((1, 0.8, 0.05),)))
 
 
@@ -43,8 +47,16 @@ def test_a_part_is_met_where_it_is_believed_to_be_and_then_carried() -> None:
 
 
 @pytest.mark.slow
-def test_a_guard_far_narrower_than_what_is_known_is_refused() -> None:
-    assert solve(gripping(0.0005)).outcome != "solved"
+def test_a_guard_far_narrower_than_what_is_known_is_taken_by_who_passes_through_it() -> None:
+    result = solve(gripping(0.0005))
+    assert result.outcome == "solved", result.reason
+    assert execute(result, trials=40, seed=1).successes >= 37
+
+
+@pytest.mark.slow
+def test_a_guard_far_narrower_than_what_is_known_that_asks_for_an_input_is_refused() -> None:
+    backwards = HalfSpace((0.0, 0.0), (-1.0,), 0.0, True, "backwards")
+    assert solve(gripping(0.0005, backwards)).outcome != "solved"
 
 
 @pytest.mark.sweep

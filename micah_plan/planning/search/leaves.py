@@ -71,15 +71,13 @@ class Leaves:
 
     def numbers(self, points: Floats) -> Ints:
         """(k,) leaf of each state (k, n), counted as they first appear."""
-        values, first = (points / self.speed) @ self.kept.T, list[Floats]()
-        numbers = np.zeros(len(points), dtype=np.int64)
+        values = (points / self.speed) @ self.kept.T
+        numbers, count, firsts = np.zeros(len(points), dtype=np.int64), 0, np.empty_like(values)
         for row, value in enumerate(values if self.are_many else ()):
-            same = np.flatnonzero(
-                [np.abs(value - representative).max(initial=0.0) <= _SAME_LEAF for representative in first]
-            )
-            numbers[row] = same[0] if same.size else len(first)
+            same = np.flatnonzero(np.abs(firsts[:count] - value).max(axis=1, initial=0.0) <= _SAME_LEAF)
+            numbers[row] = same[0] if same.size else count
             if not same.size:
-                first.append(value)
+                firsts[count], count = value, count + 1
         return numbers
 
     def put_on(self, x: Floats, points: Floats) -> Floats:

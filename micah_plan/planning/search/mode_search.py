@@ -33,7 +33,14 @@ from micah_plan.planning.roll_outs import FEW_MODES
 from micah_plan.planning.search.leaves import leaves_of
 from micah_plan.planning.search.mode_paths import VertexPath, cheapest_sequences
 from micah_plan.planning.search.path_beliefs import PathBeliefs
-from micah_plan.planning.search.roadmap import JoinedRoadmap, ModeMotion, along, motions_of, roadmap_of
+from micah_plan.planning.search.roadmap import (
+    JoinedRoadmap,
+    ModeMotion,
+    along,
+    motions_of,
+    roadmap_of,
+    without_each_obstacle,
+)
 from micah_plan.planning.search.samples import Samples, sample_modes
 from micah_plan.task.problem import Problem
 from micah_plan.task.settings import NEVER, Deadline, TimeLimitError
@@ -207,24 +214,25 @@ def _in_the_way(
 ) -> tuple[str, ...]:
     """The constraints on the path, and the guards on states in all modes, without any one of which the same samples
     would connect start and goal."""
-    without, constraints = dict[str, Problem](), []
+    leaves = {mode.name: leaves_of(mode, limits) for mode in problem.automaton.modes}
+    easier = dict[str, dict[str, csr_array]]()
     for constraint in problem.constraints:
-        without[constraint.name] = replace(
-            problem, constraints=tuple(c for c in problem.constraints if c.name != constraint.name)
-        )
-    for edge in problem.automaton.edges:
-        if not edge.is_self_transition and not edge.guard.on_input:
-            others = tuple(e for e in problem.automaton.edges if e.guard.name != edge.guard.name)
-            without.setdefault(edge.guard.name, replace(problem, automaton=replace(problem.automaton, edges=others)))
-    for name, easier in without.items():
-        motions = motions_of(easier, limits)
+        others = tuple(c for c in problem.constraints if c.name != constraint.name)
+        motions = motions_of(replace(problem, constraints=others), limits)
         if deadline.is_over():  # that nothing connects them is certain; what is in the way is not
             return ()
-        leaves = {mode.name: leaves_of(mode, limits) for mode in problem.automaton.modes}
-        graphs = {mode: roadmap_of(points[mode], leaves[mode], motions[mode]) for mode in points}
-        if cheapest_sequences(replace(roadmap, graphs=graphs), 1, revisits=problem.settings.revisits):
-            constraints.append(name)
-    return tuple(constraints)
+        easier[constraint.name] = {mode: roadmap_of(points[mode], leaves[mode], motions[mode]) for mode in points}
+    motions = motions_of(problem, limits)
+    for mode in points:
+        for name, graph in without_each_obstacle(points[mode], leaves[mode], motions[mode]).items():
+            easier[name] = {**easier.get(name, roadmap.graphs), mode: graph}
+    found, revisits = [], problem.settings.revisits
+    for name, graphs in easier.items():
+        if deadline.is_over():
+            return ()
+        if cheapest_sequences(replace(roadmap, graphs=graphs), 1, revisits=revisits):
+            found.append(name)
+    return tuple(found)
 
 
 # Stops on the way, and how many of the best beginnings get one more.

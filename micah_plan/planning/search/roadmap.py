@@ -9,7 +9,7 @@ NumPy batch.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import permutations
 from typing import Any
@@ -204,15 +204,35 @@ def along(links: Ints, vertex: int, end: int) -> list[int]:
 
 def roadmap_of(points: Floats, leaves: Leaves, motion: ModeMotion, deadline: Deadline = NEVER) -> csr_array:
     """(v, v) costs [steps] of the allowed motions along PRM*'s connections between the states (v, n) on each leaf."""
-    numbers, leaf, edges = leaves.own(points), leaves.numbers(points), [np.zeros((0, 2), dtype=np.int64)]
-    for number in range(leaf.max(initial=-1) + 1):
-        rows = np.flatnonzero(leaf == number)
-        edges.append(rows[_prm_connections(numbers[rows], deadline)])
-    pairs = np.concatenate(edges)
-    steps = motion.steps(points[pairs[:, 0]], points[pairs[:, 1]])
+    pairs = connections_of(points, leaves, deadline)
+    return _graph(points, pairs, motion.steps(points[pairs[:, 0]], points[pairs[:, 1]]))
+
+
+def connections_of(points: Floats, leaves: Leaves, deadline: Deadline = NEVER) -> Ints:
+    """(e, 2) PRM*'s connections between the states (v, n) on each leaf, whatever is in the way."""
+    numbers, leaf, none = leaves.own(points), leaves.numbers(points), np.zeros((0, 2), dtype=np.int64)
+    rows_of = np.split(np.argsort(leaf, kind="stable"), np.cumsum(np.bincount(leaf))[:-1]) if len(leaf) else []
+    return np.concatenate([none, *(rows[_prm_connections(numbers[rows], deadline)] for rows in rows_of)])
+
+
+def _graph(points: Floats, pairs: Ints, steps: Floats) -> csr_array:
     allowed = np.isfinite(steps)
     pairs, steps = pairs[allowed], np.maximum(steps[allowed], ROUND_OFF)
     return coo_array((steps, (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points))).tocsr()
+
+
+def without_each_obstacle(points: Floats, leaves: Leaves, motion: ModeMotion) -> dict[str, csr_array]:
+    """`roadmap_of` of a mode without the obstacles of each name."""
+    pairs = connections_of(points, leaves)
+    x, y = points[pairs[:, 0]], points[pairs[:, 1]]
+    free = replace(motion, obstacles=()).steps(x, y)
+    blocked = {number: _blocked(obstacle, x, y) for number, obstacle in enumerate(motion.obstacles)}
+    by_all = np.sum(list(blocked.values()), axis=0) if blocked else np.zeros(len(pairs), dtype=np.int64)
+    graphs = dict[str, csr_array]()
+    for name in dict.fromkeys(obstacle.name for obstacle in motion.obstacles):
+        own = np.sum([blocked[k] for k, obstacle in enumerate(motion.obstacles) if obstacle.name == name], axis=0)
+        graphs[name] = _graph(points, pairs, np.where(by_all > own, np.inf, free))
+    return graphs
 
 
 def _prm_connections(points: Floats, deadline: Deadline) -> Ints:

@@ -106,7 +106,7 @@ def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, k: f
     stds = _threshold_stds(automaton, mode, [h for h, *_ in fixed])
     for step in range(1, guess.steps + 1):
         near = [h for wall in walls for h in wall[step - 1 : step + 1] if h is not None]
-        chosen = fixed + [(h, -1.0, True) for h in dict.fromkeys(near)]
+        chosen = fixed + [(h, -1.0, True) for h in _nearest(near)]
         if step == guess.steps - 1:
             chosen += [(h, 1.0, True) for h in sides]
         if turn is not None and step < guess.steps:
@@ -119,6 +119,17 @@ def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, k: f
             if (side := boundaries[key]) is not None:
                 rows.append(CorridorRow(side, step, uncertain))
     return rows
+
+
+def _nearest(outside: Iterable[HalfSpace]) -> list[HalfSpace]:
+    """Of half-spaces to stay out of, the first of each direction: who is out of it is out of all behind it."""
+    nearest = dict[tuple[float, ...], HalfSpace]()
+    for h in outside:
+        direction = tuple((np.round(np.array(h.a) / np.linalg.norm(h.a), 9) + 0.0).tolist())
+        before = nearest.get(direction)
+        if before is None or h.c / np.linalg.norm(h.a) < before.c / np.linalg.norm(before.a):
+            nearest[direction] = h
+    return list(nearest.values())
 
 
 def _side(
