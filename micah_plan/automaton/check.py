@@ -25,6 +25,7 @@ from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Pin, Tie
 from micah_plan.automaton.joint import KINDS
+from micah_plan.automaton.memo import memoised
 from micah_plan.automaton.region import HalfSpace, Interval, Region, is_empty
 from micah_plan.errors import InputError, shown
 from micah_plan.quantities import LARGEST
@@ -217,12 +218,18 @@ def _check_fixed_at(automaton: HybridAutomaton, mode: Mode, link: int) -> None:
 
 def _check_connected(automaton: HybridAutomaton, mode: Mode) -> None:
     """Refuse a mode that no transition enters or leaves, where there are other modes."""
-    changes = [edge for edge in automaton.edges if not edge.is_self_transition]
-    if len(automaton.modes) > 1 and not any(mode.name in (edge.source, edge.target) for edge in changes):
+    if len(automaton.modes) > 1 and mode.name not in _connected(automaton):
         raise InputError(
             f"mode {mode.name} is not connected: no transition enters or leaves it",
             remedy="add a transition or remove the mode",
         )
+
+
+@memoised
+def _connected(automaton: HybridAutomaton) -> frozenset[str]:
+    """The modes that some transition enters or leaves."""
+    changes = [edge for edge in automaton.edges if not edge.is_self_transition]
+    return frozenset(name for edge in changes for name in (edge.source, edge.target))
 
 
 def _check_entry(automaton: HybridAutomaton, edge: Edge) -> None:

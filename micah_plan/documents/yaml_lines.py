@@ -25,7 +25,8 @@ from micah_plan.errors import InputError, shown
 from micah_plan.files import read_bytes
 
 LARGEST_TEXT_BYTES = 4 * 1024 * 1024
-MOST_VALUES = 100_000
+MOST_VALUES = 400_000
+"""Values of a text, and of what its aliases stand for: a model of some four thousand modes."""
 DEEPEST = 24
 _LINE_WIDTH = 120
 
@@ -141,7 +142,7 @@ def _events(text: str, source: str) -> Iterator[events.Event]:
             raise _error(source, _place(event.start_mark), problem, "write the value out")
         if count > MOST_VALUES:
             problem = f"expected at most {MOST_VALUES} values"
-            raise _error(source, _place(event.start_mark), problem, "split the file")
+            raise _error(source, _place(event.start_mark), problem, "leave out what is not needed")
         yield event
 
 
@@ -208,7 +209,7 @@ class _Reader:
         self._check_depth(event, path)
         self._expanded += 1
         if self._expanded > MOST_VALUES:
-            raise self._error(event, f"aliases stand for more than {MOST_VALUES} values", "split the file")
+            raise self._error(event, f"aliases stand for more than {MOST_VALUES} values", "write out what is needed")
         self._places.setdefault(path, self._places[origin])
         if isinstance(value, dict):
             return {key: self._meant(event, (*origin, key), item, (*path, key)) for key, item in value.items()}
