@@ -68,7 +68,10 @@ def tight_places(problem: Problem, limits: Limits, path: BeliefPath, size_of_sta
         if row.kind != "boundary" or row.sign > 0 or row.half_space is None:
             continue
         x, normal = path.means[row.knot][:size_of_state], np.abs(np.array(row.half_space.a))[:size_of_state]
-        width = (shortfall.width or 0.0) / float(np.linalg.norm(normal))
+        # Only what is too narrow for the belief is cut out from side to side.
+        narrow = 2.0 * problem.settings.sigmas * (shortfall.std or 0.0)
+        width = max(shortfall.width or 0.0, 0.0) if (shortfall.width or 0.0) < narrow else 0.0
+        width /= float(np.linalg.norm(normal))
         reach = np.maximum(limits.speed, width * normal / float(np.linalg.norm(normal)))
         sides = [(i, sign) for i in np.flatnonzero(problem.automaton.mode(row.mode).driven) for sign in (1.0, -1.0)]
         rows = [
