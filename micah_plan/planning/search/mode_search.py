@@ -38,6 +38,7 @@ from micah_plan.planning.search.roadmap import (
     ModeMotion,
     along,
     motions_of,
+    obstacles_on_state,
     roadmap_of,
     without_each_obstacle,
 )
@@ -45,6 +46,8 @@ from micah_plan.planning.search.samples import Samples, sample_modes
 from micah_plan.task.problem import Problem
 from micah_plan.task.settings import NEVER, Deadline, TimeLimitError
 
+# Times as many states before what does not connect is called unconnected.
+_MORE_STATES = 6
 # Transitions more than the shortest sequence has: there and back once.
 _MORE_TRANSITIONS = 2
 
@@ -75,10 +78,15 @@ class ModeSequence:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """The sequences found, cheapest first, or the reason why there are none."""
+    """The sequences found, cheapest first, or the reason why there are none.
+
+    Attributes:
+        is_sparse: whether more states might have connected start and goal.
+    """
 
     sequences: tuple[ModeSequence, ...]
     reason: str = ""
+    is_sparse: bool = False
 
 
 def search_modes(
@@ -143,7 +151,18 @@ def _distances(neighbours: Mapping[str, set[str]], first: set[str]) -> dict[str,
 
 
 def _searched(problem: Problem, limits: Limits, start_mode: str, seed: int, deadline: Deadline) -> SearchResult:
-    """`search_modes` in all modes of a problem."""
+    """`search_modes` in all modes of a problem; among obstacles once more with more states if few do not connect."""
+    found = _among_states(problem, limits, start_mode, seed, deadline)
+    among = any(obstacles_on_state(problem.automaton, mode.name) for mode in problem.automaton.modes)
+    if found.sequences or not found.is_sparse or not among:
+        return found
+    many = replace(problem.settings, samples_per_mode=_MORE_STATES * problem.settings.samples_per_mode)
+    with suppress(TimeLimitError):
+        found = _among_states(replace(problem, settings=many), limits, start_mode, seed, deadline)
+    return found
+
+
+def _among_states(problem: Problem, limits: Limits, start_mode: str, seed: int, deadline: Deadline) -> SearchResult:
     samples = sample_modes(problem, limits, start_mode, np.random.default_rng(seed), deadline)
     if reason := why_unreachable(problem, limits, samples):
         return SearchResult((), reason)
@@ -154,7 +173,8 @@ def _searched(problem: Problem, limits: Limits, start_mode: str, seed: int, dead
     if not shortest:
         deadline.check("search", "no mode sequence was complete", "samples_per_mode")
         in_the_way = _in_the_way(problem, limits, roadmap, samples.points, deadline)
-        return SearchResult((), why_disconnected(problem, limits, samples, in_the_way))
+        reason = why_disconnected(problem, limits, samples, in_the_way)
+        return SearchResult((), reason, is_sparse=not samples.is_cut_short)
     beliefs = PathBeliefs(problem, limits, roadmap, samples.points)
     localising = LocalisingSearch(roadmap, beliefs, revisits, deadline)
     detours: list[ScoredPath] = []
