@@ -85,6 +85,43 @@ def tight_places(problem: Problem, limits: Limits, path: BeliefPath, size_of_sta
     return cuts
 
 
+def with_room(problem: Problem) -> Problem:
+    """The problem with what must not be entered larger on all sides by what a belief needs, for one more search.
+
+    A shortest path goes along faces and around corners as if the state were known. What ends everything is enlarged by
+    k stds of a belief that has settled, but not so far that the start lies in it.
+    """
+    automaton, start = problem.automaton, np.array(problem.start.mean)[None]
+    traps = {mode.name for mode in automaton.modes if is_final(automaton, mode)}
+    if problem.goal.modes:
+        traps -= set(problem.goal.modes)
+    reach = problem.settings.sigmas * np.sqrt(2.0) * _settled(automaton)
+    nothing = np.zeros((1, automaton.m))
+
+    def wider(edge: Edge) -> Edge:
+        guard = edge.guard
+        if edge.target not in traps or guard.on_input or not guard.half_spaces:
+            return edge
+        rows = tuple(replace(h, c=h.c - float(np.linalg.norm(np.array(h.a) * reach))) for h in guard.half_spaces)
+        larger = Region(rows)
+        return edge if larger.contains(start, nothing).any() else replace(edge, guard=larger)
+
+    changed = replace(automaton, edges=tuple(map(wider, automaton.edges)))
+    return replace(problem, automaton=sharing_motion(changed, automaton))
+
+
+def _settled(automaton: HybridAutomaton) -> Floats:
+    """(n,) std of a coordinate that is moved and measured for long: the steady state of its Kalman filter."""
+    process, observed = (np.array(stds, dtype=float) for stds in (automaton.noise.process_std, _seen(automaton)))
+    return np.asarray(np.sqrt(0.5 * process * (process + np.sqrt(process**2 + 4.0 * observed**2))))
+
+
+def _seen(automaton: HybridAutomaton) -> Floats:
+    """(n,) std of a measurement; 0 for what is not measured: no room helps there."""
+    stds = np.array(automaton.noise.observation_std, dtype=float)
+    return np.where(np.isfinite(stds), stds, 0.0)
+
+
 # As near as this at the start, a part touches a body: they are joined, or it rests on it, and the two may meet [m].
 _TOUCHING = 1e-3
 

@@ -20,7 +20,7 @@ import numpy as np
 from micah_plan.arrays import EQUAL, Floats
 from micah_plan.automaton.input_memory import own_size
 from micah_plan.planning.attempt import Attempt, attempted
-from micah_plan.planning.cuts import Cut, tight_places, without
+from micah_plan.planning.cuts import Cut, tight_places, with_room, without
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.findings import finding_of_reason, finding_of_status, findings_of, sentence_of
 from micah_plan.planning.limits import (
@@ -108,6 +108,10 @@ def _with_detours(attempt: Attempt) -> list[_Tried]:
     limits, size_of_state = limits_of(plain), own_size(attempt.problem.automaton)
     search_result = _searched(attempt, plain, cuts)
     tried = _optimised_each(attempt, search_result.sequences, search_result.reason)
+    if not any(attempt_result.is_whole for attempt_result in tried):
+        with suppress(TimeLimitError):
+            detours = [way for way in _searched(attempt, with_room(plain), cuts).sequences if not _is_known(way, tried)]
+            tried += _optimised_each(attempt, detours) if detours else []
     for _ in range(_MOST_DETOURS):
         tight = [
             cut
@@ -200,6 +204,11 @@ class _Tried:
     message: str
     findings: tuple[Finding, ...] = ()
     corners: tuple[Floats, ...] = ()
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether there is a path on which all boundaries hold with the confidence."""
+        return self.path is not None and self.path.feasible and not self.path.in_part
 
     def price(self, problem: Problem) -> float:
         """Its cost with that of its time; infinite if there is no path."""
