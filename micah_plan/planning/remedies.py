@@ -130,7 +130,9 @@ def _number(problem: Problem, offer: Offer) -> str:
     if offer.kind == "root":
         return f"[{', '.join(_text(value) for _, value in offer.values)}] m"
     coordinates = problem.automaton.coordinates
-    first, *others = [(coordinates[i], value) for i, value in offer.values]
+    # The coordinate that the words name comes first: its number follows them.
+    named = sorted(offer.values, key=lambda pair: f"'{coordinates[pair[0]].name}'" not in offer.words)
+    first, *others = [(coordinates[i], value) for i, value in named]
     texts = [f"{_text(first[1])} {first[0].unit}"]
     texts += [f"that of '{c.name}' to {_text(value)} {c.unit}" for c, value in others]
     return texts[0] if len(texts) == 1 else ", ".join(texts[:-1]) + f" and {texts[-1]}"
