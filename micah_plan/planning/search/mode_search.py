@@ -152,17 +152,19 @@ def _distances(neighbours: Mapping[str, set[str]], first: set[str]) -> dict[str,
 
 def _searched(problem: Problem, limits: Limits, start_mode: str, seed: int, deadline: Deadline) -> SearchResult:
     """`search_modes` in all modes of a problem; among obstacles once more with more states if few do not connect."""
-    found = _among_states(problem, limits, start_mode, seed, deadline)
     among = any(obstacles_on_state(problem.automaton, mode.name) for mode in problem.automaton.modes)
-    if found.sequences or not found.is_sparse or not among:
+    if not among:
+        return _among_states(problem, limits, start_mode, seed, deadline)
+    found = _among_states(problem, limits, start_mode, seed, deadline, is_last=False)
+    if not found.is_sparse:
         return found
     many = replace(problem.settings, samples_per_mode=_MORE_STATES * problem.settings.samples_per_mode)
-    with suppress(TimeLimitError):
-        found = _among_states(replace(problem, settings=many), limits, start_mode, seed, deadline)
-    return found
+    return _among_states(replace(problem, settings=many), limits, start_mode, seed, deadline)
 
 
-def _among_states(problem: Problem, limits: Limits, start_mode: str, seed: int, deadline: Deadline) -> SearchResult:
+def _among_states(
+    problem: Problem, limits: Limits, start_mode: str, seed: int, deadline: Deadline, *, is_last: bool = True
+) -> SearchResult:
     samples = sample_modes(problem, limits, start_mode, np.random.default_rng(seed), deadline)
     if reason := why_unreachable(problem, limits, samples):
         return SearchResult((), reason)
@@ -172,9 +174,10 @@ def _among_states(problem: Problem, limits: Limits, start_mode: str, seed: int, 
     shortest = cheapest_sequences(roadmap, candidates, revisits=revisits, is_over=deadline.is_over)
     if not shortest:
         deadline.check("search", "no mode sequence was complete", "samples_per_mode")
+        if not is_last and not samples.is_cut_short:
+            return SearchResult((), is_sparse=True)
         in_the_way = _in_the_way(problem, limits, roadmap, samples.points, deadline)
-        reason = why_disconnected(problem, limits, samples, in_the_way)
-        return SearchResult((), reason, is_sparse=not samples.is_cut_short)
+        return SearchResult((), why_disconnected(problem, limits, samples, in_the_way))
     beliefs = PathBeliefs(problem, limits, roadmap, samples.points)
     localising = LocalisingSearch(roadmap, beliefs, revisits, deadline)
     detours: list[ScoredPath] = []

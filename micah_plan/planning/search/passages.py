@@ -207,7 +207,7 @@ class _Search:
             ]
         )
         least = np.concatenate([prefix.least, np.zeros(2 * v), -apart - room / scale, apart - room / scale])
-        # As sequences are compared: else a step made and one left would weigh the same, and nothing need be done at all.
+        # As sequences are compared: else a step made and one left weigh the same, and nothing need be done at all.
         left = np.full(g, 1.0 if done else _EAGERNESS)
         cost = np.concatenate([np.zeros(v), np.tile(1.0 / self.limits.max_step, v // m if m else 0), left])
         solution = self._solved(cost, rows, least, v)

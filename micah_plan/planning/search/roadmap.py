@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import permutations
+from itertools import combinations, permutations
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from micah_plan.arrays import EQUAL, ROUND_OFF, Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
-from micah_plan.automaton.region import Region
+from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.planning.limits import Limits, holding_inputs, room_for_motion
 from micah_plan.planning.path_constraints import admitted
 from micah_plan.planning.search.leaves import Leaves
@@ -49,6 +49,7 @@ class ModeMotion:
         speed: (n,) scale of each coordinate [rad or m per step].
         obstacles: guards on x alone that leave the mode: a motion may end on the boundary of one, where the transition
             happens, but not enter it.
+        outside: what the mode's invariant excludes, a region for each of its half-spaces on x.
         forwards: (m,) inputs that cannot be negative.
         admits: (k,) whether constraints on the path let states (k, n) be passed; None: there are none.
         held: (k, m) inputs that keep states (k, n) where they are; None: none are needed.
@@ -58,6 +59,7 @@ class ModeMotion:
     max_step: Floats
     speed: Floats
     obstacles: tuple[Region, ...]
+    outside: tuple[Region, ...]
     forwards: Booleans
     admits: Callable[[Floats], Booleans] | None = None
     held: Callable[[Floats], Floats] | None = None
@@ -75,6 +77,8 @@ class ModeMotion:
         steps[(u[:, self.forwards] < -_MISS * self.max_step[self.forwards]).any(axis=1)] = np.inf
         for obstacle in self.obstacles:
             steps[_blocked(obstacle, x, y)] = np.inf
+        open_ways = np.flatnonzero(np.isfinite(steps))
+        steps[open_ways[_squeezed((*self.obstacles, *self.outside), x[open_ways], y[open_ways])]] = np.inf
         possible = np.flatnonzero(np.isfinite(steps))
         if self.admits is not None and possible.size:
             # Tested where steps of a motion end, as in a plan: not where it begins.
@@ -102,7 +106,10 @@ def motions_of(problem: Problem, limits: Limits) -> dict[str, ModeMotion]:
         obstacles = obstacles_on_state(automaton, mode.name)
         forwards = _forwards(mode)
         held = partial(holding_inputs, automaton, mode.name, B=mode.B * ~forwards) if automaton.effects else None
-        motions[mode.name] = ModeMotion(mode.B, limits.max_step, limits.speed, obstacles, forwards, admits, held)
+        outside = tuple(Region((h.opposite,)) for h in mode.invariant.half_spaces if not h.on_input)
+        motions[mode.name] = ModeMotion(
+            mode.B, limits.max_step, limits.speed, obstacles, outside, forwards, admits, held
+        )
     return motions
 
 
@@ -126,15 +133,49 @@ def obstacles_on_state(automaton: HybridAutomaton, mode: str) -> tuple[Region, .
 
 def _blocked(guard: Region, x: Floats, y: Floats) -> Booleans:
     """(k,) whether each motion has a part inside the guard, more than a point of its boundary."""
+    enter, leave = _within(guard, x, y, ROUND_OFF)
+    return np.asarray(leave - enter > ROUND_OFF)
+
+
+def _within(guard: Region, x: Floats, y: Floats, depth: float) -> tuple[Floats, Floats]:
+    """(k,) shares of each motion at which it enters the guard, by that much inside of its boundary, and leaves it."""
     u = np.zeros((*x.shape[:-1], len(guard.half_spaces[0].b)))
     before, after = guard.margins(x, u), guard.margins(y, u)
     slope = after - before
     with np.errstate(divide="ignore", invalid="ignore"):
-        crossing = (ROUND_OFF - before) / slope
-    enter = np.where(slope > 0, crossing, np.where(before > ROUND_OFF, -np.inf, np.inf))
+        crossing = (depth - before) / slope
+    enter = np.where(slope > 0, crossing, np.where(before > depth, -np.inf, np.inf))
     enter = np.where(slope < 0, -np.inf, enter)
     leave = np.where(slope < 0, crossing, np.inf)
-    return np.asarray(np.minimum(leave.min(axis=-1), 1.0) - np.maximum(enter.max(axis=-1), 0.0) > ROUND_OFF)
+    return np.maximum(enter.max(axis=-1), 0.0), np.minimum(leave.min(axis=-1), 1.0)
+
+
+def _squeezed(obstacles: tuple[Region, ...], x: Floats, y: Floats) -> Booleans:
+    """(k,) whether each motion goes along a face that two obstacles share: between them is no room at all.
+
+    What a mode's invariant excludes is one more of them.
+    """
+    ends = [_within(obstacle, x, y, -EQUAL) for obstacle in obstacles]
+    found = np.zeros(len(x), dtype=bool)
+    if len(ends) < 2:
+        return found
+    enter, leave = (np.array(shares) for shares in zip(*ends, strict=True))
+    beside = leave - enter > EQUAL
+    for k in np.flatnonzero(beside.sum(axis=0) > 1).tolist():
+        for i, j in combinations(np.flatnonzero(beside[:, k]).tolist(), 2):
+            begin, end = max(enter[i, k], enter[j, k]), min(leave[i, k], leave[j, k])
+            at = x[k] + 0.5 * (begin + end) * (y[k] - x[k])
+            touched = [_faces_at(obstacles[number], at) for number in (i, j)]
+            # At an edge there is a way past one of them.
+            if end - begin > EQUAL and all(touched) and all(h.faces(g) for h in touched[0] for g in touched[1]):
+                found[k] = True
+                break
+    return found
+
+
+def _faces_at(obstacle: Region, x: Floats) -> list[HalfSpace]:
+    margins = obstacle.margins(x, np.zeros(len(obstacle.half_spaces[0].b)))
+    return [h for h, margin in zip(obstacle.half_spaces, margins, strict=True) if abs(margin) <= 2.0 * EQUAL]
 
 
 @dataclass(frozen=True, eq=False)
