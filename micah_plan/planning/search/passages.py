@@ -36,6 +36,8 @@ _MOST_SEQUENCES = 24
 _ENOUGH = 400
 # How much a step that is left to the goal counts against one that was made: above 1 sequences that lead on go first.
 _EAGERNESS = 2.0
+# How much a step that is left counts within a sequence: were it as much as one made, nothing need be done on the way.
+_LEFT = 1.05
 # Steps by which a sequence goes last that came back to a mode without getting nearer to the goal.
 _NO_NEARER = 100.0
 # Passages of a sequence that are extreme in random directions, and random mixtures of all of them.
@@ -207,8 +209,7 @@ class _Search:
             ]
         )
         least = np.concatenate([prefix.least, np.zeros(2 * v), -apart - room / scale, apart - room / scale])
-        # As sequences are compared: else a step made and one left weigh the same, and nothing need be done at all.
-        left = np.full(g, 1.0 if done else _EAGERNESS)
+        left = np.full(g, 1.0 if done else _LEFT)
         cost = np.concatenate([np.zeros(v), np.tile(1.0 / self.limits.max_step, v // m if m else 0), left])
         solution = self._solved(cost, rows, least, v)
         if solution is None:
