@@ -120,6 +120,13 @@ def compiled_mode(automaton: HybridAutomaton, name: str) -> CompiledMode:
     return CompiledMode(automaton, automaton.mode(name), *_motion(automaton, name))
 
 
+@memoised
+def passed_input(automaton: HybridAutomaton, name: str) -> ca.Function:
+    """(x, u) -> the input (m, 1) that comes out of the automaton's memories in a mode: what guards and flow see."""
+    s = _Symbols(automaton)
+    return s.map("passed_input", passed=ca.densify(_passed_on(automaton, name, s)[0]))
+
+
 @memoised_of_motion
 def _motion(automaton: HybridAutomaton, name: str) -> tuple[ca.Function, ca.Function, ca.Function]:
     """`CompiledMode.step`, `predict` and `belief_step`: what takes long to compile, wherever boundaries lie."""

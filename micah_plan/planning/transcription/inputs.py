@@ -33,6 +33,7 @@ class InputRow(NamedTuple):
         a, b, c: (n,), (m,) and the threshold, times the sign of the side.
         spread: variance across it of estimate and input together in closed loop [its unit²].
         scale: length of one step across it [its unit].
+        is_sent: whether it bounds what is sent; else what arrives, where the model remembers inputs.
         uncertain: whether it should hold at k-sigma; else for the planned input only.
         slack: that makes the guess feasible [steps].
     """
@@ -44,6 +45,7 @@ class InputRow(NamedTuple):
     c: float
     spread: float
     scale: float
+    is_sent: bool
     uncertain: bool
     slack: float
 
@@ -56,6 +58,7 @@ def input_rows(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, k:
     """
     mode, steps = automaton.mode(guess.mode), range(guess.steps)
     sides = [(step, h, 1.0, False) for step in steps for h in mode.inputs.half_spaces if h.on_input]
+    sent = len(sides)
     sides += [(step, h, 1.0, True) for step in steps for h in mode.invariant.half_spaces if h.on_input]
     for edge in automaton.edges:
         (first, *others) = edge.guard.half_spaces or (None,)
@@ -64,7 +67,8 @@ def input_rows(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, k:
     for guard, edge in mixed_guards(automaton, guess).items():
         of_steps = enumerate(kept_out(guard, guess, k))
         sides += [(step, h, -1.0, not _leads_back(automaton, edge)) for step, h in of_steps if h.on_input]
-    return [_row(automaton, limits, guess, side, k) for side in dict.fromkeys(sides)]
+    rows = [_row(automaton, limits, guess, side, k, is_sent=False) for side in dict.fromkeys(sides[sent:])]
+    return [_row(automaton, limits, guess, side, k, is_sent=True) for side in sides[:sent]] + rows
 
 
 def _leads_back(automaton: HybridAutomaton, edge: Edge) -> bool:
@@ -76,7 +80,13 @@ def _leads_back(automaton: HybridAutomaton, edge: Edge) -> bool:
 
 
 def _row(
-    automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, side: tuple[int, HalfSpace, float, bool], k: float
+    automaton: HybridAutomaton,
+    limits: Limits,
+    guess: PhaseGuess,
+    side: tuple[int, HalfSpace, float, bool],
+    k: float,
+    *,
+    is_sent: bool,
 ) -> InputRow:
     step, half_space, sign, may_vary = side
     a, b, c = sign * np.array(half_space.a), sign * np.array(half_space.b), sign * half_space.c
@@ -89,7 +99,9 @@ def _row(
     std = float(np.sqrt(np.sum((a @ guess.factors[step]) ** 2) + spread))
     scale = float(np.abs(a) @ limits.speed + np.abs(b) @ limits.max_step)
     short = k * std - float(a @ guess.means[step] + b @ guess.inputs[step] - c)
-    return InputRow(step, row, a, b, c, spread, scale, may_vary and std > SMALLEST_STD, max(0.0, short) / scale)
+    # Of an input that arrives later the feedback of now says nothing.
+    is_uncertain = may_vary and std > SMALLEST_STD and not automaton.input_memories
+    return InputRow(step, row, a, b, c, spread, scale, is_sent, is_uncertain, max(0.0, short) / scale)
 
 
 def spread_across(a: Floats, b: Floats, gain: Floats, spread: Floats) -> float:

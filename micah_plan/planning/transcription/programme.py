@@ -58,7 +58,7 @@ from micah_plan.planning.transcription.inputs import InputRow, deepest, input_ro
 from micah_plan.planning.transcription.rows import ConstraintRows, Row, unit_of
 from micah_plan.planning.transcription.stops import planned_step
 from micah_plan.planning.zero_time_transitions import stds_of
-from micah_plan.symbolic.compiled import CompiledEdge, compiled_edge, compiled_mode
+from micah_plan.symbolic.compiled import CompiledEdge, compiled_edge, compiled_mode, passed_input
 from micah_plan.symbolic.square_root import norm as smooth_norm
 from micah_plan.task.problem import Problem
 
@@ -178,7 +178,7 @@ def _add_phase(nlp: Transcription, guess: PhaseGuess, path: PathRows | None) -> 
         nlp.require(states[:, 1:] - stepped, _defect_rows(automaton, guess, nlp.pattern))
         nlp.cost += effort_cost(nlp.problem, ca.sumsqr(inputs / ca.DM(largest)))
         if wanted:
-            _require_inputs(nlp, nlp.phases[-1], wanted, slacks[before_inputs:])
+            _require_inputs(nlp, guess.mode, nlp.phases[-1], wanted, slacks[before_inputs:])
         if (lost := lost_motion(automaton, nlp.limits, guess, nlp.pattern)) is not None:
             nlp.cost += _SLACK_WEIGHT * lost(states, inputs)
     if boundaries:
@@ -207,12 +207,19 @@ def _defect_rows(automaton: HybridAutomaton, guess: PhaseGuess, pattern: ca.Spar
     return [Row(guess.mode, knot, name, unit, 0.0, 0.0) for knot in knots for name, unit in labels]
 
 
-def _require_inputs(nlp: Transcription, phase: PhaseVariables, wanted: list[InputRow], slacks: ca.MX) -> None:
+def _require_inputs(
+    nlp: Transcription, mode: str, phase: PhaseVariables, wanted: list[InputRow], slacks: ca.MX
+) -> None:
     """What the inputs must meet, with the feedback around them."""
     steps = [row.step for row in wanted]
     a, b, c = (np.array([getattr(row, name) for row in wanted]) for name in "abc")
     margins, stds = _margin_function(nlp.pattern).map(len(wanted))(phase.states[:, steps], a.T, c[None, :])
-    margins += ca.sum1(ca.DM(b.T) * phase.inputs[:, steps])
+    inputs, automaton = phase.inputs[:, steps], nlp.problem.automaton
+    if automaton.input_memories:
+        arriving = passed_input(automaton, mode).map(len(wanted))(phase.states[: automaton.n, steps], inputs)
+        is_sent = ca.DM([[float(row.is_sent) for row in wanted]])
+        inputs = inputs * ca.repmat(is_sent, automaton.m, 1) + arriving * ca.repmat(1.0 - is_sent, automaton.m, 1)
+    margins += ca.sum1(ca.DM(b.T) * inputs)
     uncertain = [i for i, row in enumerate(wanted) if row.uncertain]
     total = ca.sqrt(stds[uncertain].T ** 2 + ca.DM([wanted[i].spread + SMALLEST_STD**2 for i in uncertain]))
     scales = np.array([wanted[i].scale for i in uncertain])
@@ -321,7 +328,8 @@ def _join(nlp: Transcription, before: int, after: int) -> None:
         if not np.array_equal(need.a, half_space.a):
             margin, std = _margin_function(nlp.pattern)(state, need.a, need.c)
         gains = nlp.guess[after].gains
-        gain = gains[0] if half_space.on_input and len(gains) else np.zeros((automaton.m, n))
+        is_fed_back = half_space.on_input and len(gains) > 0 and not automaton.input_memories
+        gain = gains[0] if is_fed_back else np.zeros((automaton.m, n))
         spread = spread_across(need.a, np.array(half_space.b), gain, guess.spreads[-1])
         total = ca.sqrt(std**2 + spread + need.own**2)
         if certain:  # the state does not matter, but what the feedback adds to the input does
