@@ -78,7 +78,7 @@ class ModeMotion:
         for obstacle in self.obstacles:
             steps[_blocked(obstacle, x, y)] = np.inf
         open_ways = np.flatnonzero(np.isfinite(steps))
-        steps[open_ways[_squeezed((*self.obstacles, *self.outside), x[open_ways], y[open_ways])]] = np.inf
+        steps[open_ways[_squeezed(self, x[open_ways], y[open_ways])]] = np.inf
         possible = np.flatnonzero(np.isfinite(steps))
         if self.admits is not None and possible.size:
             # Tested where steps of a motion end, as in a plan: not where it begins.
@@ -150,32 +150,37 @@ def _within(guard: Region, x: Floats, y: Floats, depth: float) -> tuple[Floats, 
     return np.maximum(enter.max(axis=-1), 0.0), np.minimum(leave.min(axis=-1), 1.0)
 
 
-def _squeezed(obstacles: tuple[Region, ...], x: Floats, y: Floats) -> Booleans:
+def _squeezed(motion: ModeMotion, x: Floats, y: Floats) -> Booleans:
     """(k,) whether each motion goes along a face that two obstacles share: between them is no room at all.
 
-    What a mode's invariant excludes is one more of them.
+    What a mode's invariant excludes is one more of them; but a mode may be as thin as its invariant alone makes it.
     """
-    ends = [_within(obstacle, x, y, -EQUAL) for obstacle in obstacles]
+    obstacles, real = (*motion.obstacles, *motion.outside), len(motion.obstacles)
     found = np.zeros(len(x), dtype=bool)
-    if len(ends) < 2:
+    if not real or len(obstacles) < 2:
         return found
+    ends = [_within(obstacle, x, y, -EQUAL) for obstacle in obstacles]
     enter, leave = (np.array(shares) for shares in zip(*ends, strict=True))
     beside = leave - enter > EQUAL
-    for k in np.flatnonzero(beside.sum(axis=0) > 1).tolist():
+    for k in np.flatnonzero(beside[:real].any(axis=0) & (beside.sum(axis=0) > 1)).tolist():
         for i, j in combinations(np.flatnonzero(beside[:, k]).tolist(), 2):
             begin, end = max(enter[i, k], enter[j, k]), min(leave[i, k], leave[j, k])
+            if i >= real or end - begin <= EQUAL:
+                continue
             at = x[k] + 0.5 * (begin + end) * (y[k] - x[k])
-            touched = [_faces_at(obstacles[number], at) for number in (i, j)]
+            touched = [_faces_at(obstacles[number], at, motion.B) for number in (i, j)]
             # At an edge there is a way past one of them.
-            if end - begin > EQUAL and all(touched) and all(h.faces(g) for h in touched[0] for g in touched[1]):
+            if all(touched) and all(h.faces(g) for h in touched[0] for g in touched[1]):
                 found[k] = True
                 break
     return found
 
 
-def _faces_at(obstacle: Region, x: Floats) -> list[HalfSpace]:
+def _faces_at(obstacle: Region, x: Floats, moves: Floats) -> list[HalfSpace]:
+    """The half-spaces on whose boundary a state (n,) is, of those that inputs through B (n, m) move it across."""
     margins = obstacle.margins(x, np.zeros(len(obstacle.half_spaces[0].b)))
-    return [h for h, margin in zip(obstacle.half_spaces, margins, strict=True) if abs(margin) <= 2.0 * EQUAL]
+    near = [h for h, margin in zip(obstacle.half_spaces, margins, strict=True) if abs(margin) <= 2.0 * EQUAL]
+    return [h for h in near if np.any(np.array(h.a) @ moves)]
 
 
 @dataclass(frozen=True, eq=False)
