@@ -158,12 +158,13 @@ class _Seen:
 def _tracks(automaton: HybridAutomaton, seen: _Seen, *, is_outside: bool) -> tuple[Track, ...]:
     time = seen.by_link[0].time
     since = np.concatenate([time[own] - time[own][:1] for _, own in seen.runs])
-    x, believed = seen.x, _believed(automaton, seen)
-    is_outside = is_outside and believed is not None
-    if is_outside and believed is not None:
+    believed = _believed(automaton, seen)
+    # Of a run that tells nothing of beliefs the sensor's own readings were measured.
+    told = [believed is not None and bool(np.isfinite(believed[own]).any()) for _, own in seen.runs]
+    outside = np.repeat([is_outside and by_run for by_run in told], [own.stop - own.start for _, own in seen.runs])
+    x = np.where(outside[:, None], seen.x, read_by_sensors(automaton, seen.x, since))
+    if believed is not None and is_outside:
         believed = read_by_sensors(automaton, believed, since)
-    else:
-        x = read_by_sensors(automaton, x, since)
     u = actions = None
     if all(part.action is not None for part in seen.by_link):
         actions = _relative_actions(automaton, seen, x)
@@ -178,10 +179,10 @@ def _tracks(automaton: HybridAutomaton, seen: _Seen, *, is_outside: bool) -> tup
             u=None if u is None else u[own][:-1],
             is_measured=np.all([_is_measured(part, own) for part in seen.by_link], axis=0),
             action=None if actions is None else actions[own][:-1],
-            believed=None if believed is None or np.isnan(believed[own]).all() else believed[own],
-            is_outside=is_outside and believed is not None and not np.isnan(believed[own]).all(),
+            believed=believed[own] if believed is not None and is_told else None,
+            is_outside=is_outside and is_told,
         )
-        for run, own in seen.runs
+        for (run, own), is_told in zip(seen.runs, told, strict=True)
     )
 
 

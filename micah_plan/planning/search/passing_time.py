@@ -17,7 +17,7 @@ from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.planning.limits import drift_of, drifts
 from micah_plan.task.problem import Problem
 
-_TIME = "time"
+_TIME = "passing time"  # no input of a model has a blank in its name
 
 
 def with_passing_time(problem: Problem) -> Problem:

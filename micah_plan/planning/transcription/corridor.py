@@ -16,7 +16,7 @@ drawers a knot has 24 numbers, not 90.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
@@ -106,7 +106,7 @@ def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, k: f
     stds = _threshold_stds(automaton, mode, [h for h, *_ in fixed])
     for step in range(1, guess.steps + 1):
         near = [h for wall in walls for h in wall[step - 1 : step + 1] if h is not None]
-        chosen = fixed + [(h, -1.0, True) for h in _nearest(near)]
+        chosen = fixed + [(h, -1.0, True) for h in _nearest(near, stds)]
         if step == guess.steps - 1:
             chosen += [(h, 1.0, True) for h in sides]
         if turn is not None and step < guess.steps:
@@ -121,11 +121,15 @@ def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, k: f
     return rows
 
 
-def _nearest(outside: Iterable[HalfSpace]) -> list[HalfSpace]:
-    """Of half-spaces to stay out of, the first of each direction: who is out of it is out of all behind it."""
+def _nearest(outside: Iterable[HalfSpace], stds: Mapping[HalfSpace, float]) -> list[HalfSpace]:
+    """Of half-spaces to stay out of, the first of each direction: who is out of it is out of all behind it.
+
+    Args:
+        stds: of those thresholds that are uncertain; only those that are equally so stand for each other.
+    """
     nearest = dict[tuple[float, ...], HalfSpace]()
     for h in outside:
-        direction = tuple((np.round(np.array(h.a) / np.linalg.norm(h.a), 9) + 0.0).tolist())
+        direction = (*(np.round(np.array(h.a) / np.linalg.norm(h.a), 9) + 0.0).tolist(), stds.get(h, 0.0))
         before = nearest.get(direction)
         if before is None or h.c / np.linalg.norm(h.a) < before.c / np.linalg.norm(before.a):
             nearest[direction] = h
@@ -197,17 +201,18 @@ def _entered_before(mode: Mode, leaving: Edge, guess: PhaseGuess) -> tuple[HalfS
 
 
 def mixed_guards(automaton: HybridAutomaton, guess: PhaseGuess) -> dict[tuple[HalfSpace, ...], Edge]:
-    """The guards on both x and u of the transitions that a phase does not take, each with one of those.
+    """The guards on both x and u of the transitions that a phase does not take, each with the first of those.
 
     Whole ones, though planned edges are divided where others come first: those are on the input as well, and no input
     of the phase takes them either.
     """
-    return {
-        front_of(edge): edge
-        for index, edge in enumerate(automaton.edges)
-        if edge.source == guess.mode and index != guess.edge and not edge.is_self_transition
-        if edge.guard.on_input and len(edge.guard.half_spaces) > 1 and not isinstance(edge, ZeroTimeEdge)
-    }
+    guards = dict[tuple[HalfSpace, ...], Edge]()
+    for index, edge in enumerate(automaton.edges):
+        if edge.source != guess.mode or index == guess.edge or edge.is_self_transition:
+            continue
+        if edge.guard.on_input and len(edge.guard.half_spaces) > 1 and not isinstance(edge, ZeroTimeEdge):
+            guards.setdefault(front_of(edge), edge)
+    return guards
 
 
 def kept_out(guard: tuple[HalfSpace, ...], guess: PhaseGuess, k: float) -> list[HalfSpace]:

@@ -110,8 +110,8 @@ def spread_across(a: Floats, b: Floats, gain: Floats, spread: Floats) -> float:
     return max(0.0, float(across @ spread @ across))
 
 
-def deepest(edge: Edge, half_space: HalfSpace, limits: Limits) -> float:
-    """How far inside of a guard's half-space on the input alone a plan may be asked to be: as its largest input is."""
-    if any(half_space.a) or edge.is_self_transition:
+def deepest(half_space: HalfSpace, limits: Limits) -> float:
+    """How far inside of a half-space on the input alone a plan may be asked to be: as its largest input is."""
+    if half_space.on_state:
         return np.inf
     return max(0.0, (1.0 - EQUAL) * float(np.abs(half_space.b) @ limits.max_step) - half_space.c)

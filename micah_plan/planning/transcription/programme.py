@@ -333,7 +333,7 @@ def _join(nlp: Transcription, before: int, after: int) -> None:
         spread = spread_across(need.a, np.array(half_space.b), gain, guess.spreads[-1])
         total = ca.sqrt(std**2 + spread + need.own**2)
         if certain:  # the state does not matter, but what the feedback adds to the input does
-            far = min(settings.sigmas * float(np.sqrt(spread)), deepest(edge.edge, half_space, nlp.limits))
+            far = min(settings.sigmas * float(np.sqrt(spread)), deepest(half_space, nlp.limits))
             nlp.require(margin - far, [row])
         else:
             nlp.require(margin - settings.sigmas * total, [row], total)
