@@ -21,6 +21,7 @@ unit = st.floats(0.0, 1.0)
 @settings(max_examples=40)
 @given(threshold=st.floats(0.2, 0.8), start=st.floats(-0.3, 1.3), goal=st.floats(-0.3, 1.3), std=st.floats(0.0, 0.1),
        tolerance=st.floats(0.005, 0.2), seed=st.integers(0, 10))  # fmt: skip
+@example(threshold=0.5, start=5e-324, goal=0.0, std=0.0, tolerance=0.125, seed=0)
 @example(threshold=0.5, start=-6e-8, goal=0.0, std=0.0, tolerance=0.125, seed=0)
 def test_a_plan_or_a_true_reason(
     threshold: float, start: float, goal: float, std: float, tolerance: float, seed: int

@@ -142,7 +142,7 @@ def _within(guard: Region, x: Floats, y: Floats, depth: float) -> tuple[Floats, 
     u = np.zeros((*x.shape[:-1], len(guard.half_spaces[0].b)))
     before, after = guard.margins(x, u), guard.margins(y, u)
     slope = after - before
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         crossing = (depth - before) / slope
     enter = np.where(slope > 0, crossing, np.where(before > depth, -np.inf, np.inf))
     enter = np.where(slope < 0, -np.inf, enter)
