@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation, Slerp
 
 from micah_plan.arrays import EQUAL, Booleans, Floats, Ints
@@ -33,8 +34,11 @@ from micah_plan.recording.value import DEFAULT_PART, Recording
 
 JOINT, TARGET = OF_JOINTS
 _COLUMNS = ("std_msgs/msg/Float64", "std_msgs/msg/Int64", "std_msgs/msg/String")
-# Names of topics with commands, as ros2_control and simulators have them.
+# Names of topics with commands, as ros2_control and simulators have them; and of those that are no positions.
 _COMMANDED = re.compile(r"command|cmd|target|goal|desired|reference|setpoint", re.IGNORECASE)
+_OTHER_COMMANDS = re.compile(r"velocity|velocities|effort|torque|current|gripper_action", re.IGNORECASE)
+# Rows that a joint may be behind its commands, and the finest that encoders tell apart [rad or m].
+_MOST_LATE, _FINEST = 12, 1e-6
 _RUN = re.compile(r"run_(-?\d{1,18})/(.+)")
 READ = {
     "geometry_msgs/msg/PointStamped": "poses",
@@ -46,6 +50,7 @@ READ = {
     "tf2_msgs/msg/TFMessage": "poses",
     "geometry_msgs/msg/Vector3Stamped": "actions, forces",
     "sensor_msgs/msg/JointState": "joints",
+    "std_msgs/msg/Float64MultiArray": "targets of joints, with --robot",
     **dict.fromkeys(_COLUMNS, "columns, on /PART/..."),
 }
 """What a recording takes from the messages of a type."""
@@ -79,7 +84,9 @@ def joint_columns(path: str | Path, topics: Collection[str] = ()) -> tuple[dict[
     """The positions of joints in a log, at the stamps of the topic that has most of them.
 
     A log may have the joints as they were measured and as they were commanded, both as JointState. Commands are on the
-    topics that are not chosen or, where none is, on those whose names say so (`/joint_command`).
+    topics that are not chosen or, where none is, on those whose names say so (`/joint_command`). Commands of
+    ros2_control's group controllers are Float64MultiArray, without names and stamps: they are targets at the times at
+    which they were logged, of the joints that they are nearest to.
 
     Args:
         topics: with measured joints; none: all whose names do not say that they are commands.
@@ -93,30 +100,74 @@ def joint_columns(path: str | Path, topics: Collection[str] = ()) -> tuple[dict[
         MissingDependencyError: without the extra ``ros``.
     """
     joints: dict[str, dict[str, list[Sample]]] = {}
+    arrays: dict[str, list[Sample]] = {}
     with located_in(path):
         for logged in messages_of(path):
             if logged.kind == "sensor_msgs/msg/JointState":
                 time = stamp_ns(logged.message.header, logged.time)
                 for name, position in zip(logged.message.name, logged.message.position, strict=False):
                     joints.setdefault(logged.topic, {}).setdefault(name, []).append((time, (float(position),)))
+            elif logged.kind == "std_msgs/msg/Float64MultiArray" and _COMMANDED.search(logged.topic):
+                values = tuple(float(value) for value in logged.message.data)
+                arrays.setdefault(logged.topic, []).append((logged.time, values))
         if not joints:
             problem = f"expected joint positions (sensor_msgs/JointState), found {_listed(path)}"
             raise InputError(problem, remedy="log the joints of the robot")
         measured = _measured_topics(tuple(joints), topics)
     commanded = [topic for topic in joints if topic not in measured]
     most = max((joints[topic] for topic in measured), key=len)
+    targets = {topic: joints[topic] for topic in commanded}
+    notes = []
+    for topic, samples in arrays.items():
+        named, note = _named_targets(topic, samples, most)
+        targets |= {topic: named} if named else {}
+        notes.append(note)
     stamps = np.unique([time for time, _ in max(most.values(), key=len)])
     columns: dict[str, Any] = {"t": stamps / NANOSECONDS}
-    kinds = [*((JOINT, joints[topic]) for topic in measured), (JOINT, most), *((TARGET, joints[t]) for t in commanded)]
+    kinds = [*((JOINT, joints[topic]) for topic in measured), (JOINT, most), *((TARGET, of) for of in targets.values())]
     for kind, samples_of in kinds:
         for name, samples in samples_of.items():
             columns[f"{kind}{name}"] = np.array([float(text or "nan") for text in _held(samples, stamps)])
     if len(joints) == 1:
-        return columns, ()
+        return columns, tuple(notes)
     note = f"joints are those measured on {', '.join(measured)}"
     if commanded:
         note += f"; targets are those commanded on {', '.join(commanded)}"
-    return columns, (f"{note} (say it by --topic)",)
+    return columns, (f"{note} (say it by --topic)", *notes)
+
+
+def _named_targets(
+    topic: str, samples: Sequence[Sample], measured: Mapping[str, list[Sample]]
+) -> tuple[dict[str, list[Sample]], str]:
+    """Positions that were commanded without names, by joint; empty if it is open whose they are. And what was done.
+
+    A controller keeps joints near its commands, so these are of the joints that they are nearest to, all together.
+    """
+    if _OTHER_COMMANDS.search(topic):
+        return {}, f"commands on {topic} are no positions by its name, so they are not read"
+    sizes = {len(values) for _, values in samples}
+    if len(sizes) > 1 or max(sizes) > len(measured) or min(sizes) == 0:
+        listed = " or ".join(map(str, sorted(sizes)))
+        return {}, f"commands on {topic} are not read: {listed} numbers without names, {count(len(measured), 'joint')}"
+    times = np.array([time for time, _ in samples])
+    commands, names = np.array([values for _, values in samples]), list(measured)
+    places = np.array([[float(text or "nan") for text in _held(measured[name], times)] for name in names])
+    order = [names[k] for k in linear_sum_assignment(_log_distances(commands.T, places))[1]]
+    named: dict[str, list[Sample]] = {joint: [] for joint in order}
+    for time, values in samples:
+        for joint, value in zip(order, values, strict=True):
+            named[joint].append((time, (value,)))
+    return named, f"targets are the commands on {topic}, by the places of joints those of {', '.join(order)}"
+
+
+def _log_distances(commands: Floats, places: Floats) -> Floats:
+    """(m, k) ln of how far places (k, n) are from commands (m, n) [rad or m], whichever delay suits them best."""
+    found = np.full((len(commands), len(places)), np.inf)
+    for late in range(min(_MOST_LATE, commands.shape[1])):
+        apart = commands[:, None, : commands.shape[1] - late] - places[None, :, late:]
+        far = np.sqrt(np.mean(np.where(np.isfinite(apart), apart, 0.0) ** 2, axis=2))
+        found = np.minimum(found, np.log(np.maximum(far, _FINEST)))
+    return found
 
 
 def _measured_topics(found: Sequence[str], chosen: Collection[str]) -> tuple[str, ...]:

@@ -44,6 +44,7 @@ MessageType = Literal[
     "tf2_msgs/msg/TFMessage",
     "sensor_msgs/msg/JointState",
     "std_msgs/msg/Float64",
+    "std_msgs/msg/Float64MultiArray",
     "std_msgs/msg/Int64",
     "std_msgs/msg/String",
     "trajectory_msgs/msg/JointTrajectory",

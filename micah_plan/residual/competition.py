@@ -105,12 +105,7 @@ class Competition(Contenders):
                 alone, near_alone = simplest(kind)
                 own = [pair for pair in pairs if (FOLLOW in pair.names) == is_place]
                 best, near_best = self._with_a_second(alone, near_alone, every, own)
-                if data.is_outside and is_place:
-                    # Places relative to what was believed contain no measurement, so roll-outs tell.
-                    is_ahead = self.rolled(best) < self.rolled(chosen)
-                else:
-                    is_ahead = best.evidence > chosen.evidence + (self.least if chosen is not nominal else 0.0)
-                if is_ahead:
+                if self._is_ahead(best, chosen, is_place):
                     chosen, near, rivals = best, near_best, [best, alone]
                 elif best.evidence > chosen.evidence - self.least:
                     near = (*near, *near_best)
@@ -125,6 +120,13 @@ class Competition(Contenders):
         of = {id(one): one for one in (chosen, *rivals) if one is not nominal}.values()
         left = (*passing, *self._worth([*loose, *self.corrected(list(of))], chosen))
         return Standings(nominal, chosen, near, tuple(every), left, tuple(loose))
+
+    def _is_ahead(self, best: Contender, chosen: Contender, is_place: bool) -> bool:
+        """Whether a model takes the place of the one chosen so far: of places, if it is clearly likelier."""
+        if self.data.is_outside and is_place:
+            # Places relative to what was believed contain no measurement, so roll-outs tell.
+            return self.rolled(best) < self.rolled(chosen)
+        return best.evidence > chosen.evidence + (self.least if chosen is not self.nominal else 0.0)
 
     def _with_a_second(
         self, alone: Contender, near: tuple[Contender, ...], every: Sequence[Contender], pairs: Sequence[Contender]

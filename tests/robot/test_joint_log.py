@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan import InputError, Recording, learn, load
 from micah_plan.recording.conventions import Conventions
+from micah_plan.recording.read import read_columns
 from micah_plan.robot.joint_log import arm_of, tool_recording
 
 ARM = Path(__file__).resolve().parents[2] / "models" / "robots" / "arm7.urdf"
@@ -148,6 +149,46 @@ def test_joint_states_of_ros(arm: Any, tmp_path: Path) -> None:
     is_the_door(found, arm)
     with pytest.raises(InputError, match=r"expected poses .*found '/gripper'.*whose joints they are: --robot"):
         load(tmp_path / "log.mcap")
+
+
+@requires("ros")
+@pytest.mark.parametrize(
+    ("topic", "numbers", "is_read", "note"),
+    [
+        ("/forward_position_controller/commands", 7, True, "those of shoulder_pan, "),
+        ("/forward_position_controller/commands", 6, True, "those of shoulder_pan, "),
+        ("/forward_velocity_controller/commands", 7, False, "are no positions by its name"),
+        ("/forward_position_controller/commands", 9, False, "9 numbers without names, 8 joints"),
+        ("/diagnostics/values", 7, False, ""),
+    ],
+)
+def test_commands_of_a_group_controller(
+    arm: Any, tmp_path: Path, topic: str, numbers: int, is_read: bool, note: str
+) -> None:
+    """They have no names, and come in the controller's order, while joint states come in any."""
+    from micah_plan.recording.ros_mcap import Logged, header_at, write_log
+
+    q, messages = opened()[0], []
+    for k in range(ROWS):
+        time = 1_700_000_000_000_000_000 + 50_000_000 * k
+        state = {"name": ["finger", *arm.joints[::-1]], "position": [0.01, *q[k, ::-1].tolist()]}
+        state |= {"header": header_at(time, ""), "velocity": [], "effort": []}
+        messages.append(Logged("/joint_states", "sensor_msgs/msg/JointState", time, state))
+        command = [*q[min(k + 2, ROWS - 1)].tolist(), 0.01, 5.0][:numbers]
+        array = {"layout": {"dim": [], "data_offset": 0}, "data": command}
+        messages.append(Logged(topic, "std_msgs/msg/Float64MultiArray", time, array))
+    (tmp_path / "log.mcap").write_bytes(write_log(messages))
+    columns, notes = read_columns(tmp_path / "log.mcap")
+    targets = {name.removeprefix("target "): values for name, values in columns.items() if name.startswith("target ")}
+    assert note in " ".join(notes)
+    assert set(targets) == set(arm.joints[:numbers] if is_read else ())
+    for number, name in enumerate(arm.joints):
+        if name in targets:
+            assert_allclose(targets[name][:-2], q[2:, number])
+    if is_read and numbers == 7:
+        found = load(tmp_path / "log.mcap", name="door", **ROBOT)
+        assert found.has_actions
+        is_the_door(found, arm)
 
 
 def test_rows_in_which_a_joint_is_not_known_are_gaps(arm: Any) -> None:
