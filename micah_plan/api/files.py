@@ -26,7 +26,7 @@ def load(source: Source | DataFrame | Mapping[str, Any], **conventions: Any) -> 
 
     Args:
         source: the file; a table with the columns of a recording CSV; or data with the keys of a model file, which is
-            how a model is made by hand, with names.
+            how a model is made by hand, with names, or with those of a problem file.
         **conventions: of a recording, how it is meant (`Conventions`), as in ``columns={"t": "Time", "x": "TX"},
             length="mm", up="y"``.
 
@@ -34,7 +34,7 @@ def load(source: Source | DataFrame | Mapping[str, Any], **conventions: Any) -> 
         InputError: if it cannot be used; one line says where, what was expected and found, and what to do.
     """
     if isinstance(source, Mapping) and not inputs.is_table(source) and "columns" not in conventions:
-        return inputs.automaton_of(source)
+        return inputs.problem_of(source) if "goal" in source else inputs.automaton_of(source)
     if not isinstance(source, Source):
         return inputs.recording_of(source, conventions=inputs.conventions_of(conventions))
     from micah_plan.documents.kind import kind_of

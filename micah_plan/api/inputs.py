@@ -42,8 +42,9 @@ Measured = Source | Recording | Result | DataFrame | Mapping[str, Any] | Sequenc
 recording's attributes, executed runs, what was learned; or several, whose runs are joined."""
 Modelled = Source | Mapping[str, Any] | HybridAutomaton | Result | Problem
 """A model, or what has one: a path of a model, problem or plan, data with the keys of a model file, values, results."""
-Problematic = Source | Problem | HybridAutomaton | Result
-"""A problem, or what has one; a model, or what has one, stands for that of moving it most of its way."""
+Problematic = Source | Mapping[str, Any] | Problem | HybridAutomaton | Result
+"""A problem, or what has one: a path, data with the keys of a problem file, values, results; a model, or what has one,
+stands for the problem of moving it most of its way."""
 
 
 def located(source: object) -> AbstractContextManager[None]:
@@ -197,6 +198,8 @@ def problem_and_notes(source: Problematic, model: Modelled | None = None) -> tup
     if isinstance(source, Source):
         return _read_problem(source, model)
     automaton = None if model is None else automaton_of(model)
+    if isinstance(source, Mapping):
+        return _of_data(source, automaton), ()
     problem = getattr(source, "problem", source) if isinstance(source, Result) else source
     if isinstance(problem, HybridAutomaton | Result) and automaton is None:
         from micah_plan.templates.first_problem import problem_for
@@ -214,6 +217,28 @@ def problem_and_notes(source: Problematic, model: Modelled | None = None) -> tup
             remedy="give the problem's file together with the model",
         )
     return replace(problem, automaton=automaton), ()
+
+
+def _of_data(data: Mapping[str, Any], automaton: HybridAutomaton | None) -> Problem:
+    """The problem of data with the keys of a problem file; of a model's data that of moving it most of its way."""
+    from micah_plan.documents.problem import problem_of as problem_of_data
+    from micah_plan.templates.first_problem import problem_for
+
+    if "modes" in data and automaton is None:
+        return problem_for(automaton_of(data))
+    return problem_of_data(data, automaton)
+
+
+def changed(problem: Problem) -> Problem:
+    """A problem whose start or goal is another than its file's, if it is possible.
+
+    Raises:
+        InputError: as for a file, with the keys that it would have.
+    """
+    from micah_plan.documents.problem import check_possible
+
+    check_possible(problem, "solve")
+    return replace(problem, digests={role: digest for role, digest in problem.digests.items() if role != "problem"})
 
 
 def _read_problem(path: Source, model: Modelled | None) -> tuple[Problem, tuple[str, ...]]:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError, shown
 from micah_plan.quantities import Progress, Table, count, percent, percent_interval, quantity, with_spread
 from micah_plan.recording.value import Recording
+from micah_plan.task.by_name import Spread
 from micah_plan.task.plan import Plan
 from micah_plan.task.plants import DEFAULT_PLANT
 from micah_plan.task.problem import Problem
@@ -162,6 +163,11 @@ def solve(
     problem: Problematic,
     *,
     model: Modelled | None = None,
+    start: Mapping[str, Spread] | None = None,
+    start_mode: str | None = None,
+    goal: Mapping[str, Spread] | None = None,
+    modes: str | Sequence[str] | None = None,
+    noise: Mapping[str, Mapping[str, float]] | None = None,
     seed: int = 0,
     advise: bool = True,
     planner: Callable[..., Plan] | None = None,
@@ -171,9 +177,11 @@ def solve(
     """A plan that holds with the problem's confidence, or what is in the way.
 
     Args:
-        problem: a path, a problem, or an earlier result whose problem is solved again; a model, or what learned one, is
-            moved most of its way.
+        problem: a path, a problem, data with the keys of a problem file, or an earlier result whose problem is solved
+            again; a model, or what learned one, is moved most of its way where no start and goal are given.
         model: to use instead of the problem's: a path, an automaton, or what `learn` or `calibrate` returned.
+        start, start_mode, goal, modes, noise: instead of the problem's, by name, as in ``start={"door": (0.4, 0.05)},
+            goal={"door": (1.2, 0.03)}, modes=["rigid"]`` (`Problem.replace`).
         seed: of everything random.
         advise: whether remedies name numbers, which takes further solutions.
         planner: another one than POMDP-HD, whose plans are checked alike (`planning.solver.solve`).
@@ -186,6 +194,8 @@ def solve(
     from micah_plan.planning.solver import solve as solved
 
     asked, notes = inputs.problem_and_notes(problem, model)
+    if any(given is not None for given in (start, start_mode, goal, modes, noise)):
+        asked = inputs.changed(asked.replace(start=start, start_mode=start_mode, goal=goal, modes=modes, noise=noise))
     asked = replace(asked, settings=inputs.planner_settings(asked, changes))
     plan = solved(asked, seed=seed, progress=progress, advise=advise, planner=planner)
     return PlanningResult(plan, asked, notes)

@@ -187,6 +187,39 @@ def problem_from_text(content: bytes, source: str, automaton: HybridAutomaton) -
     return replace(problem, source=source)
 
 
+def problem_of(data: Mapping[str, Any], model: HybridAutomaton | None = None) -> Problem:
+    """The problem that data with the keys of a problem file describe.
+
+    Args:
+        data: dicts, lists, texts and numbers; `format` may be left out, and `model`, which is a path, if one is given.
+
+    Raises:
+        InputError: with the key, what was expected and found, and the remedy.
+    """
+    located = Located(
+        {"format": PROBLEM_FORMAT, "model": "", **data} if model else {"format": PROBLEM_FORMAT, **data}, "problem"
+    )
+    document = validated(located, ProblemDocument)
+    if model is None:
+        model = usable_model(read_bytes(document.model, LARGEST_TEXT_BYTES), document.model)
+    if document.hold is not None:
+        hold = document.hold.read(located.at("hold"), {"body": tuple(document.scene)})
+        scene = tuple(body.read(located.at("scene", name), {}) for name, body in document.scene.items())
+        model = _with_contacts(model, hold, scene, located)
+    problem = problem_of_document(document, model, located)
+    _check_possible(problem, located)
+    return problem
+
+
+def check_possible(problem: Problem, where: str) -> None:
+    """Refuse a start that no mode allows, and a goal that the object cannot reach; `where`: what messages name.
+
+    Raises:
+        InputError: with the key that a file would have, and the nearest possible value.
+    """
+    _check_possible(problem, Located(problem_data(problem, "model"), where))
+
+
 def _check_possible(problem: Problem, located: Located) -> None:
     check_start(problem.start, problem.automaton, located)
     if problem.release is None:

@@ -27,10 +27,10 @@ _MAX_ITERATIONS = 500
 _UNUSABLE = "the start of the optimisation is unusable"
 _OUT_OF_TIME = ("Maximum_WallTime_Exceeded", "Maximum_CpuTime_Exceeded")
 _STATUS = {
-    "Solve_Succeeded": "optimal",
-    "Solved_To_Acceptable_Level": "nearly optimal",
+    "Solve_Succeeded": "locally optimal",
+    "Solved_To_Acceptable_Level": "locally optimal to a loose tolerance",
     "Feasible_Point_Found": "feasible",
-    "Infeasible_Problem_Detected": "the constraints contradict each other",
+    "Infeasible_Problem_Detected": "near the way that was tried no inputs satisfy all constraints",
     "Restoration_Failed": "no point that satisfies the constraints was found",
     "Maximum_Iterations_Exceeded": f"stopped after {_MAX_ITERATIONS} iterations",
     **dict.fromkeys(_OUT_OF_TIME, "stopped at the time limit (time_limit_s)"),

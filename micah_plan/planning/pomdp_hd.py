@@ -182,8 +182,8 @@ def _chosen(attempt: Attempt, asked: Problem, tried: Sequence[_Tried]) -> Plan:
     plans = []
     for number, (path, sequence, price) in enumerate(sorted(paths, key=lambda priced: priced[2]), start=1):
         trajectory = trajectory_of(attempt.problem, attempt.limits, path)
-        rank = "cheapest" if number == 1 else f"number {number} by cost"
-        which = "the only candidate" if len(tried) == 1 else f"{rank} of {len(tried)} candidates"
+        rank = "the cheapest" if number == 1 else f"number {number} by cost"
+        which = "the only mode sequence found" if len(tried) == 1 else f"{rank} of {len(tried)} mode sequences"
         in_part = tuple(findings_of(attempt.problem, sequence.modes, path.in_part))
         plans.append(attempt.solved(trajectory, price, f", {which}: {path.message}", candidates, in_part))
     # Between the knots other transitions may come first: what its own mean does not follow is no plan.

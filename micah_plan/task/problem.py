@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from micah_plan.automaton.contacts.values import Grip
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Vector3
 from micah_plan.quantities import Summarised, aligned, common_unit, listed, percent, with_spread
 from micah_plan.task.body import Body
+from micah_plan.task.by_name import Spread, with_goal, with_noise, with_start
 from micah_plan.task.goal import Goal
 from micah_plan.task.path import PathConstraint
 from micah_plan.task.robot_description import Grasp, RobotDescription
@@ -86,6 +87,39 @@ class Problem(Summarised):
     hold: Hold | None = None
     release: Release | None = None
     constraints: tuple[PathConstraint, ...] = ()
+
+    def replace(
+        self,
+        *,
+        start: Mapping[str, Spread] | None = None,
+        start_mode: str | None = None,
+        goal: Mapping[str, Spread] | None = None,
+        modes: str | Sequence[str] | None = None,
+        noise: Mapping[str, Mapping[str, float]] | None = None,
+    ) -> Problem:
+        """The problem with another start, goal or noise, by the names of coordinates and modes.
+
+            problem.replace(start={"door": (0.4, 0.05)}, goal={"door": (1.2, 0.03)}, modes=["rigid"])
+
+        Args:
+            start: mean, or (mean, standard deviation), of some coordinates [rad or m].
+            start_mode: that it is in; None: the first that allows the mean, where a start is given.
+            goal: value, or (value, tolerance), of the coordinates that count [rad or m], instead of the whole target.
+            modes: that count as reached; empty, or where only a goal is given: any, but for a collision.
+            noise: standard deviations by `process_std` and `observation_std` and by coordinate [rad or m].
+
+        Raises:
+            InputError: for an unknown name, for what is no number, and for a goal without a tolerance.
+        """
+        automaton = self.automaton
+        if noise is not None:
+            automaton = replace(automaton, noise=with_noise(automaton.noise, automaton, noise))
+        return replace(
+            self,
+            automaton=automaton,
+            start=with_start(self.start, automaton, start or {}, start_mode),
+            goal=with_goal(self.goal, automaton, goal, modes),
+        )
 
     def summary(self) -> str:
         """Start, goal, confidence and what is around, in a few lines."""

@@ -39,7 +39,7 @@ def test_an_optimum_in_closed_form() -> None:
     assert found.is_feasible
     assert found.has_converged
     assert not found.is_out_of_time
-    assert found.said == "optimal"
+    assert found.said == "locally optimal"
     cost, rows = stated.values(found.w)
     assert (cost, rows[0]) == pytest.approx((found.cost, found.rows[0]))
 
