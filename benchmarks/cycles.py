@@ -20,7 +20,7 @@ from kinds_scoring import SURE, kinds_of, probability
 from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.build import build_automaton, no_single_joint_error
-from micah_plan.learn.learn import learn_graph
+from micah_plan.learning.learn import learn_graph
 from micah_plan.recording.value import Recording
 
 NEAR = 6

@@ -25,7 +25,7 @@ from saving import add_json, save_json
 from micah_plan.automaton.joint import axis_basis
 from micah_plan.execution.handle import HandlePlant as Checked
 from micah_plan.execution.plant import Command
-from micah_plan.explore.run import Exploration, explore
+from micah_plan.exploration.run import Exploration, explore
 from micah_plan.task.experiment import Scene
 
 Floats = NDArray[np.float64]

@@ -26,7 +26,7 @@ from micah_plan.execution.handle import HandlePlant as Checked
 from micah_plan.execution.log import concatenated_recordings
 from micah_plan.execution.plant import Measurement
 from micah_plan.execution.trials import run_trials
-from micah_plan.explore.run import explore
+from micah_plan.exploration.run import explore
 from micah_plan.planning.solver import solve
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate

@@ -30,9 +30,9 @@ from micah_plan.automaton.joint import (
     screw,
 )
 from micah_plan.automaton.kinematics import forward, inverse, reversed_direction, shifted
-from micah_plan.learn.joints.final_fit import FittedJoint, fit_joint
-from micah_plan.learn.joints.parametrization import chart_of, stepped
-from micah_plan.learn.settings import LearnSettings
+from micah_plan.learning.joints.final_fit import FittedJoint, fit_joint
+from micah_plan.learning.joints.parametrization import chart_of, stepped
+from micah_plan.learning.settings import LearnSettings
 
 AXIS = np.array([0.1, 0.7, 0.5**0.5])  # far from where `axis_basis` changes over
 QUANTILE = 1.959964

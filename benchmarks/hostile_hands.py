@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from micah_plan.errors import MicahError
 from micah_plan.execution.handle import HandlePlant
 from micah_plan.execution.plant import Command, Measurement, PlantError
-from micah_plan.explore.run import explore
+from micah_plan.exploration.run import explore
 from micah_plan.task.experiment import Scene
 
 Floats = NDArray[np.float64]

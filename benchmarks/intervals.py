@@ -21,7 +21,7 @@ from kinds_scoring import SURE, probability
 from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.graph import KinematicEdge
-from micah_plan.learn.learn import learn_graph
+from micah_plan.learning.learn import learn_graph
 from micah_plan.recording.value import Recording
 
 MOVED, PUSHED = 6.0, 3.0  # s

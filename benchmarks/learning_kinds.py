@@ -23,7 +23,7 @@ from kinds_scoring import FAMILIES, judged, reliability
 from saving import add_json, save_json
 
 from micah_plan.automaton.graph import KinematicGraph
-from micah_plan.learn.learn import learn_graph
+from micah_plan.learning.learn import learn_graph
 from micah_plan.recording.value import Recording
 
 Row = dict[str, Any]

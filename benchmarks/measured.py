@@ -28,8 +28,8 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import prismatic, revolute
 from micah_plan.automaton.kinematics import inverse
 from micah_plan.automaton.tracks import tracks
-from micah_plan.learn.joints.final_fit import fit_joint
-from micah_plan.learn.settings import LearnSettings
+from micah_plan.learning.joints.final_fit import fit_joint
+from micah_plan.learning.settings import LearnSettings
 from micah_plan.recording.read import read_recording
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate

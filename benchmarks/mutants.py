@@ -30,7 +30,7 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGES = ("automaton", "belief", "planning", "learn", "residual")
+PACKAGES = ("automaton", "belief", "planning", "learning", "residual")
 TURNED = {ast.Lt: ">", ast.LtE: ">", ast.Gt: "<", ast.GtE: "<", ast.Eq: "!=", ast.NotEq: "=="}
 LONGEST_S = 600
 """Of one run of tests: a mutant that loops for ever is noticed."""

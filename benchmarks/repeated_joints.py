@@ -29,9 +29,9 @@ from fit_coverage import QUANTILE, errors
 from saving import add_json, save_json
 
 from micah_plan.automaton.joint import Joint, axis_basis
-from micah_plan.learn.joints.final_fit import fit_joint
-from micah_plan.learn.joints.parametrization import seen_by
-from micah_plan.learn.learn import learn_graph
+from micah_plan.learning.joints.final_fit import fit_joint
+from micah_plan.learning.joints.parametrization import seen_by
+from micah_plan.learning.learn import learn_graph
 from micah_plan.recording.read import read_recording
 from micah_plan.recording.value import Recording
 

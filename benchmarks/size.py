@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "micah_plan"
 RENAMED = {"spec": "documents", "front": "api", "ros": "recording", "scene": "task"}
 # Packages that the restructuring left alone.
-APART = ("learn", "residual")
+APART = ("learning", "residual")
 
 
 def git(*arguments: str) -> str:

@@ -32,7 +32,7 @@ from table1_scoring import EPSILON, Limits, Score, limits, score
 
 from micah_plan.automaton.graph import Segment
 from micah_plan.automaton.joint import radius
-from micah_plan.learn.learn import METHODS, Method, learn_graph
+from micah_plan.learning.learn import METHODS, Method, learn_graph
 from micah_plan.recording.read import read_recording
 
 DATA = Path(os.environ.get("MICAH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))

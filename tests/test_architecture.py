@@ -23,17 +23,17 @@ PACKAGE = Path(micah_plan.__file__).parent
 # or from below. Entries are packages or files of the top level: there are no exceptions for single modules.
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("arrays", "errors", "quantities"),
-    ("files", "mujoco_library"),
+    ("changepoints", "files", "mujoco_library"),
     ("xml_text",),
     ("recording",),
     ("automaton",),
     ("task",),
-    ("documents", "learn", "symbolic"),
+    ("documents", "learning", "symbolic"),
     ("robot", "vision"),
     ("belief",),
     ("planning",),
     ("execution",),
-    ("explore", "residual"),
+    ("exploration", "residual"),
     ("view",),
     ("exchange",),
     ("checking", "environment", "templates"),
@@ -83,7 +83,7 @@ LIGHT = (
     "automaton",
     "task",
     "documents",
-    "learn",
+    "learning",
     "api",
 )
 
@@ -416,7 +416,7 @@ def test_how_a_joint_moves_is_asked_of_the_joint() -> None:
     named = [
         f"{module}: {ast.unparse(node)}"
         for module, tree in _trees().items()
-        if not module.startswith(("automaton.", "documents.", "learn."))
+        if not module.startswith(("automaton.", "documents.", "learning."))
         for node in ast.walk(tree)
         if isinstance(node, ast.Compare) and "joint.kind" in ast.unparse(node.left)
         if {c.value for c in ast.walk(node) if isinstance(c, ast.Constant)} & set(JOINT_KINDS)

@@ -18,7 +18,7 @@ from extras import requires
 from write_outputs import PAGES, SHIPPED, Command
 
 from micah_plan.documents.kind import schema
-from micah_plan.learn.settings import LearnSettings
+from micah_plan.learning.settings import LearnSettings
 
 ROOT = Path(__file__).resolve().parents[1]
 COMMANDS = (

@@ -29,8 +29,8 @@ from micah_plan.cli import learning as report
 from micah_plan.cli.console import table
 from micah_plan.documents.model import load_model
 from micah_plan.errors import InputError
-from micah_plan.learn import learn as learning
-from micah_plan.learn.settings import LearnSettings
+from micah_plan.learning import learn as learning
+from micah_plan.learning.settings import LearnSettings
 from micah_plan.recording.read import read_recording, write_recording
 from micah_plan.view.learned import action_words
 

@@ -15,7 +15,7 @@ from micah_plan.api.result import Result
 from micah_plan.automaton.check import check_automaton
 from micah_plan.automaton.hybrid import HybridAutomaton, Part
 from micah_plan.errors import InputError, choices, located_in, shown
-from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
+from micah_plan.learning.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.quantities import quantity
 from micah_plan.recording.checks import checked_recording
 from micah_plan.recording.commands import check_one_meaning

@@ -22,7 +22,7 @@ from micah_plan.api.result import SUREST, Result, save_model
 from micah_plan.automaton.graph import BASE, KinematicGraph
 from micah_plan.automaton.hybrid import HybridAutomaton, Part
 from micah_plan.errors import InputError
-from micah_plan.learn.settings import FEWEST_ROWS, LearnSettings
+from micah_plan.learning.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.quantities import Progress, Table, count, duration, in_degrees, percent, plain, quantity, way
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.value import Recording
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from micah_plan.automaton.graph import ActionChannel, Deviation, KinematicEdge, Segment
     from micah_plan.automaton.joint import Joint
     from micah_plan.execution.plant import Plant
-    from micah_plan.explore.run import Exploration
+    from micah_plan.exploration.run import Exploration
 
 Method = Literal["act-champ", "champ"]
 _COLUMNS = ("joint", "rows", "configuration", "axis", "radius", "P(kind)", "start row\n(95 %)")
@@ -143,7 +143,7 @@ def learn(
     """A hybrid automaton from a recording, or the reason why there is none.
 
     Args:
-        recording: a path, a recording, or executed runs, of at least `learn.settings.FEWEST_ROWS` rows per run.
+        recording: a path, a recording, or executed runs, of at least `learning.settings.FEWEST_ROWS` rows per run.
         method: ``"act-champ"`` uses the actions, ``"champ"`` the poses alone.
         seed: of MLESAC and of the resampling; the same seed gives the same result.
         parts: shapes and handles of the parts, for drawing and physics: a path or values.
@@ -181,8 +181,8 @@ def _learned(
     """Segment the recording, fit its joints and build the automaton."""
     from micah_plan.automaton.build import build_automaton, no_single_joint_error
     from micah_plan.automaton.effects.commanded_places import as_commanded
-    from micah_plan.learn.learn import learn_graph, small_motions
-    from micah_plan.learn.parts.relative import relative_to
+    from micah_plan.learning.learn import learn_graph, small_motions
+    from micah_plan.learning.parts.relative import relative_to
     from micah_plan.recording.suspicion import suspicions_of_recording, turned_grips
 
     begin = time.perf_counter()
@@ -433,7 +433,7 @@ def explore(
     """
     from micah_plan.documents.experiment import load_scene
     from micah_plan.execution.handle import HandlePlant, make_handle_plant
-    from micah_plan.explore.run import explore as run
+    from micah_plan.exploration.run import explore as run
 
     asked = scene if isinstance(scene, Scene) else load_scene(scene)
     with HandlePlant(make_handle_plant(asked, plant)) as machine:

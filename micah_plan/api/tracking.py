@@ -98,8 +98,8 @@ class TrackResult(_Tracking):
         Raises:
             InputError: if the video is no longer there.
         """
-        from micah_plan.learn.learn import learn_graph
-        from micah_plan.learn.settings import FEWEST_ROWS
+        from micah_plan.learning.learn import learn_graph
+        from micah_plan.learning.settings import FEWEST_ROWS
         from micah_plan.view.tracked_page import tracked_page
 
         recording = self.recording

@@ -44,7 +44,7 @@ from micah_plan.files import FIGURE, MODEL, PAGE, Output, check_outputs
 from micah_plan.task.plants import DEFAULT_PLANT
 
 if TYPE_CHECKING:
-    from micah_plan.learn.settings import LearnSettings
+    from micah_plan.learning.settings import LearnSettings
     from micah_plan.residual.next_experiment import Designed
 
 
@@ -113,7 +113,7 @@ def _settings(texts: Sequence[str]) -> LearnSettings:
         InputError: for a name that is none, and a value that is none of it.
     """
     from micah_plan.api.inputs import learn_settings
-    from micah_plan.learn.settings import LearnSettings
+    from micah_plan.learning.settings import LearnSettings
 
     changes: dict[str, Any] = {}
     for text in texts:

@@ -5,7 +5,7 @@ noise, as the model says, or noise about a line in the command (other motion tha
 coefficients are integrated out. What changes gradually is no mode, so the pieces must predict held-out rows better than
 a smooth function of the configuration does, and better than the effects that were found.
 
-Sources: MICAH, CHAMP recursion (`learn.segmenting.changepoints`); Bishop, Pattern Recognition and Machine Learning,
+Sources: MICAH, CHAMP recursion (`changepoints`); Bishop, Pattern Recognition and Machine Learning,
 section 3.5 (evidence of a linear model).
 """
 
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from micah_plan.arrays import ROUND_OFF, Floats, Ints, robust_std
-from micah_plan.learn.segmenting.changepoints import LengthPrior, length_terms, most_probable_spans
+from micah_plan.changepoints import LengthPrior, length_terms, most_probable_spans
 from micah_plan.quantities import percent, quantity
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.likelihood import FEWEST_ROWS, FREEDOM, independent_share, robust_log_density

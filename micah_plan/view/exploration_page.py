@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.arrays import Floats
-from micah_plan.explore.run import Exploration
+from micah_plan.exploration.run import Exploration
 from micah_plan.quantities import count, percent, quantity
 from micah_plan.view.camera import camera
 from micah_plan.view.chart import Area, Chart, Curve, Level, Mark, Panel, Words

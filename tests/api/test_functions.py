@@ -33,7 +33,7 @@ from micah_plan.api.learning import LearningResult
 from micah_plan.api.planning import PlanningResult, RunsResult
 from micah_plan.api.result import Page
 from micah_plan.documents.model import load_model, model_data
-from micah_plan.learn.settings import LearnSettings
+from micah_plan.learning.settings import LearnSettings
 from micah_plan.task.problem import Problem
 
 
@@ -245,22 +245,12 @@ def test_quaternions_that_are_no_orientations_are_said_and_not_guessed() -> None
 
 def test_the_package_has_functions_whatever_was_imported_before() -> None:
     code = (
-        "import micah_plan.learn.settings, micah_plan.api.planning; from micah_plan import learn; "
+        "import micah_plan.learning.settings, micah_plan.api.planning; from micah_plan import learn; "
         "import micah_plan; assert callable(learn) and micah_plan.learn is learn; "
-        "from micah_plan.learn.settings import LearnSettings; print(LearnSettings().draws, *dir(micah_plan))"
+        "from micah_plan.learning.settings import LearnSettings; print(LearnSettings().draws, *dir(micah_plan))"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert sorted(said[1:]) == sorted(micah_plan.__all__)
-
-
-def test_a_function_with_the_name_of_a_subpackage_is_both() -> None:
-    code = (
-        "import micah_plan.learn.settings as settings, micah_plan.explore.run as run, micah_plan, inspect; "
-        "assert micah_plan.learn.settings is settings and micah_plan.explore.run is run; "
-        "print(*inspect.signature(micah_plan.learn).parameters)"
-    )
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    assert said[:2] == ["recording", "method"]
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from micah_plan.automaton.joint import Joint, axis_basis, prismatic, revolute, r
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.step_noise import drawn_gains, gain_factors, gain_std, uncertain_gains, with_gains
 from micah_plan.automaton.transition import TransitionBatch
-from micah_plan.learn.joints.parametrization import JointChart, stepped
+from micah_plan.learning.joints.parametrization import JointChart, stepped
 
 HANDLE = (0.05, -0.12, 0.2)
 

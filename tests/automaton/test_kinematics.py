@@ -33,7 +33,7 @@ from micah_plan.automaton.kinematics import (
     twist,
 )
 from micah_plan.errors import InputError
-from micah_plan.learn.joints.parametrization import chart_of, stepped
+from micah_plan.learning.joints.parametrization import chart_of, stepped
 
 KINDS = ("prismatic", "revolute", "screw")
 quick = settings(max_examples=60)

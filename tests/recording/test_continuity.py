@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from micah_plan.learn.learn import learn_graph
+from micah_plan.learning.learn import learn_graph
 from micah_plan.recording.continuity import continuity_of, stretches
 from micah_plan.recording.suspicion import breaks
 from micah_plan.recording.value import Recording

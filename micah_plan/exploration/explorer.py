@@ -1,0 +1,573 @@
+"""The decisions of one exploration: what is believed after each measurement, and what to command next.
+
+First six small pushes tell the hand's stiffness. Then each push is the one with the best chance of a motion per force;
+what should have moved and did not is ruled out. Once the handle moves it is led along the chain of joints that fits
+all that was seen, two centimetres ahead of what friction takes. If it stops, the same belief says where to push next:
+harder, elsewhere, where another joint may begin, or back, since it may have been ajar.
+
+**The next push.** The largest probability of a motion per force.
+
+A step costs some newtons whatever it pushes with, so weak pushes in many directions come first, and stronger ones when
+the weak ones have been in vain: what they ruled out is no longer worth a push.
+
+**The belief.** What would make the handle move: one belief over directions, thresholds and friction of the side force.
+
+A hypothesis says: the handle can go along t (and not back), once the pull along t exceeds a threshold τ (dry friction,
+or a latch on top of it) by more than μ times the force across; or it is fast. Every push tells, the ones without motion
+too.
+
+With c the compliance of the hand [m/N] and v its lead (equilibrium minus handle [m]), the handle goes as soon as
+v·t - μ |v - (v·t) t| > c τ, and then somewhere between the excess and v·t, since friction in motion may be less.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy.special import ndtr
+
+from micah_plan.arrays import Floats
+from micah_plan.execution.plant import Measurement
+from micah_plan.exploration.chain import Chain, judged, opening, refitted, with_joint
+from micah_plan.exploration.hand import UNKNOWN, Hand, stiffest
+from micah_plan.exploration.record import Record
+from micah_plan.quantities import count
+from micah_plan.task.experiment import Scene
+
+Outcome = Literal["opened", "held", "gave_up"]
+
+_PUSHES, _FIRST_PUSH, _PUSH_FORCE = 6, 0.001, 6.0
+# An answer may be that of the push before, of which this is larger: the two stay within the largest force together.
+_PUSH_SHARE, _GROWTH = 0.35, 2.5
+_AHEAD = 0.02  # m
+_SURE = 0.6  # of a motion: then the handle is led on
+_CHANGE = 0.03  # probability per step that another joint takes over
+_HELD = 0.005  # that anything within the force would move it
+_AGREED = 0.7  # of the way that forces tell, what the tracker must see
+_SURELY = 0.006  # m; play and panels that bend are less
+_MOVED = 0.03  # m of way; less is no opening
+_PROGRESS = 0.004  # m
+_GENTLE = 3.0  # times the friction of the way, and 3 N: what is pushed with before the other end is tried
+_BENT = 0.35  # of the largest force, with which a panel may be bent that has to come back first
+_NO_FORCE = 1.0  # N
+_LEAPT = 0.03  # m, further than first pushes move anything, and than trackers are noisy
+_TANGENTS, _BLIND = 12, 60
+_LEAST_SPREAD, _LARGEST_SPREAD = 0.01, 0.14  # of the direction ahead [rad]
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """What was done and believed at one step, for the page and the log.
+
+    Attributes:
+        place: (3,) estimated place of the handle after it [m].
+        force: (3,) measured [N].
+        lead: (3,) of the hand's equilibrium before it [m].
+        kinds: probabilities by name: fast, unknown, and the kinds of joint.
+        fan: (k, 3) directions in which it is most believed to move.
+        way: of the handle along its chain of joints [m].
+    """
+
+    place: Floats
+    force: Floats
+    lead: Floats
+    kinds: dict[str, float]
+    fan: Floats
+    way: float
+
+
+class _Rest(NamedTuple):
+    """Where the handle last went along its way: row, chain, place and its variance."""
+
+    row: int
+    chain: Chain
+    place: Floats
+    variance: float
+
+
+class Explorer:
+    """Believes, decides and logs; it calls no plant."""
+
+    def __init__(self, scene: Scene, first: Measurement) -> None:
+        self.scene, self.record = scene, Record(first)
+        self.outcome: Outcome | None = None
+        self.reason = ""
+        self.moments: list[Moment] = []
+        self.moves: Moves | None = None
+        self.chains: tuple[Chain, ...] = ()
+        self.friction, self.tried, self.can = 3.0, 0.0, 1.0
+        self.sense, self.farthest, self.widest, self.travel = 1.0, 0.0, 0.0, 0.0
+        self._frame = self.record.turns[0]
+        self._axes = np.concatenate([np.eye(3), -np.eye(3)]) @ self._frame.T
+        self._compass = compass() @ self._frame.T
+        self._anchor = self.record.place
+        self._rest: _Rest | None = None
+        self._left: dict[float, tuple[float, Moves | None]] = {}
+        self._is_gentle, self._is_returning = True, False
+
+    @property
+    def steps(self) -> int:
+        return len(self.record.commands)
+
+    @property
+    def chain(self) -> Chain | None:
+        """The most probable chain of joints; None while nothing has moved."""
+        return max(self.chains, key=lambda chain: chain.evidence) if self.chains else None
+
+    def decide(self) -> Floats | None:
+        """(3,) the next command [m]; None if the exploration has ended."""
+        if self.outcome is None and self.steps >= self.scene.steps:
+            self._end("gave_up", f"{count(self.steps, 'step')} {'was' if self.steps == 1 else 'were'} not enough")
+        if self.outcome is not None:
+            return None
+        lead, led = self._lead()
+        if self._has_ended():
+            return None
+        size = float(np.linalg.norm(lead))
+        most = self.scene.largest_step if self.moves is None else self._most()
+        return self.record.command(lead * min(1.0, self.scene.largest_step / max(size, 1e-9)), led, most)
+
+    def _has_ended(self) -> bool:
+        return self.outcome is not None
+
+    def stopped(self, reason: str) -> None:
+        """The machine failed while it carried out the last command."""
+        self.record.withdrawn()
+        self._end("gave_up", reason)
+
+    def _end(self, outcome: Outcome, reason: str) -> None:
+        self.outcome, self.reason = outcome, reason
+
+    def _lead(self) -> tuple[Floats, bool]:
+        """The next lead, and whether it leads on along a known chain."""
+        record, chain, still = self.record, self.chain, (np.zeros(3), False)
+        if record.blind or record.looks_again:
+            return still
+        if self.moves is None:
+            return self._probe(), False
+        most = self._most()
+        directions = self._compass
+        if chain is not None:
+            ahead = self._ahead(chain)
+            if self.scene.is_outside(self.record.place + _AHEAD * ahead):
+                self._end("gave_up", "the workspace ends here")
+                return still
+            far = min(record.hand.compliance * self.friction + _AHEAD, most)
+            needed = self.moves.needed(ahead[None], record.hand.compliance)[0]
+            if float(self.moves.weight[needed + SEEN <= far].sum()) > _SURE:
+                return far * ahead, True
+            directions = np.concatenate([ahead[None], directions[directions @ ahead > -0.3]])
+        else:
+            directions = np.concatenate([directions, self.moves.likely()])
+        push = best_push(self.moves, directions, record.hand, most)
+        self.can = push.can
+        size = float(np.linalg.norm(push.lead))
+        too_strong = self._is_gentle and size > record.hand.compliance * (_GENTLE * self.friction + 3.0)
+        if self.can < _HELD or (chain is not None and too_strong):
+            return self._other_end(chain)
+        bent = float(record.forces[-1] @ push.lead) / size
+        if size > 2.0 * _BENT * most and bent > _BENT * self.scene.largest_force:
+            return still
+        self.tried = max(self.tried, size / record.hand.compliance)
+        return push.lead, False
+
+    def _most(self) -> float:
+        record = self.record
+        doubt = record.place_std if record.hand.from_measured else 0.0
+        return largest_lead(self.scene, record.hand, *record.pushes(), doubt)
+
+    def _probe(self) -> Floats:
+        """A push along an axis of the handle, as strong as what is known of the hand makes safe."""
+        record, stiffness = self.record, self.scene.largest_stiffness or UNKNOWN.stiffness
+        size = min(_FIRST_PUSH, 0.5 * self.scene.largest_force / stiffness)
+        if record.forces:
+            last = max(float(np.linalg.norm(command)) for command in record.commands)
+            force = min(_PUSH_FORCE, _PUSH_SHARE * self.scene.largest_force)
+            size = min(force / max(stiffest(*record.pushes()), self.scene.largest_stiffness or 0.0), _GROWTH * last)
+        return np.asarray(size * self._axes[self.steps % _PUSHES])
+
+    def _ahead(self, chain: Chain) -> Floats:
+        """(3,) direction to the place a step further along its way."""
+        here = chain.way[-1]
+        places, _, _ = chain.poses(np.array([here, here + self.sense * _AHEAD]))
+        chord = places[1] - places[0]
+        return np.asarray(chord / np.linalg.norm(chord))
+
+    def _other_end(self, chain: Chain | None) -> tuple[Floats, bool]:
+        """Nothing more is to be had at this end of the way, or only with more force than the way needed: at the other
+        end it may be less. It was perhaps ajar, and what was met is where it shuts. Force is spent when both are tried.
+        """
+        opposite = self._left.get(-self.sense)
+        if chain is None or (self.can < _HELD and opposite is not None and opposite[1] is None):
+            self._nothing_moves()
+            return np.zeros(3), False
+        self._is_gentle = self._is_gentle and not self._left
+        self._left[self.sense] = (self.farthest, None if self.can < _HELD else self.moves)
+        self.sense = -self.sense
+        self._is_returning = opposite is not None
+        self.farthest = self.sense * float(chain.way[-1]) if opposite is None else opposite[0]
+        self.moves = self._onwards(chain)
+        return self._lead()
+
+    def _nothing_moves(self) -> None:
+        force = self._most() / self.record.hand.compliance
+        if force < _NO_FORCE:
+            self._end("gave_up", "too little is known of the hand to push safely; perhaps it does not hold the handle")
+        elif self.widest < _MOVED:
+            self._end("held", f"nothing moved it within {force:.3g} N; a latch of more than that is not excluded")
+        else:
+            self._end("gave_up", f"after {self.widest:.2g} m nothing within {force:.3g} N moved it on")
+
+    def take(self, measurement: Measurement) -> None:
+        """A measurement after the last command: believe, and note the moment."""
+        record = self.record
+        slip = record.take(measurement)
+        if slip is not None:
+            self._hold_at(slip)
+        if record.blind >= _BLIND:
+            self._end("gave_up", f"the tracker has not seen the handle for {record.blind} steps")
+        elif record.lost:
+            self._end("gave_up", "the hand has lost the handle: commands meet no force, and it does not follow them")
+        elif (met := float(np.linalg.norm(record.forces[-1]))) > self.scene.largest_force:
+            limit = f"{self.scene.largest_force:.3g} N that are allowed"
+            changed = "the hand, its force sensor or the tracker is not what it was"
+            self._end("gave_up", f"the hand met {met:.3g} N, more than the {limit}: {changed}")
+        elif (pull := self._pull()) > self.scene.largest_force:
+            problem = "the tracker sees the handle elsewhere than its force tells, and commands count from there"
+            self._end("gave_up", f"{problem}: even to stay would pull with {pull:.3g} N")
+        elif self.moves is not None or (self.steps >= _PUSHES and not record.blind):
+            self._learn()
+        fan = np.zeros((0, 3)) if self.moves is None else self.moves.likely(40)
+        way = 0.0 if self.chain is None else self.sense * float(self.chain.way[-1])
+        lead, force = record.leads[-1], record.forces[-1]
+        self.moments.append(Moment(record.place.copy(), force, lead, self.probabilities(), fan, way))
+
+    def _pull(self) -> float:
+        """With what force a command to stay would pull: where it counts from was measured [N]."""
+        record = self.record
+        if record.blind:
+            return 0.0
+        if record.hand is UNKNOWN:  # perhaps it counts from there
+            leapt = float(np.linalg.norm(record.last_seen - record.first_seen))
+            return leapt * stiffest(*record.pushes()) if leapt > _LEAPT else 0.0
+        away = record.last_seen - record.place - record.slips.expected
+        counts = record.hand.from_measured or record.hand.perhaps_measured
+        return float(np.linalg.norm(away)) * record.hand.stiffness if counts else 0.0
+
+    def _hold_at(self, slip: Floats) -> None:
+        """The hand now holds the handle elsewhere, by (3,) in its frame [m]: so does all that is remembered of it."""
+        moved = [replace(chain, place=chain.place + chain.turn @ slip) for chain in self.chains]
+        self.chains = tuple(moved)
+        if self._rest is not None:
+            row, chain, place, variance = self._rest
+            turn = chain.poses(chain.way[-1:])[1][0]
+            chain = replace(chain, place=chain.place + chain.turn @ slip)
+            self._rest = _Rest(row, chain, place + turn @ slip, variance)
+
+    def _learn(self) -> None:
+        record = self.record
+        if not self.chains and not record.blind:
+            record.know_hand()
+            self._anchor = record.place - np.sum(record.moved, axis=0)
+            if record.hand.complaint:
+                self._end("gave_up", record.hand.complaint)
+                return
+        if self.moves is None:
+            self.moves = anywhere(self._frame)
+            for k in range(self.steps):
+                self._rule_out(k)
+        elif not (record.blind or record.odd):
+            self._rule_out(self.steps - 1)
+        if not self.chains:
+            net = record.place - self._anchor - record.bending() @ record.forces[-1]
+            if not record.odd and float(np.linalg.norm(net)) > _SURELY + 3.0 * np.sqrt(record.variance):
+                pose = (self._anchor, self._frame)
+                self.chains = with_joint(None, pose, net, record.rows(), 0)
+                self._rest = _Rest(self.steps, self.chains[0], record.place, record.variance)
+        elif not (record.blind or record.odd) and self._leaves_chain():
+            self._next_joint()
+        else:
+            self.chains = refitted((self.chains[0], self.chains[1]), record.rows())
+        if self.chain is not None:
+            self._follow(self.chain)
+
+    def _rule_out(self, k: int) -> None:
+        """What should have moved in step k and did not, or otherwise."""
+        record, lead = self.record, self.record.leads[k]
+        if self.moves is not None and lead.any():
+            self.moves = self.moves.updated(lead, record.lasting(k), record.step_std(k), record.hand.compliance)
+
+    def _leaves_chain(self) -> bool:
+        """Whether the handle has moved across its way since it went along it last: another joint does that."""
+        if self._rest is None:
+            return False
+        _, chain, place, variance = self._rest
+        along, net = chain.poses(chain.way[-1:])[2][0], self.record.place - place
+        across = float(np.linalg.norm(net - (net @ along) * along))
+        shows = _SURELY + 3.0 * float(np.sqrt(variance + self.record.variance))
+        return across > max(shows, abs(float(net @ along)))
+
+    def _next_joint(self) -> None:
+        if self._rest is None:
+            return
+        row, before, place, _ = self._rest
+        before = opening(before)
+        self.chains = with_joint(before, (place, self._frame), self.record.place - place, self.record.rows(), row)
+        self.sense, self.farthest, self._left = 1.0, float(before.way[-1]), {}
+        self._is_gentle, self._is_returning = True, False
+
+    def _follow(self, chain: Chain) -> None:
+        """Where the handle is on its way, and what is believed there."""
+        record = self.record
+        record.fitted(chain)
+        way = self.sense * float(chain.way[-1])
+        self.widest = float(np.ptp(chain.way))
+        along, gone = chain.poses(chain.way[-1:])[2][0], record.moved[-1]
+        if self._is_returning:
+            travel = self._left[self.sense][1]
+            self._is_returning = way <= self.farthest - 0.006
+            if not self._is_returning and travel is not None:
+                self.moves = travel
+            elif not self._is_returning or abs(gone @ along) > _PROGRESS:  # else something stands in its way
+                self.moves = self._onwards(chain)
+        if abs(gone @ along) > max(_PROGRESS, 0.8 * float(np.linalg.norm(gone))):
+            self._rest = _Rest(self.steps, chain, record.place, record.variance)
+        if way > self.farthest + _PROGRESS:
+            self.farthest = way
+            pull = max(self.sense * float(record.forces[-1] @ along), 0.3)
+            led = float(np.linalg.norm(record.leads[-1])) > record.hand.compliance * self.friction + 0.5 * _AHEAD
+            if not led or pull < 2.0 * self.friction:  # more than that is no friction: something stopped it
+                self.friction = pull
+            self.moves = self._onwards(chain)
+        if record.blind or record.odd or record.doubtful:
+            return  # force alone shows no motion
+        expected, moved = self._moved(chain)
+        if moved >= _AGREED * expected:
+            self.travel = max(self.travel, abs(way))
+        if way < self.scene.opening:
+            return
+        if moved >= _AGREED * expected:
+            self._end("opened", f"the handle went {way:.3g} m")
+        else:
+            problem = f"by its force the handle went {expected:.2g} m, the tracker saw {max(moved, 0.0):.2g} m of that"
+            self._end("gave_up", f"{problem}: the hand, its force sensor or the tracker is not what it was")
+
+    def _moved(self, chain: Chain) -> tuple[float, float]:
+        """How far the handle went along its chain, as the crow flies, and how much of that the tracker saw [m]."""
+        places, _, _ = chain.poses(np.array([0.0, chain.way[-1]]))
+        net = places[1] - places[0]
+        size = float(np.linalg.norm(net))
+        return size, float((self.record.last_seen - self.record.first_seen) @ net) / max(size, 1e-9)
+
+    def _onwards(self, chain: Chain) -> Moves:
+        """The belief of a handle that goes its way: on in the directions that it may take, as well as known."""
+        _, slope = chain.ahead(float(chain.way[-1]))
+        values, axes = np.linalg.eigh(slope.T @ chain.covariance @ slope)
+        spread = (axes * np.sqrt(np.clip(values, _LEAST_SPREAD**2, _LARGEST_SPREAD**2))) @ axes.T
+        drawn = np.random.default_rng(0).standard_normal((_TANGENTS, 3)) @ self._frame.T
+        made = self._ahead(chain) + drawn @ spread
+        return onwards(made / np.linalg.norm(made, axis=1)[:, None], self.friction, self._frame, _CHANGE)
+
+    def judged(self) -> tuple[Chain | None, float]:
+        """The most probable chain and the probability of its kinds; where nothing moved, None and the probability that
+        nothing does within the force."""
+        if not self.chains or self.widest < _MOVED or self.travel < _MOVED:
+            return None, (1.0 - self.can if self.outcome == "held" else self.probabilities().get("fast", 0.0))
+        rows = self.record.rows()
+        return judged([opening(chain) for chain in refitted((self.chains[0], self.chains[1]), rows)], rows)
+
+    def probabilities(self) -> dict[str, float]:
+        """Of what is known now, by name: fast, unknown, or the kind of the last joint."""
+        if not self.chains:
+            fast = self.moves.fast if self.moves is not None else 0.1
+            return {"fast": fast, "unknown": 1.0 - fast}
+        logs = np.array([chain.evidence for chain in self.chains])
+        share = np.exp(logs - logs.max())
+        return {chain.kinds[-1]: float(p) for chain, p in zip(self.chains, share / share.sum(), strict=True)}
+
+
+SEEN = 0.001  # m, a motion that shows
+_EFFORT = 2.0  # N that a step costs anyhow; 6 N takes a third more force and saves no step (35 objects)
+_SAFE = 0.93  # of the largest force, for what is not known of the hand
+_LEVELS, _LEAST_FORCE = 12, 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Push:
+    """A push, and what is left to be had.
+
+    Attributes:
+        lead: (3,) of the hand's equilibrium before the handle [m].
+        can: probability that any push of these directions within the force would move it.
+    """
+
+    lead: Floats
+    can: float
+
+
+def best_push(moves: Moves, directions: Floats, hand: Hand, most: float) -> Push:
+    """The push along one of the directions (k, 3), with a lead of at most `most` [m]."""
+    needed = moves.needed(directions, hand.compliance)
+    can = float(moves.weight[needed.min(axis=0) <= most].sum())
+    forces = np.geomspace(_LEAST_FORCE, max(most / hand.compliance, 1.01 * _LEAST_FORCE), _LEVELS)
+    leads = np.unique(np.minimum(hand.compliance * forces, most))
+    number = np.searchsorted(leads, needed + max(2.0 * hand.std(np.zeros(3)), SEEN))
+    chances = np.stack([np.bincount(row, moves.weight, len(leads) + 1)[:-1] for row in number]).cumsum(axis=1)
+    worth = chances / (leads / hand.compliance + _EFFORT)
+    best, level = np.unravel_index(int(np.argmax(worth)), worth.shape)
+    return Push(np.asarray(leads[level] * directions[best]), can)
+
+
+def largest_lead(scene: Scene, hand: Hand, leads: Floats, forces: Floats, doubt: float) -> float:
+    """The largest lead that keeps the force below its limit even if nothing gives way [m].
+
+    Args:
+        leads, forces: (k, 3) of pushes so far; none may have met more force per lead than is reckoned with.
+        doubt: std of a lead [m].
+    """
+    surely = min(hand.compliance, 1.0 / max(hand.stiffest, 1e-9)) * (1.0 - 2.0 * hand.spread)
+    sizes, met = np.linalg.norm(leads, axis=1), np.linalg.norm(forces, axis=1)
+    strong = met > 5.0 + 5.0 * hand.force_std
+    surely = min(surely, float(((sizes[strong] + 2.0 * doubt) / met[strong]).min(initial=np.inf)))
+    if scene.largest_stiffness is not None:
+        surely = min(surely, 1.0 / scene.largest_stiffness)
+    return max(min(scene.largest_step, surely * (_SAFE * scene.largest_force - 3.0 * hand.force_std)), 0.0)
+
+
+# A handle that is fast may still give: play of the joint and of the grip, a panel that bends. So often, and so far [m],
+# and at most by that share of the lead.
+_GIVES, _PLAY, _BENDS = 0.15, 0.003, 0.35
+_OUTLIER = 1e-6
+_SIDE_FRICTION = np.array([0.05, 0.35])
+# Prior of what holds a handle at rest: [N], median and spread of dry friction, and the range of latches.
+_FRICTION, _FRICTION_SPREAD, _LATCHES = 3.0, 0.6, (6.0, 60.0)
+_SHARE_FRICTION, _SHARE_LATCHED = 0.65, 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Moves:
+    """Weighted hypotheses; those with an infinite threshold say that the handle is fast, and may give along t.
+
+    Attributes:
+        direction: (n, 3) unit vectors, base frame.
+        threshold: (n,) [N].
+        side: (n,) friction coefficient of the force across.
+        weight: (n,) probabilities.
+    """
+
+    direction: Floats
+    threshold: Floats
+    side: Floats
+    weight: Floats
+
+    @property
+    def fast(self) -> float:
+        """Probability that nothing moves it."""
+        return float(self.weight[np.isinf(self.threshold)].sum())
+
+    def needed(self, directions: Floats, compliance: float) -> Floats:
+        """(k, n) lead [m] along each of k unit directions from which on each hypothesis moves; infinite if none."""
+        along = directions @ self.direction.T
+        across = np.sqrt(np.maximum(1.0 - along**2, 0.0))
+        effective = along - self.side * across
+        with np.errstate(divide="ignore"):
+            return np.where(effective > 0.05, compliance * self.threshold / np.maximum(effective, 0.05), np.inf)
+
+    def updated(self, lead: Floats, moved: Floats, std: float, compliance: float) -> Moves:
+        """The belief after a push with a lead (3,) that displaced the handle by `moved` (3,), seen with a std [m]."""
+        along, shift = self.direction @ lead, self.direction @ moved
+        across = np.sqrt(np.maximum(lead @ lead - along**2, 0.0))
+        excess = along - self.side * across - compliance * self.threshold
+        off = np.maximum(moved @ moved - shift**2, 0.0)
+        normal = np.exp(-0.5 * off / std**2) / std**2
+        far = np.where(np.isfinite(excess), np.maximum(along - excess, std), std)
+        goes = (ndtr((along - shift) / std) - ndtr((np.maximum(excess, 0.0) - shift) / std)) / far
+        rests = _at_rest(lead, moved, std)
+        floor = _OUTLIER / std**3
+        likelihood = np.where(excess > 0.0, normal * goes, rests) + floor
+        weight = self.weight * likelihood
+        return replace(self, weight=weight / weight.sum())
+
+    def likely(self, count: int = 4) -> Floats:
+        """(k, 3) directions of the most probable hypotheses, and their mean in front if they agree."""
+        mean = self.weight @ self.direction
+        size = float(np.linalg.norm(mean))
+        heaviest = self.direction[np.argpartition(-self.weight, count)[:count]]
+        return np.concatenate([[mean / size], heaviest]) if size > 0.5 else heaviest
+
+
+def _at_rest(lead: Floats, moved: Floats, std: float) -> float:
+    """Density of a displacement (3,) of what rests: none, or some giving towards the push; whatever could move it."""
+    size, squared = float(np.linalg.norm(lead)), float(moved @ moved)
+    none = math.exp(-0.5 * squared / std**2) / (std**3 * math.sqrt(2 * math.pi))
+    if size == 0.0:
+        return none
+    shift = float(moved @ lead) / size
+    normal = math.exp(-0.5 * max(squared - shift**2, 0.0) / std**2) / std**2
+    room = max(min(_PLAY, _BENDS * size), std)
+    gives = float(ndtr((room - shift) / std) - ndtr((-room - shift) / std)) / (2 * room)
+    return (1 - _GIVES) * none + _GIVES * normal * gives
+
+
+def sphere(count: int) -> Floats:
+    """(count, 3) unit vectors spread evenly (Fibonacci lattice)."""
+    k = np.arange(count) + 0.5
+    height, angle = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
+    ring = np.sqrt(1.0 - height**2)
+    return np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1)
+
+
+def compass() -> Floats:
+    """(26, 3) unit vectors to the faces, edges and corners of a cube."""
+    grid = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3).astype(float)
+    grid = grid[np.abs(grid).sum(axis=1) > 0]
+    return np.asarray(grid / np.linalg.norm(grid, axis=1)[:, None])
+
+
+def anywhere(turn: Floats, mass: float = 1.0, friction: float = _FRICTION, count: int = 240) -> Moves:
+    """The prior: any direction is alike, dry friction or a latch holds the handle, or it is fast.
+
+    Args:
+        turn: (3, 3) orientation of the handle, with which the directions turn, so that the answer does.
+        mass: of the whole.
+        friction: expected of it [N].
+    """
+    thresholds = np.geomspace(1.0, _LATCHES[1], 12)
+    logs = np.log(thresholds)
+    dry = np.exp(-0.5 * ((logs - np.log(friction)) / _FRICTION_SPREAD) ** 2)
+    latched = (thresholds >= _LATCHES[0]).astype(float)
+    prior = _SHARE_FRICTION * dry / dry.sum() + _SHARE_LATCHED * latched / latched.sum()
+    thresholds, prior = np.append(thresholds, np.inf), np.append(prior, 1.0 - _SHARE_FRICTION - _SHARE_LATCHED)
+    number, level, side = (
+        a.ravel() for a in np.meshgrid(np.arange(count), np.arange(len(thresholds)), np.arange(2), indexing="ij")
+    )
+    weight = mass * prior[level] / (count * 2)
+    return Moves((sphere(count) @ turn.T)[number], thresholds[level], _SIDE_FRICTION[side], weight)
+
+
+def onwards(tangents: Floats, friction: float, turn: Floats, change: float) -> Moves:
+    """The belief of a handle that has just moved: on along its way against about the same friction, or all is new.
+
+    Args:
+        tangents: (k, 3) equally probable directions of its way.
+        friction: that held it last [N].
+        change: probability that what moved it until now does so no longer.
+    """
+    ratio = np.geomspace(0.5, 4.0, 8)
+    prior = np.exp(-0.5 * ((np.log(ratio) - np.log(1.1)) / 0.3) ** 2) + 0.02
+    number, level, side = (
+        a.ravel() for a in np.meshgrid(np.arange(len(tangents)), np.arange(len(ratio)), np.arange(2), indexing="ij")
+    )
+    weight = (1.0 - change) * (prior / prior.sum())[level] / (len(tangents) * 2)
+    new = anywhere(turn, change, max(friction, 1.0))
+    back = new.direction @ tangents.mean(axis=0) < -0.5  # whence it came
+    new = replace(new, weight=np.where(back, 0.0, new.weight))
+    return Moves(
+        np.concatenate([tangents[number], new.direction]),
+        np.concatenate([max(friction, 0.5) * ratio[level], new.threshold]),
+        np.concatenate([_SIDE_FRICTION[side], new.side]),
+        np.concatenate([weight, new.weight]),
+    )

@@ -1,0 +1,443 @@
+"""What was done and seen, and the faults of tracker and grip.
+
+A tracker may be out (no pose, a late answer, or the same pose to the last digit), leap once, or see the handle
+elsewhere for good: then the grip has slipped on it, or the hand is off it.
+
+**Slips.** Whether the grip has slipped on the handle: a test of likelihood ratios over looks of the tracker.
+
+A slip is a sudden and lasting offset between where the odometer says that the handle is and where the tracker sees it;
+a leap is an offset of one look. Each hypothesis, that nothing happened or that the grip slipped just before a certain
+look, is a Kalman filter; the likelihoods of all later looks decide between them, so that several looks show an offset
+that one look at a noisy tracker does not. What the force explains is no slip: the error of the hand's compliance is
+part of the state, and a panel that bends alike in all directions looks like one. Every filter learns the noise of the
+tracker by itself.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.special import gammaln
+
+from micah_plan.arrays import Floats
+from micah_plan.execution.plant import Measurement
+from micah_plan.exploration.chain import PLACE_STD, WORTH, Chain, StepRows
+from micah_plan.exploration.hand import UNKNOWN, Hand, hand_of
+
+_CONTRADICTS = 6.0  # std
+_PERHAPS_OFF, _SURELY_OFF = 1.0, 9.0  # nats
+_NOT_LINEAR = 0.02  # share of a lead by which no hand is a linear spring
+_LEAST_STD = 3e-4  # m
+_SOFT = 4e-4  # m/N, of a panel that bends much
+_LET_GO = 0.25  # of the last lead; places that commands count from are noisy, so that it is not 0
+_FEWEST = 5
+_DOUBT = 0.1  # that the grip has slipped, from which on it is looked at again without force
+_LOOKS = 4  # without force, that tell as much as many
+_SAME = 0.3  # std, by which a hand is no other
+
+
+class Record:
+    """Rows of one exploration.
+
+    Attributes:
+        hand: as well as it is known.
+        slips: whether the grip has slipped on the handle.
+        places, turns: (3,) and (3, 3) measured, one more than commands; NaN where not seen.
+        commands, leads: (3,) as given, and from the estimated place of the handle to the hand's equilibrium [m].
+        forces: (3,) [N]; 0 where not measured.
+        moved, moved_std: (3,) displacement by the odometer alone, and its std [m].
+        shifted: (3,) displacement by odometer and tracker [m].
+        led: whether a command led on along a known chain; else it was a push to find one.
+        place, variance: (3,) where the handle is, and the variance per axis.
+        place_std: noise of the tracker per axis [m].
+        blind: steps since the tracker saw the handle.
+        lost, doubtful: whether the hand surely is, or may be, off the handle: no command meets a force, and it does not
+            follow them.
+        notes: what went wrong, one sentence each.
+        first_seen, last_seen: (3,) places as the tracker told them, whatever was made of them since [m].
+    """
+
+    def __init__(self, first: Measurement) -> None:
+        self.hand: Hand = UNKNOWN
+        self.first_seen = self.last_seen = first.position[0].copy()
+        self.places: list[Floats] = [first.position[0].copy()]
+        self.turns: list[Floats] = [Rotation.from_quat(first.quaternion[0]).as_matrix()]
+        self.commands, self.leads, self.forces = list[Floats](), list[Floats](), list[Floats]()
+        self.moved, self.moved_std, self.shifted = list[Floats](), list[float](), list[Floats]()
+        self.led: list[bool] = []
+        self.place, self.variance = self.places[0].copy(), PLACE_STD**2
+        self.place_std = PLACE_STD
+        self.slips = Slips(self.places[0], self.hand)
+        self.blind, self.notes = 0, list[str]()
+        self._reference, self._time, self._off = self.place.copy(), first.time, 0.0
+        self._rests, self._usual = 0, PLACE_STD  # the latter: noise of the tracker while the hand held the handle
+        self._late, self._leapt = list[bool](), [False]
+
+    @property
+    def odd(self) -> bool:
+        """Whether what the tracker saw lately contradicts the odometer, and it is not known yet why."""
+        return self._leapt[-1] or self.slips.doubt > _DOUBT
+
+    @property
+    def looks_again(self) -> bool:
+        """Whether that will tell."""
+        return self._leapt[-1] or (self.odd and self._rests < _LOOKS)
+
+    @property
+    def lost(self) -> bool:
+        return self._off > _SURELY_OFF
+
+    @property
+    def doubtful(self) -> bool:
+        return self._off > _PERHAPS_OFF
+
+    def command(self, lead: Floats, led: bool, most: float) -> Floats:
+        """(3,) the command for a lead, noted.
+
+        Args:
+            most: the largest that is safe [m], whether the tracker is right on where the handle is or the odometer.
+        """
+        lead_now, self._rests = lead, 0 if lead.any() else self._rests + 1
+        if self.hand.from_measured and not self.blind:
+            off = self.place + self.slips.expected - self._reference
+            lead_now = lead + off * min(1.0, _CONTRADICTS * self.place_std / max(float(np.linalg.norm(off)), 1e-9))
+            lead_now = lead_now * min(1.0, (most + self.place_std) / max(float(np.linalg.norm(lead_now)), 1e-9))
+            lead = lead_now + self._reference - self.place
+        self.leads.append(lead)
+        self.commands.append(lead_now)
+        self.led.append(led)
+        return lead_now
+
+    def withdrawn(self) -> None:
+        """The last command was not carried out."""
+        for column in (self.leads, self.commands, self.led):
+            column.pop()
+
+    def take(self, measurement: Measurement) -> Floats | None:
+        """A measurement after the last command; (3,) by what the grip has slipped on the handle, if that is found [m].
+
+        The offset counts in the handle's own frame.
+        """
+        force = np.full(3, np.nan) if measurement.force is None else measurement.force[0]
+        place, turn = measurement.position[0], measurement.quaternion[0]
+        late = measurement.time <= self._time or not bool(np.isfinite(force).all())
+        unseen = late or not (np.isfinite(place).all() and np.isfinite(turn).all()) or self._repeats(place)
+        self._time = max(self._time, measurement.time)
+        self.forces.append(np.nan_to_num(force))
+        self._late.append(late)
+        self.places.append(np.full(3, np.nan) if unseen else place.copy())
+        self.turns.append(np.full((3, 3), np.nan) if unseen else Rotation.from_quat(turn).as_matrix())
+        self.moved.append(np.zeros(3))
+        self.moved_std.append(0.0)
+        self.shifted.append(np.zeros(3))
+        self._leapt.append(False)
+        self._tested(len(self.forces) - 1)
+        self._passed(len(self.forces) - 1)
+        if unseen:
+            self.blind += 1
+            return None
+        if self.blind:
+            self.notes.append(f"the tracker saw nothing for {self.blind} steps, until step {len(self.forces)}")
+            self.blind = 0
+        self._reference = self.last_seen = place.copy()
+        self._doubt_hand(place)
+        return None if self.doubtful else self._slip()
+
+    def _passed(self, k: int) -> None:
+        """Step k, by odometer and tracker."""
+        before = self.place
+        self.moved[k], self.moved_std[k] = self._odometer(k)
+        self.place = before + self.moved[k]
+        self.variance = self.moved_std[k] ** 2 + (0.0 if self._counted(k) else self.variance)
+        if self._saw(k + 1) and not self._leapt[k + 1]:
+            gain = self.variance / (self.variance + self.place_std**2)
+            self.place = self.place + gain * (self.places[k + 1] - self.place)
+            self.variance *= 1.0 - gain
+        self.shifted[k] = self.place - before
+
+    def _tested(self, k: int) -> None:
+        """Step k, for whether the grip slipped."""
+        is_certain = not self._late[k] and self.hand is not UNKNOWN
+        if self._counted(k):
+            size = float(np.linalg.norm(self.leads[k]))
+            along = self.leads[k] / size if self.led[k] and size > 0 else None
+            self.slips.came(self.commands[k] + self.places[k], self.forces[k], along)
+        elif is_certain and not self.hand.from_measured:
+            self.slips.went(self.commands[k], self.forces[k])
+        else:
+            self.slips.went_unseen(float(np.linalg.norm(self.leads[k])) + self.place_std)
+        if self._saw(k + 1):
+            self.slips.look(self.places[k + 1], k + 1)
+        self._leapt[k + 1] = self._saw(k + 1) and self.slips.leapt
+
+    def _counted(self, k: int) -> bool:
+        """Whether command k counted from a place that the tracker saw."""
+        return self.hand.from_measured and not self._late[k] and self._saw(k)
+
+    def _saw(self, row: int) -> bool:
+        return bool(np.isfinite(self.places[row]).all())
+
+    def _repeats(self, place: Floats) -> bool:
+        """Whether a noisy tracker says to the last digit what it said before: then it has not measured."""
+        places = [p for p in self.places if np.isfinite(p).all()]
+        if len(places) < 3 or not np.array_equal(place, places[-1]):
+            return False
+        return not any(np.array_equal(a, b) for a, b in pairwise(places))
+
+    def _odometer(self, k: int) -> tuple[Floats, float]:
+        """Displacement in step k by its force, and the std [m]; a late answer's force is an old one too."""
+        unknown = self.hand.from_measured and not self._saw(k)  # what the command counted from
+        if self._late[k] or unknown:
+            return np.zeros(3), float(np.linalg.norm(self.leads[k])) + self.place_std
+        return self.leads[k] - self.hand.compliance * self.forces[k], self.hand.std(self.forces[k])
+
+    def _doubt_hand(self, place: Floats) -> None:
+        """Log odds that the hand is off: without a force the handle followed the whole command, or it did not move."""
+        before = self.places[-2]
+        if np.linalg.norm(self.forces[-1]) > 5.0 * self.hand.force_std + 0.3:
+            self._off, self._usual = 0.0, max(self.slips.tracker_std, self.place_std)
+        elif np.isfinite(before).all():
+            gone, led = place - before, self.leads[-1]
+            self._off = max(self._off + float(led @ (led - 2.0 * gone)) / (4.0 * self._usual**2), 0.0)
+
+    def _slip(self) -> Floats | None:
+        """Earlier places become those of the point now held, if the grip has surely slipped."""
+        slip = self.slips.found()
+        if slip is None:
+            return None
+        row, off = slip
+        size = 1000.0 * float(np.linalg.norm(off))
+        self.notes.append(f"step {row}: the handle is seen {size:.0f} mm from where the force says it is")
+        shift = np.asarray(self.turns[row].T @ off)
+        for i in range(row):
+            if self._saw(i):
+                self.places[i] = self.places[i] + self.turns[i] @ shift
+        self._again()
+        self._test_again()
+        return shift
+
+    def know_hand(self) -> None:
+        """The hand from all pushes so far, and with it all displacements anew."""
+        usable = ~np.array(self._late)
+        commands, places = np.array(self.commands), np.array(self.places[:-1])
+        self.hand = hand_of(commands[usable], places[usable], np.array(self.forces)[usable])
+        hand = self.slips.hand
+        differs = abs(self.hand.compliance / hand.compliance - 1.0) > _SAME * self.hand.spread
+        if differs or self.hand.from_measured != hand.from_measured:
+            self._test_again()
+        self._again()
+
+    def _again(self) -> None:
+        """Where the handle was, from the start."""
+        self.place, self.variance = self.places[0].copy(), self.place_std**2
+        if self.hand.from_measured:  # the force says where it is, the first place only as well as the tracker
+            self.place = self.place + self.commands[0] - self.hand.compliance * self.forces[0]
+        for k, command in enumerate(self.commands):
+            is_measured = self.hand.from_measured and self._saw(k)
+            self.leads[k] = command + self.places[k] - self.place if is_measured else command
+            self._passed(k)
+
+    def _test_again(self) -> None:
+        """Whether the grip slipped, from the start."""
+        self.slips = Slips(self.places[0], self.hand)
+        for k in range(len(self.commands)):
+            self._tested(k)
+
+    def step_std(self, k: int) -> float:
+        """Std per axis of the displacement in step k [m]: the odometer's, and what a hand is not a linear spring."""
+        away = _NOT_LINEAR * float(np.linalg.norm(self.leads[k]))
+        return float(np.sqrt(self.moved_std[k] ** 2 + _LEAST_STD**2 + away**2))
+
+    def lasting(self, k: int) -> Floats:
+        """(3,) displacement in step k without that of what only bends [m]."""
+        before = self.forces[k - 1] if k else np.zeros(3)
+        return np.asarray(self.shifted[k] - self.bending() @ (self.forces[k] - before))
+
+    def bending(self) -> Floats:
+        """(3, 3) compliance of what the handle is fixed to [m/N]: how far it comes back when the hand lets go.
+
+        Bayesian regression; before, it is isotropic, by how much most pushes displace the handle per change of force:
+        what only a few pushes do is a motion.
+        """
+        change = np.diff(np.array([np.zeros(3), *self.forces]), axis=0)
+        size = np.linalg.norm([np.zeros(3), *self.leads], axis=1)
+        moved, strong = np.array(self.shifted), (change**2).sum(axis=1) > (4.0 + 5.0 * self.hand.force_std) ** 2
+        let_go = strong & (size[1:] < _LET_GO * size[:-1])
+        pushed = strong & ~let_go & ~np.array(self.led)
+        alike = 0.0
+        if pushed.sum() >= _FEWEST:
+            along = (moved[pushed] * change[pushed]).sum(axis=1) / (change[pushed] ** 2).sum(axis=1)
+            alike = max(float(np.median(along)), 0.0)
+        force, back = change[let_go], moved[let_go] - alike * change[let_go]
+        doubt = (_LEAST_STD / _SOFT) ** 2 * np.eye(3)
+        return np.asarray(alike * np.eye(3) + np.linalg.solve(force.T @ force + doubt, force.T @ back).T)
+
+    def pushes(self) -> tuple[Floats, Floats]:
+        """(k, 3) leads and (k, 3) forces of all commands that were not to rest, with a force that belongs to them."""
+        rows = [k for k in range(len(self.forces)) if self.leads[k].any() and not self._late[k]]
+        leads, forces = ([column[k] for k in rows] for column in (self.leads, self.forces))
+        return np.array(leads).reshape(-1, 3), np.array(forces).reshape(-1, 3)
+
+    def rows(self) -> StepRows:
+        """All rows, to fit a chain to."""
+        std = np.hypot(np.array(self.moved_std), _LEAST_STD)
+        leapt = np.array(self._leapt)
+        places = np.where(leapt[:, None], np.nan, self.places)
+        return StepRows(places, np.array(self.turns), np.array(self.moved), std)
+
+    def fitted(self, chain: Chain) -> None:
+        """What a chain leaves tells the noise of the tracker."""
+        self.place_std = float(np.clip(chain.place_std, 2e-4, 0.01))
+
+
+_LEAST, _MOST = 2e-4, 0.01  # m, noise of a tracker
+_SLIPS, _SLIP_STD = 2e-3, 0.01  # probability per look, and std per axis [m]
+_LEAPS, _LEAP_STD = 1e-3, 0.1
+_MOST_LOOKS, _SURE = 20, 0.95  # looks after which a slip that they do not show is given up
+_BENDS, _NOT_LINEAR_STRETCH = 0.25, 0.01  # shares of a stretch: of what bends, and by which no hand is a linear spring
+_PLAY, _ASIDE = 0.001, 0.002  # m, that what rests gives, and that it goes aside of where it is led
+_SEEN = np.concatenate([np.eye(3), np.zeros((3, 1)), np.eye(3)], axis=1)  # the tracker sees place and slip
+
+
+class Slips:
+    """A bank of filters: the first says that nothing happened, the others that the grip slipped before a look.
+
+    Attributes:
+        hand: what is reckoned with.
+        state: (n, 7) place of the point that was held first [m], share by which the compliance is more than that of
+            the hand, and from that point to the one that is held [m].
+        covariance: (n, 7, 7) of it.
+        row: (n,) of the look before which it slipped.
+        odds: (n,) log odds against the first.
+        leapt: whether the last look was none of the handle, if nothing happened.
+    """
+
+    def __init__(self, place: Floats, hand: Hand) -> None:
+        self.hand = hand
+        self.state = np.concatenate([place, np.zeros(4)])[None]
+        self.covariance = np.diag([*[PLACE_STD**2] * 3, hand.spread**2 + _BENDS**2, 0.0, 0.0, 0.0])[None]
+        self.row, self.odds = np.zeros(1, int), np.zeros(1)
+        self._count, self._noise = np.full(1, WORTH), np.full(1, PLACE_STD**2)
+        self.leapt = False
+
+    @property
+    def _share(self) -> Floats:
+        share = np.exp(self.odds - self.odds.max())
+        return np.asarray(share / share.sum())
+
+    @property
+    def doubt(self) -> float:
+        """Probability that the grip has slipped before one of the last looks."""
+        return 1.0 - float(self._share[0])
+
+    @property
+    def tracker_std(self) -> float:
+        """Noise of the tracker per axis, if nothing happened [m]."""
+        return float(np.sqrt(self._noise[0]))
+
+    @property
+    def expected(self) -> Floats:
+        """(3,) from where the handle would be had nothing happened to where it is, mean of all hypotheses [m]."""
+        held = self.state @ _SEEN.T
+        return np.asarray(self._share @ held - held[0])
+
+    def went(self, command: Floats, force: Floats) -> None:
+        """The equilibrium was displaced by (3,) from where the handle was [m], and met a force [N]."""
+        self._went(command, force, np.eye(3, 7))
+
+    def came(self, equilibrium: Floats, force: Floats, along: Floats | None) -> None:
+        """The equilibrium was at (3,), as the tracker counts [m]: what is held is at one place by all hypotheses.
+
+        So the next looks tell no more of them; how the handle must have moved does.
+
+        Args:
+            along: (3,) unit vector in which it was led; None if it was pushed to see whether it moves.
+        """
+        moved = self._moved_so(equilibrium, force, along)
+        self.odds = self.odds + moved - moved[0]
+        self.state[:, :3] = 0.0
+        self._went(equilibrium, force, np.eye(3, 7, k=4) * -1.0)
+
+    def went_unseen(self, std: float) -> None:
+        """Nothing is known of a step but how far it may have gone, per axis [m]."""
+        self.covariance = self.covariance + np.diag([*[std**2] * 3, 0.0, 0.0, 0.0, 0.0])
+
+    def _moved_so(self, equilibrium: Floats, force: Floats, along: Floats | None) -> Floats:
+        """(n,) log likelihood of the displacement: it rests, or it goes within what the lead can do."""
+        lead = equilibrium - self.state @ _SEEN.T
+        gone, covariance = lead - self.hand.compliance * force, _SEEN @ self.covariance @ _SEEN.T
+        length = np.linalg.norm(lead, axis=1)[:, None, None]
+        round_ = np.broadcast_to(np.eye(3), covariance.shape)
+        rests = _normal(gone, covariance + _PLAY**2 * round_)
+        if along is None:
+            goes = _normal(gone - 0.5 * lead, covariance + (length**2 / 12.0 + _PLAY**2) * round_)
+        else:
+            half = 0.5 * (lead @ along)[:, None] * along
+            goes = _normal(gone - half, covariance + length**2 / 12.0 * np.outer(along, along) + _ASIDE**2 * round_)
+        return np.asarray(np.logaddexp(rests, goes))
+
+    def _went(self, shift: Floats, force: Floats, carry: Floats) -> None:
+        """The place becomes `carry` of the state, and goes by a shift less the stretch of the hand."""
+        stretch = self.hand.compliance * force
+        whole = np.concatenate([carry, np.eye(7)[3:]])
+        whole[:3, 3] = -stretch
+        self.state = self.state @ whole.T
+        self.state[:, :3] += shift - stretch
+        noise = (self.hand.compliance * self.hand.force_std) ** 2 + _NOT_LINEAR_STRETCH**2 * float(stretch @ stretch)
+        self.covariance = whole @ self.covariance @ whole.T
+        self.went_unseen(float(np.sqrt(noise)))
+
+    def look(self, measured: Floats, row: int) -> None:
+        """The tracker sees the handle at (3,) [m]."""
+        self._branch(row)
+        off, noise = measured - self.state @ _SEEN.T, self._noise
+        covariance = _SEEN @ self.covariance @ _SEEN.T
+        width = covariance + noise[:, None, None] * np.eye(3)
+        inverse, volume = np.linalg.inv(width), np.linalg.slogdet(width)[1]
+        share = noise / np.exp(volume / 3.0)  # share of the tracker's noise in what the look can be off
+        fits = _student(np.einsum("ni,nij,nj->n", off, inverse, off), volume, self._count / share**2)
+        squares = (off**2).sum(axis=1)
+        leaps = np.log(_LEAPS) - 0.5 * squares / _LEAP_STD**2 - 1.5 * np.log(2.0 * np.pi * _LEAP_STD**2)
+        taken = fits > leaps
+        self.odds = self.odds + np.maximum(fits, leaps)
+        self.odds = self.odds - self.odds[0]
+        gain = np.where(taken[:, None, None], self.covariance @ _SEEN.T @ inverse, 0.0)
+        self.state = self.state + np.einsum("nij,nj->ni", gain, off)
+        self.covariance = self.covariance - gain @ _SEEN @ self.covariance
+        weight = share**2 * taken
+        count = self._count + 3.0 * weight
+        heard = squares - np.trace(covariance, axis1=1, axis2=2)
+        self._noise = np.clip((self._count * noise + weight * heard) / count, _LEAST**2, _MOST**2)
+        self._count, self.leapt = count, not bool(taken[0])
+
+    def _branch(self, row: int) -> None:
+        """A hypothesis more: the grip slipped just now."""
+        kept = np.append(0, np.arange(max(len(self.row) - _MOST_LOOKS, 1), len(self.row)))
+        first = np.append(kept, 0)
+        self.state, self.covariance = self.state[first], self.covariance[first]
+        self._count, self._noise = self._count[first], self._noise[first]
+        self.covariance[-1, 4:, 4:] += _SLIP_STD**2 * np.eye(3)
+        self.row, self.odds = np.append(self.row[kept], row), np.append(self.odds[kept], np.log(_SLIPS))
+
+    def found(self) -> tuple[int, Floats] | None:
+        """The look before which the grip surely slipped, and by what (3,) [m]; None if it is not sure."""
+        if self.doubt < _SURE:
+            return None
+        best = int(np.argmax(self.odds))
+        return int(self.row[best]), self.state[best, 4:].copy()
+
+
+def _student(square: Floats, volume: Floats, count: Floats) -> Floats:
+    """Log density of Student's t in three dimensions, of Mahalanobis squares and log determinants."""
+    tail = 0.5 * (count + 3.0) * np.log1p(square / count)
+    return np.asarray(
+        gammaln(0.5 * (count + 3.0)) - gammaln(0.5 * count) - tail - 0.5 * volume - 1.5 * np.log(np.pi * count)
+    )
+
+
+def _normal(off: Floats, covariance: Floats) -> Floats:
+    """(n,) log densities of offsets (n, 3), but for a constant."""
+    square = np.einsum("ni,nij,nj->n", off, np.linalg.inv(covariance), off)
+    return np.asarray(-0.5 * square - 0.5 * np.linalg.slogdet(covariance)[1])

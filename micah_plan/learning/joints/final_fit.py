@@ -1,0 +1,493 @@
+"""The last fit of a joint, to all rows of its segments: robust, of maximum likelihood, with an honest covariance.
+
+MLESAC finds the rows to believe (random minimal sets, the closed form and the guess compete under a mixture with
+outliers); generalized least squares on SE(3) under the noise that they leave finds the joint. Whether a hinge
+advances as it turns is told here, by all rows: a wander of the tracker that is assumed hides a thread of a millimetre.
+
+**Minimal samples.** Joints through the fewest rows that fix one, many at once: the random starts of a robust fit
+(MLESAC).
+
+Two poses fix any of the motions, for their relative displacement is one screw (Chasles); three positions fix a circle.
+
+**The mixture.** The mixture of MLESAC over many hypotheses at once: inliers of a spread to be found, and uniform
+outliers.
+
+Sources: Torr and Zisserman, "MLESAC", CVIU 2000; MICAH, the mixture (1 - γ) N + γ U with p(γ) ∝ exp(-w γ).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from micah_plan.arrays import EQUAL, ROUND_OFF, TINY, Floats
+from micah_plan.automaton.graph import Deviation
+from micah_plan.automaton.joint import IDENTITY, KINDS, Joint, JointKind, twisting
+from micah_plan.automaton.kinematics import ROTATION_LENGTH, reversed_direction, shifted
+from micah_plan.learning.joints.helix_fit import fit_helix
+from micah_plan.learning.joints.joint_arrays import (
+    JointArrays,
+    arrays_of,
+    compare_arrays,
+    concatenated_joints,
+    conjugate,
+    rotation_vector,
+    times,
+)
+from micah_plan.learning.joints.likelihood import (
+    JointFit,
+    fit_likelihood,
+    parameter_covariance,
+    pitch_log_odds,
+    seen_with,
+)
+from micah_plan.learning.joints.linear_fits import linear_fits
+from micah_plan.learning.joints.parametrization import seen_by
+from micah_plan.learning.joints.tracker_noise import ErrorPosterior, NoiseVariances, Scales, noise_of, white_noise
+from micah_plan.learning.settings import LearnSettings
+
+# Nats: one in fifteen joints is a screw. That a hinge is taken for one is the worse mistake of the two: real hinges are
+# not ideal. So a screw is chosen as if there were one in a hundred, and said so where all poses are asked.
+RARE_SCREW, SCREW_COST = 2.7, 4.6
+PITCH = 0.1  # m/rad; prior std of a screw's pitch
+_LEAST_STDS = (1e-5, 1e-6)  # rad, m
+_ROTATION_SPAN = 2 * np.pi
+_POSITION_SPAN = 1.0  # m, where the rows span less
+_STARTING_ROWS = 100  # no start needs more
+_TELLING_ROWS = 256  # of a hinge that may be a screw
+_VOTES = 3  # times the fewest rows of a joint; with fewer rows none is doubted
+_ROUNDS = 2  # of noise and joint in turn
+_ROUGH = 0.05  # nats
+_FAR = 4.0  # stds that better weights may move an axis by
+
+
+@dataclass(frozen=True)
+class LackOfFit:
+    """What all rows say against a joint that was fitted to them.
+
+    Attributes:
+        screw_log_odds: of a screw against the hinge, as likely before; None where neither was asked for.
+        deviation: how far the part leaves the joint; None where it does not move, or the rows are too few.
+    """
+
+    screw_log_odds: float | None = None
+    deviation: Deviation | None = None
+
+
+NO_LACK_OF_FIT = LackOfFit()
+
+
+@dataclass(frozen=True, eq=False)
+class FittedJoint:
+    """A joint fitted to rows.
+
+    Attributes:
+        joint: with the covariance of its parameters; without it where the rows are too few to tell noise from motion.
+        inlier: (n,) probability that a row is no outlier.
+        outlier_ratio: γ, the share of outliers.
+        position_std: total std of a position per axis [m], white and wandering.
+        rotation_std: the same of a rotation [rad]; 0 without orientations.
+        log_likelihood: of the mixture, with the prior of γ, rows taken as independent.
+        lack_of_fit: what the rows say against it.
+    """
+
+    joint: Joint
+    inlier: Floats
+    outlier_ratio: float
+    position_std: float
+    rotation_std: float
+    log_likelihood: float
+    lack_of_fit: LackOfFit = NO_LACK_OF_FIT
+
+
+def fit_joint(
+    guess: Joint,
+    position: Floats,
+    quaternion: Floats | None,
+    time: Floats,
+    weight: Floats,
+    rng: np.random.Generator,
+    settings: LearnSettings | None = None,
+) -> FittedJoint:
+    """The joint of the guess's kind that makes the rows most likely, or the screw that a hinge turns out to be.
+
+    Args:
+        guess: a joint of the kind to fit; it competes with the other starts, is the answer where rows are too few, and
+            says where configurations are counted from and in which direction. Where orientations are measured, all rows
+            say whether it is a hinge or a screw; without them a short arc says little of its lead angle (`helix_fit`).
+        position, quaternion: (n, 3) [m] and (n, 4) scalar last, of any sign; quaternion None if not measured.
+        time: (n,) [s] of the rows, in any order; pauses between segments are welcome.
+        weight: (n,) probability that a row can be trusted at all; rows of 0.5 or less are not looked at.
+        rng: draws the minimal sets; the same seed gives the same joint.
+        settings: number of minimal sets, prior of outliers, size of a joint's misfit; None: the defaults.
+    """
+    settings = settings or LearnSettings()
+    rows = _Rows(position, _units(quaternion), weight, settings.outlier_weight)
+    used = np.flatnonzero(weight > 0.5)
+    need = minimal_rows(guess.kind, quaternion is not None)
+    if len(used) <= need:
+        return rows.judged(guess)
+    used = used[np.argsort(time[used], kind="stable")]
+    # So few rows cannot outvote one another: any that a joint is drawn through would be its only inliers.
+    trusting = len(used) < _VOTES * need
+    start, stds = _best_start(guess, rows, used, rng, 0 if trusting else settings.draws)
+    believed = _believed(start, stds, rows, used, trusting)
+    if believed is None:
+        return rows.judged(start)
+    fit, kept, stds = believed
+    scales = Scales(_LEAST_STDS, (settings.rotation_misfit, settings.position_misfit))
+    posterior = _left_by(fit, time[kept], stds, scales)
+    if posterior is None:
+        return rows.judged(fit.joint)
+    log_odds = None
+    if rows.quaternion is not None and KINDS[guess.kind].turns and {"revolute", "screw"} <= set(settings.kinds):
+        chosen = _hinge_or_screw(fit.joint, (position[kept], rows.quaternion[kept]), time[kept], stds, scales)
+        log_odds = None if chosen is None else chosen[1]
+        if chosen is not None and chosen[0].kind != fit.joint.kind:
+            fit = fit_likelihood(chosen[0], *rows.of(kept), white_noise(stds), _ROUGH)
+            posterior = _left_by(fit, time[kept], stds, scales) or posterior
+    noise = posterior.likeliest
+    before = _counted_as(fit.joint, guess, quaternion is not None)
+    helix = None
+    if fit.joint.kind == "screw" and quaternion is None:
+        helix = fit_helix(before, position[kept], time[kept], noise, scales)
+    joint, noise = helix or (_refined(before, *rows.of(kept), noise, posterior), noise)
+    judged = _fitted(joint, rows.mixture(joint, noise.stds), quaternion is not None)
+    rotation_std = noise.stds[0] if quaternion is not None else 0.0
+    lack_of_fit = LackOfFit(log_odds, _deviation(posterior, scales) if joint.moves else None)
+    return replace(judged, position_std=noise.stds[1], rotation_std=rotation_std, lack_of_fit=lack_of_fit)
+
+
+def _deviation(posterior: ErrorPosterior, scales: Scales) -> Deviation:
+    """How far a part leaves its joint, by what a fit leaves."""
+    sizes = np.sqrt([posterior.rotation, posterior.position])
+    unusual = (sizes > np.array(scales.misfit)[:, None]).any(axis=0)
+    rotation, position = sizes @ posterior.chance
+    return Deviation(float(position), float(rotation), float(posterior.chance[unusual].sum()))
+
+
+def _left_by(fit: JointFit, time: Floats, stds: tuple[float, float], scales: Scales) -> ErrorPosterior | None:
+    return noise_of(fit.contrasts, fit.chart.in_frame, time, fit.seen.configuration, stds, scales)
+
+
+def _hinge_or_screw(
+    joint: Joint, rows: tuple[Floats, Floats], time: Floats, stds: tuple[float, float], scales: Scales
+) -> tuple[Joint, float] | None:
+    """The hinge or the screw near a joint that turns, and the log odds of the screw; None if rows are too few to tell.
+
+    Args:
+        rows, time: positions (n, 3), quaternions (n, 4) and their times (n,) [s].
+    """
+    # Rows that are interpolated, or filtered by the tracker, repeat one another.
+    sample = np.linspace(0, len(time) - 1, min(len(time), _TELLING_ROWS)).round().astype(int)
+    start = twisting("screw", joint.axis, joint.center, joint.pitch, joint.position, joint.quaternion)
+    fit = fit_likelihood(start, rows[0][sample], rows[1][sample], white_noise(stds), _ROUGH)
+    posterior = _left_by(fit, time[sample], stds, scales)
+    if posterior is None:
+        return None
+    fit = fit_likelihood(fit.joint, rows[0][sample], rows[1][sample], posterior.likeliest, _ROUGH)
+    log_odds = pitch_log_odds(fit, posterior, PITCH)
+    kind: JointKind = "screw" if log_odds > SCREW_COST else "revolute"
+    at = fit.joint if kind == "screw" else joint
+    return twisting(kind, at.axis, at.center, at.pitch, at.position, at.quaternion), log_odds
+
+
+def _refined(
+    before: Joint,
+    position: Floats,
+    quaternion: Floats | None,
+    noise: NoiseVariances,
+    posterior: ErrorPosterior,
+) -> Joint:
+    """The likeliest joint, with its covariance; or the one before, if the likelihood leads astray."""
+    fit = fit_likelihood(before, position, quaternion, noise)
+    joint = replace(fit.joint, covariance=parameter_covariance(fit, noise, posterior))
+    if _strays(joint, before):
+        fit = seen_with(before, position, quaternion, noise)
+        joint = replace(before, covariance=parameter_covariance(fit, noise, posterior))
+    return joint
+
+
+def _strays(joint: Joint, before: Joint) -> bool:
+    """Whether an axis is further from where equal weights put it than its covariance lets it be.
+
+    Where one direction is much noisier than the others, a free configuration along it explains that noise, and the
+    motion passes for wander: a likelihood that knows one noise for all directions then has another, false optimum.
+    """
+    if not joint.moves or joint.covariance is None:
+        return False
+    if not joint.turns:
+        return True  # weights change little there, and only positions tell the axis
+    turned = float(np.arccos(min(1.0, abs(float(np.dot(joint.axis, before.axis))))))
+    return turned > _FAR * float(np.sqrt(joint.covariance.matrix[0][0] + joint.covariance.matrix[1][1]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    position: Floats
+    quaternion: Floats | None
+    weight: Floats
+    outlier_weight: float
+
+    def of(self, index: NDArray[np.int64]) -> tuple[Floats, Floats | None]:
+        """Positions and quaternions of some rows."""
+        return self.position[index], None if self.quaternion is None else self.quaternion[index]
+
+    def mixture(self, joint: Joint, stds: tuple[float, float]) -> Mixtures:
+        """The mixture of inliers and outliers under a joint."""
+        compared = seen_by(joint, self.position, self.quaternion, stds[1] / stds[0])
+        return self.mixtures(joint.kind, [square[None] for square in compared.squares()], self.weight)
+
+    def mixtures(self, kind: JointKind, squares: list[Floats], weight: Floats) -> Mixtures:
+        """The mixtures of squared errors (h, n), of positions and, where measured, of rotations."""
+        moves, turning = KINDS[kind].moves, KINDS[kind].turns
+        has_orientation = len(squares) > 1
+        # What a row's configuration takes from its errors; a turn shares it between position and rotation.
+        shared = 0.5 if turning and has_orientation else float(moves)
+        far = self.position - self.position.mean(axis=0)
+        span = max(_POSITION_SPAN, 2 * float(np.sqrt(np.einsum("ij,ij->i", far, far).max())))
+        sorts = [Sort(squares[0], 3 - shared, span, _LEAST_STDS[1])]
+        if has_orientation:
+            sorts.append(Sort(squares[1], 2.5 if turning else 3.0, _ROTATION_SPAN, _LEAST_STDS[0]))
+        return fit_mixtures(sorts, weight, self.outlier_weight)
+
+    def judged(self, joint: Joint) -> FittedJoint:
+        """A joint as it is, without covariance, with what the rows say of it."""
+        bare = replace(joint, covariance=None)
+        if not (self.weight > 0.5).any():
+            return FittedJoint(bare, np.zeros(len(self.weight)), 0.0, 0.0, 0.0, 0.0)
+        return _fitted(bare, self.mixture(joint, (1.0, ROTATION_LENGTH)), self.quaternion is not None)
+
+
+def _best_start(
+    guess: Joint, rows: _Rows, used: NDArray[np.int64], rng: np.random.Generator, draws: int
+) -> tuple[Joint, tuple[float, float]]:
+    """The likeliest of the guess, the closed form and the joints through minimal sets, on some of the rows."""
+    sample = used[np.linspace(0, len(used) - 1, min(len(used), _STARTING_ROWS)).round().astype(int)]
+    p, q = rows.of(sample)
+    linear, fixed = linear_fits([guess.kind], np.ones((1, len(sample)), dtype=bool), p, q)
+    drawn = joints_through(guess.kind, p, q, rng, draws)
+    starts = concatenated_joints([arrays_of([guess, _carried(guess, p, q)]), drawn, linear.take(np.flatnonzero(fixed))])
+    error = compare_arrays(starts, p, q, ROTATION_LENGTH).error
+    squares = [(error[:, -3:] ** 2).sum(axis=1)]
+    if q is not None:
+        squares.append((error[:, :3] ** 2).sum(axis=1))
+    scored = rows.mixtures(guess.kind, squares, rows.weight[sample])
+    best = int(np.argmax(scored.log_likelihood))
+    return starts.joint(best) if best else guess, _stds(scored, best)
+
+
+def _believed(
+    joint: Joint, stds: tuple[float, float], rows: _Rows, used: NDArray[np.int64], trusting: bool
+) -> tuple[JointFit, NDArray[np.int64], tuple[float, float]] | None:
+    """A joint fitted to the rows that agree with it, those rows and their stds; None where too few do."""
+    fit, kept = None, used[:0]
+    for _ in range(_ROUNDS):
+        before = kept
+        mixture = rows.mixture(joint, stds)
+        stds = _stds(mixture)
+        kept = used if trusting else used[mixture.inlier[0, used] > 0.5]
+        if len(kept) <= minimal_rows(joint.kind, rows.quaternion is not None):
+            return None
+        if fit is not None and np.array_equal(kept, before):
+            break
+        fit = fit_likelihood(joint, *rows.of(kept), white_noise(stds), _ROUGH)
+        joint = fit.joint
+    return None if fit is None else (fit, kept, stds)
+
+
+def _carried(guess: Joint, position: Floats, quaternion: Floats | None) -> Joint:
+    """The guess carried to the middle one of the rows: a start even where the rows fix no joint of its kind."""
+    row = int(np.argmin(((position - np.median(position, axis=0)) ** 2).sum(axis=1)))
+    shift = position[row] - guess.position
+    center = tuple((guess.center + shift).tolist()) if guess.turns else guess.center
+    turned = guess.quaternion if quaternion is None else tuple(quaternion[row].tolist())
+    return replace(guess, position=tuple(position[row].tolist()), center=center, quaternion=turned)
+
+
+def _counted_as(joint: Joint, guess: Joint, has_orientation: bool) -> Joint:
+    """The same motion, counted in the guess's direction from where the guess counts, or as it may be held."""
+    if not joint.moves:
+        return replace(joint, fixed_at=guess.fixed_at)
+    if np.dot(joint.axis, guess.axis) < 0:
+        joint = reversed_direction(joint)
+    quaternion = np.array([guess.quaternion]) if has_orientation else None
+    (c,) = seen_by(joint, np.array([guess.position]), quaternion, ROTATION_LENGTH).configuration
+    return shifted(joint, float(c))
+
+
+def _fitted(joint: Joint, mixtures: Mixtures, has_orientation: bool) -> FittedJoint:
+    rotation_std, position_std = _stds(mixtures)
+    return FittedJoint(
+        joint,
+        mixtures.inlier[0],
+        float(mixtures.ratio[0]),
+        position_std,
+        rotation_std if has_orientation else 0.0,
+        float(mixtures.log_likelihood[0]),
+    )
+
+
+def _stds(mixtures: Mixtures, number: int = 0) -> tuple[float, float]:
+    """Std of a rotation (1 rad where not measured) and of a position under one of the joints."""
+    rotation = float(mixtures.stds[1][number]) if len(mixtures.stds) > 1 else 1.0
+    return rotation, float(mixtures.stds[0][number])
+
+
+def _units(quaternion: Floats | None) -> Floats | None:
+    """Unit quaternions; their signs matter to nothing below."""
+    if quaternion is None:
+        return None
+    return np.asarray(quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True))
+
+
+def joints_through(
+    kind: JointKind, position: Floats, quaternion: Floats | None, rng: np.random.Generator, draws: int
+) -> JointArrays:
+    """Joints through `draws` random minimal sets of rows (n, 3), (n, 4); fewer where sets fix none."""
+    need = minimal_rows(kind, quaternion is not None)
+    if draws <= 0 or len(position) < need:
+        return arrays_of([])
+    chosen = np.sort(np.argsort(rng.random((draws, len(position))), axis=1)[:, :need], axis=1)
+    p = position[chosen]
+    first = np.broadcast_to(np.array(IDENTITY), (draws, 4)) if quaternion is None else quaternion[chosen[:, 0]]
+    axis, center, pitch = np.zeros((draws, 3)), np.zeros((draws, 3)), np.zeros(draws)
+    fixed = np.ones(draws, dtype=bool)
+    if KINDS[kind].moves and not KINDS[kind].turns:
+        axis, fixed = _lines(p)
+    elif KINDS[kind].turns and quaternion is None:
+        axis, center, fixed = _circles(p)
+    elif KINDS[kind].turns and quaternion is not None:
+        axis, point, climbed, fixed = _screws(p, quaternion[chosen])
+        center = point + np.sum((p[:, 0] - point) * axis, axis=1, keepdims=True) * axis
+        pitch = climbed if KINDS[kind].climbs else pitch
+    candidates = JointArrays((kind,) * draws, axis, center, p[:, 0], first, pitch)
+    return candidates.take(np.flatnonzero(fixed & np.isfinite(center).all(axis=1)))
+
+
+def minimal_rows(kind: JointKind, has_orientation: bool) -> int:
+    """How many rows fix a joint: 1 pose for rigid, 2 poses else; 3 positions for a circle."""
+    freedom = KINDS[kind]
+    return 3 if freedom.turns and not has_orientation else 2 if freedom.moves else 1
+
+
+def _lines(p: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """Directions from one position to another (m, 2, 3)."""
+    step = p[:, 1] - p[:, 0]
+    length = np.linalg.norm(step, axis=1)
+    fixed = length > ROUND_OFF
+    return step / np.where(fixed, length, 1.0)[:, None], fixed
+
+
+def _screws(p: Floats, q: Floats) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
+    """Axes, points on them and pitches of the displacements between two poses (m, 2, 3), (m, 2, 4)."""
+    turn = rotation_vector(times(q[:, 1], conjugate(q[:, 0])))
+    angle = np.linalg.norm(turn, axis=1)
+    fixed = angle > EQUAL
+    angle = np.where(fixed, angle, 1.0)
+    axis = turn / angle[:, None]
+    step = p[:, 1] - p[:, 0]
+    slide = np.sum(step * axis, axis=1)
+    across = step - slide[:, None] * axis
+    point = p[:, 0] + 0.5 * (across + np.cross(axis, across) / np.tan(angle / 2)[:, None])
+    return axis, point, slide / angle, fixed
+
+
+def _circles(p: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Normals and centres of the circles through three positions (m, 3, 3)."""
+    u, v = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+    normal = np.cross(u, v)
+    uu, vv, area = np.sum(u * u, axis=1), np.sum(v * v, axis=1), np.sum(normal * normal, axis=1)
+    fixed = area > TINY * np.maximum(uu * vv, 1e-300)
+    area = np.where(fixed, area, 1.0)
+    to_center = np.cross(uu[:, None] * v - vv[:, None] * u, normal) / (2 * area)[:, None]
+    return normal / np.sqrt(area)[:, None], p[:, 0] + to_center, fixed
+
+
+_STEPS = 6  # of expectation maximisation
+_LARGE = 600.0  # nats
+_MOST_OUTLIERS = 0.45  # share of rows
+_LEAST_OUTLIERS = 1e-4  # share of rows
+
+
+@dataclass(frozen=True, eq=False)
+class Sort:
+    """One sort of errors, of positions or of rotations.
+
+    Attributes:
+        squares: (h, n) squared errors of n rows under h hypotheses.
+        degrees: of freedom per row that its configuration leaves.
+        span: width per axis of the uniform density of outliers.
+        least: smallest std to believe in.
+    """
+
+    squares: Floats
+    degrees: float
+    span: float
+    least: float
+
+
+@dataclass(frozen=True, eq=False)
+class Mixtures:
+    """The mixture fitted to each of h hypotheses.
+
+    Attributes:
+        inlier: (h, n) probability that a row is no outlier.
+        ratio: (h,) γ.
+        stds: per sort (h,).
+        log_likelihood: (h,) at these values, with the prior of γ.
+    """
+
+    inlier: Floats
+    ratio: Floats
+    stds: tuple[Floats, ...]
+    log_likelihood: Floats
+
+
+def fit_mixtures(sorts: list[Sort], weight: Floats, outlier_weight: float) -> Mixtures:
+    """Expectation maximization from the medians of the errors.
+
+    Args:
+        weight: (n,) probability, before anything is seen, that a row can be an inlier at all.
+        outlier_weight: w of p(γ) ∝ exp(-w γ).
+    """
+    h = len(sorts[0].squares)
+    used = weight > 0.5
+    variances = []
+    for sort in sorts:
+        # Wilson and Hilferty's median of a chi-squared variable.
+        middle = sort.degrees * (1 - 2 / (9 * sort.degrees)) ** 3
+        variances.append(np.maximum(np.median(sort.squares[:, used], axis=1) / middle, sort.least**2))
+    ratio, good = np.full(h, 0.1), weight
+    inlier = advantage = np.zeros((h, len(weight)))
+    outside = -float(sum(sort.degrees * np.log(sort.span) for sort in sorts))
+    counted = weight * used
+    for step in range(_STEPS):
+        # How much likelier a row is as an inlier [nats].
+        level = -outside - sum(0.5 * s.degrees * np.log(2 * np.pi * v) for s, v in zip(sorts, variances, strict=True))
+        advantage = np.asarray(level)[:, None]
+        for sort, variance in zip(sorts, variances, strict=True):
+            advantage = advantage - sort.squares * (0.5 / variance)[:, None]
+        good = weight * (1 - ratio[:, None])
+        inlier = good / (good + (1 - good) * np.exp(np.minimum(-advantage, _LARGE)))
+        if step == _STEPS - 1:
+            break
+        count = inlier @ counted
+        ratio = _likely_ratio(counted.sum() - count, float(counted.sum()), outlier_weight)
+        for i, sort in enumerate(sorts):
+            spread = (inlier * sort.squares) @ counted / np.maximum(count * sort.degrees, 1e-9)
+            variances[i] = np.maximum(spread, sort.least**2)
+    rows = np.logaddexp(np.log(np.maximum(good, 1e-300)) + advantage, np.log1p(-good))
+    total = rows @ used + outside * used.sum() - outlier_weight * ratio
+    return Mixtures(inlier, ratio, tuple(np.sqrt(v) for v in variances), total)
+
+
+def _likely_ratio(outliers: Floats, n: float, weight: float) -> Floats:
+    """The γ (h,) that maximizes outliers ln γ + (n - outliers) ln(1 - γ) - weight γ."""
+    if weight <= 0:
+        return np.clip(outliers / n, _LEAST_OUTLIERS, _MOST_OUTLIERS)
+    total = n + weight
+    ratio = (total - np.sqrt(total**2 - 4 * weight * outliers)) / (2 * weight)
+    return np.clip(ratio, _LEAST_OUTLIERS, _MOST_OUTLIERS)

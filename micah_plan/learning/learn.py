@@ -1,0 +1,371 @@
+"""Learning the extended kinematic graph of a recording: CHAMP and Act-CHAMP for every part.
+
+Sources: MICAH, section IV-A (Act-CHAMP); Niekum et al., "Online Bayesian changepoint detection for articulated motion
+models", ICRA 2015 (CHAMP).
+
+**Short runs.** Runs of one part that are too short to show its joint, learned together as demonstrations of one object.
+
+A run in which the part moves for two rows shows no joint; all of them one after another may. To the learner they are
+one run in which the tracker slips wherever a run begins, which is no changepoint. What is found is cut into runs again.
+
+Whether a part moves enough for its joint to be told: motions hardly larger than what a tracker is assumed to wander.
+
+A slow deviation of the size of the wander is forgiven, so that the error of a tracker is no motion. On an object of a
+centimetre that forgives the motion: a stop, or the bend of a path, passes for wander unless the wander is set smaller.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.automaton.graph import BASE, EdgeCertainty, KinematicEdge, KinematicGraph, Segment, SegmentCertainty
+from micah_plan.automaton.joint import Joint
+from micah_plan.automaton.kinematics import reversed_direction, shifted
+from micah_plan.errors import InputError, shown
+from micah_plan.learning.joints.shared_error import with_shared_error
+from micah_plan.learning.online import METHODS, Method, OnlineLearner
+from micah_plan.learning.parts.tree import learn_tree
+from micah_plan.learning.run import LearnedRun, learn_acted_run
+from micah_plan.learning.segmenting.evidence import BLOCKS, TRAVEL
+from micah_plan.learning.segmenting.noise import MeasurementNoise, likelihood_power_of
+from micah_plan.learning.segmenting.noise_fit import initial_noise
+from micah_plan.learning.segmenting.steps import MOST_SWEEPS, activity_of, is_long, steps_of
+from micah_plan.learning.segments import FittedPiece, segment_configurations, to_segment
+from micah_plan.learning.settings import FEWEST_ROWS, LearnSettings
+from micah_plan.learning.track import PartTrack, bends, extent, find_inliers, part_track, std_of_bends
+from micah_plan.quantities import Progress, quantity
+from micah_plan.recording.shared_error import shared_error_of
+from micah_plan.recording.value import Recording
+
+# Times [s] of the rows that steps are means of, by part and run.
+Counted = dict[tuple[str, int], Floats]
+
+
+def learn_graph(
+    recording: Recording,
+    method: Method = "act-champ",
+    settings: LearnSettings | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> KinematicGraph:
+    """Segment a recording and fit the joints of its segments.
+
+    Every part is attached to the base or to another part, whichever explains the poses best (see `parts.tree`). Every
+    run is segmented on its own, but short ones together, as they show little alone (see below). The first one defines
+    the configuration coordinate, the segments of the others are counted along it and follow in the order of the runs.
+    A run in which the only part moves to and fro more than a few times is learned in windows, as `OnlineLearner` does.
+
+    Args:
+        recording: at least `settings.FEWEST_ROWS` rows per part and run, positions or full poses.
+        method: Act-CHAMP predicts motion from the actions; CHAMP is the same without their columns.
+        settings: None: the defaults, which are meant for every recording.
+        seed: of MLESAC and of the resampling; the same seed gives the same result.
+        progress: called with a message and the fraction done.
+
+    Raises:
+        InputError: unknown method, no rows, fewer than 2 rows of a part, or poses that are not finite.
+    """
+    if method not in METHODS:
+        raise InputError(f"method must be among {METHODS}. Got {shown(method)}")
+    if len(recording) == 0:
+        raise InputError("recording has no rows", remedy="record the motion of at least one part")
+    chosen = settings or LearnSettings()
+    counted: Counted = {}
+    if len(recording.parts) > 1:
+        chosen, counted = _in_common(recording, chosen)
+    if method == "champ":
+        recording = replace(recording, action=None)
+    graph = learn_tree(recording, lambda pair: learn_edge(pair, chosen, seed, counted), progress)
+    return _widened(graph, recording)
+
+
+def _widened(graph: KinematicGraph, recording: Recording) -> KinematicGraph:
+    """The graph with joints as uncertain as errors that rows share make them; the base's frame moves no inner joint."""
+    edges = []
+    for edge in graph.edges:
+        error = shared_error_of(recording, edge.child)
+        if error is not None and edge.parent != BASE:
+            error = replace(error, frame=np.zeros((6, 6)))
+        if error is not None:
+            segments = (
+                replace(each, joint=with_shared_error(each.joint, each.configuration_range, error))
+                for each in edge.segments
+            )
+            edge = replace(edge, segments=tuple(segments))
+        edges.append(edge)
+    return replace(graph, edges=tuple(edges))
+
+
+def _in_common(recording: Recording, settings: LearnSettings) -> tuple[LearnSettings, Counted]:
+    """One number of steps, one power of the likelihood and the same rows of a part for all pairs that it is in.
+
+    A tree compares their evidence.
+    """
+    counted: Counted = {}
+    motions: list[float] = []
+    trusts: list[float] = []
+    tracks: dict[str, tuple[PartTrack, Ints]] = {}
+    for part in recording.parts:
+        for run in recording.select(part=part).runs:
+            track = part_track(recording, run, part)
+            activity = activity_of(track, np.flatnonzero(find_inliers(track)))
+            counted[part, run] = track.time[activity.rows]
+            motions.append(activity.motions_in(len(activity.rows)))
+            tracks.setdefault(part, (track, activity.rows))
+    settings = replace(settings, sweeps=settings.sweeps or max(motions))
+    for track, rows in tracks.values():
+        step = steps_of(track, np.isin(np.arange(len(track)), rows), settings)
+        trusts.append(likelihood_power_of(initial_noise(step.track, settings.of_steps(step.size)), settings))
+    return replace(settings, likelihood_power=float(np.mean(trusts))), counted
+
+
+def learn_edge(
+    recording: Recording, settings: LearnSettings, seed: int, counted: Counted | None = None
+) -> KinematicEdge:
+    """How the only part of a recording moves in the frame that its poses are given in, all runs on one coordinate.
+
+    Args:
+        counted: times of the rows that steps are means of, by part and run; of others by how the part moves here.
+    """
+    part = recording.parts[0]
+    tracks = [part_track(recording, run, part) for run in recording.runs]
+    lengths = [len(track) for track in tracks]
+    if len(tracks) > 1 and max(lengths) < settings.resolution / 2 and sum(lengths) <= settings.resolution * MOST_SWEEPS:
+        return _edge_of_short_runs(recording, tracks, settings, seed)
+    segments: list[Segment] = []
+    reference: Joint | None = None
+    edges: list[EdgeCertainty | None] = []
+    for i, (run, track) in enumerate(zip(recording.runs, tracks, strict=True)):
+        rng = np.random.default_rng([seed, i])
+        inlier = find_inliers(track)
+        # A tree compares the evidence of pairs: it is that of all rows at once then.
+        if settings.sweeps is None and is_long(track, inlier):
+            learner = OnlineLearner(settings, seed=seed, part=part, run=run)
+            learner.take(track)
+            of_run, sure_of_edge, noise = list(learner.segments()), learner.edge().certainty, learner.noise
+        else:
+            times = (counted or {}).get((part, run))
+            is_counted = inlier if times is None else inlier & np.isin(track.time, times)
+            enough = is_counted.sum() >= FEWEST_ROWS  # of a pair that is seldom seen together
+            learned, sure_of_edge = _learned(track, settings, rng, inlier, is_counted if enough else inlier)
+            of_run, noise = _segments(learned, run), learned.noise
+        mover = max((segment for segment in of_run if segment.joint.moves), key=_rows, default=None)
+        if reference is not None:
+            of_run = _aligned(of_run, mover, reference, track.take(np.flatnonzero(inlier)), noise)
+        elif mover is not None:
+            reference = mover.joint
+        segments += of_run
+        edges.append(sure_of_edge)
+    return KinematicEdge(BASE, part, tuple(segments), _together([edge for edge in edges if edge is not None]))
+
+
+def _learned(
+    track: PartTrack,
+    settings: LearnSettings,
+    rng: np.random.Generator,
+    inlier: Booleans | None = None,
+    counted: Booleans | None = None,
+) -> tuple[LearnedRun, EdgeCertainty]:
+    """What one track tells, and how sure that is of all of its segments."""
+    learned, channel = learn_acted_run(track, settings, rng, inlier, counted)
+    counts = tuple(float(p) for p in learned.posterior.counts)
+    return learned, EdgeCertainty(learned.posterior.log_evidence, (counts,), channel, learned.trace)
+
+
+def _edge_of_short_runs(
+    recording: Recording, tracks: list[PartTrack], settings: LearnSettings, seed: int
+) -> KinematicEdge:
+    """The edge of runs that show little one by one; their numbers of changepoints are not told apart."""
+    together = one_after_another(tracks)
+    # Every row is a step, and segments are as long as those of one run.
+    run_settings = replace(settings, resolution=max(settings.resolution, len(together)))
+    if settings.mean_length is None:
+        run_settings = replace(run_settings, mean_length=0.5 * together.duration / len(tracks))
+    # Where a run of few rows begins, a motion cannot be told from an outlier.
+    every = np.ones(len(together), dtype=bool)
+    learned, sure_of_edge = _learned(together, run_settings, np.random.default_rng([seed, 0]), every)
+    lengths = [len(track) for track in tracks]
+    cut = cut_into_runs(learned.pieces, learned.certainties, lengths)
+
+    def segments_of(chain: list[FittedPiece]) -> list[Segment]:
+        return [
+            to_segment(piece, chain, sure, recording.runs[run], learned.track, learned.inlier, learned.noise)
+            for piece, (_, sure, run) in zip(chain, cut, strict=True)
+        ]
+
+    chain = [piece for piece, _, _ in cut]
+    # The chain is at 0 where a line through the first rows is; few rows of a fast motion are not on it.
+    first = segments_of(chain)[0].configuration_start
+    segments = segments_of([replace(piece, joint=_counted_along(piece.joint, False, -first)) for piece in chain])
+    return KinematicEdge(BASE, recording.parts[0], tuple(segments), replace(sure_of_edge, changepoint_counts=()))
+
+
+def _together(runs: Sequence[EdgeCertainty]) -> EdgeCertainty:
+    """What all runs say; how many changepoints there are only if each run says it."""
+    channels = [run.channel for run in runs if run.channel is not None]
+    counts = [run.changepoint_counts for run in runs]
+    return EdgeCertainty(
+        log_evidence=sum(run.log_evidence for run in runs),
+        changepoint_counts=sum(counts, ()) if all(counts) else (),
+        channel=max(channels, key=lambda channel: channel.explained, default=None),
+        trace=runs[0].trace,
+    )
+
+
+def _segments(learned: LearnedRun, run: int) -> list[Segment]:
+    """The segments of a run."""
+    rows = learned.track, learned.inlier, learned.noise
+    return [
+        to_segment(piece, learned.pieces, sure, run, *rows)
+        for piece, sure in zip(learned.pieces, learned.certainties, strict=True)
+    ]
+
+
+def _aligned(
+    segments: list[Segment], longest: Segment | None, reference: Joint, track: PartTrack, noise: MeasurementNoise
+) -> list[Segment]:
+    """A later run's segments, counted along the first run's coordinate: a shift and, if it ran backwards, a sign."""
+    backwards, offset = False, 0.0
+    if longest is None:
+        held = float(np.median(segment_configurations(reference, np.arange(len(track)), track, noise)))
+        offset = held - segments[0].joint.fixed_at
+    else:
+        rows = np.flatnonzero((track.rows >= longest.start) & (track.rows <= longest.end))
+        backwards, offset = _alignment(longest.joint, reference, rows, track, noise)
+    sign = -1.0 if backwards else 1.0
+    aligned = []
+    for segment in segments:
+        ends = sorted(sign * end + offset for end in segment.configuration_range)
+        aligned.append(
+            replace(
+                segment,
+                joint=_counted_along(segment.joint, backwards, offset),
+                configuration_start=sign * segment.configuration_start + offset,
+                configuration_end=sign * segment.configuration_end + offset,
+                configuration_range=(ends[0], ends[1]),
+            )
+        )
+    return aligned
+
+
+def _alignment(
+    joint: Joint, reference: Joint, rows: Ints, track: PartTrack, noise: MeasurementNoise
+) -> tuple[bool, float]:
+    """Whether a joint counts backwards along a reference, and what to add to its configurations then."""
+    along_joint, common = (
+        segment_configurations(joint, rows, track, noise),
+        segment_configurations(reference, rows, track, noise),
+    )
+    backwards = float((along_joint - along_joint.mean()) @ (common - common.mean())) < 0
+    return backwards, float(np.median(common - (-along_joint if backwards else along_joint)))
+
+
+def _counted_along(joint: Joint, backwards: bool, offset: float) -> Joint:
+    return shifted(reversed_direction(joint) if backwards else joint, -offset)
+
+
+def _rows(segment: Segment) -> int:
+    return segment.end - segment.start
+
+
+Sliced = tuple[FittedPiece, SegmentCertainty, int]
+
+
+def one_after_another(tracks: Sequence[PartTrack]) -> PartTrack:
+    """The rows of runs as one track; a run begins as long after the one before as its rows are apart.
+
+    Where only some of the runs have actions, nothing was commanded in the others.
+    """
+    acted = any(track.action is not None for track in tracks)
+    joined: PartTrack | None = None
+    for track in tracks:
+        action = np.zeros_like(track.position) if acted and track.action is None else track.action
+        track = replace(track, action=action)
+        if joined is None:
+            joined = track
+            continue
+        apart = float(np.median(np.diff(track.time)))
+        quaternion = track.quaternion
+        if quaternion is not None and joined.quaternion is not None and quaternion[0] @ joined.quaternion[-1] < 0:
+            quaternion = -quaternion
+        time = track.time - track.time[0] + joined.time[-1] + apart
+        joined = joined.followed_by(replace(track, time=time, quaternion=quaternion))
+    if joined is None:
+        raise ValueError("one_after_another needs at least one track")
+    return joined
+
+
+def cut_into_runs(
+    pieces: Sequence[FittedPiece], certainties: Sequence[SegmentCertainty], lengths: Sequence[int]
+) -> list[Sliced]:
+    """Pieces of a track of runs, each within one run, with what is known of it and the index of its run.
+
+    Args:
+        lengths: rows of every run.
+    """
+    starts = np.concatenate([[0], np.cumsum(lengths)]).tolist()
+    sliced: list[Sliced] = []
+    for piece, sure in zip(pieces, certainties, strict=True):
+        rows = piece.end - piece.start + 1
+        for run, (first, after) in enumerate(pairwise(starts)):
+            start, end = max(piece.start, first), min(piece.end, after - 1)
+            if start > end:
+                continue
+            # No changepoint is where a run begins: the piece only goes on.
+            place = sure if start == piece.start else replace(sure, start=None)
+            share = piece.log_evidence * (end - start + 1) / rows
+            sliced.append((replace(piece, start=start, end=end, log_evidence=share), place, run))
+    return sorted(sliced, key=lambda piece: piece[0].start)
+
+
+_TELLING = 10.0  # wanders; a larger motion shows its joint
+_FEW = 0.02  # share of the rows that do not count
+
+
+def small_motions(recording: Recording, settings: LearnSettings) -> tuple[str, ...]:
+    """One line for each part that moves, but by less than ten times the wander of the settings in all its runs."""
+    warnings = []
+    names = np.array(recording.part)
+    for part in recording.parts:
+        runs = [run for run in recording.runs if np.sum((recording.run == run) & (names == part)) >= FEWEST_ROWS]
+        reaches = [reach for run in runs if (reach := _reach(part_track(recording, run, part))) is not None]
+        if not reaches:
+            continue
+        moved, turned = (max(values) for values in zip(*reaches, strict=True))
+        if moved < _TELLING * settings.position_wander and turned < _TELLING * settings.rotation_wander:
+            warnings.append(_told(part, moved, turned, recording.quaternion is not None, settings))
+    return tuple(warnings)
+
+
+def _told(part: str, moved: float, turned: float, has_orientation: bool, settings: LearnSettings) -> str:
+    sentence = f"moves over {quantity(moved, 'm', digits=2)}"
+    wander = f"LearnSettings.position_wander ({settings.position_wander:g} m)"
+    if has_orientation:
+        sentence += f" and turns by {quantity(turned, 'rad', digits=2)}"
+        wander += f" and rotation_wander ({settings.rotation_wander:g} rad)"
+    return (
+        f"part '{part}' {sentence}, hardly more than a tracker is assumed to wander: its stops and its kind of joint "
+        f"may be missed; if the tracker is better, set {wander} to what it wanders"
+    )
+
+
+def _reach(track: PartTrack) -> tuple[float, float] | None:
+    """How far a part moves [m] and turns [rad]; None if not further than the noise of its rows."""
+    inlier = find_inliers(track)
+    position = track.position[inlier]
+    noise = float(np.sqrt(3) * std_of_bends(bends(position)))
+    blocks = np.array_split(position, min(BLOCKS, len(position)))
+    apart = extent(np.array([block.mean(axis=0) for block in blocks]))
+    turned = 0.0
+    if track.quaternion is not None:
+        rotation = Rotation.from_quat(track.quaternion[inlier])
+        turned = float(np.quantile((rotation * rotation[0].inv()).magnitude(), 1 - _FEW))
+    if apart < TRAVEL * noise / np.sqrt(len(position) / len(blocks)):
+        return None
+    return extent(position, _FEW), turned

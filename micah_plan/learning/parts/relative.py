@@ -1,0 +1,304 @@
+"""One part of a recording as another part sees it: the rows that a kinematic edge between the two is learned from.
+
+Source: MICAH, section IV-A: Δ_ij = x_i ⊖ x_j is all that matters for the edge between i and j.
+
+**Refined poses.** Where a part was, as the edge to its parent says it: less noisy than what was measured of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import make_smoothing_spline
+from scipy.ndimage import median_filter
+from scipy.spatial.transform import RigidTransform, Rotation, Slerp
+
+from micah_plan.arrays import ROUND_OFF, STDS_PER_MAD, Floats, Ints
+from micah_plan.automaton.graph import BASE, EdgeCertainty, KinematicEdge, Segment, SegmentCertainty
+from micah_plan.automaton.joint import Joint
+from micah_plan.automaton.kinematics import forward, inverse, inverse_jacobian
+from micah_plan.errors import InputError, shown
+from micah_plan.learning.settings import FEWEST_ROWS
+from micah_plan.recording.value import Recording
+
+_LONGEST_GAP = 4.0  # median intervals; across a longer one a straight line says nothing of how the parent moved
+
+
+@dataclass(frozen=True, eq=False)
+class RelativeRows:
+    """A part in the frame of its parent (k rows).
+
+    Attributes:
+        parent: name of the part whose frame it is, or the base.
+        recording: rows of the child alone; poses, actions and forces in the parent's frame.
+        rows: (k,) their indices within the whole recording.
+        frames: (k,) poses of the parent in the base frame at the times of the rows.
+    """
+
+    parent: str
+    recording: Recording
+    rows: Ints
+    frames: RigidTransform
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+
+def relative_rows(
+    recording: Recording, parent: str, child: str, poses: RigidTransform | None = None
+) -> RelativeRows | None:
+    """The rows of `child` relative to `parent`, at the child's own times.
+
+    Parts have rows of their own, whose times may differ and of which some may be missing. The parent's pose is
+    interpolated to the child's times (positions linearly, orientations along the shortest rotation) and never
+    extrapolated: rows of the child before the first and after the last of the parent, or within a long gap of it, are
+    left out, and so are runs in which fewer than FEWEST_ROWS remain.
+
+    Args:
+        parent: another part, or the base, to which the recorded poses are relative already.
+        poses: (n,) poses to use for the parent's rows instead of the measured ones; indexed as the whole recording.
+
+    Returns:
+        None if no run has enough common rows.
+
+    Raises:
+        InputError: a name that is not of a part, or orientation was not measured, so that no part has a frame.
+    """
+    for name in (parent, child):
+        if name not in recording.parts and not (name == BASE == parent):
+            raise InputError(f"unknown part {shown(name)}", remedy=f"choose one of {', '.join(recording.parts)}")
+    own = _rows_of(recording, child)
+    if parent == BASE:
+        return RelativeRows(BASE, recording.rows(own), own, RigidTransform.identity(len(own)))
+    if recording.quaternion is None:
+        raise InputError(
+            f"part {shown(child)} cannot be seen from {shown(parent)}, whose orientation was not measured",
+            where="columns qx, qy, qz, qw",
+            remedy="record the orientation of every part that others may be attached to",
+        )
+    measured = recording.poses() if poses is None else poses
+    parent_rows = _rows_of(recording, parent)
+    pieces = []
+    for run in recording.runs:
+        mine, theirs = own[recording.run[own] == run], parent_rows[recording.run[parent_rows] == run]
+        mine = mine[_covered(recording.time[mine], recording.time[theirs])]
+        if len(mine) >= FEWEST_ROWS:
+            frames = _interpolated(recording.time[theirs], measured[theirs], recording.time[mine])
+            pieces.append((_seen_from(frames, recording.rows(mine)), mine, frames))
+    if not pieces:
+        return None
+    rows = np.concatenate([mine for _, mine, _ in pieces])
+    frames = RigidTransform.concatenate([frames for _, _, frames in pieces])
+    return RelativeRows(parent, _joined([part for part, _, _ in pieces]), rows, frames)
+
+
+def relative_to(recording: Recording, base: str) -> Recording:
+    """The parts of an object on a tracked base that moves, as that base sees them: a door on a cart that is pushed.
+
+    Args:
+        base: the part that the poses are given in afterwards; its rows are left out.
+
+    Returns:
+        the rows of the other parts, in their order, while the base was tracked; poses, actions and forces in its frame.
+
+    Raises:
+        InputError: no such part, none beside it, its orientation was not measured, or a part was never tracked
+            together with it.
+    """
+    children = [name for name in recording.parts if name != base]
+    if not children:
+        problem = f"the only part {shown(base)} is the base, so nothing is left to learn"
+        raise InputError(problem, where="column 'part'", remedy="record the parts that move on it too")
+    relative: list[RelativeRows] = []
+    for child in children:
+        rows = relative_rows(recording, base, child)
+        if rows is None:
+            raise InputError(
+                f"parts {shown(base)} and {shown(child)} have no run with {FEWEST_ROWS} rows in common",
+                where="column 'part'",
+                remedy=f"record both at the same times, or leave the rows of {shown(child)} out",
+            )
+        relative.append(rows)
+    order = np.argsort(np.concatenate([piece.rows for piece in relative]), kind="stable")
+    return _joined([piece.recording for piece in relative]).rows(order)
+
+
+def in_whole_recording(edge: KinematicEdge, relative: RelativeRows, child: str) -> KinematicEdge:
+    """An edge learned from relative rows, with its rows counted within the whole recording and its parent named."""
+    rows = relative.rows.tolist()
+    return KinematicEdge(
+        relative.parent,
+        child,
+        tuple(_segment_in(segment, rows) for segment in edge.segments),
+        _edge_certainty_in(edge.certainty, rows),
+    )
+
+
+def displacements_within(frames: RigidTransform, position: Floats, action: Floats) -> Floats:
+    """Commanded displacements of points relative to a frame that moves too.
+
+    What is asked of the point relative to the frame is not the action alone: the frame carries the point along. So from
+    where the command wants the point next, in the next row's frame, the point's place in this row's frame is
+    subtracted (MICAH, section IV-A: the intended displacement of the relative transform). A knob that is led along
+    with its door is asked for nothing relative to the door.
+
+    Args:
+        frames: (n,) poses of the frame in the base frame, in the rows' order in time.
+        position: (n, 3) the points, base frame [m].
+        action: (n, 3) commanded displacements from each row to the next, base frame [m]; NaN where there is none.
+
+    Returns:
+        (n, 3) displacements in the frame [m]; NaN where there was no action and in the last row, which has no next.
+    """
+    relative = np.full((len(position), 3), np.nan)
+    if len(position) > 1:
+        asked = position[:-1] + action[:-1]
+        relative[:-1] = frames[1:].inv().apply(asked) - frames[:-1].inv().apply(position[:-1].copy())
+    return relative
+
+
+def _rows_of(recording: Recording, part: str) -> Ints:
+    return np.flatnonzero(np.array([name == part for name in recording.part], dtype=bool))
+
+
+def _covered(time: Floats, others: Floats) -> NDArray[np.bool_]:
+    """Which times lie between two of the others that are not far apart, or on one of them."""
+    if len(others) < 2:
+        return np.zeros(len(time), dtype=bool)
+    intervals = np.diff(others)
+    after = np.clip(np.searchsorted(others, time), 1, len(others) - 1)
+    short = intervals[after - 1] <= _LONGEST_GAP * np.median(intervals)
+    return np.asarray((time >= others[0]) & (time <= others[-1]) & (short | np.isin(time, others)))
+
+
+def _interpolated(time: Floats, poses: RigidTransform, at: Floats) -> RigidTransform:
+    position = np.stack([np.interp(at, time, axis) for axis in poses.translation.T], axis=1)
+    return RigidTransform.from_components(position, Slerp(time, poses.rotation)(at))
+
+
+def _seen_from(frames: RigidTransform, child: Recording) -> Recording:
+    """Rows of one part in one run, in the frames of another at the same times."""
+    relative_poses = frames.inv() * child.poses()
+    turned = frames.rotation.inv()
+    return replace(
+        child,
+        position=relative_poses.translation,
+        quaternion=relative_poses.rotation.as_quat(),
+        action=None if child.action is None else displacements_within(frames, child.position, child.action),
+        force=None if child.force is None else turned.apply(child.force.copy()),
+    )
+
+
+def _joined(pieces: Sequence[Recording]) -> Recording:
+    """The rows of several recordings with the same columns, one after the other."""
+    first = pieces[0]
+
+    def column(name: str) -> Any:
+        arrays = [getattr(piece, name) for piece in pieces]
+        return None if arrays[0] is None else np.concatenate(arrays)
+
+    names = ("time", "position", "quaternion", "action", "force", "run")
+    return replace(
+        first,
+        **{name: column(name) for name in names},
+        part=tuple(name for piece in pieces for name in piece.part),
+        extra={name: tuple(value for piece in pieces for value in piece.extra[name]) for name in first.extra},
+    )
+
+
+def _segment_in(segment: Segment, rows: list[int]) -> Segment:
+    certainty = segment.certainty
+    return replace(
+        segment,
+        start=rows[segment.start],
+        end=rows[segment.end],
+        certainty=None if certainty is None else _certainty_in(certainty, rows),
+    )
+
+
+def _certainty_in(certainty: SegmentCertainty, rows: list[int]) -> SegmentCertainty:
+    if certainty.start is None:
+        return certainty
+    return replace(certainty, start=replace(certainty.start, rows=tuple(rows[row] for row in certainty.start.rows)))
+
+
+def _edge_certainty_in(certainty: EdgeCertainty | None, rows: list[int]) -> EdgeCertainty | None:
+    if certainty is None or certainty.trace is None:
+        return certainty
+    return replace(certainty, trace=replace(certainty.trace, rows=tuple(rows[row] for row in certainty.trace.rows)))
+
+
+_WINDOW = 7  # rows of the running median
+_FEWEST_ROWS = 8  # to smooth
+_OUTLIER_STDS = 5.0  # from the running median
+
+
+def branch_poses(edge: KinematicEdge, relative: RelativeRows, poses: RigidTransform) -> RigidTransform:
+    """Poses with those of an edge's child replaced by what the edge says of them.
+
+    A part on a joint can only be where its joint allows: projected onto it (f ∘ f⁻¹) a measured pose keeps one of its
+    six errors, and that one is made small: what the actions do not say of the segment's configurations is smoothed. A
+    rigid segment keeps none. Where no joint explains how the part moves, all six are smoothed.
+
+    Args:
+        edge: learned from `relative`; its rows count within `relative.recording`.
+        relative: with the frames of the parent to which the edge's poses are relative.
+        poses: (n,) of the whole recording, base frame.
+
+    Returns:
+        (n,) poses, base frame; rows that no segment covers are as they were.
+    """
+    position, quaternion = poses.translation.copy(), poses.rotation.as_quat()
+    relative_poses, seen_action = relative.recording.poses(), relative.recording.action
+    for segment in edge.segments:
+        index = slice(segment.start, segment.end + 1)
+        if segment.no_single_joint is not None:
+            local = _smoothed_freely(relative_poses[index])
+        else:
+            rotation = relative_poses.rotation[index] if relative.recording.has_orientation else None
+            c = inverse(segment.joint, relative_poses.translation[index], rotation)
+            if segment.joint.kind == "revolute":
+                c = np.unwrap(c)
+            if segment.joint.moves:
+                log_density = np.zeros(len(c)) if seen_action is None else _told(segment.joint, c, seen_action[index])
+                c = log_density + _smoothed(c - log_density)
+            local = forward(segment.joint, c)
+        said = relative.frames[index] * local
+        rows = relative.rows[index]
+        position[rows] = said.translation
+        quaternion[rows] = said.rotation.as_quat()
+    return RigidTransform.from_components(position, Rotation.from_quat(quaternion))
+
+
+def _smoothed_freely(poses: RigidTransform) -> RigidTransform:
+    """(k,) poses, each of their six coordinates smoothed."""
+    middle = poses.rotation[len(poses) // 2]
+    turned = np.unwrap((middle.inv() * poses.rotation).as_rotvec(), axis=0)
+    position = np.stack([_smoothed(axis) for axis in poses.translation.T.copy()], axis=1)
+    rotation = middle * Rotation.from_rotvec(np.stack([_smoothed(axis) for axis in turned.T.copy()], axis=1))
+    return RigidTransform.from_components(position, rotation)
+
+
+def _told(joint: Joint, c: Floats, action: Floats) -> Floats:
+    """(k,) what the actions say of the configurations, up to a constant: their sum, scaled as far as it is followed."""
+    asked = np.nan_to_num(inverse_jacobian(joint, c, action))[:-1]
+    followed = float(asked @ np.diff(c)) / max(float(asked @ asked), 1e-12)
+    return np.concatenate([[0.0], np.cumsum(followed * asked)])
+
+
+def _smoothed(c: Floats) -> Floats:
+    """A spline through configurations, as smooth as generalised cross-validation finds best, and blind to outliers."""
+    if len(c) < _FEWEST_ROWS:
+        return c
+    miss = c - median_filter(c, size=_WINDOW, mode="nearest")
+    outlying = np.abs(miss) > _OUTLIER_STDS * max(STDS_PER_MAD * float(np.median(np.abs(miss))), ROUND_OFF)
+    outlying[[0, -1]] = False
+    rows = np.arange(len(c), dtype=float)
+    clean = np.interp(rows, rows[~outlying], c[~outlying])
+    if np.ptp(clean) < ROUND_OFF:
+        return np.asarray(clean)
+    return np.asarray(make_smoothing_spline(rows, clean)(rows))

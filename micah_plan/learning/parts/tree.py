@@ -1,0 +1,452 @@
+"""The kinematic tree of several parts: which part is attached to which, from edges learned pair by pair.
+
+Sources: Sturm, Stachniss and Burgard, "A probabilistic framework for learning kinematic models of articulated
+objects", JAIR 2011 (spanning tree of greatest posterior); MICAH, section IV-A (edges of several models).
+
+**What is compared.** Evidences of edges are of different data: relative poses of different pairs. They are made
+comparable by the chain rule. In a tree every part is a child once, so the density of all poses is a product over parts,
+
+    p(y_1 ... y_p | tree) = Π_j p(y_j | pose of the parent of j),   p(y_j | pose x_i of i) = p_edge(x_i⁻¹ y_j),
+
+and the relative pose has the same density as the child's own, because a rigid displacement changes no volumes. Two
+parents of one child thus compete for the same data y_j, and only such differences decide between trees. So:
+
+- No evidence of free motion is divided by. It would be of other data for each parent (the motion relative to it), and
+  reward those from which the child is seen to move most: a handle would be attached to the base, not on its door.
+- The parent's pose must not bring its own measurement noise. With measured poses, Δ_ij has the noise of two parts and
+  any parent but the base, which has none, loses up to 6 ln √2 = 2.1 nats per row, more than a joint that need not
+  move wins. Sturm et al. give all pairs the same noise instead. Here the parent is put where its own edge says that it
+  was (`relative.branch_poses`), which leaves the child's noise, the same for every parent. Its edge belongs
+  to a tree, so this starts with all parts on the base and is repeated along the tree found, until the tree stays.
+- Free motion is no attachment: a part that moves freely beside another moves freely beside the base. An edge with as
+  many rows of it as that of the base is left out. (Free motion follows poses without noise closer than any joint may,
+  so its evidence is greater than that of the true joint.) Rows that leave their joint further than real ones do count
+  as free.
+
+Where two parents explain a child equally well (parts that only ever moved in step, about one axis) the prior decides:
+the base.
+
+**Rigid attachment** is decided within a pair, by the learner: the evidence of rigid against all moving models, on the
+same rows. Parts that are rigid to each other at all times are one body; of its parts the first by name takes part in
+the search, and the others are attached to it.
+
+**Pairs that are not learned**: those that `carriers` excludes, those with a part that is rigid to the base, and all
+pairs if orientation was not measured, for then no part has a frame: all are attached to the base. Whether a pair is
+rigid is not asked where the two move far relative to each other.
+
+The edges returned are learned from measured poses, as a later observer measures them.
+
+**The spanning arborescence of greatest weight.** Which parent each node has, so that the sum is greatest.
+
+Source: Edmonds, "Optimum branchings", 1967. SciPy's spanning trees are of undirected graphs.
+
+Which parts can be attached to which others, from their motion in the base frame alone; it spares half of the pairs.
+
+A part that is attached to another is carried along. So where one moves in the base frame and the other rests, the other
+does not belong to it: it could only by moving at the same time just so that it stays where it is. Time is cut into
+windows, and a part can be attached to another if it moves in at least half of the windows in which the other does. A
+part that never moves carries nothing that the base does not carry as well. Only what is certain is left out: slow drift
+of a tracker counts as motion, and then the pair is learned and judged by its evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from micah_plan.arrays import Booleans, Floats
+from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
+from micah_plan.automaton.kinematics import ROTATION_LENGTH
+from micah_plan.errors import InputError, shown
+from micah_plan.learning.parts.relative import RelativeRows, branch_poses, in_whole_recording, relative_rows
+from micah_plan.learning.segmenting.posterior import LOG_ODDS_OVERSTATED
+from micah_plan.learning.track import bends, extent, std_of_bends
+from micah_plan.quantities import Progress
+from micah_plan.recording.value import Recording
+
+PairLearner = Callable[[Recording], KinematicEdge]
+
+_MOST_ROUNDS = 5  # of poses along a tree and trees in turn
+_LOG_BASE_ODDS = 3.0  # prior, 20 to 1: that a moving part stands on the base and not on a certain other one
+_EVIDENCE_DIGITS = 6  # evidences that agree so far [nats] are ties
+
+
+@dataclass(frozen=True, eq=False)
+class PairEdge:
+    """What was learned of a child relative to a parent.
+
+    Attributes:
+        relative: the rows that it was learned from.
+        edge: as the learner returned it: its rows count within `relative.recording`.
+    """
+
+    relative: RelativeRows
+    edge: KinematicEdge
+
+    @property
+    def is_rigid(self) -> bool:
+        """Whether the two never move relative to each other."""
+        return all(not segment.joint.moves and segment.no_single_joint is None for segment in self.edge.segments)
+
+    @property
+    def free_rows(self) -> int:
+        """How many rows no joint explains."""
+        return sum(segment.end - segment.start + 1 for segment in self.edge.segments if _is_free(segment))
+
+    @property
+    def log_evidence(self) -> float:
+        """ln probability of its rows [nats]: of all segmentations if the learner says it, else of the chosen one."""
+        if self.edge.certainty is not None:
+            return self.edge.certainty.log_evidence
+        return sum(segment.log_evidence for segment in self.edge.segments)
+
+
+def learn_tree(recording: Recording, learn_pair: PairLearner, progress: Progress | None = None) -> KinematicGraph:
+    """The kinematic tree of a recording's parts, and how every part moves relative to its parent.
+
+    Args:
+        recording: of one or several parts.
+        learn_pair: learns one edge from a recording of one part, whose poses and actions are relative to the parent;
+            the segments' rows count within that recording. It is called once for every pair that it is asked about.
+        progress: called with a message and the fraction done.
+
+    Returns:
+        Edges in the order of the recording's parts, but parents first; rows count within the whole recording.
+
+    Raises:
+        InputError: a part named like the base, or what `learn_pair` raises.
+    """
+    if BASE in recording.parts:
+        problem = f"a part is named {shown(BASE)}, as the body that the tree stands on"
+        raise InputError(problem, where="column 'part'", remedy="give the part another name or leave its rows out")
+    pairs = _Pairs(recording, learn_pair, progress)
+    found = dict.fromkeys(recording.parts, BASE)
+    probability = None
+    if recording.has_orientation and len(recording.parts) > 1:
+        still = {part for part in recording.parts if pairs.measured(BASE, part).is_rigid}
+        able = {
+            child: tuple(parent for parent in parents if not {parent, child} & still)
+            for child, parents in carriers(recording).items()
+        }
+        bodies = _bodies(able, pairs)
+        found |= bodies
+        free = {
+            child: tuple(parent for parent in parents if parent not in bodies)
+            for child, parents in able.items()
+            if child not in bodies
+        }
+        parents, probability = _searched(free, pairs)
+        found |= parents
+    edges = tuple(pairs.final(found[part], part) for part in _parents_first(found))
+    if progress is not None:
+        progress("learned", 1.0)
+    return KinematicGraph(edges, probability)
+
+
+def _is_free(segment: Segment) -> bool:
+    """Whether no joint explains a segment, or it leaves its joint further than real ones do."""
+    sure = segment.certainty
+    is_off = sure is not None and sure.deviation is not None and sure.deviation.probability > 0.5
+    return segment.no_single_joint is not None or is_off
+
+
+class _Pairs:
+    """Learned pairs, each learned once."""
+
+    def __init__(self, recording: Recording, learn_pair: PairLearner, progress: Progress | None) -> None:
+        self.recording = recording
+        self._learn_pair = learn_pair
+        self._progress = progress
+        self._learned: dict[tuple[str, ...], PairEdge | None] = {}
+        self._poses: dict[tuple[str, ...], RigidTransform] = {}
+        self._base_evidence: dict[tuple[str, str], float] = {}
+
+    def measured(self, parent: str, child: str) -> PairEdge:
+        """From measured poses.
+
+        Raises:
+            InputError: if the two have too few rows in common.
+        """
+        pair = self._pair((parent,), child, None)
+        if pair is None:
+            raise InputError(
+                f"parts {shown(parent)} and {shown(child)} have no run in which both were measured at the same time",
+                remedy="record the parts of one object together",
+            )
+        return pair
+
+    def are_rigid(self, parent: str, child: str) -> bool:
+        """Whether two parts never move relative to each other; False where they cannot be seen together."""
+        if (parent, child) not in self._learned:
+            relative = relative_rows(self.recording, parent, child)
+            if relative is None or moves_far(relative.recording):
+                return False
+        return self.measured(parent, child).is_rigid
+
+    def on_branch(self, branch: tuple[str, ...], child: str) -> PairEdge | None:
+        """From the pose of the branch's last part as the branch (base first) says it; None: too few common rows."""
+        return self.measured(BASE, child) if branch == (BASE,) else self._pair(branch, child, self._along(branch))
+
+    def log_evidence_of_base(self, pair: PairEdge, child: str) -> float:
+        """ln probability of a pair's rows [nats] if the child stands on the base: parents compare on equal rows."""
+        relative, whole = pair.relative, self.measured(BASE, child)
+        if len(relative) == len(whole.relative):
+            return whole.log_evidence
+        key = (relative.parent, child)
+        if key not in self._base_evidence:
+            rows = relative.rows
+            common = RelativeRows(BASE, self.recording.rows(rows), rows, RigidTransform.identity(len(rows)))
+            self._base_evidence[key] = PairEdge(common, self._learn_pair(common.recording)).log_evidence
+        return self._base_evidence[key]
+
+    def is_attachment(self, pair: PairEdge, child: str) -> bool:
+        """Whether a pair may say that its child stands on its parent, which is not the base."""
+        return not pair.free_rows or pair.free_rows < self.measured(BASE, child).free_rows
+
+    def final(self, parent: str, child: str) -> KinematicEdge:
+        """The edge from measured poses, in rows of the whole recording."""
+        pair = self.measured(parent, child)
+        return in_whole_recording(pair.edge, pair.relative, child)
+
+    def _pair(self, branch: tuple[str, ...], child: str, poses: RigidTransform | None) -> PairEdge | None:
+        key = (*branch, child)
+        if key not in self._learned:
+            if self._progress is not None:
+                parts = len(self.recording.parts)
+                message = f"learning part '{child}' relative to {branch[-1]}"
+                # How many pairs will be needed is not known before; the base's are the first of all.
+                self._progress(message, min(0.95, len(self._learned) / (parts * (parts + 1))))
+            relative = relative_rows(self.recording, branch[-1], child, poses)
+            self._learned[key] = None if relative is None else PairEdge(relative, self._learn_pair(_telling(relative)))
+        return self._learned[key]
+
+    def _along(self, branch: tuple[str, ...]) -> RigidTransform:
+        """(n,) poses with those of the branch's parts put where the branch says."""
+        if branch == (BASE,):
+            return self.recording.poses()
+        if branch not in self._poses:
+            poses = self._along(branch[:-1])
+            pair = self.on_branch(branch[:-1], branch[-1])
+            self._poses[branch] = poses if pair is None else branch_poses(pair.edge, pair.relative, poses)
+        return self._poses[branch]
+
+
+def _telling(relative: RelativeRows) -> Recording:
+    """What is learned from: an action is relative to the measured pose, so beside no motion it is measurement noise."""
+    still = relative.parent != BASE and not moves_far(relative.recording)
+    return replace(relative.recording, action=None) if still else relative.recording
+
+
+def _bodies(able: Mapping[str, tuple[str, ...]], pairs: _Pairs) -> dict[str, str]:
+    """Parts that are rigidly attached to another, and the first part by name of the body that they belong to."""
+    first = {part: part for part in able}
+    for child in sorted(able):
+        for parent in sorted(able[child]):
+            mutual = parent < child and child in able[parent]
+            if mutual and first[parent] != first[child] and pairs.are_rigid(parent, child):
+                low, high = sorted((first[parent], first[child]))
+                first = {part: low if body == high else body for part, body in first.items()}
+    return {part: body for part, body in first.items() if part != body}
+
+
+def _searched(able: Mapping[str, tuple[str, ...]], pairs: _Pairs) -> tuple[dict[str, str], float]:
+    """Parent of every body: the tree of greatest evidence, given branches along which parents' poses are found.
+
+    And its probability among all trees, with the poses found along it.
+    """
+    parents = dict.fromkeys(able, BASE)
+    best, best_weight, probability = parents, -np.inf, 1.0
+    visited: list[dict[str, str]] = []
+    while parents not in visited and len(visited) < _MOST_ROUNDS:
+        visited.append(parents)
+        weights = _weights(able, parents, pairs)
+        # The tree that the poses were found along, valued with these poses.
+        weight = sum(weights[parent, child][0] for child, parent in parents.items() if (parent, child) in weights)
+        if weight > best_weight:
+            best, best_weight = parents, weight
+            probability = _share({arc: pair[0] for arc, pair in weights.items()}, parents)
+        parents = maximum_arborescence(weights, BASE)
+    return best, probability
+
+
+def _share(evidence: Mapping[Arc, float], tree: Mapping[str, str]) -> float:
+    """Probability of a tree among all, whose weights a determinant sums (Tutte's matrix-tree theorem).
+
+    Log odds of parents are overstated as those of kinds are: noise and joints are fitted to the rows that judge them.
+    """
+    index = {child: i for i, child in enumerate(tree)}
+    laplacian, log_weight = np.zeros((len(tree), len(tree))), 0.0
+    for child, j in index.items():
+        odds = {
+            parent: value / LOG_ODDS_OVERSTATED
+            for (parent, child_of_pair), value in evidence.items()
+            if child_of_pair == child
+        }
+        top = max(odds.values())
+        log_weight += odds[tree[child]] - top
+        for parent, value in odds.items():
+            laplacian[j, j] += np.exp(value - top)
+            if parent != BASE:
+                laplacian[index[parent], j] -= np.exp(value - top)
+    return float(np.clip(np.exp(log_weight - np.linalg.slogdet(laplacian)[1]), 0.0, 1.0))
+
+
+def _weights(able: Mapping[str, tuple[str, ...]], tree: Mapping[str, str], pairs: _Pairs) -> dict[Arc, Weight]:
+    """Of every possible edge: evidence over that of the base; ties: rigid first, then the base, then by name."""
+    order = {name: -float(number) for number, name in enumerate(sorted(able))}
+    weights: dict[Arc, Weight] = {}
+    for child, parents in able.items():
+        for parent in (BASE, *parents):
+            branch = _branch(tree, parent)
+            # A parent below the child has no branch without it: its own edge to the base stands in.
+            pair = pairs.on_branch((BASE, parent) if child in branch else branch, child)
+            if pair is not None and (parent == BASE or pairs.is_attachment(pair, child)):
+                prior = _LOG_BASE_ODDS if parent == BASE else 0.0
+                evidence = round(pair.log_evidence - pairs.log_evidence_of_base(pair, child) + prior, _EVIDENCE_DIGITS)
+                weights[parent, child] = (evidence, float(pair.is_rigid), float(parent == BASE), order.get(parent, 0.0))
+    return weights
+
+
+def _branch(tree: Mapping[str, str], part: str) -> tuple[str, ...]:
+    """The parts from the base to a part."""
+    branch = [part]
+    while branch[0] != BASE:
+        branch.insert(0, tree[branch[0]])
+    return tuple(branch)
+
+
+def _parents_first(tree: Mapping[str, str]) -> list[str]:
+    placed: list[str] = []
+    while len(placed) < len(tree):
+        placed += [p for p, parent in tree.items() if p not in placed and (parent == BASE or parent in placed)][:1]
+    return placed
+
+
+Weight = tuple[float, ...]
+Arc = tuple[str, str]
+
+
+def maximum_arborescence(weights: Mapping[Arc, Weight], root: str) -> dict[str, str]:
+    """Parent of every node but the root.
+
+    Args:
+        weights: of arcs (parent, child). Weights are tuples of one length: they add by element and compare in order,
+            so later elements break ties of the earlier ones.
+
+    Raises:
+        InputError: a node that no arc leads to from the root.
+    """
+    reached, ahead = {root}, [root]
+    while ahead:
+        here = ahead.pop()
+        new = [child for parent, child in weights if parent == here and child not in reached]
+        reached.update(new)
+        ahead += new
+    for arc in weights:
+        for node in arc:
+            if node not in reached:
+                raise InputError(f"{shown(node)} cannot be reached from {shown(root)}")
+    return {child: parent for parent, child in _chosen(weights, root)}
+
+
+def _chosen(weights: Mapping[Arc, Weight], root: str) -> set[Arc]:
+    """The arcs of the arborescence: the best into every node, and around each cycle of them one that breaks it."""
+    best: dict[str, Arc] = {}
+    for arc in sorted(weights):
+        parent, child = arc
+        if child not in (root, parent) and (child not in best or weights[arc] > weights[best[child]]):
+            best[child] = arc
+    cycle = _cycle(best, root)
+    if not cycle:
+        return set(best.values())
+    # The cycle becomes one node, named as none of the others; an arc into it pays for the arc that it replaces.
+    merged = "\0".join(sorted(cycle))
+    shorter: dict[Arc, Weight] = {}
+    original: dict[Arc, Arc] = {}
+    for arc in sorted(weights):
+        parent, child = arc
+        if parent in cycle and child in cycle:
+            continue
+        weight = weights[arc]
+        if child in cycle:
+            weight = tuple(w - b for w, b in zip(weight, weights[best[child]], strict=True))
+        new = (merged if parent in cycle else parent, merged if child in cycle else child)
+        if new not in shorter or weight > shorter[new]:
+            shorter[new], original[new] = weight, arc
+    arcs = {original[arc] for arc in _chosen(shorter, root)}
+    entered = next(child for _, child in arcs if child in cycle)
+    return arcs | {best[node] for node in cycle if node != entered}
+
+
+def _cycle(best: Mapping[str, Arc], root: str) -> set[str]:
+    for start in sorted(best):
+        path, node = [start], best[start][0]
+        while node != root and node not in path:
+            path.append(node)
+            node = best[node][0]
+        if node != root:
+            return set(path[path.index(node) :])
+    return set()
+
+
+_WINDOWS = 24  # per run
+_MOTION_STDS = 6.0  # white noise spreads the rows of a window over less, however many there are
+_SHARE = 0.5  # of the rows in which a parent moves, in which its child moves as well
+_FAR = 0.1  # m; further than slow errors of a tracker take a part, seen from another
+_FAR_STDS = 20.0  # of the white noise
+_FEW = 0.05  # share of the rows that do not count
+
+
+def carriers(recording: Recording) -> dict[str, tuple[str, ...]]:
+    """For every part, the other parts that it can be attached to, in the order of the recording's parts."""
+    windows = {part: [moving_windows(recording, run, part) for run in recording.runs] for part in recording.parts}
+    moving = {part: np.concatenate(runs) for part, runs in windows.items()}
+    return {
+        child: tuple(
+            parent for parent in recording.parts if parent != child and _carries(moving[parent], moving[child])
+        )
+        for child in recording.parts
+    }
+
+
+def moves_far(recording: Recording) -> bool:
+    """Whether the only part of a recording moves so far that nobody need learn whether it is rigid."""
+    for run in recording.runs:
+        place = _places(recording.rows(recording.run == run))
+        if len(place) > 2 and extent(place, _FEW) > max(_FAR, _FAR_STDS * float(std_of_bends(bends(place)))):
+            return True
+    return False
+
+
+def moving_windows(recording: Recording, run: int, part: str) -> Booleans:
+    """In which of the windows of a run a part moves; windows are of equal duration over the whole run, all parts."""
+    in_run = recording.run == run
+    own = np.flatnonzero(in_run & np.array([name == part for name in recording.part], dtype=bool))
+    moves = np.zeros(_WINDOWS, dtype=bool)
+    if len(own) < 3:
+        return moves
+    place = _places(recording.rows(own))
+    edges = np.linspace(recording.time[in_run].min(), recording.time[in_run].max(), _WINDOWS + 1)
+    window = np.clip(np.searchsorted(edges, recording.time[own], side="right") - 1, 0, _WINDOWS - 1)
+    threshold = _MOTION_STDS * float(std_of_bends(bends(place)))
+    for k in range(_WINDOWS):
+        # With its neighbours: a window between rows of a slow recording would have none or one.
+        rows = place[np.abs(window - k) <= 1]
+        if len(rows) > 1:
+            moves[k] = extent(rows) > threshold
+    return moves
+
+
+def _carries(parent: Booleans, child: Booleans) -> bool:
+    return bool(parent.any() and (parent & child).sum() >= _SHARE * parent.sum())
+
+
+def _places(recording: Recording) -> Floats:
+    """(n, 3 or 12) positions, and directions of the part's axes scaled to lengths [m]."""
+    if recording.quaternion is None:
+        return recording.position
+    turned = recording.poses().rotation.as_matrix().reshape(len(recording), 9)
+    return np.concatenate([recording.position, ROTATION_LENGTH * turned], axis=1)

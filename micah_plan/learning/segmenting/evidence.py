@@ -1,0 +1,335 @@
+"""The evidence ln L(s, t, M) of every segment, from densities of rows that no start needs to compute again.
+
+One generative model serves all kinds: measured pose = joint at its configuration + an error with wander and tails (see
+noise.py). Rigid is the joint without motion. A row's density given the rows before it in the same segment depends on
+the segment's start only through how many rows there are to predict from, and beyond noise.MEMORY not at all; so the
+evidence of a segment is a sum of tabled terms. A revolute joint that rests is no likelier than a rigid one.
+
+A step in which a part is caught by a stop, or let go by it, does not do what the action asks of it: its poses are a
+mean of rest and motion. So the step with which a segment begins or ends may be led, or not.
+
+A segment may go on where the row before it was, as far as that row lies on its joint as well: a part goes over from one
+joint to another at a pose that both have.
+
+Source: MICAH, ln L ≈ ln p(y | M, θ̂, a) - k/2 ln(t - s).
+
+**The price of a joint.** How much narrower than their prior the rows make its parameters (Laplace's approximation).
+
+ln p(y | M) ≈ ln p(y | θ_fit) - 1/2 ln det(I + Σ₀ F), with the parameters' prior covariance Σ₀ and Fisher information F.
+The term k/2 ln n of MICAH's ln L is its limit for many rows, but leaves out by how much one row tells: with wide priors
+and a tracker good to millimetres that is most of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.special import digamma
+
+from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.automaton.joint import KINDS, JointKind
+from micah_plan.learning.joints.final_fit import PITCH, SCREW_COST
+from micah_plan.learning.joints.joint_arrays import JointArrays
+from micah_plan.learning.segmenting.motion import StepModels, fit_motion
+from micah_plan.learning.segmenting.noise import NoiseModel, log_add, log_peak, stacked
+from micah_plan.learning.segmenting.pool import Hypotheses, Pool, all_of, pool_of
+from micah_plan.learning.segmenting.pool_fits import parameter_design
+from micah_plan.learning.track import PartTrack
+
+_HELD_FIRST = 4.6  # nats: a part that has not moved yet waits for the hand in 99 of 100 demonstrations
+_SLIP = 0.01  # probability that a row tells nothing of the next
+
+
+@dataclass(frozen=True, eq=False)
+class EvidenceTable:
+    """Densities of rows under a pool.
+
+    Attributes:
+        likelihood_power: power of the likelihood.
+        pool, motion: the h hypotheses and how the part moves along them.
+        log_density: (p + 1, n, h): of a row, given 0, 1, ... p rows before it.
+        ending: (p + 1, n, h): by how much more probable it is as the last one of its segment.
+        parameters: (h,) numbers that fix a hypothesis.
+        occam: (h,) ln of how much narrower than before the parameters are after the rows they were fitted to.
+        held: (h,) the same, given that a moving joint of the pool explains other rows.
+        rows: (h,) how many rows they were fitted to.
+    """
+
+    likelihood_power: float
+    pool: Pool
+    motion: StepModels
+    log_density: Floats
+    ending: Floats
+    parameters: Floats
+    occam: Floats
+    held: Floats
+    rows: Floats
+
+    @cached_property
+    def sums(self) -> Floats:
+        """(h, n, n) evidence of every segment (first, last row), its joint's parameters paid for by someone else.
+
+        What is said of last rows before the first means nothing.
+        """
+        return segment_sums(self.log_density, self.ending)
+
+    def charged(self, index: int) -> Floats:
+        """(n, n) the same of one hypothesis, less what a segment pays for a joint of its own."""
+        n = len(self.sums[index])
+        lengths = np.maximum(np.arange(2 * n - 1) - n + 2, 1).astype(float)
+        # The cost of a segment depends on its length alone.
+        costs = sliding_window_view(self.cost(np.array([index]), lengths), n)[::-1]
+        return np.asarray(self.sums[index] - costs)
+
+    @cached_property
+    def best(self) -> Floats:
+        """(n, n) the same of whichever hypothesis is best for a segment."""
+        return best_of(self.charged(i) for i in range(len(self.rows)))
+
+    def cost(self, index: Ints, rows: Floats, held: bool = True) -> Floats:
+        """What a segment of so many rows pays for a hypothesis' parameters."""
+        n = np.maximum(rows, np.maximum(self.parameters[index], 1.0))
+        return np.asarray(
+            (self.held if held else self.occam)[index] + 0.5 * self.parameters[index] * np.log(n / self.rows[index])
+        )
+
+
+def tabulated(
+    hypotheses: Hypotheses,
+    track: PartTrack,
+    noise: NoiseModel,
+    rest: float,
+    likelihood_power: float,
+    begun: bool = False,
+) -> EvidenceTable:
+    """The densities of all rows under all hypotheses.
+
+    Args:
+        rest: prior probability that a part on a moving joint rests in a step, where actions do not tell.
+        likelihood_power: power of the likelihood (`noise.likelihood_power_of`).
+        begun: whether the part has moved before the first row.
+    """
+    return all_tabulated([hypotheses], track, [noise], rest, likelihood_power, begun)[0]
+
+
+def all_tabulated(
+    pools: Sequence[Hypotheses],
+    track: PartTrack,
+    noises: Sequence[NoiseModel],
+    rest: float,
+    likelihood_power: float,
+    begun: bool = False,
+) -> list[EvidenceTable]:
+    """The same of several sets of hypotheses, each under a noise of its own, at once."""
+    together, counts = all_of(pools), [len(pool) for pool in pools]
+    noise = stacked(noises, counts) if len(pools) > 1 else noises[0]
+    pool = pool_of(together, track, noise)
+    table, scale, off_joint = _across(pool, noise)
+    motion = fit_motion(pool, track.action, rest, scale, likelihood_power, begun)
+    unled = table + motion.unled
+    # Where on its joint a segment starts is uniform over what the recording reaches.
+    table[1:] += motion.log_density
+    table[0] -= (np.log(np.maximum(np.ptp(pool.seen.configuration, axis=1), 1e-9)) * pool.moving)[:, None]
+    led_or_not = log_add(table, unled) + np.log(0.5)
+    # A tracker may slip: then the row is as unforeseen as the first of a segment.
+    slipped = np.log(_SLIP) + table[0]
+    for densities in (table, led_or_not):
+        densities[1:] = log_add(np.log1p(-_SLIP) + densities[1:], slipped)
+    ending = likelihood_power * (led_or_not - table)
+    # A segment of one row begins and ends within it, which is asked once; the last row of all leaves its segment open.
+    ending[0] = ending[..., -1] = 0.0
+    # A segment may go on where the row before it was, or not.
+    going_on = table[1:, :, 1:].copy()
+    going_on[:1] = led_or_not[1:2, :, 1:]
+    for k, density in enumerate(going_on):  # of a row with k rows of its segment before it
+        density[:, k:] += off_joint[:, : density.shape[1] - k]
+    table[:-1, :, 1:] = log_add(table[:-1, :, 1:], going_on) + np.log(0.5)
+    table *= likelihood_power
+    if not begun:
+        table[0, ~pool.moving, 0] -= _HELD_FIRST
+    rows = np.maximum(together.used.sum(axis=1), 1).astype(float)
+    of_motion = 0.5 * motion.parameters * np.log(rows)
+    parameters = parameter_counts(together.joints, track.quaternion is not None) + motion.parameters
+    cost, denied = parameter_costs(pool, track, noise, likelihood_power)
+    ends = np.cumsum(counts)
+    tables = []
+    for pool_of_part, noise_of_part, part in zip(pools, noises, map(slice, ends - counts, ends), strict=True):
+        pool_of_one = pool.part(part, pool_of_part)
+        held = held_costs(cost[part], denied[part], pool_of_one, noise_of_part, likelihood_power) + of_motion[part]
+        density = table[:, part].swapaxes(1, 2), ending[:, part].swapaxes(1, 2)
+        numbers = parameters[part], cost[part] + of_motion[part], held, rows[part]
+        tables.append(EvidenceTable(likelihood_power, pool_of_one, motion.part(part), *density, *numbers))
+    return tables
+
+
+def _across(pool: Pool, noise: NoiseModel) -> tuple[Floats, Floats, Floats]:
+    """(p + 1, h, n) ln densities across the joints, and (h, n) how much wider than usual a row's noise is.
+
+    And (h, n) by how much less likely than a row on the joint usually is each of them is, alone [nats, at most 0].
+    """
+    direction = pool.seen.direction
+    h, d, n = direction.shape
+    heavy = noise.dof[:, None] + d - pool.moving[:, None]
+    peak = np.where(pool.moving, log_peak(d - 1, noise.dof), log_peak(d, noise.dof))[:, None]
+    scaling = (noise.decorrelation[:, None] / np.sqrt(noise.left)[:, :, None]).swapaxes(0, 1)
+    squares = np.empty((len(scaling), h, n))
+    for scale_of_order, residual, square in zip(scaling, noise.predicted_back(pool.seen.error), squares, strict=True):
+        innovation = scale_of_order @ residual
+        np.einsum("hdn,hdn->hn", innovation, innovation, out=square)
+    # The direction of motion is not counted here.
+    precision = (scaling.swapaxes(2, 3) @ scaling).swapaxes(0, 1).reshape(len(noise), -1, d * d)
+    information = precision @ (direction[:, :, None] * direction[:, None]).reshape(h, d * d, n)
+    information = np.where(pool.moving[:, None, None], information, 1.0).swapaxes(0, 1)
+    volume = np.log(np.diagonal(scaling, axis1=2, axis2=3)).sum(axis=2)[..., None]
+    tails = heavy * np.log1p(squares / heavy) + np.log(np.maximum(information, 1e-12))
+    # Given how far off a row is across the joint, Student's distribution is as much wider along it.
+    wider = 1 + (squares[-1] - (heavy - noise.dof[:, None])) / heavy
+    # Of a pose that may be further off than a tracker wanders, as where a stop gives way: Cauchy's density.
+    cauchy = heavy - noise.dof[:, None] + 1.0
+    usual = digamma(0.5 * cauchy) - digamma(0.5)
+    off_joint = 0.5 * cauchy * np.minimum(usual - np.log1p(squares[0] / cauchy), 0.0)
+    return peak - 0.5 * tails + volume, wider, off_joint
+
+
+def best_of(layers: Iterable[Floats]) -> Floats:
+    """(n, n) the largest of evidences (n, n), one at a time: all at once would take much memory."""
+    rest = iter(layers)
+    best = next(rest).copy()
+    for layer in rest:
+        np.maximum(best, layer, out=best)
+    return best
+
+
+def segment_sums(log_density: Floats, ending: Floats) -> Floats:
+    """(h, n, n) evidence of rows s to t (s <= t) under every hypothesis, from densities (p + 1, n, h).
+
+    The first p rows of a segment have their own densities; those after them are differences of one running sum. What a
+    row is more probable by as the last one (p + 1, n, h) is added.
+    """
+    p, n, h = len(log_density) - 1, log_density.shape[1], log_density.shape[2]
+    running = np.zeros((h, n + 1))
+    np.cumsum(log_density[p].T, axis=1, out=running[:, 1:])
+    # Of the row s + k with k rows known before it; 0 beyond the end.
+    begin = np.zeros((p, h, n))
+    for k in range(min(p, n)):
+        begin[k, :, : n - k] = log_density[k, k:].T
+    begin = np.cumsum(begin, axis=0)
+    later = running[:, np.minimum(np.arange(n) + p, n)]
+    beginning = begin[-1] - later if p else -later
+    sums = (running[:, 1:] + ending[p].T)[:, None] + beginning[:, :, None]
+    of_lengths = sums.reshape(h, -1)
+    for k in range(min(p, n)):
+        of_lengths[:, k :: n + 1][:, : n - k] = begin[k, :, : n - k] + ending[k, k:].T
+    return np.asarray(sums)
+
+
+_SAMPLES = 10  # rows at which the information is looked at
+_HELD_SHARE = 4  # a joint that explains so much of the recording may hold the part elsewhere on it
+_DENIED = 10.0  # nats: a joint along which nothing moved beyond noise is no joint; a rest with a motion in it, no rest
+BLOCKS = 8  # in which rows are averaged to see whether anything moves
+TRAVEL = 7.0  # a motion, in the noise of these means
+_DRIFT = 14.0  # more than a tracker wanders during a rest, in the noise of these means
+# Prior stds of `JointArrays.moved`'s step: turns [rad] and shifts [m] of both sides, pitch [m/rad].
+_WIDTHS = np.array([1.0] * 12 + [PITCH])
+
+
+def parameter_costs(pool: Pool, track: PartTrack, noise: NoiseModel, likelihood_power: float) -> tuple[Floats, Floats]:
+    """(h,) costs of the hypotheses' parameters on the rows that they were fitted to [nats], and what of it is denial.
+
+    Args:
+        likelihood_power: power of the likelihood.
+    """
+    denied = _denied(pool, noise)
+    return _parameter_cost(pool, track, noise, likelihood_power) + denied, denied
+
+
+def _parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, likelihood_power: float) -> Floats:
+    """(h,) how much narrower the rows make the parameters than their prior, and what is believed of joints before."""
+    joints, used = pool.hypotheses.joints, pool.hypotheses.used
+    count = np.maximum(used.sum(axis=1), 1)
+    # Evenly spaced ones among the used rows.
+    ranks = (np.linspace(0, 1, _SAMPLES)[None] * (count - 1)[:, None]).round().astype(np.int64)
+    order = np.argsort(~used, axis=1, kind="stable")
+    index = np.take_along_axis(order, ranks, axis=1)
+    design = parameter_design(joints, pool.seen.rows(index), track.position[index])
+    scaling = noise.decorrelation * np.sqrt(noise.information_share / noise.left[:, -1])[:, None]
+    widths = _WIDTHS[: design.shape[2]]
+    flat = (scaling @ design.reshape(*design.shape[:2], -1)).reshape(design.shape) * widths[:, None]
+    information = (flat @ flat.swapaxes(2, 3)).sum(axis=1) * (count / _SAMPLES)[:, None, None]
+    narrower = np.linalg.slogdet(np.eye(len(widths)) + likelihood_power * information)[1]
+    reach = np.where(joints.turning, np.linalg.norm(joints.position - joints.center, axis=1), 0.0)
+    far = 0.5 * (reach**2 + (joints.pitch / PITCH) ** 2)
+    return np.asarray(far + SCREW_COST * joints.twisting + 0.5 * narrower)
+
+
+def held_costs(cost: Floats, denied: Floats, pool: Pool, noise: NoiseModel, likelihood_power: float) -> Floats:
+    """(h,) the same, cheaper where a rigid pose lies on a moving joint of the pool: a part is held on its way.
+
+    Given the joint, the pose has only its configuration free, and the slow wander across it.
+    """
+    used = pool.hypotheses.used
+    n = used.shape[1]
+    joints = np.flatnonzero(pool.moving & (used.sum(axis=1) >= n / _HELD_SHARE))
+    result = cost.copy()
+    if not len(joints) or pool.moving.all():
+        return result
+    reach = np.ptp(pool.seen.configuration[joints], axis=1)
+    information = likelihood_power * noise.information_share[0, :, None] * np.linalg.inv(noise.innovation[0])
+    error, direction = pool.seen.error[joints], pool.seen.direction[joints]
+    rigid = np.flatnonzero(~pool.moving)
+    rows = [np.flatnonzero(used[i]) for i in rigid]
+    missed_by = np.array([error[..., row].mean(axis=2) for row in rows])
+    along = np.moveaxis(direction[..., [row[len(row) // 2] for row in rows]], 2, 0) * reach[:, None]
+    prior = np.diag(noise.slow[0] + noise.white[0]) + along[..., :, None] * along[..., None, :]
+    count = np.array([len(row) for row in rows])[:, None, None, None]
+    size = np.linalg.slogdet(np.eye(prior.shape[-1]) + prior @ information * count)[1]
+    missed = np.sum(missed_by * np.linalg.solve(prior, missed_by[..., None])[..., 0], axis=-1)
+    result[rigid] = np.minimum(result[rigid], 0.5 * (size + missed).min(axis=1) + denied[rigid])
+    return result
+
+
+def _denied(pool: Pool, noise: NoiseModel) -> Floats:
+    """(h,) what it costs that the rows of a moving joint do not move beyond noise, or that those of a rigid one do."""
+    used = pool.hypotheses.used
+    rows = np.maximum(used.sum(axis=1), 1)[:, None]
+    block = np.maximum(rows / BLOCKS, 1.0)
+    inside, count = _blocks(used)
+    travel = _span(inside, count, pool.seen.configuration[:, None])
+    noises = np.sqrt(pool.along.white[:, None] / block + pool.along.renewed[:, None] * rows / BLOCKS / 3)
+    travel = travel / np.where(pool.moving, noises[:, 0], 1.0)
+    # The wander of a tracker goes on over all rows of a rest.
+    drift = pool.seen.error / np.sqrt(noise.white / block + noise.renewed * rows)[..., None]
+    drifts = [_span(inside, count, drift[:, i : i + 3]) for i in range(0, drift.shape[1], 3)]
+    denied = np.where(pool.moving, travel < TRAVEL, np.max(drifts, axis=0) > _DRIFT)
+    return np.asarray(_DENIED * denied)
+
+
+def _blocks(used: Booleans) -> tuple[Floats, Floats]:
+    """(h, n, b) which block of the used rows (h, n) a row is in, 0 or 1; and (h, 1, b) how many rows a block has."""
+    rows = np.maximum(used.sum(axis=1, keepdims=True), 1)
+    block = np.minimum(BLOCKS * (np.cumsum(used, axis=1) - 1) // rows, BLOCKS - 1)
+    inside = (used[..., None] & (block[..., None] == np.arange(BLOCKS))).astype(float)
+    return inside, inside.sum(axis=1, keepdims=True)
+
+
+def _span(inside: Floats, count: Floats, values: Floats) -> Floats:
+    """(h,) how far apart the means of blocks lie, of values (h, d, n)."""
+    means = values @ inside / np.maximum(count, 1)
+    means = np.where(count > 0, means, means[..., :1])
+    apart = ((means[..., :, None] - means[..., None, :]) ** 2).sum(axis=1)
+    return np.asarray(np.sqrt(apart.max(axis=(1, 2))))
+
+
+def parameter_counts(joints: JointArrays, has_orientation: bool) -> Floats:
+    """(h,) k of the BIC term: the numbers that fix a joint and where on it the segment starts."""
+    counts = {kind: float(parameter_count(kind, has_orientation)) for kind in set(joints.kinds)}
+    return np.array([counts[kind] for kind in joints.kinds])
+
+
+def parameter_count(kind: JointKind, has_orientation: bool) -> int:
+    """k of the BIC term: the numbers that fix a joint and where on it the segment starts."""
+    return (6 if has_orientation else 3) + len(KINDS[kind].parameters)

@@ -1,0 +1,138 @@
+"""Where a part was held: all rests on one joint at once, from what the actions asked of it and it did not do.
+
+In every step the part either follows what the action asks of it along the joint, not quite, or it is held and does not
+move; which of the two is a hidden state that rarely changes. A filter of the configuration weighs them row by row
+(generalised pseudo-Bayes of first order), a pass back tells them by all rows. The action channel is fitted to the steps
+that followed, by expectation maximisation begun at the steps that moved: with pushes against a stop among them, the
+actions would seem to say little, and no stop would be seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp, log
+
+import numpy as np
+
+from micah_plan.arrays import Booleans, Floats
+from micah_plan.learning.segmenting.pool import Pool
+from micah_plan.learning.segmenting.pool_fits import least_norm
+
+_CHANGES = 0.02  # probability that a part that followed is held in the next step, or the other way round
+_ROUNDS = 8  # of expectation maximisation
+_MOVED = 0.5  # of the typical step; what goes further moved
+_FARTHEST = 4.0  # nats that one step may say: a tracker slips, and an arrival is half a step
+_SLIPPED = 5.0  # stds by which a row misses both what follows and what is held: it begins anew there
+_LEAST_INFORMATION = 1e-6  # relative; in a direction of less, actions say nothing
+_SAME_PLACE = 0.03  # of the travel; rests at an end differ by what the end, the joint and the tracker give
+_FEWEST_STEPS = 2  # of a rest
+_FEWEST_FOLLOWED = 8  # steps from which a channel is estimated
+
+
+@dataclass(frozen=True, eq=False)
+class Along:
+    """What is known of a part along one joint in n rows.
+
+    Attributes:
+        configuration: (n,) measured [rad or m].
+        action: (n, 3) in the part's frame [m]; that of the last row is not used.
+        white: variance of a measurement; drift: variance that a tracker's wander adds per row.
+    """
+
+    configuration: Floats
+    action: Floats
+    white: float
+    drift: float
+
+
+def along_joint(pool: Pool, joint: int, action: Floats) -> Along:
+    """What a pool knows of one of its joints, in the rows that it sees."""
+    scales = pool.along.take([joint])
+    noise = float((scales.white + scales.fast)[0]), float(scales.renewed[0])
+    return Along(pool.seen.configuration[joint], action, *noise)
+
+
+def places_held(along: Along) -> Booleans:
+    """(p, n) rows of each place at which the part was held, however often: rests less apart than a stop is sharp."""
+    rests = held_rows(along)
+    if not len(rests):
+        return rests
+    middle = (rests @ along.configuration) / rests.sum(axis=1)
+    order = np.argsort(middle, kind="stable")
+    apart = np.diff(middle[order]) > _SAME_PLACE * np.ptp(along.configuration)
+    place = np.concatenate([[0], np.cumsum(apart)])
+    return np.array([rests[order[place == k]].any(axis=0) for k in range(place[-1] + 1)])
+
+
+def held_rows(along: Along) -> Booleans:
+    """(r, n) rows of each rest, in their order: the row of arrival is not one of them."""
+    held = held_steps(along) > 0.5
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], held, [False]]).astype(int))).reshape(-1, 2)
+    edges = edges[edges[:, 1] - edges[:, 0] >= _FEWEST_STEPS]
+    rows = np.arange(len(along.configuration))
+    # A part that is held from the beginning is so in the first row too.
+    first = np.where(edges[:, :1] == 0, 0, edges[:, :1] + 1)
+    return np.asarray((rows >= first) & (rows <= edges[:, 1:]))
+
+
+def held_steps(along: Along) -> Floats:
+    """(n - 1,) probability of every step that the part was held; 0 where the actions do not tell."""
+    step, action = np.diff(along.configuration), along.action[:-1]
+    asked = np.any(action != 0, axis=1)
+    smooth = np.convolve(step, np.full(3, 1 / 3), mode="same")
+    typical = float(np.sqrt(np.mean(step**2)))
+    followed = (asked & (np.abs(smooth) > _MOVED * typical)).astype(float)
+    held = np.zeros(len(step))
+    for _ in range(_ROUNDS):
+        if followed.sum() < _FEWEST_FOLLOWED:
+            return np.zeros(len(step))
+        weighted = action * followed[:, None]
+        gain = least_norm((weighted.T @ action)[None], (weighted.T @ step)[None], _LEAST_INFORMATION)[0]
+        expected = action @ gain
+        variance = float(followed @ (step - expected) ** 2 / followed.sum())
+        before, held = held, _smoothed(along, expected, max(variance - 2 * along.white, 0.0))
+        followed = asked * (1 - held)
+        if np.abs(held - before).max() < 0.01:
+            break
+    return held
+
+
+def _smoothed(along: Along, expected: Floats, loose: float) -> Floats:
+    """(n - 1,) probability of being held, given the expected steps (n - 1,) and the variance that they leave."""
+    measured = along.configuration.tolist()
+    mean, variance, chance = measured[0], along.white, 0.5
+    forward, odds = [], []
+    for value, by_action in zip(measured[1:], expected.tolist(), strict=True):
+        chance = chance * (1 - _CHANGES) + (1 - chance) * _CHANGES
+        quiet = variance + along.drift
+        # As loosely as it follows on average, by what is asked of it: nothing asked is nothing done.
+        free = quiet + min(loose, by_action**2)
+        total_held, total_free = quiet + along.white, free + along.white
+        miss_held, miss_free = value - mean, value - mean - by_action
+        if min(miss_held**2 / total_held, miss_free**2 / total_free) > _SLIPPED**2:
+            mean, variance, tells = value, along.white, 0.0
+        else:
+            tells = 0.5 * (log(total_free / total_held) + miss_free**2 / total_free - miss_held**2 / total_held)
+            tells = min(max(tells, -_FARTHEST), _FARTHEST)
+            chance = chance / (chance + (1 - chance) * exp(-tells))
+            kept_held, kept_free = quiet / total_held, free / total_free
+            mean_held, mean_free = mean + kept_held * miss_held, mean + by_action + kept_free * miss_free
+            mean = chance * mean_held + (1 - chance) * mean_free
+            variance = chance * (quiet * (1 - kept_held) + (mean_held - mean) ** 2)
+            variance += (1 - chance) * (free * (1 - kept_free) + (mean_free - mean) ** 2)
+        forward.append(chance)
+        odds.append(tells)
+    ahead, behind = np.array(forward), _from_later(odds)
+    together = ahead * behind
+    return np.asarray(together / (together + (1 - ahead) * (1 - behind)))
+
+
+def _from_later(odds: list[float]) -> Floats:
+    """(k,) probability that a part is held in each step, by the later ones alone, from what each tells [nats]."""
+    chance = 0.5
+    backward = [chance]
+    for tells in odds[:0:-1]:
+        chance = chance / (chance + (1 - chance) * exp(-tells))
+        chance = chance * (1 - _CHANGES) + (1 - chance) * _CHANGES
+        backward.append(chance)
+    return np.array(backward[::-1])

@@ -1,0 +1,183 @@
+"""The track of one part in one run, prepared for learning: continuous orientation, actions in the part's frame.
+
+**Spread and roughness.** How far points lie apart and how rough a path of rows is, in any dimension and in no preferred
+axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.automaton.graph import BASE
+from micah_plan.errors import InputError, shown
+from micah_plan.learning.settings import FEWEST_ROWS
+from micah_plan.recording.continuity import continuity
+from micah_plan.recording.value import Recording
+
+
+@dataclass(frozen=True, eq=False)
+class PartTrack:
+    """Rows of one part in one run (n rows).
+
+    Attributes:
+        rows: (n,) their indices within the whole recording.
+        time: (n,) [s].
+        position: (n, 3) [m].
+        quaternion: (n, 4) scalar last, of continuous sign; None if orientation was not measured.
+        action: (n, 3) commanded displacement to the next row [m], in the part's frame where orientation was measured
+            (there the direction of motion of every joint is constant), else in the base frame; 0 where it is missing.
+            None if the run has no action at all.
+    """
+
+    rows: Ints
+    time: Floats
+    position: Floats
+    quaternion: Floats | None
+    action: Floats | None
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def duration(self) -> float:
+        return float(self.time[-1] - self.time[0])
+
+    @cached_property
+    def rotation(self) -> Rotation | None:
+        return None if self.quaternion is None else Rotation.from_quat(self.quaternion)
+
+    def take(self, index: NDArray[np.int64] | slice) -> PartTrack:
+        """Some of the rows, as they are."""
+        return PartTrack(
+            self.rows[index],
+            self.time[index],
+            self.position[index],
+            None if self.quaternion is None else self.quaternion[index],
+            None if self.action is None else self.action[index],
+        )
+
+    def coarsened(self, size: int) -> PartTrack:
+        """Means of `size` rows each, named after their first row; their actions are summed."""
+        begins = np.arange(0, len(self), size)
+        counts = np.diff(np.append(begins, len(self)))[:, None]
+        quaternion = None
+        if self.quaternion is not None:
+            quaternion = np.add.reduceat(self.quaternion, begins, axis=0)
+            quaternion = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+        return PartTrack(
+            self.rows[begins],
+            np.add.reduceat(self.time, begins) / counts[:, 0],
+            np.add.reduceat(self.position, begins, axis=0) / counts,
+            quaternion,
+            None if self.action is None else np.add.reduceat(self.action, begins, axis=0),
+        )
+
+    def followed_by(self, later: PartTrack) -> PartTrack:
+        """These rows and later ones of the same part; both have the same columns."""
+
+        def both(first: Floats | None, second: Floats | None) -> Floats | None:
+            return None if first is None or second is None else np.concatenate([first, second])
+
+        return PartTrack(
+            np.concatenate([self.rows, later.rows]),
+            np.concatenate([self.time, later.time]),
+            np.concatenate([self.position, later.position]),
+            both(self.quaternion, later.quaternion),
+            both(self.action, later.action),
+        )
+
+
+def find_inliers(track: PartTrack) -> Booleans:
+    """(n,) rows that are measurements of one continuous motion: neither repeated nor where the part cannot get."""
+    return continuity(track.time, track.position, track.quaternion, track.action).is_measured
+
+
+def part_track(recording: Recording, run: int, part: str) -> PartTrack:
+    """The rows of one part in one run.
+
+    Raises:
+        InputError: if there are fewer than FEWEST_ROWS rows, one is not finite, or a part has the base's name.
+    """
+    if BASE in recording.parts:
+        problem = f"a part is named {shown(BASE)}, as the body that all parts are related to"
+        raise InputError(problem, where="column 'part'", remedy="give the part another name or leave its rows out")
+    of_part = np.array([name == part for name in recording.part], dtype=bool)
+    rows = np.flatnonzero(np.logical_and(recording.run == run, of_part))
+    where = f"run {run}, part '{part}'"
+    if len(rows) < FEWEST_ROWS:
+        problem = f"learning needs at least {FEWEST_ROWS} rows, found {len(rows)}"
+        raise InputError(problem, where=where, remedy="record a longer motion or leave these rows out")
+    return measured_track(recording, rows, rows, where)
+
+
+def measured_track(recording: Recording, rows: Ints, index: Ints, where: str) -> PartTrack:
+    """Some rows (`index`) of a recording, of one part and run, prepared for learning and numbered `rows`.
+
+    Raises:
+        InputError: if a pose is not finite, or time does not increase.
+    """
+    position = recording.position[index]
+    late = np.flatnonzero(~(np.diff(recording.time[index]) > 0))
+    if len(late):
+        row, (before, now) = int(rows[late[0] + 1]), recording.time[index[late[0] : late[0] + 2]].tolist()
+        problem = f"time must increase from row to row of a part, found t = {now:g} s after {before:g} s in row {row}"
+        raise InputError(problem, where=where, remedy="keep one row of those that share a time")
+    quaternion = None if recording.quaternion is None else _continuous(recording.quaternion[index])
+    if not np.isfinite(position).all() or (quaternion is not None and not np.isfinite(quaternion).all()):
+        raise InputError("poses must be finite", where=where, remedy="remove the rows without a pose")
+    action = None if recording.action is None else recording.action[index]
+    is_given = np.zeros(len(index), dtype=bool) if action is None else np.asarray(np.isfinite(action).all(axis=1))
+    if action is not None and is_given.any():
+        action = np.where(is_given[:, None], action, 0.0)
+        if quaternion is not None:
+            action = Rotation.from_quat(quaternion).inv().apply(action)
+    else:
+        action = None
+    return PartTrack(rows, recording.time[index], position, quaternion, action)
+
+
+def _continuous(quaternion: Floats) -> Floats:
+    """q and -q are the same orientation: choose signs so that neighbours are close."""
+    flips = np.where(np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0, -1.0, 1.0)
+    unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    return np.asarray(unit * np.concatenate([[1.0], np.cumprod(flips)])[:, None])
+
+
+_BEND_VARIANCE = 1.5  # of a row from the middle of its neighbours, for white noise of variance 1
+
+
+def extent(points: Floats, ignored: float = 0.0) -> float:
+    """Distance of points (n, k) from the one that is farthest from the first, at most; 0 without points.
+
+    Args:
+        ignored: share of the points that may lie further away.
+    """
+    if not len(points):
+        return 0.0
+    rank = round((1 - ignored) * (len(points) - 1))
+    away = np.linalg.norm(points - points[0], axis=1)
+    end = points[np.argpartition(away, rank)[rank]]
+    return float(np.partition(np.linalg.norm(points - end, axis=1), rank)[rank])
+
+
+def bends(rows: Floats, lag: int = 1) -> Floats:
+    """(n - 2 lag, k) by how much rows (n, k) miss the middle of those `lag` before and after."""
+    return np.asarray(rows[lag:-lag] - 0.5 * (rows[: -2 * lag] + rows[2 * lag :]))
+
+
+def std_of_bends(missed: Floats, size: ArrayLike = 3.0) -> Floats:
+    """Std (...) per axis of the white noise that leaves such `bends` (..., n, 3), blind to outliers.
+
+    Args:
+        size: in how many directions there is noise.
+    """
+    lengths = np.sqrt((missed**2).sum(axis=-1))
+    # The median of a chi-squared variable (Wilson and Hilferty).
+    k = np.asarray(size, dtype=np.float64)
+    return np.asarray(np.median(lengths, axis=-1) / np.sqrt(_BEND_VARIANCE * k * (1 - 2 / (9 * k)) ** 3))
