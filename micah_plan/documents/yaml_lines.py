@@ -25,7 +25,7 @@ from micah_plan.errors import InputError, shown
 from micah_plan.files import read_bytes
 
 LARGEST_TEXT_BYTES = 4 * 1024 * 1024
-MOST_VALUES = 400_000
+MOST_VALUES = 300_000
 """Values of a text, and of what its aliases stand for: a model of some four thousand modes."""
 DEEPEST = 24
 _LINE_WIDTH = 120

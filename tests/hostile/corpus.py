@@ -88,7 +88,7 @@ def yaml_files() -> Iterator[tuple[str, bytes]]:
         "robot_pipe": "robot: {path: pipe.urdf, tool: t}\ngrasp: {part: drawer}",
         "robot_packages": "robot: {path: r.urdf, tool: t, packages: {p: ../../../..}}\ngrasp: {part: drawer}",
         "huge_size": "scene: {s: {shapes: [{kind: box, size: [1.0e308, 1.0e308, 1.0e308]}]}}",
-        "many_shapes": f"scene: {{s: {{shapes: [{','.join(['{kind: sphere, size: [1]}'] * 100_000)}]}}}}",
+        "many_shapes": f"scene: {{s: {{shapes: [{','.join(['{kind: sphere, size: [1]}'] * 60_000)}]}}}}",
         "many_knots": "confidence: 0.999999999999",
     }.items():
         yield name, good + more.encode() + b"\n"

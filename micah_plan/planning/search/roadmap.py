@@ -160,27 +160,38 @@ def _squeezed(motion: ModeMotion, x: Floats, y: Floats) -> Booleans:
     if not real or len(obstacles) < 2:
         return found
     ends = [_within(obstacle, x, y, -EQUAL) for obstacle in obstacles]
-    enter, leave = (np.array(shares) for shares in zip(*ends, strict=True))
-    beside = leave - enter > EQUAL
-    for k in np.flatnonzero(beside[:real].any(axis=0) & (beside.sum(axis=0) > 1)).tolist():
-        for i, j in combinations(np.flatnonzero(beside[:, k]).tolist(), 2):
-            begin, end = max(enter[i, k], enter[j, k]), min(leave[i, k], leave[j, k])
-            if i >= real or end - begin <= EQUAL:
-                continue
-            at = x[k] + 0.5 * (begin + end) * (y[k] - x[k])
-            touched = [_faces_at(obstacles[number], at, motion.B) for number in (i, j)]
-            # At an edge there is a way past one of them.
-            if all(touched) and all(h.faces(g) for h in touched[0] for g in touched[1]):
-                found[k] = True
-                break
+    beside = [leave - enter > EQUAL for enter, leave in ends]
+    for i, j in combinations(range(len(obstacles)), 2):
+        facing = _facing(obstacles[i], obstacles[j], motion.B)
+        if i >= real or not facing.any():  # an obstacle is among them
+            continue
+        begin, end = (limit([ends[i][side], ends[j][side]], axis=0) for side, limit in ((0, np.max), (1, np.min)))
+        k = np.flatnonzero(~found & beside[i] & beside[j] & (end - begin > EQUAL))
+        at = x[k] + 0.5 * (begin + end)[k, None] * (y[k] - x[k])
+        touched = [_touched(obstacles[number], at, motion.B) for number in (i, j)]
+        # At an edge there is a way past one of them.
+        other = (touched[0][:, :, None] & touched[1][:, None, :] & ~facing).any(axis=(1, 2))
+        found[k] = touched[0].any(axis=1) & touched[1].any(axis=1) & ~other
     return found
 
 
-def _faces_at(obstacle: Region, x: Floats, moves: Floats) -> list[HalfSpace]:
-    """The half-spaces on whose boundary a state (n,) is, of those that inputs through B (n, m) move it across."""
-    margins = obstacle.margins(x, np.zeros(len(obstacle.half_spaces[0].b)))
-    near = [h for h, margin in zip(obstacle.half_spaces, margins, strict=True) if abs(margin) <= 2.0 * EQUAL]
-    return [h for h in near if np.any(np.array(h.a) @ moves)]
+def _facing(obstacle: Region, other: Region, moves: Floats) -> Booleans:
+    """(h, g) which boundaries of two obstacles, of those that inputs move a state across, face each other."""
+    pairs = [
+        [_moved(h, moves) and _moved(g, moves) and h.faces(g) for g in other.half_spaces] for h in obstacle.half_spaces
+    ]
+    return np.array(pairs, dtype=bool)
+
+
+def _moved(boundary: HalfSpace, moves: Floats) -> bool:
+    """Whether inputs through B (n, m) move a state across a boundary."""
+    return bool(np.any(np.array(boundary.a) @ moves))
+
+
+def _touched(obstacle: Region, x: Floats, moves: Floats) -> Booleans:
+    """(k, h) on which boundaries of an obstacle states (k, n) are, of those that inputs through B (n, m) cross."""
+    margins = obstacle.margins(x, np.zeros((len(x), len(obstacle.half_spaces[0].b))))
+    return (np.abs(margins) <= 2.0 * EQUAL) & [_moved(h, moves) for h in obstacle.half_spaces]
 
 
 @dataclass(frozen=True, eq=False)
