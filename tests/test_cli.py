@@ -113,6 +113,12 @@ def test_an_executed_run_can_be_learned_from(micah, road, tmp_path):
     assert "revolute" in [segment["model"] for segment in found["segments"]]
 
 
+def test_show_writes_the_page_of_a_problem(micah, repository, tmp_path):
+    done = micah("show", repository / "problems" / "microwave_close.yaml", "-o", tmp_path / "page.html", "--json")
+    assert only_json(done)["kind"] == "problem"
+    assert "NOT SOLVED YET" in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
 @pytest.mark.sweep
 @pytest.mark.parametrize("shown", ["model.yaml", "plan.json", "runs.csv"])
 def test_show_writes_a_page(micah, road, shown, tmp_path):

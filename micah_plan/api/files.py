@@ -80,7 +80,7 @@ def save(value: Any, path: str | Path) -> None:
 
 
 def show(value: Any, path: str | Path | None = None) -> Page:
-    """The page of a recording, a model or a result: opened in the browser, or within a notebook.
+    """The page of a recording, a model, a problem or a result: opened in the browser, or within a notebook.
 
     Args:
         value: what to show.
@@ -99,4 +99,10 @@ def show(value: Any, path: str | Path | None = None) -> Page:
         from micah_plan.view.model_page import model_page
 
         return Page(model_page(value)).opened(path)
-    raise InputError(f"there is no page of a {type(value).__name__}", remedy="give a recording, model or result")
+    if isinstance(value, Problem):
+        from micah_plan.view.plan_page import problem_page
+
+        return Page(problem_page(value)).opened(path)
+    raise InputError(
+        f"there is no page of a {type(value).__name__}", remedy="give a recording, model, problem or result"
+    )

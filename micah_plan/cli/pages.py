@@ -1,4 +1,4 @@
-"""`micah-plan show`: a recording, a model or a plan as a page."""
+"""`micah-plan show`: a recording, a model, a problem or a plan as a page."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ View = Literal["whole", "motion", "object", "front", "side", "top"]
 
 
 def show(
-    file: Annotated[Path, typer.Argument(help="A recording, a model or a plan.")],
+    file: Annotated[Path, typer.Argument(help="A recording, a model, a problem or a plan.")],
     runs: Annotated[
         Path | None, typer.Argument(help="Executed runs of the plan (a recording), to show beside it.")
     ] = None,
@@ -40,7 +40,7 @@ def show(
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of --live; 0: any free one.")] = 0,
     as_json: JsonFlag = False,
 ) -> None:
-    """Write a page, a picture or a video of a recording, a model, a plan, or a plan with its runs; or serve the page.
+    """Write a page, a picture or a video of a recording, a model, a problem, a plan (with its runs), or serve the page.
 
     With --live the page is made again when the file changes.
     """
@@ -106,7 +106,11 @@ def _write(
 
 
 def _kind_of(file: Path) -> str:
-    return {".yaml": "model", ".yml": "model", ".json": "plan"}.get(file.suffix.lower(), "recording")
+    """What a page shows of a file; another kind of file than these is read as a model, which says what is wrong."""
+    from micah_plan.documents.kind import kind_of
+
+    kind = kind_of(file) if file.is_file() else {".yaml": "model", ".yml": "model", ".json": "plan"}.get(file.suffix)
+    return str(kind) if kind in ("plan", "problem", "recording") else "model" if kind else "recording"
 
 
 def _page_of(file: Path, runs: Path | None, progress: Callable[[str, float], None]) -> str:
@@ -114,6 +118,11 @@ def _page_of(file: Path, runs: Path | None, progress: Callable[[str, float], Non
     from micah_plan.exchange.load import load_recording
 
     kind = _kind_of(file)
+    if kind == "problem":
+        from micah_plan.documents.problem import load_problem
+        from micah_plan.view.plan_page import problem_page
+
+        return problem_page(load_problem(file), title=title_of(file))
     if kind == "model":
         from micah_plan.documents.model import load_model
         from micah_plan.view.model_page import model_page

@@ -91,9 +91,9 @@ class Watch:
         self._excluded_in_all += is_excluded
         self._unseen = self._unseen + 1 if unseen is not None and unseen.all() else 0
         if self._excluded > _LOOKS:
-            self.failure = f"in {count(self._excluded, 'look')} in a row, what was measured was elsewhere than can be"
+            self.failure = f"in {count(self._excluded, 'look')} in a row, what was measured contradicts the model"
         elif self._excluded_in_all > _MOST_EXCLUDED:
-            self.failure = f"{count(self._excluded_in_all, 'time')} what was measured was elsewhere than can be"
+            self.failure = f"{count(self._excluded_in_all, 'measurement')} contradict the model"
         elif self._unseen >= _BLIND:
             self.failure = f"nothing was seen for {self._unseen} steps"
         enough = self._settled >= _SETTLES or (self._settled >= _CALM and self._calm >= _CALM)

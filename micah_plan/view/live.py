@@ -110,7 +110,9 @@ def remade_on_change(file: Path, make: Callable[[], str]) -> Callable[[], str]:
         try:
             state = file.stat()
         except OSError as error:
-            raise InputError(f"cannot be read: {error.strerror}", source=file, remedy="put it back") from None
+            raise InputError(
+                f"cannot be read: {error.strerror}", source=file, remedy="check the path, or make the file again"
+            ) from None
         stamp = state.st_mtime_ns, state.st_size
         if stamp != latest:
             page = make()

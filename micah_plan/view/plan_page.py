@@ -128,6 +128,41 @@ def plan_page(
     return render_scene(page, scene)
 
 
+def problem_page(problem: Problem, *, title: str = "Problem") -> str:
+    """The page of a problem that is not solved yet, as HTML text: the object at the start and in the goal, and what is
+    around it.
+    """
+    problem = with_shown_points(problem)
+    automaton, mode, start = problem.automaton, _start_mode(problem), np.array(problem.start.mean)
+    scene, size = DrawnScene(), object_size(automaton)
+    keys = _still(mode, start)
+    goal = _goal(problem, keys)
+    _, moved = _whole(problem, keys, None)
+    draw_object(scene, automaton, keys, moved)
+    draw_mode_joints(scene, automaton, keys, moved, size)
+    _draw_state(scene, "start", problem, mode, start, START)
+    placed = goal_poses(problem, goal.states[0])
+    _draw_state(scene, "goal", problem, goal.modes[0], goal.states[0], GOAL, placed)
+    draw_bodies(scene, problem.scene)
+    spacing = draw_ground_and_frame(scene, size)
+    parts = [link.child for _, link in shown_links(automaton)]
+    ends = [handle_path(automaton, frames, part) for frames in (keys, goal) for part in parts]
+    ends += [pose.translation.reshape(-1, 3) for pose in (placed or {}).values()]
+    points = np.concatenate(ends)
+    unsolved = Plan("no_plan", "not solved yet")
+    page = ScenePage(
+        title=title,
+        kind="problem",
+        camera=camera(scene, points, body_boxes(problem.scene)),
+        badge=("NOT SOLVED YET", "fair"),
+        message="from the start, where the object is believed to be, to the goal",
+        facts=_asked(problem),
+        legend=_legend(unsolved, problem, size, spacing),
+        details=_details(unsolved, problem),
+    )
+    return render_scene(page, scene)
+
+
 def _whole(problem: Problem, keys: Keyframes, after: ReleaseMotion | None) -> tuple[Keyframes, Moved]:
     """Frames of a plan and of what follows it, and the poses of the parts in them."""
     automaton = problem.automaton
@@ -234,7 +269,8 @@ def _legend(plan: Plan, problem: Problem, size: float, spacing: float) -> list[L
     return [*entries, *arm_legend(plan, problem), *ground_legend(spacing)]
 
 
-def _facts(plan: Plan, problem: Problem) -> list[tuple[str, str]]:
+def _asked(problem: Problem) -> list[tuple[str, str]]:
+    """What a problem asks for."""
     coordinates = problem.automaton.coordinates
     facts = [("Confidence asked for", percent(problem.settings.confidence))]
     for index, value, tolerance in problem.goal.target:
@@ -242,6 +278,11 @@ def _facts(plan: Plan, problem: Problem) -> list[tuple[str, str]]:
         facts.append((f"Goal for {coordinates[index].name}", goal))
     if modes := pre_release_problem(problem).goal.modes:
         facts.append(("Goal modes", ", ".join(modes)))
+    return facts
+
+
+def _facts(plan: Plan, problem: Problem) -> list[tuple[str, str]]:
+    facts = _asked(problem)
     if plan.goal_error is not None:
         facts.append(("Distance to target", quantity(plan.goal_error, problem.goal_unit)))
     if plan.goal_std is not None:

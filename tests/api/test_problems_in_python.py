@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from micah_plan import HybridAutomaton, InputError, execute, load, solve
+from micah_plan import HybridAutomaton, InputError, execute, load, show, solve
 from micah_plan.documents.plan import load_plan
 from micah_plan.task.problem import Problem
 
@@ -162,3 +162,15 @@ def test_data_with_the_keys_of_a_problem_file(repository: Path, microwave: Hybri
         solve({"goal": data["goal"]}, model=microwave)
     with pytest.raises(InputError, match="missing key 'model'"):
         load(data)
+
+
+@pytest.mark.parametrize("name", ["microwave_close", "stapler_on_books", "carry_tray"])
+def test_a_problem_has_a_page_before_it_is_solved(repository: Path, tmp_path: Path, name: str) -> None:
+    problem = load(repository / "problems" / f"{name}.yaml")
+    page = show(problem, tmp_path / "page.html").text
+    assert (tmp_path / "page.html").read_text(encoding="utf-8") == page
+    assert "NOT SOLVED YET" in page
+    for index, _, _ in problem.goal.target:
+        assert f"Goal for {problem.automaton.coordinate_names[index]}" in page
+    with pytest.raises(InputError, match="there is no page of a Goal; give a recording, model, problem or result"):
+        show(problem.goal, tmp_path / "other.html")

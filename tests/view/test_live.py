@@ -77,7 +77,7 @@ def test_the_page_is_served_and_made_again_when_the_file_changes(server: PageSer
     file.unlink()
     status, text = answer(server.port)
     assert status == 500
-    assert "put it back" in text
+    assert "check the path" in text
     file.write_text("mended")
     assert answer(server.port) == (200, "mended")
 

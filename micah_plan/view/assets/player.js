@@ -164,12 +164,12 @@
     // "#stage" is the page for a video: no panels, no buttons.
     if (/stage/.test(location.hash)) document.body.classList.add("folded", "stage");
     viewer.set_3d_pane_size();
-    // Where no body of the object stands, such as one in a hand, the motion fills the picture, not its surroundings.
+    // Where no body of the object stands, such as one in a hand, its motion fills the picture, not its surroundings.
     const standing = Object.keys(viewer.scene_tree.find(["meshcat", "object"]).children).includes("fixed");
     const motion = motionBox().getBoundingSphere(new MeshCat.THREE.Sphere()).radius;
     const whole = best.length() * Math.sin((data.camera.angle * Math.PI) / 360);
     const asked = /view=(\w+)/.exec(location.hash);
-    choose(asked ? asked[1] : !standing && motion > 0 && whole > 1.4 * motion ? "motion" : "whole");
+    choose(asked ? asked[1] : !standing && data.duration > 0 && motion > 0 && whole > 1.4 * motion ? "motion" : "whole");
   }
 
   function setUpLayers() {
