@@ -175,7 +175,7 @@ def variants(part: TermCandidate) -> list[TermCandidate]:
 
 
 def follows(data: CoordinateData) -> list[TermCandidate]:
-    """Responses to commands that are places: first order, second, and with a dead zone and a delay.
+    """Responses to commands that are places: first order, late, second order, and with a dead zone and a delay.
 
     None where most commands lead to where the part cannot be, or all are the same: places are then the measured ones.
     """
@@ -207,9 +207,11 @@ def follows(data: CoordinateData) -> list[TermCandidate]:
         for late in (0.05, 1.0)
     ]
     delayed += [{**one, width: w * size} for one in regressed for w in (0.001, 0.1, 0.3)]
+    late_ones = [{share: s, delay: late} for s in (0.5, 0.15) for late in (1.0, 2.0, 3.0)]
     return [
         begun((share,), first),
         begun((share, offset), first),
+        begun((share, delay), late_ones),
         begun((share, offset, gain, momentum), second),
         begun((share, offset, gain, delay, momentum, width), delayed),
     ]
