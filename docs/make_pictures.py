@@ -20,9 +20,15 @@ COMMANDS = (
     "learn examples/demonstrations/microwave.csv -o {out}/microwave.yaml --figure {images}/microwave_segments.png",
     "solve problems/microwave_close.yaml -o {out}/microwave_close.json --html {out}/microwave_close.html",
     "solve problems/stapler_on_books.yaml -o {out}/stapler_on_books.json --html {out}/stapler_on_books.html",
+    "learn examples/demonstrations/drawer.csv --parts models/parts/drawer.yaml -o {out}/drawer.yaml",
+    "solve problems/drawer_open.yaml --model {out}/drawer.yaml -o {out}/plan.json",
+    "execute {out}/plan.json --plant examples/worn_drawer.py:WornDrawer --trials 8 -o {out}/runs.csv",
+    "calibrate {out}/drawer.yaml {out}/runs.csv -o {out}/first.yaml --experiment {out}/asked.yaml",
+    "execute {out}/asked.yaml --plant examples/worn_drawer.py:WornDrawer -o {out}/reversed.csv",
+    "calibrate {out}/drawer.yaml {out}/runs.csv {out}/reversed.csv -o {out}/better.yaml --html {out}/calibrated.html",
     "track examples/video/door.mp4 --tags examples/video/tags.yaml -o {out}/door.csv --html {out}/video.html",
 )
-PAGES = {"microwave_close": 0.6, "stapler_on_books": 0.3, "video": 0.4}
+PAGES = {"microwave_close": 0.6, "calibrated": 0.0, "stapler_on_books": 0.3, "video": 0.4}
 """Shares of the time at which the pages are pictured."""
 
 

@@ -28,6 +28,7 @@ LARGEST = 1e6
 FARTHEST_M = 50.0
 """Of a place from what it belongs to: the end of a large room; beyond it a number is a mistake of units."""
 _DIGITS, _SPREAD_DIGITS, _MOST_DIGITS = 3, 2, 6
+_ROUND_OFF = 1e-14  # m or rad: what is less is that of a sum of ones, so it is 0
 _SMALL, _LARGE = -4, 6
 """Powers of ten between which numbers are written without an exponent."""
 _NO_UNIT = ("", "1")
@@ -124,6 +125,8 @@ def common_unit(units: Iterable[str]) -> str:
 
 def _in_units(write: Callable[..., str], unit: str, degrees: bool, *values: float) -> str:
     """Numbers as `write` puts them, in the unit that the largest asks for; angles with degrees in brackets."""
+    if unit in ("m", "rad"):
+        values = tuple(0.0 if abs(value) < _ROUND_OFF else value for value in values)
     scale, shown = _scaled(max(map(abs, values)), unit)
     text = _with_unit(write(*(scale * value for value in values)), shown)
     return f"{text} ({write(*map(math.degrees, values))}°)" if unit == "rad" and degrees and any(values) else text

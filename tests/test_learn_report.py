@@ -154,6 +154,14 @@ def test_the_line_on_actions(changes, said):
     assert said in action_words(replace(CHANNEL, **changes))
 
 
+def test_what_a_motion_does_not_determine_has_no_number():
+    """A straight line tells no turn about it, and with that no gain."""
+    stds = np.array([0.8, 0.8, 0.8, 0.6, 0.03])
+    assert action_words(replace(CHANNEL, covariance=tuple(map(tuple, np.diag(stds**2))))) == (
+        "delay 0.11 ± 0.03 s; gain and frame rotation not determined by this motion; they explain 87 % of the steps"
+    )
+
+
 def test_rows_that_no_joint_fits_give_exit_code_1_and_no_model(run, tmp_path):
     figure, page = tmp_path / "segments.png", tmp_path / "page.html"
     code, printed = run(unfit_graph(), "--json", "--figure", figure, "--html", page)

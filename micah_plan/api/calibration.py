@@ -22,6 +22,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.quantities import Progress, Table, common_unit, count, percent, plain, quantity
 from micah_plan.recording.commands import CommandKind, with_commands
 from micah_plan.recording.value import Recording
+from micah_plan.task.experiment import Experiment
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -299,6 +300,17 @@ class CalibrationResult(Result):
         from micah_plan.documents.model_difference import differences
 
         return tuple(differences(self.before, self.automaton))
+
+    @cached_property
+    def experiment(self) -> Experiment | None:
+        """The motions that would tell apart what stays open, for `execute`; None if no motion would.
+
+        They are designed when they are first asked for, which takes some seconds.
+        """
+        from micah_plan.residual.next_experiment import next_experiment
+
+        designed = next_experiment(self.before, self.recording, self.calibration)
+        return None if designed is None else designed.experiment
 
     def report(self) -> list[str | Table]:
         """Verdict, effects with their parameters, errors before and after, what to try next, and what changed."""

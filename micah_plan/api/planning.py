@@ -8,10 +8,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 from micah_plan.api import inputs
+from micah_plan.api.experiments import ExperimentResult, carried_out, refuse_options_of_plans
 from micah_plan.api.inputs import Modelled, Problematic, Source
 from micah_plan.api.result import Result
 from micah_plan.automaton.hybrid import HybridAutomaton
@@ -19,6 +21,7 @@ from micah_plan.errors import InputError, shown
 from micah_plan.quantities import Progress, Table, count, percent, percent_interval, quantity, with_spread
 from micah_plan.recording.value import Recording
 from micah_plan.task.by_name import Spread
+from micah_plan.task.experiment import Experiment
 from micah_plan.task.plan import Plan
 from micah_plan.task.plants import DEFAULT_PLANT
 from micah_plan.task.problem import Problem
@@ -329,24 +332,51 @@ class RunsResult(Result):
         write_recording(self.recording, path)
 
 
+@overload
+def execute(
+    plan: Experiment,
+    *,
+    plant: str | PlantMaker | Plant = ...,
+    trials: int | None = ...,
+    seed: int = ...,
+    progress: Progress | None = ...,
+    keep: Keep | None = ...,
+) -> ExperimentResult: ...
+
+
+@overload
 def execute(
     plan: Source | PlanningResult,
     *,
+    plant: str | PlantMaker | Plant = ...,
+    trials: int | None = ...,
+    seed: int = ...,
+    replan_every: int | None = ...,
+    plant_parameters: Mapping[str, float] | None = ...,
+    start: Mapping[str, float] | None = ...,
+    progress: Progress | None = ...,
+    keep: Keep | None = ...,
+) -> RunsResult: ...
+
+
+def execute(
+    plan: Source | PlanningResult | Experiment,
+    *,
     plant: str | PlantMaker | Plant = DEFAULT_PLANT,
-    trials: int = 1,
+    trials: int | None = None,
     seed: int = 0,
     replan_every: int | None = None,
     plant_parameters: Mapping[str, float] | None = None,
     start: Mapping[str, float] | None = None,
     progress: Progress | None = None,
     keep: Keep | None = None,
-) -> RunsResult:
-    """The runs of a plan in closed loop.
+) -> RunsResult | ExperimentResult:
+    """The runs of a plan in closed loop, or of an experiment in open loop.
 
     Args:
-        plan: a path or what `solve` returned.
+        plan: a path or what `solve` returned; or an experiment, as `CalibrationResult.experiment` is one.
         plant: ``"nominal"`` (the model itself), ``"mujoco"``, or a plant of your own: a class or an object.
-        trials: how many.
+        trials: how many, 1 if not given; of an experiment: repetitions of its motions.
         seed: of everything random; each trial has its own stream.
         replan_every: steps after which the rest of the plan is optimised again; 0: never; None: as the problem says.
         plant_parameters: physical parameters that differ from the problem's, e.g. ``{"friction": 25.0}``.
@@ -361,11 +391,15 @@ def execute(
     """
     from micah_plan.execution.trials import run_trials
 
+    if isinstance(plan, Experiment):
+        refuse_options_of_plans({"replan_every": replan_every, "plant_parameters": plant_parameters, "start": start})
+        return carried_out(plan, plant=plant, repetitions=trials, seed=seed, progress=progress, keep=keep)
     chosen, begin = plan_of(plan), time.perf_counter()
     problem = replace(chosen.problem, plant={**chosen.problem.plant, **(plant_parameters or {})})
     true = {problem.automaton.index(name): value for name, value in (start or {}).items()}
     problem = replace(problem, start=replace(problem.start, true=tuple({**dict(problem.start.true), **true}.items())))
     if replan_every is not None:
         problem = replace(problem, settings=replace(problem.settings, replan_every=replan_every))
-    statistics = run_trials(problem, chosen.plan, plant=plant, trials=trials, seed=seed, progress=progress, keep=keep)
+    run = partial(run_trials, problem, chosen.plan, plant=plant, trials=1 if trials is None else trials)
+    statistics = run(seed=seed, progress=progress, keep=keep)
     return RunsResult(statistics, PlanningResult(chosen.plan, problem), time.perf_counter() - begin)

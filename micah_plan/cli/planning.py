@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import math
 import sys
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import module_from_spec, spec_from_file_location
@@ -150,24 +149,15 @@ def _refuse(options: Mapping[str, object], experiment: Path) -> None:
 
 def _carry_out(file: Path, output: Path, plant: str, repetitions: int | None, seed: int, as_json: bool) -> None:
     """The runs of an experiment as a recording."""
-    from micah_plan.documents.experiment import load_experiment
-    from micah_plan.execution.open_loop import carry_out
-    from micah_plan.recording.read import write_recording
+    from micah_plan.api.experiments import carried_out
 
-    asked, machine = load_experiment(file), named_plant(plant)
-    asked = asked if repetitions is None else replace(asked, repetitions=repetitions)
-    begin = time.perf_counter()
+    machine = named_plant(plant)
     with _kept_logs(output) as logs, progress_bar(as_json) as progress:
-        log, failed = carry_out(asked, plant=machine, seed=seed, progress=progress, keep=logs.append)
-    write_recording(log, output)
-    summary = {
-        "trials": len(log.runs),
-        "rows": len(log.time),
-        "failures": [{"trial": run, "reason": reason} for run, reason in failed],
-        "seconds": time.perf_counter() - begin,
-    }
-    lines = [f"{len(log.runs)} runs carried out, {len(failed)} broken off", *(f"  run {n}: {why}" for n, why in failed)]
-    print_summary(as_json, summary, lambda: print_lines((*lines, f"wrote {output}")))
+        run = partial(carried_out, file, plant=machine, repetitions=repetitions, seed=seed)
+        result = run(progress=progress, keep=logs.append)
+    result.save(output)
+    lines = (*map(str, result.report()), f"wrote {output}")
+    print_summary(as_json, result.json(), lambda: print_lines(lines))
 
 
 def starts_of(problem: Problem, entries: Sequence[str]) -> dict[str, float]:

@@ -1,6 +1,7 @@
 """From one file to another: what is in it, in the format that the other's ending names.
 
-**Plans.** Plans become a ``trajectory_msgs/JointTrajectory``, as JSON or in an MCAP file.
+**Plans.** Plans become a ``trajectory_msgs/JointTrajectory``, as JSON or in an MCAP file, or the goal of a
+``control_msgs/FollowJointTrajectory`` action as YAML.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.documents.model import dump_model, load_model
 from micah_plan.documents.plan import StoredPlan, load_plan, require_executable
+from micah_plan.documents.yaml_lines import write_yaml
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.exchange.bodies import DENSITY, lost_in_bodies
 from micah_plan.exchange.load import load_recording
@@ -37,12 +39,16 @@ RECORDINGS = (".csv", ".npz", ".tum", ".txt", ".mcap")
 READABLE = (*RECORDINGS, ".parquet", ".db3", ".bag")
 TARGETS = {
     **dict.fromkeys(READABLE, (*RECORDINGS, ".rrd")),
-    ".json": (".json", ".mcap"),
+    ".json": (".json", ".mcap", ".yaml"),
     **dict.fromkeys((".yaml", ".yml"), (".urdf", ".mjcf", ".xml", ".sdf")),
     **dict.fromkeys((".urdf", ".xml", ".mjcf"), (".yaml", ".yml")),
 }
 """What a file may be converted to, by its ending."""
 _MODELS = (".yaml", ".yml")
+_GOAL = """\
+Goal of a control_msgs/action/FollowJointTrajectory; CONTROLLER is such as /joint_trajectory_controller:
+  ros2 action send_goal CONTROLLER/follow_joint_trajectory control_msgs/action/FollowJointTrajectory "$(cat FILE)"
+"""
 _BODIES = {".urdf": urdf_text, ".sdf": sdf_text, ".mjcf": mjcf_text, ".xml": mjcf_text}
 
 
@@ -102,7 +108,11 @@ def convert(
         write_recording(recording, target)
         return "recording", notes
     if suffix == ".json":
-        message = joint_trajectory(load_plan(source))
+        stored = load_plan(source)
+        if wanted == ".yaml":
+            replace_file(target, write_yaml(trajectory_goal(stored), _GOAL).encode())
+            return "plan", ()
+        message = joint_trajectory(stored)
         content = f"{json.dumps(message, indent=2, ensure_ascii=False)}\n".encode()
         if wanted == ".mcap":
             content = write_log([Logged(TOPIC, "trajectory_msgs/msg/JointTrajectory", 0, message)])
@@ -159,6 +169,17 @@ def _chosen(
     lost = [name for name in ("action", "force") if getattr(recording, name) is not None] + list(recording.extra)
     kept = replace(recording, action=None, force=None, extra={})
     return kept, (f"left out: {', '.join(lost)}",) if lost else ()
+
+
+def trajectory_goal(stored: StoredPlan) -> dict[str, Any]:
+    """The goal of a ``control_msgs/action/FollowJointTrajectory``: the trajectory, which begins when it arrives, and a
+    second by which its end may be late.
+
+    Raises:
+        InputError: if the plan is no solution.
+    """
+    message = joint_trajectory(stored) | {"header": header_at(0, "")}
+    return {"trajectory": message, "goal_time_tolerance": split_time(NANOSECONDS)}
 
 
 def joint_trajectory(stored: StoredPlan) -> dict[str, Any]:

@@ -27,7 +27,7 @@ _BADGES: dict[Verdict, tuple[str, Status]] = {
     "partly": ("explained in part", "fair"),
     "unexplained": ("not explained", "bad"),
 }
-_MOST_RUNS, _MOST_BARS, _MOST_DRAWN = 60, 12, 4
+_MOST_RUNS, _MOST_BARS, _MOST_DRAWN, _MOST_TELLING = 60, 12, 4, 2
 _HEIGHT = 140.0
 _SHARE_SHOWN = 0.995
 _SIDE = 1.5
@@ -216,13 +216,20 @@ def motion_charts(calibration: Calibration) -> list[Chart]:
 
 
 def _motion(trace: CoordinateTrace) -> tuple[Chart, ...]:
-    """Measured motion of some runs, roll-outs of it before and after, and the commands below."""
+    """Measured motion of some runs, roll-outs of it before and after, and the commands below.
+
+    First those whose roll-outs became better most, then runs evenly over the recording.
+    """
     whole = trace.data.whole or trace.data
     counted = whole.counted
     errors = np.zeros((2, *whole.z.shape))
     for number, model in enumerate((trace.nominal, trace.final)):
         errors[number][counted] = trace.held_out.rollout_errors(model)
-    return tuple(_run(whole, s, errors[:, s]) for s in evenly(len(whole.run), _MOST_DRAWN).tolist())
+    before, after = np.sqrt((errors**2).sum(axis=2) / np.maximum(counted.sum(axis=1), 1))
+    telling = np.argsort(after - before, kind="stable")[:_MOST_TELLING].tolist() if np.any(before != after) else []
+    evenly_chosen = evenly(len(whole.run), _MOST_DRAWN).tolist()
+    chosen = [*telling, *(s for s in evenly_chosen if s not in telling)][:_MOST_DRAWN]
+    return tuple(_run(whole, s, errors[:, s]) for s in chosen)
 
 
 def _run(whole: CoordinateData, s: int, errors: Floats) -> Chart:

@@ -498,12 +498,24 @@ def channel_words(learned: RunPicture, *, recorded: bool) -> str:
     return f"actions: {action_words(channel)}"
 
 
+# Standard deviation of a turn [rad], and of a gain as a share of it, from which on a number would only mislead: motion
+# along one straight line tells the gain along it and no turn about it.
+_OPEN = 0.35
+
+
 def action_words(channel: ActionChannel) -> str:
-    """What actions make of the part's steps, with one standard deviation each."""
+    """What actions make of the part's steps, with one standard deviation each; what the motion leaves open is named."""
     std = dict(zip(CHANNEL_NAMES, np.sqrt(np.diag(np.array(channel.covariance))), strict=True))
-    gain, delay = with_spread(channel.gain, std["gain"], ""), with_spread(channel.delay, std["delay"], "s")
-    turned, explained = in_degrees(*channel_turn(channel)), percent(channel.explained, 0)
-    return f"gain {gain}, delay {delay}, frame rotation {turned}; they explain {explained} of the steps"
+    turned, spread = channel_turn(channel)
+    told = {
+        "gain": (with_spread(channel.gain, std["gain"], ""), std["gain"] < _OPEN * abs(channel.gain)),
+        "delay": (with_spread(channel.delay, std["delay"], "s"), True),
+        "frame rotation": (in_degrees(turned, spread), spread < _OPEN),
+    }
+    words = [", ".join(f"{name} {text}" for name, (text, is_told) in told.items() if is_told)]
+    left_open = [name for name, (_, is_told) in told.items() if not is_told]
+    words += [f"{' and '.join(left_open)} not determined by this motion"] if left_open else []
+    return f"{'; '.join(words)}; they explain {percent(channel.explained, 0)} of the steps"
 
 
 def channel_turn(channel: ActionChannel) -> tuple[float, float]:

@@ -1,8 +1,7 @@
-"""The ROS 2 plant that the guide shows, run as it stands there against a stand-in for rclpy: topics, time, failures."""
+"""The ROS 2 plant of the examples, run as it stands against a stand-in for rclpy: topics, time, failures."""
 
 from __future__ import annotations
 
-import re
 import sys
 from copy import deepcopy
 from types import ModuleType, SimpleNamespace
@@ -83,7 +82,7 @@ def robot(problem) -> Robot:
 
 @pytest.fixture
 def shown(repository, robot, monkeypatch):
-    """The class of the guide."""
+    """The class of the example."""
     modules = {
         "rclpy": {name: getattr(robot, name) for name in ("init", "create_node", "spin_once", "shutdown")},
         "rclpy.signals": {"SignalHandlerOptions": SimpleNamespace(NO="none")},
@@ -94,17 +93,16 @@ def shown(repository, robot, monkeypatch):
         module = ModuleType(name)
         vars(module).update(members)
         monkeypatch.setitem(sys.modules, name, module)
-    page = (repository / "docs" / "guides" / "own_machine.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"^```py\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
+    code = (repository / "examples" / "ros2" / "hand.py").read_text(encoding="utf-8")
     namespace = {"input": robot.again}
-    exec(compile(code, "own_machine.md", "exec"), namespace)  # noqa: S102
+    exec(compile(code, "hand.py", "exec"), namespace)  # noqa: S102
     namespace["time"] = SimpleNamespace(monotonic=lambda: robot.now)
     return namespace["RosPlant"]
 
 
 def test_it_is_about_as_short_as_promised(repository) -> None:
-    page = (repository / "docs" / "guides" / "own_machine.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"^```py\n.*?(^class .*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
+    code = (repository / "examples" / "ros2" / "hand.py").read_text(encoding="utf-8")
+    code = code[code.index("\nclass ") :]
     assert len([line for line in code.splitlines() if line.strip()]) <= 45
 
 

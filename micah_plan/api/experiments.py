@@ -1,0 +1,140 @@
+"""Experiments as values: what `calibrate` asks for is what `execute` takes."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from micah_plan.api.inputs import Source
+from micah_plan.api.result import Result
+from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.errors import InputError
+from micah_plan.quantities import Progress, Table
+from micah_plan.recording.value import Recording
+from micah_plan.task.experiment import Experiment
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from micah_plan.execution.plant import Plant, PlantMaker
+    from micah_plan.execution.trials import Keep
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExperimentResult(Result):
+    """What `execute` returns of an experiment: its runs as a recording, and which of them were broken off.
+
+    Attributes:
+        failures: (run, reason).
+    """
+
+    experiment: Experiment
+    recording: Recording
+    failures: tuple[tuple[int, str], ...] = ()
+    seconds: float = 0.0
+
+    @property
+    def success(self) -> bool:
+        """Whether all runs were made to their end."""
+        return not self.failures
+
+    @property
+    def outcome(self) -> str:
+        """``"carried_out"`` or ``"broken_off"``."""
+        return "carried_out" if self.success else "broken_off"
+
+    @property
+    def reason(self) -> str:
+        """Why a run was broken off, the first of them."""
+        return f"run {self.failures[0][0]}: {self.failures[0][1]}" if self.failures else ""
+
+    @property
+    def title(self) -> str:
+        """What the page is about."""
+        return "Experiment"
+
+    @property
+    def automaton(self) -> HybridAutomaton:
+        """The model that the experiment asks about."""
+        return self.experiment.automaton
+
+    def report(self) -> list[str | Table]:
+        """How many runs there are, and why some were broken off."""
+        made = f"{len(self.recording.runs)} runs carried out, {len(self.failures)} broken off"
+        return [made, *(f"  run {run}: {reason}" for run, reason in self.failures)]
+
+    def json(self) -> dict[str, Any]:
+        """Runs, rows and failures."""
+        return {
+            "trials": len(self.recording.runs),
+            "rows": len(self.recording),
+            "failures": [{"trial": run, "reason": reason} for run, reason in self.failures],
+            "seconds": self.seconds,
+        }
+
+    def plot(self) -> Figure:
+        """The measured track and its configuration over time."""
+        from micah_plan.view.learning_figure import learning_figure
+
+        return learning_figure(self.recording)
+
+    def page(self, title: str = "") -> str:
+        """The recorded motion in 3-D."""
+        from micah_plan.view.recording_page import recording_page
+
+        return recording_page(self.recording, title=title or self.title)
+
+    def save(self, path: str | Path) -> None:
+        """Write the runs as a recording (CSV, NPZ, TUM or MCAP)."""
+        from micah_plan.recording.read import write_recording
+
+        write_recording(self.recording, path)
+
+
+def carried_out(
+    experiment: Experiment | Source,
+    *,
+    plant: str | PlantMaker | Plant,
+    repetitions: int | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+    keep: Keep | None = None,
+) -> ExperimentResult:
+    """The runs of an experiment, whose commands do not depend on what is measured.
+
+    Args:
+        experiment: a value or the path of one. repetitions: of all of its motions; None: as it says.
+        plant, seed, progress, keep: as of `execute`.
+
+    Raises:
+        InputError, MissingDependencyError, PlantError: as `execute`.
+    """
+    from micah_plan.execution.open_loop import carry_out
+    from micah_plan.execution.plant import Plant
+
+    if isinstance(plant, Plant) and not isinstance(plant, str | type):
+        raise InputError(
+            "a plant that is an object does not know where each motion of an experiment starts",
+            remedy="give its class, or a function that makes one of a problem",
+        )
+    if isinstance(experiment, Source):
+        from micah_plan.documents.experiment import load_experiment
+
+        experiment = load_experiment(experiment)
+    asked = experiment if repetitions is None else replace(experiment, repetitions=repetitions)
+    begin = time.perf_counter()
+    recording, failures = carry_out(asked, plant=plant, seed=seed, progress=progress, keep=keep)
+    return ExperimentResult(asked, recording, tuple(failures), time.perf_counter() - begin)
+
+
+def refuse_options_of_plans(options: dict[str, object]) -> None:
+    """Refuse what has no meaning for commands in open loop.
+
+    Raises:
+        InputError: for the first option that is not None.
+    """
+    for name, value in options.items():
+        if value is not None:
+            raise InputError(f"{name} is for plans, this is an experiment", remedy=f"leave out {name}")
