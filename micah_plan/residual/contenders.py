@@ -472,12 +472,4 @@ def _some(data: CoordinateData, rows: int) -> CoordinateData | None:
     count = max(int(len(per_segment) * rows / total), 3)
     if count >= len(per_segment):
         return None
-    s = np.unique(np.linspace(0, len(per_segment) - 1, count).astype(int))
-    longest = int(np.flatnonzero(data.counted[s].any(axis=0)).max()) + 1
-    cut = {
-        name: getattr(data, name)[s][:, :longest]
-        for name in ("z", "u", "place", "counted", "time", "order", "mode", "noise")
-    }
-    ends = None if data.row_ends is None else data.row_ends[:, s][:, :, :longest]
-    action = None if data.action is None else data.action[s][:, :longest]
-    return replace(data, **cut, run=data.run[s], row_ends=ends, action=action, whole=None, segment=None)
+    return data.of_segments(np.unique(np.linspace(0, len(per_segment) - 1, count).astype(int)))

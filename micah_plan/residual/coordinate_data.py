@@ -182,6 +182,15 @@ class CoordinateData:
         """(S, T) whether the step that starts at this row counts."""
         return np.roll(self.counted, -1, axis=1)
 
+    def of_segments(self, chosen: Ints) -> CoordinateData:
+        """The rows of some segments (k,) alone."""
+        longest = int(np.flatnonzero(self.counted[chosen].any(axis=0)).max()) + 1
+        names = ("z", "u", "place", "counted", "time", "order", "mode", "noise")
+        cut = {name: getattr(self, name)[chosen][:, :longest] for name in names}
+        ends = None if self.row_ends is None else self.row_ends[:, chosen][:, :, :longest]
+        action = None if self.action is None else self.action[chosen][:, :longest]
+        return replace(self, **cut, run=self.run[chosen], row_ends=ends, action=action, whole=None, segment=None)
+
     @property
     def visited(self) -> tuple[float, float]:
         """Smallest and largest measured configuration of the rows that count."""

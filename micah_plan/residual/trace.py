@@ -12,8 +12,9 @@ from micah_plan.automaton.effects.registry import form
 from micah_plan.quantities import Progress
 from micah_plan.residual.candidates import FOLLOW, GATES, MEMORY, UNNAMED, TermCandidate, indistinguishable
 from micah_plan.residual.competition import Standings
-from micah_plan.residual.contenders import LONGER, Contender, begins_later, best_first
+from micah_plan.residual.contenders import LONGER, TO_THE_END, Contender, begins_later, best_first
 from micah_plan.residual.coordinate_data import CoordinateData
+from micah_plan.residual.filtering import filtered
 from micah_plan.residual.fitting import ENOUGH_INDEPENDENT, Fitting
 from micah_plan.residual.held_out import HeldOut
 from micah_plan.residual.likelihood import LEAST_EVIDENCE, student_t_log_density
@@ -172,13 +173,16 @@ def _is_contradicted(held_out: HeldOut, named: Contender) -> bool:
     Rows of one run share what is particular to it, so few runs show what many rows of them do not.
     """
     data, base = held_out.data, held_out.nominal
-    runs, number = np.unique(data.run, return_inverse=True)
+    runs = np.unique(data.run)
     if named is base or not 1 < len(runs) < ENOUGH_INDEPENDENT:
         return False
-    by_run = Fitting(data, np.asarray(number))
-    with_it, without = (by_run.held_out(by_run.weighed([model.fit])[0]) for model in (named, base))
-    of_run = by_run.group_of_rows
-    return bool(np.any(np.bincount(of_run, with_it) <= np.bincount(of_run, without)))
+    for run in runs:
+        own, others = (data.of_segments(np.flatnonzero(is_of)) for is_of in (data.run == run, data.run != run))
+        fits = [Fitting(others).improved([model.fit], TO_THE_END)[0] for model in (named, base)]
+        with_it, without = (float(filtered(own, [fit.hypotheses(fit.vector[None])]).density.sum()) for fit in fits)
+        if with_it <= without:
+            return True
+    return False
 
 
 def _is_over(held_out: HeldOut, named: Contender) -> bool:
