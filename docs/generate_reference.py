@@ -1,4 +1,4 @@
-"""Pages on the YAML files and on the command line, made from their definitions; and MkDocs' hook.
+"""Pages on the YAML files, effects and the command line, made from their definitions; and MkDocs' hook.
 
 The tables come from the JSON Schemas of `micah_plan.documents.kind`, the examples are files that the project ships,
 the help texts are what the commands print. `docs/write_outputs.py` stores these pages, so that links lead to them in
@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import ast
 import json
+import math
 import re
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from typer.testing import CliRunner
 
+from micah_plan.automaton.effects.registry import forms
 from micah_plan.cli.application import app
 from micah_plan.documents.kind import schema
 from micah_plan.execution.mujoco.parameters import defaults
@@ -82,6 +85,19 @@ INTRODUCTIONS = {
     ),
 }
 
+# Layers of effects, as people say where they act.
+WHERE = {
+    "frame": "the frame of commands",
+    "place": "what a command means",
+    "memory": "the command, earlier ones too",
+    "command": "the command",
+    "force": "the joint",
+    "guard": "an end or a threshold",
+    "sensor": "the reading",
+    "geometry": "the joint's geometry",
+}
+MOST_PARAMETERS = 10  # forms with more are corrections without a name
+
 HALF_SPACES = """
 ## Half-spaces and expressions
 
@@ -104,7 +120,8 @@ a comparison, and a coordinate that is left out there does not move or keeps its
 
 def pages() -> dict[str, str]:
     """Markdown of every page that is made from definitions, by its place below docs/."""
-    return {f"reference/{kind}_file.md": _file_page(kind) for kind in INTRODUCTIONS} | {"reference/cli.md": _cli_page()}
+    made = {f"reference/{kind}_file.md": _file_page(kind) for kind in INTRODUCTIONS}
+    return made | {"reference/cli.md": _cli_page(), "reference/effects.md": _effects_page()}
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -156,6 +173,37 @@ def _package(name: str) -> str:
     ]
     own = f"::: {name}\n    options:\n      show_submodules: false\n"
     return "\n".join([own, "", "| module | content |", "| --- | --- |", *rows])
+
+
+def _effects_page() -> str:
+    sections = [
+        "# Effects\n\nWhat a model may lack, as [`calibrate`](../concepts/calibration.md#effects) names it and a "
+        "[model file](model_file.md#effect) holds it. v is the command along a coordinate c in one step, t the time; "
+        "*coordinate* stands for the unit of the coordinate, rad or m; *none* is the value without an effect. "
+        "[Your own effect](../guides/own_effect.md) is a class with one formula.\n",
+        "| effect | acts on | what it does |\n| --- | --- | --- |",
+    ]
+    shown = [form for form in forms() if len(form.parameters) < MOST_PARAMETERS]
+    rows = [f"| [`{form.name}`](#{form.name}) | {WHERE[form.layer]} | {form.sentence} |" for form in shown]
+    sections[-1] += "\n" + "\n".join(rows) + "\n"
+    for form in shown:
+        said = textwrap.dedent(f"    {type(form).__doc__ or ''}").strip()
+        lines = ["| parameter | unit | bounds | none |", "| --- | --- | --- | --- |"]
+        for each in form.parameters:
+            bounds = f"{_bound(each.lower)} to {_bound(each.upper)}"
+            bounds = "any" if bounds == "-∞ to ∞" else bounds
+            neutral = "" if each.neutral is None else f"{each.neutral:g}"
+            lines.append(f"| `{each.name}` | {each.unit} | {bounds} | {neutral} |")
+        table = "\n".join(lines)
+        sections.append(f"## `{form.name}` {{#{form.name}}}\n\n{said}\n\n{table}\n\nSource: {form.source}.\n")
+        told = "\n".join(f"- from `{other}`: {what}" for other, what in form.experiments)
+        if told:
+            sections.append(f"Told apart\n\n{told}\n")
+    return "\n".join(sections)
+
+
+def _bound(value: float) -> str:
+    return f"{value:g}" if math.isfinite(value) else ("∞" if value > 0 else "-∞")
 
 
 def _file_page(kind: str) -> str:
