@@ -8,7 +8,7 @@ from pathlib import Path
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
-from micah_plan.errors import InputError
+from micah_plan.errors import InputError, shown
 from micah_plan.files import read_bytes
 
 LARGEST_XML_BYTES = 8 * 1024 * 1024
@@ -107,6 +107,47 @@ def parse_xml(text: str, source: str) -> Element:
     if not roots:
         raise InputError("not valid XML: it is empty", source=source)
     return roots[0]
+
+
+def with_includes(root: Element, folder: str | Path, roots: tuple[str, ...]) -> Element:
+    """The elements with what the files that they include have in the place of `<include file="..."/>`, as MuJoCo does.
+
+    Args:
+        folder: of the file; what is included lies in it or below, and in no file twice.
+        roots: tags that the root of an included file may have.
+
+    Raises:
+        InputError: for a file that lies elsewhere, is not there, was included before or has another root.
+    """
+    top, seen = Path(folder).resolve(), set[Path]()
+
+    def expanded(element: Element) -> Element:
+        copy = element.alone()
+        for child in element.children:
+            copy.children += included(child) if child.tag == "include" else [expanded(child)]
+        return copy
+
+    def included(element: Element) -> list[Element]:
+        named = element.attributes.get("file", "")
+        path = (top / named).resolve()
+        if not named or not path.is_relative_to(top):
+            raise element.error(
+                f"the file {shown(named)} lies outside of the folder", "put it beside or below this file"
+            )
+        if path in seen:
+            raise element.error(f"the file {shown(named)} was included before", "include it once")
+        seen.add(path)
+        try:
+            inner = parse_xml(read_xml(path, "MJCF"), str(Path(folder) / named))
+        except InputError as error:
+            if error.source != str(path):
+                raise
+            raise element.error(f"the file {shown(named)}: {error.problem}", error.remedy or "correct it") from None
+        if inner.tag not in roots:
+            raise element.error(f"the file {shown(named)} has the root <{inner.tag[:40]}>", f"give it <{roots[0]}>")
+        return expanded(inner).children
+
+    return expanded(root)
 
 
 def write_xml(element: Element) -> str:

@@ -30,9 +30,9 @@ from micah_plan.errors import InputError, located_in, shown
 from micah_plan.exchange.bodies import DAMPING, DENSITY, MovingPart, inertia_of, moving_parts
 from micah_plan.exchange.one_mode import Follows, Moving, coordinate_of, doubts, one_mode
 from micah_plan.mujoco_library import import_mujoco
-from micah_plan.robot.robot_text import NO_LIMIT, check_mjcf
+from micah_plan.robot.robot_text import MJCF_ROOTS, NO_LIMIT, check_mjcf
 from micah_plan.task.body import vector3
-from micah_plan.xml_text import Element, parse_xml, read_xml, write_xml
+from micah_plan.xml_text import Element, parse_xml, read_xml, with_includes, write_xml
 
 _SCALAR_FIRST = [3, 0, 1, 2]
 
@@ -138,7 +138,8 @@ def load_mjcf(path: str | Path) -> tuple[HybridAutomaton, tuple[str, ...]]:
     root = parse_xml(read_xml(path, "MJCF"), str(path))
     if root.tag != "mujoco":
         raise InputError(f"expected <mujoco> (MJCF), found <{root.tag[:40]}>", source=path)
-    checked = check_mjcf(root, str(Path(path).parent))
+    folder = str(Path(path).parent)
+    checked = check_mjcf(with_includes(root, folder, MJCF_ROOTS), folder)
     mujoco = import_mujoco("an object in MJCF")
     with located_in(path):
         try:

@@ -37,7 +37,7 @@ def read_recording(path: str | Path, *, minimum_rows: int = 1, conventions: Conv
         path: the file.
         minimum_rows: how many rows every run needs of each of its parts, e.g. for a fit.
         conventions: units, upward axis and the like of the file, if they are not those of a recording; names of columns
-            and the rate of tables alone, topics and frame of ROS logs alone.
+            of tables alone, the rate of tables and trajectories, topics and frame of ROS logs alone.
 
     Raises:
         InputError: one line with file, place, what was expected and found, and a remedy.
@@ -48,7 +48,9 @@ def read_recording(path: str | Path, *, minimum_rows: int = 1, conventions: Conv
         suffix = ".csv" if _has_commas(path) else ".tum"
     with located_in(path):
         if suffix not in _TABLES:
-            meant.require_open(("columns", "rate"), "only tables (.csv, .parquet) have columns to name and to count")
+            meant.require_open(("columns",), "only tables (.csv, .parquet) have columns to name")
+            if suffix != ".tum":
+                meant.require_open(("rate",), "only tables (.csv, .parquet) and trajectories (.tum, .txt) count rows")
         if is_log(path):
             return read_ros_log(path, minimum_rows=minimum_rows, conventions=meant)
         meant.require_open(("topics", "frame"), "only ROS logs (.mcap, .bag, .db3) have topics and frames")

@@ -2,14 +2,19 @@
 
 Source: Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012. It holds the poses of one run
 of one part and nothing else. What the part is called, and the number of the run, stand in comments: ``# part: door``.
+
+Lines of 12 numbers are KITTI's: the upper three rows of the homogeneous matrix, without times, which `rate` gives.
+Source: Geiger, Lenz and Urtasun, "Are we ready for autonomous driving? The KITTI vision benchmark suite", CVPR 2012.
 """
 
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.recording.checks import POSITION, QUATERNION, checked_recording
@@ -19,6 +24,8 @@ from micah_plan.recording.value import Recording
 
 _SAID = re.compile(r"# (part|run): (.+)")
 _COLUMNS = ("t", *POSITION, *QUATERNION)
+# Numbers of a matrix (3, 4), and by how much its rotation may be none, written with four digits.
+_OF_A_MATRIX, _NOT_A_TURN = 12, 1e-2
 
 
 def read_tum(path: str | Path, *, minimum_rows: int = 1, conventions: Conventions | None = None) -> Recording:
@@ -68,6 +75,8 @@ def _parsed(lines: list[str], minimum_rows: int, meant: Conventions) -> Recordin
     def place(row: int, column: str) -> str:
         return f"line {numbers[row]}, column '{column}'"
 
+    if rows and all(len(row) == _OF_A_MATRIX for row in rows):
+        return checked_recording(_of_matrices(rows, numbers, meant), minimum_rows=minimum_rows, place=place)
     for number, row in zip(numbers, rows, strict=True):
         if len(row) != len(_COLUMNS):
             problem = f"expected the {len(_COLUMNS)} numbers {' '.join(_COLUMNS)}, found {len(row)} fields"
@@ -83,6 +92,8 @@ def _parsed(lines: list[str], minimum_rows: int, meant: Conventions) -> Recordin
         raise InputError(error.problem, where=place(row_index, _COLUMNS[column]), remedy=error.remedy) from None
     said = {match[1]: match[2] for line in lines if (match := _SAID.fullmatch(line.strip()))}
     number = int(said["run"]) if re.fullmatch(r"-?\d{1,18}", said.get("run", "")) else 0
+    if meant.rate is not None:  # times count frames
+        values[:, 0], meant = values[:, 0] / meant.rate, replace(meant, rate=None)
     recording = Recording(
         time=values[:, 0],
         position=values[:, 1:4],
@@ -94,3 +105,25 @@ def _parsed(lines: list[str], minimum_rows: int, meant: Conventions) -> Recordin
     )
     recording = as_recorded(recording, meant) if meant.stated() else recording
     return checked_recording(recording, minimum_rows=minimum_rows, place=place)
+
+
+def _of_matrices(rows: list[list[str]], numbers: list[int], meant: Conventions) -> Recording:
+    """A recording from matrices (3, 4), a row of the file each."""
+    if meant.rate is None:
+        problem = f"{_OF_A_MATRIX} numbers per line are the matrices of KITTI, which have no times"
+        raise InputError(problem, where=f"line {numbers[0]}", remedy="say how many there are per second: --rate 10")
+    try:
+        matrices = floats([text for row in rows for text in row]).reshape(-1, 3, 4)
+    except UnreadableValue as error:
+        row, column = divmod(error.row, _OF_A_MATRIX)
+        where = f"line {numbers[row]}, number {column + 1}"
+        raise InputError(error.problem, where=where, remedy=error.remedy) from None
+    turns = matrices[:, :, :3]
+    off = np.abs(turns @ turns.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
+    wrong = np.flatnonzero(~((off < _NOT_A_TURN) & (np.linalg.det(turns) > 0)))
+    if len(wrong):
+        where = f"line {numbers[int(wrong[0])]}"
+        raise InputError("expected a rotation in the first three columns", where=where, remedy="correct the matrix")
+    turn = Rotation.from_matrix(turns).as_quat()
+    recording = Recording(np.arange(len(matrices)) / meant.rate, matrices[:, :, 3], turn)
+    return as_recorded(recording, replace(meant, rate=None))

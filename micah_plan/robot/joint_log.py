@@ -23,6 +23,8 @@ from micah_plan.task.robot_description import is_name, named_robots
 
 _MOST_LISTED = 12
 _BEYOND = 0.1  # rad or m beyond a limit, which no calibration of an encoder explains
+# Names of a column of times beside `t`, and the largest value of a joint in percent of its range.
+_TIMES, _NORMALISED = ("timestamp", "time", "time_s"), 100.5
 
 
 def arm_of(robot: str, tool: str) -> Arm:
@@ -70,6 +72,9 @@ def tool_recording(columns: Mapping[str, Any], arm: Arm, meant: Conventions) -> 
         way[:uncommanded] = 0.0  # before the first target nothing is asked for
         table |= dict(zip(ACTION, way.T, strict=True))
     others = {name: text for name, text in meant.columns.items() if name in ("t", "run", "part")}
+    named_times = [name for name in columns if name.lower() in _TIMES]
+    if "t" not in columns and "t" not in others and len(named_times) == 1 and meant.rate is None:
+        others["t"] = named_times[0]
     sources = {source_of(text, columns).name for text in others.values()}
     table |= {name: values for name, values in columns.items() if name in ("t", "run", "part") or name in sources}
     # The poses are in metres and upright; of what the log says of itself only times and names remain.
@@ -160,5 +165,13 @@ def _beyond_limits(arm: Arm, q: Floats) -> Sequence[str]:
     wrong = [joint for joint, by in zip(arm.joints, beyond, strict=True) if by > _BEYOND]
     if not wrong:
         return ()
-    units = "; are these degrees? then say so: --units deg" if np.abs(q).max() > 2 * np.pi else ""
+    units, largest = "", float(np.abs(q).max())
+    if largest > 2 * np.pi:
+        units = "; are these degrees? then say so: --units deg"
+        if largest <= _NORMALISED:
+            units += (
+                "; or LeRobot's -100 to 100 of the calibrated range? then give each its factor, half of "
+                f'(range_max - range_min) 2 pi / 4096 / 100 of calibration.json: --columns "joint {arm.joints[0]}='
+                '0.01*NAME"'
+            )
     return (f"{count(len(wrong), 'joint')} of the robot, first {shown(wrong[0])}, go beyond their limits{units}",)

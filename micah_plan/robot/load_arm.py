@@ -23,10 +23,10 @@ from micah_plan.automaton.joint import IDENTITY, Quaternion, Vector3
 from micah_plan.errors import InputError, shown
 from micah_plan.mujoco_library import import_mujoco
 from micah_plan.robot.arm import Arm, middle
-from micah_plan.robot.robot_text import NO_LIMIT, CheckedRobot, check_mjcf, check_urdf
+from micah_plan.robot.robot_text import MJCF_ROOTS, NO_LIMIT, CheckedRobot, check_mjcf, check_urdf
 from micah_plan.robot.solids import convex
 from micah_plan.task.robot_description import RobotDescription
-from micah_plan.xml_text import parse_xml, read_xml
+from micah_plan.xml_text import parse_xml, read_xml, with_includes, write_xml
 
 _MOST_JOINTS = 100
 _MOST_LISTED = 12
@@ -42,8 +42,10 @@ def describe_robot(
     Raises:
         InputError: if the file cannot be read or is no text.
     """
-    text = read_xml(path, "URDF or MJCF")
-    return RobotDescription(str(path), text, tool, position, quaternion, folder=str(Path(path).parent))
+    text, folder = read_xml(path, "URDF or MJCF"), str(Path(path).parent)
+    if "<include" in text and (root := parse_xml(text, str(path))).tag == "mujoco":  # plans keep the text of all files
+        text = write_xml(with_includes(root, folder, MJCF_ROOTS))
+    return RobotDescription(str(path), text, tool, position, quaternion, folder=folder)
 
 
 def load_arm(description: RobotDescription) -> Arm:

@@ -324,6 +324,10 @@ def _colors(link: Element, materials: dict[str, str]) -> tuple[str, ...]:
     return tuple(color for color in elements if color)
 
 
+MJCF_ROOTS = ("mujocoinclude", "mujoco")
+"""Roots of files that an MJCF may include."""
+
+
 def check_mjcf(root: Element, folder: str) -> CheckedRobot:
     """What an MJCF file says of kinematics and solids, fit to be handed to MuJoCo.
 

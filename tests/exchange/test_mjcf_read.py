@@ -225,7 +225,11 @@ def test_a_free_object_stands_where_the_file_puts_it(tmp_path: Path) -> None:
         ("<mujoco><worldbody><body><joint type='ball'/><geom size='1'/></body></worldbody></mujoco>", "is a ball"),
         ("<mujoco><worldbody><body name='base'><joint/><geom size='1'/></body></worldbody></mujoco>", "called 'base'"),
         ("<mujoco><worldbody><body><joint/><geom size='-1'/></body></worldbody></mujoco>", "cannot be read"),
-        ("<mujoco><include file='x.xml'/></mujoco>", "<include> is not read; write the file out in one piece"),
+        ("<mujoco><include file='x.xml'/></mujoco>", "<include>: the file 'x.xml': the file does not exist"),
+        ("<mujoco><include file='/etc/passwd'/></mujoco>", "the file '/etc/passwd' lies outside of the folder"),
+        ("<mujoco><include file='../x.xml'/></mujoco>", "lies outside of the folder; put it beside or below"),
+        ("<mujoco><include/></mujoco>", "the file '' lies outside of the folder"),
+        ("<mujoco><include file='object.xml'/></mujoco>", "was included before; include it once"),
         (
             "<mujoco><worldbody><body><joint name='a'/><geom size='1'/><body><joint name='b'/><geom size='1'/></body>"
             "</body></worldbody><equality><joint joint1='a' joint2='b' polycoef='0 1 2 0 0'/></equality></mujoco>",
@@ -263,3 +267,22 @@ def test_a_model_without_shapes_gets_those_that_are_drawn(tmp_path: Path, ending
         compiled = mujoco.MjModel.from_xml_path(str(tmp_path / f"bare.{ending}"))
         assert compiled.ngeom > 0
         assert compiled.dof_damping[0] == pytest.approx(2.0)
+
+
+def test_files_that_a_model_includes_are_read_as_mujoco_reads_them(tmp_path: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "door.xml").write_text(
+        "<mujocoinclude><body name='door'><joint name='hinge' axis='0 0 1' range='0 90'/>"
+        "<geom type='box' size='.2 .01 .3' pos='.2 0 .3'/></body></mujocoinclude>"
+    )
+    (tmp_path / "defaults.xml").write_text("<mujoco><default><joint damping='1'/></default></mujoco>")
+    text = "<mujoco><include file='defaults.xml'/><worldbody><include file='parts/door.xml'/></worldbody></mujoco>"
+    automaton, notes = loaded(tmp_path, text)
+    assert notes == ()
+    assert automaton.coordinate_names == ("hinge",)
+    whole = (tmp_path / "parts" / "door.xml").read_text().removeprefix("<mujocoinclude>")
+    written_out = f"<mujoco><worldbody>{whole.removesuffix('</mujocoinclude>')}</worldbody></mujoco>"
+    assert loaded(tmp_path, written_out)[0] == automaton
+    (tmp_path / "defaults.xml").write_text("<robot/>")
+    with pytest.raises(InputError, match=r"the file 'defaults\.xml' has the root <robot>; give it <mujocoinclude>"):
+        loaded(tmp_path, text)

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from micah_plan import solve
 from micah_plan.documents.plan import load_plan
 from micah_plan.errors import InputError
 from micah_plan.exchange.convert import convert, joint_trajectory
+from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.read import read_recording
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -45,3 +47,44 @@ def test_a_plan_has_times_and_velocities(tmp_path: Path) -> None:
     assert velocities.shape == positions.shape
     assert np.all(velocities[[0, -1]] == 0.0)
     np.testing.assert_allclose(velocities[1:-1], (positions[2:] - positions[:-2]) / 1.0)  # two steps of half a second
+
+
+def kitti(turn: Rotation, place: np.ndarray) -> str:
+    return " ".join(f"{value:.9e}" for value in np.column_stack([turn.as_matrix(), place]).ravel())
+
+
+def test_matrices_of_kitti_are_poses_at_a_rate(tmp_path: Path) -> None:
+    turned = np.linspace(0.0, 1.2, 60)
+    turns = Rotation.from_rotvec(np.outer(turned, [0.0, 0.0, 1.0]))
+    places = np.stack([0.3 * np.cos(turned), 0.3 * np.sin(turned), np.zeros(60)], axis=1)
+    file = tmp_path / "poses.txt"
+    file.write_text("\n".join(kitti(turn, place) for turn, place in zip(turns, places, strict=True)) + "\n")
+    with pytest.raises(InputError, match=r"line 1: 12 numbers per line are the matrices of KITTI.*--rate 10"):
+        read_recording(file)
+    found = read_recording(file, conventions=Conventions(rate=20.0))
+    np.testing.assert_allclose(found.time, np.arange(60) / 20.0)
+    np.testing.assert_allclose(found.position, places, atol=1e-9)
+    assert found.quaternion is not None
+    assert (Rotation.from_quat(found.quaternion) * turns.inv()).magnitude().max() < 1e-8
+    shrunk = read_recording(file, conventions=Conventions(rate=20.0, length="mm"))
+    np.testing.assert_allclose(shrunk.position, 1e-3 * places, atol=1e-12)
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join([*lines[:3], " ".join(["9.0", *lines[3].split()[1:]]), *lines[4:]]))
+    with pytest.raises(InputError, match="line 4: expected a rotation in the first three columns"):
+        read_recording(file, conventions=Conventions(rate=20.0))
+    file.write_text("\n".join([*lines[:3], "1 2 x 4 5 6 7 8 9 10 11 12"]))
+    with pytest.raises(InputError, match="line 4, number 3"):
+        read_recording(file, conventions=Conventions(rate=20.0))
+    file.write_text("\n".join([*lines[:3], "1 2 3"]))
+    with pytest.raises(InputError, match="line 1: expected the 8 numbers"):
+        read_recording(file, conventions=Conventions(rate=20.0))
+
+
+def test_frames_of_a_trajectory_become_times(tmp_path: Path) -> None:
+    file = tmp_path / "frames.tum"
+    file.write_text("".join(f"{k} {0.01 * k} 0 0 0 0 0 1\n" for k in range(8)))
+    found = read_recording(file, conventions=Conventions(rate=50.0))
+    np.testing.assert_allclose(found.time, np.arange(8) / 50.0)
+    np.savez(tmp_path / "a.npz", time=found.time, position=found.position)
+    with pytest.raises(InputError, match=r"only tables .* and trajectories .* count rows"):
+        read_recording(tmp_path / "a.npz", conventions=Conventions(rate=50.0))

@@ -253,3 +253,16 @@ def test_joints_and_links_may_have_the_same_names(tmp_path: Path, tool: str) -> 
     place = data.oMf[whole.getFrameId(tool, pinocchio.FrameType.BODY)]
     np.testing.assert_allclose(arm.matrix(q[: len(arm.joints)]), place.homogeneous, atol=1e-12)
     assert sorted(frame.name for frame in arm.model.frames) == sorted(frame.name for frame in whole.frames)
+
+
+def test_a_robot_keeps_the_text_of_what_it_includes(tmp_path: Path) -> None:
+    body, rest = TWO_LINKS.split("<worldbody>")[1].split("</worldbody>")
+    (tmp_path / "links.xml").write_text(f"<mujocoinclude>{body}</mujocoinclude>")
+    head = TWO_LINKS.split("<worldbody>")[0]
+    (tmp_path / "robot.xml").write_text(f'{head}<worldbody><include file="links.xml"/></worldbody>{rest}')
+    (tmp_path / "whole.xml").write_text(TWO_LINKS)
+    found, whole = (describe_robot(tmp_path / name, "tool") for name in ("robot.xml", "whole.xml"))
+    (tmp_path / "links.xml").unlink()  # a plan is executed without the file
+    arm, same = load_arm(found), load_arm(whole)
+    assert arm.joints == same.joints
+    np.testing.assert_allclose(arm.matrix(arm.rest), same.matrix(same.rest))
