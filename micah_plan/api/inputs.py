@@ -221,7 +221,7 @@ def problem_and_notes(source: Problematic, model: Modelled | None = None) -> tup
 
 def _of_data(data: Mapping[str, Any], automaton: HybridAutomaton | None) -> Problem:
     """The problem of data with the keys of a problem file; of a model's data that of moving it most of its way."""
-    from micah_plan.documents.problem import problem_of as problem_of_data
+    from micah_plan.documents.problem import problem_of_data
     from micah_plan.templates.first_problem import problem_for
 
     if "modes" in data and automaton is None:
@@ -229,7 +229,7 @@ def _of_data(data: Mapping[str, Any], automaton: HybridAutomaton | None) -> Prob
     return problem_of_data(data, automaton)
 
 
-def changed(problem: Problem) -> Problem:
+def checked_again(problem: Problem) -> Problem:
     """A problem whose start or goal is another than its file's, if it is possible.
 
     Raises:

@@ -198,7 +198,9 @@ def solve(
 
     asked, notes = inputs.problem_and_notes(problem, model)
     if any(given is not None for given in (start, start_mode, goal, modes, noise)):
-        asked = inputs.changed(asked.replace(start=start, start_mode=start_mode, goal=goal, modes=modes, noise=noise))
+        asked = inputs.checked_again(
+            asked.replace(start=start, start_mode=start_mode, goal=goal, modes=modes, noise=noise)
+        )
     asked = replace(asked, settings=inputs.planner_settings(asked, changes))
     plan = solved(asked, seed=seed, progress=progress, advise=advise, planner=planner)
     return PlanningResult(plan, asked, notes)

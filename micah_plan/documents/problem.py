@@ -187,7 +187,7 @@ def problem_from_text(content: bytes, source: str, automaton: HybridAutomaton) -
     return replace(problem, source=source)
 
 
-def problem_of(data: Mapping[str, Any], model: HybridAutomaton | None = None) -> Problem:
+def problem_of_data(data: Mapping[str, Any], model: HybridAutomaton | None = None) -> Problem:
     """The problem that data with the keys of a problem file describe.
 
     Args:
