@@ -216,7 +216,8 @@ def row(name: str, changes: Sequence[tuple[tuple[str, int], Answer, Answer]]) ->
         verdicts += before.verdict != after.verdict and not is_worse and not is_better
         if said := difference(before, after):
             told.append(f"{kind} #{seed}: {said}")
-    return f"| {name} | {len(changes)} | {worse} | {better} | {verdicts} | {'; '.join(told) or 'none'} |"
+    counts = f"{len(changes)} | {worse} | {better} | {verdicts}"
+    return f"| {name}: {GATES[name].reason} | {counts} | {'; '.join(told) or 'none'} |"
 
 
 if __name__ == "__main__":

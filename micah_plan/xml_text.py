@@ -14,6 +14,7 @@ from micah_plan.files import read_bytes
 LARGEST_XML_BYTES = 8 * 1024 * 1024
 MOST_ELEMENTS = 50_000
 DEEPEST = 200
+MOST_INCLUDED = 50
 _MISPLACED = expat.errors.XML_ERROR_MISPLACED_XML_PI
 
 
@@ -136,6 +137,8 @@ def with_includes(root: Element, folder: str | Path, roots: tuple[str, ...]) -> 
             )
         if path in seen:
             raise element.error(f"the file {shown(named)} was included before", "include it once")
+        if len(seen) >= MOST_INCLUDED:
+            raise element.error(f"more than {MOST_INCLUDED} files are included", "put some of them together")
         seen.add(path)
         try:
             inner = parse_xml(read_xml(path, "MJCF"), str(Path(folder) / named))

@@ -85,7 +85,11 @@ def test_an_experiment_is_for_a_class_and_has_no_options_of_plans(worn_drawer: A
     assert len(found.recording.runs) == len(experiment.motions)
     assert found.json()["rows"] == len(found.recording)
     assert f"{len(found.recording.runs)} runs carried out, 0 broken off" in str(found)
-    with pytest.raises(InputError, match="start is for plans, this is an experiment; leave out start"):
+    again = execute(ROOT / "problems" / "experiments" / "drawer.yaml", plant="nominal", trials=1)
+    assert again.json()["rows"] == found.json()["rows"]
+    assert "Experiment" in found.page()
+    assert found.plot().axes
+    with pytest.raises(InputError, match="start is for plans, this is an experiment; omit start"):
         execute(experiment, start={"drawer": 0.1})  # type: ignore[call-overload]
     with pytest.raises(InputError, match="does not know where each motion of an experiment starts; give its class"):
         execute(experiment, plant=worn_drawer(experiment.problem(0)))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from micah_plan.api.inputs import Source
-from micah_plan.api.result import Result
+from micah_plan.api.result import RecordedResult
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError
 from micah_plan.quantities import Progress, Table
@@ -16,22 +16,21 @@ from micah_plan.recording.value import Recording
 from micah_plan.task.experiment import Experiment
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from micah_plan.execution.plant import Plant, PlantMaker
     from micah_plan.execution.trials import Keep
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ExperimentResult(Result):
+class ExperimentResult(RecordedResult):
     """What `execute` returns of an experiment: its runs as a recording, and which of them were broken off.
 
     Attributes:
+        log: all runs.
         failures: (run, reason).
     """
 
     experiment: Experiment
-    recording: Recording
+    log: Recording
     failures: tuple[tuple[int, str], ...] = ()
     seconds: float = 0.0
 
@@ -56,6 +55,11 @@ class ExperimentResult(Result):
         return "Experiment"
 
     @property
+    def recording(self) -> Recording:
+        """All runs, as a recording that `predict` and `calibrate` take."""
+        return self.log
+
+    @property
     def automaton(self) -> HybridAutomaton:
         """The model that the experiment asks about."""
         return self.experiment.automaton
@@ -73,24 +77,6 @@ class ExperimentResult(Result):
             "failures": [{"trial": run, "reason": reason} for run, reason in self.failures],
             "seconds": self.seconds,
         }
-
-    def plot(self) -> Figure:
-        """The measured track and its configuration over time."""
-        from micah_plan.view.learning_figure import learning_figure
-
-        return learning_figure(self.recording)
-
-    def page(self, title: str = "") -> str:
-        """The recorded motion in 3-D."""
-        from micah_plan.view.recording_page import recording_page
-
-        return recording_page(self.recording, title=title or self.title)
-
-    def save(self, path: str | Path) -> None:
-        """Write the runs as a recording (CSV, NPZ, TUM or MCAP)."""
-        from micah_plan.recording.read import write_recording
-
-        write_recording(self.recording, path)
 
 
 def carried_out(
@@ -129,12 +115,12 @@ def carried_out(
     return ExperimentResult(asked, recording, tuple(failures), time.perf_counter() - begin)
 
 
-def refuse_options_of_plans(options: dict[str, object]) -> None:
-    """Refuse what has no meaning for commands in open loop.
+def refuse_options_of_plans(options: Mapping[str, object], source: Source | None = None) -> None:
+    """Refuse what has no meaning for commands in open loop; `source`: the experiment's file, for the message.
 
     Raises:
         InputError: for the first option that is not None.
     """
     for name, value in options.items():
         if value is not None:
-            raise InputError(f"{name} is for plans, this is an experiment", remedy=f"leave out {name}")
+            raise InputError(f"{name} is for plans, this is an experiment", source=source, remedy=f"omit {name}")

@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -376,7 +375,7 @@ def execute(
     """The runs of a plan in closed loop, or of an experiment in open loop.
 
     Args:
-        plan: a path or what `solve` returned; or an experiment, as `CalibrationResult.experiment` is one.
+        plan: a path or what `solve` returned; or an experiment, as `CalibrationResult.experiment` is one, or its path.
         plant: ``"nominal"`` (the model itself), ``"mujoco"``, or a plant of your own: a class or an object.
         trials: how many, 1 if not given; of an experiment: repetitions of its motions.
         seed: of everything random; each trial has its own stream.
@@ -391,9 +390,10 @@ def execute(
         MissingDependencyError: if the plant needs a library that is not installed.
         PlantError: if the machine cannot be reset.
     """
+    from micah_plan.documents.kind import kind_of
     from micah_plan.execution.trials import run_trials
 
-    if isinstance(plan, Experiment):
+    if isinstance(plan, Experiment) or (isinstance(plan, Source) and kind_of(plan) == "experiment"):
         refuse_options_of_plans({"replan_every": replan_every, "plant_parameters": plant_parameters, "start": start})
         return carried_out(plan, plant=plant, repetitions=trials, seed=seed, progress=progress, keep=keep)
     chosen, begin = plan_of(plan), time.perf_counter()
@@ -402,6 +402,6 @@ def execute(
     problem = replace(problem, start=replace(problem.start, true=tuple({**dict(problem.start.true), **true}.items())))
     if replan_every is not None:
         problem = replace(problem, settings=replace(problem.settings, replan_every=replan_every))
-    run = partial(run_trials, problem, chosen.plan, plant=plant, trials=1 if trials is None else trials)
-    statistics = run(seed=seed, progress=progress, keep=keep)
+    trials = 1 if trials is None else trials
+    statistics = run_trials(problem, chosen.plan, plant=plant, trials=trials, seed=seed, progress=progress, keep=keep)
     return RunsResult(statistics, PlanningResult(chosen.plan, problem), time.perf_counter() - begin)

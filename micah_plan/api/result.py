@@ -17,6 +17,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError
 from micah_plan.files import replace_file
 from micah_plan.quantities import Summarised, Table
+from micah_plan.recording.value import Recording
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -87,6 +88,33 @@ class Result(Summarised):
             path: where to write it, and nothing is opened; None: a temporary file.
         """
         return Page(self.page()).opened(path)
+
+
+class RecordedResult(Result):
+    """A result whose page, figure and file are those of its recording."""
+
+    @property
+    @abstractmethod
+    def recording(self) -> Recording:
+        """The recording."""
+
+    def plot(self) -> Figure:
+        """The tracks over time."""
+        from micah_plan.view.learning_figure import learning_figure
+
+        return learning_figure(self.recording)
+
+    def page(self, title: str = "") -> str:
+        """The tracks in 3-D."""
+        from micah_plan.view.recording_page import recording_page
+
+        return recording_page(self.recording, title=title or self.title)
+
+    def save(self, path: str | Path) -> None:
+        """Write the recording (CSV, NPZ, TUM or MCAP)."""
+        from micah_plan.recording.read import write_recording
+
+        write_recording(self.recording, path)
 
 
 @dataclass(frozen=True, repr=False)

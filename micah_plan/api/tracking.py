@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from micah_plan.api.inputs import Measured, located, recording_of
-from micah_plan.api.result import Result
+from micah_plan.api.result import RecordedResult
 from micah_plan.arrays import Floats
 from micah_plan.documents.tags import load_tags
 from micah_plan.errors import located_in
@@ -23,12 +23,9 @@ from micah_plan.vision.point_files import Axes, PointTracks, check_unit, load_po
 from micah_plan.vision.track_points import TrackedPoints, track_points
 from micah_plan.vision.track_tags import Tracked, track_tags
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _Tracking(Result):
+class _Tracking(RecordedResult):
     """Poses that a camera shows, with the track as figure and page.
 
     Attributes:
@@ -57,24 +54,6 @@ class _Tracking(Result):
     @property
     def warnings(self) -> tuple[str, ...]:
         return self.tracked.notes
-
-    def plot(self) -> Figure:
-        """The tracks over time."""
-        from micah_plan.view.learning_figure import learning_figure
-
-        return learning_figure(self.recording)
-
-    def page(self, title: str = "") -> str:
-        """The tracks in 3-D."""
-        from micah_plan.view.recording_page import recording_page
-
-        return recording_page(self.recording, title=title or self.title)
-
-    def save(self, path: str | Path) -> None:
-        """Write the recording."""
-        from micah_plan.recording.read import write_recording
-
-        write_recording(self.recording, path)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

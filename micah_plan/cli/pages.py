@@ -109,8 +109,8 @@ def _kind_of(file: Path) -> str:
     """What a page shows of a file; another kind of file than these is read as a model, which says what is wrong."""
     from micah_plan.documents.kind import kind_of
 
-    kind = kind_of(file) if file.is_file() else {".yaml": "model", ".yml": "model", ".json": "plan"}.get(file.suffix)
-    return str(kind) if kind in ("plan", "problem", "recording") else "model" if kind else "recording"
+    kind = kind_of(file)
+    return str(kind) if kind in ("plan", "problem", "recording") else "model"
 
 
 def _page_of(file: Path, runs: Path | None, progress: Callable[[str, float], None]) -> str:

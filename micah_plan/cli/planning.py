@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
@@ -115,6 +115,7 @@ def execute(
     With a plant of your own, give --plant FILE.py:CLASS: the class is called with the problem and has reset, apply and
     close. Exit code 1 if the machine cannot be reset, 2 if its code fails; a failed trial is a result, exit code 0.
     """
+    from micah_plan.api.experiments import refuse_options_of_plans
     from micah_plan.api.planning import PlanningResult
     from micah_plan.api.planning import execute as executed
     from micah_plan.documents.kind import kind_of
@@ -125,7 +126,7 @@ def execute(
     check_outputs((plan,), outputs)
     if kind_of(plan) == "experiment":
         others = {"--replan-every": replan_every, "--figure": figure, "--html": html, "--start": start}
-        _refuse(others, plan)
+        refuse_options_of_plans(others, plan)
         _carry_out(plan, output, plant, trials, seed, as_json)
         return
     stored = load_plan(plan)
@@ -138,13 +139,6 @@ def execute(
         result = run(replan_every=replan_every, progress=progress, keep=logs.append)
     contents = {output: recording_bytes(result.recording, output)} | drawn(result, title_of(plan), html, figure)
     write_and_print(result, contents, as_json)
-
-
-def _refuse(options: Mapping[str, object], experiment: Path) -> None:
-    """Refuse options that have no meaning for commands in open loop."""
-    for name, value in options.items():
-        if value is not None:
-            raise InputError(f"{name} is for plans, this is an experiment", source=experiment, remedy=f"omit {name}")
 
 
 def _carry_out(file: Path, output: Path, plant: str, repetitions: int | None, seed: int, as_json: bool) -> None:

@@ -14,7 +14,6 @@ from pydantic import AfterValidator, WithJsonSchema
 from pydantic_core import PydanticCustomError
 
 from micah_plan.arrays import EQUAL, NEAR_STDS
-from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.region import Interval
 from micah_plan.documents.expressions import short_number, short_text
@@ -44,7 +43,7 @@ from micah_plan.documents.yaml_lines import LARGEST_TEXT_BYTES, read_yaml
 from micah_plan.errors import InputError
 from micah_plan.files import read_bytes
 from micah_plan.task.body import Body
-from micah_plan.task.goal import Goal
+from micah_plan.task.goal import Goal, unharmed
 from micah_plan.task.path import PathConstraint, check_constraint
 from micah_plan.task.problem import Hold, Problem
 from micah_plan.task.settings import PlannerSettings
@@ -79,9 +78,8 @@ class GoalDocument(Document):
 
     def read(self, at: Located, scope: Scope) -> Goal:
         target = self.meanings(at, scope)["target"]
-        # An object that has hit something has not arrived, wherever it is.
-        unharmed = tuple(mode for mode in scope["mode"] if mode != COLLIDED) if COLLIDED in scope["mode"] else ()
-        return Goal(tuple((i, *wanted.values()) for i, wanted in target.items()), self.modes or unharmed)
+        wanted = tuple((i, *each.values()) for i, each in target.items())
+        return Goal(wanted, self.modes or unharmed(tuple(scope["mode"])))
 
     @classmethod
     def written(cls, value: Goal, scope: Scope) -> Mapping[str, Any]:
@@ -196,17 +194,13 @@ def problem_of_data(data: Mapping[str, Any], model: HybridAutomaton | None = Non
     Raises:
         InputError: with the key, what was expected and found, and the remedy.
     """
-    located = Located(
-        {"format": PROBLEM_FORMAT, "model": "", **data} if model else {"format": PROBLEM_FORMAT, **data}, "problem"
-    )
+    unnamed = {"format": PROBLEM_FORMAT} | ({} if model is None else {"model": ""})
+    located = Located(unnamed | dict(data), "problem")
     document = validated(located, ProblemDocument)
     if model is None:
         model = usable_model(read_bytes(document.model, LARGEST_TEXT_BYTES), document.model)
-    if document.hold is not None:
-        hold = document.hold.read(located.at("hold"), {"body": tuple(document.scene)})
-        scene = tuple(body.read(located.at("scene", name), {}) for name, body in document.scene.items())
-        model = _with_contacts(model, hold, scene, located)
-    problem = problem_of_document(document, model, located)
+    hold, scene = _held(document, located)
+    problem = problem_of_document(document, _with_contacts(model, hold, scene, located), located)
     _check_possible(problem, located)
     return problem
 
@@ -224,6 +218,12 @@ def _check_possible(problem: Problem, located: Located) -> None:
     check_start(problem.start, problem.automaton, located)
     if problem.release is None:
         _check_goal(problem.goal, problem.automaton, located)
+        return
+    from micah_plan.task.release import pre_release_problem  # SciPy is loaded only where it is needed
+
+    # The goal speaks of the object at rest, not of the hand.
+    with located.at("release").locating_errors():
+        pre_release_problem(problem)
 
 
 class ProblemReader:
@@ -245,11 +245,6 @@ class ProblemReader:
         """As `load_problem`."""
         problem, located = self._described(overrides or {})
         _check_possible(problem, located)
-        if problem.release is not None:  # the goal speaks of the object at rest, not of the hand
-            from micah_plan.task.release import pre_release_problem  # SciPy is loaded only where it is needed
-
-            with located.at("release").locating_errors():
-                pre_release_problem(problem)
         return problem
 
     def describe(self, overrides: Mapping[str, Any] | None = None) -> Problem:
@@ -278,16 +273,19 @@ class ProblemReader:
 
     def _automaton(self, model: bytes, path: Path, document: ProblemDocument, located: Located) -> HybridAutomaton:
         """The model, times its contacts if the object is held."""
-        hold: Hold | None = None
-        scene: tuple[Body, ...] = ()
-        if document.hold is not None:
-            hold = document.hold.read(located.at("hold"), {"body": tuple(document.scene)})
-            scene = tuple(body.read(located.at("scene", name), {}) for name, body in document.scene.items())
+        hold, scene = _held(document, located)
         inputs = (model, path, hold, scene)
         if self._made is None or self._made[0] != inputs:
-            automaton = usable_model(model, str(path))
-            self._made = inputs, automaton if hold is None else _with_contacts(automaton, hold, scene, located)
+            self._made = inputs, _with_contacts(usable_model(model, str(path)), hold, scene, located)
         return self._made[1]
+
+
+def _held(document: ProblemDocument, located: Located) -> tuple[Hold | None, tuple[Body, ...]]:
+    """How the object is held, and by what it may be touched then; None and nothing if it stands."""
+    if document.hold is None:
+        return None, ()
+    hold: Hold = document.hold.read(located.at("hold"), {"body": tuple(document.scene)})
+    return hold, tuple(body.read(located.at("scene", name), {}) for name, body in document.scene.items())
 
 
 def problem_of_document(document: ProblemDocument, automaton: HybridAutomaton, located: Located) -> Problem:
@@ -334,8 +332,11 @@ def problem_data(problem: Problem, model: str) -> dict[str, Any]:
 
 
 def _with_contacts(
-    automaton: HybridAutomaton, hold: Hold, scene: tuple[Body, ...], located: Located
+    automaton: HybridAutomaton, hold: Hold | None, scene: tuple[Body, ...], located: Located
 ) -> HybridAutomaton:
+    """The model times the contacts of a held object; of one that stands as it is."""
+    if hold is None:
+        return automaton
     from micah_plan.automaton.contacts.product import with_contacts
 
     with located.at("hold").locating_errors():

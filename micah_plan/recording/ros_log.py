@@ -37,8 +37,8 @@ _COLUMNS = ("std_msgs/msg/Float64", "std_msgs/msg/Int64", "std_msgs/msg/String")
 # Names of topics with commands, as ros2_control and simulators have them; and of those that are no positions.
 _COMMANDED = re.compile(r"command|cmd|target|goal|desired|reference|setpoint", re.IGNORECASE)
 _OTHER_COMMANDS = re.compile(r"velocity|velocities|effort|torque|current|gripper_action", re.IGNORECASE)
-# Rows that a joint may be behind its commands, and the finest that encoders tell apart [rad or m].
-_MOST_LATE, _FINEST = 12, 1e-6
+# Rows that a joint may be behind its commands; the finest that encoders tell apart, and what is far [rad or m].
+_MOST_LATE, _FINEST, _FARTHEST = 12, 1e-6, 1e3
 _RUN = re.compile(r"run_(-?\d{1,18})/(.+)")
 READ = {
     "geometry_msgs/msg/PointStamped": "poses",
@@ -119,7 +119,8 @@ def joint_columns(path: str | Path, topics: Collection[str] = ()) -> tuple[dict[
     targets = {topic: joints[topic] for topic in commanded}
     notes = []
     for topic, samples in arrays.items():
-        named, note = _named_targets(topic, samples, most)
+        left = {name: places for name, places in most.items() if not any(name in of for of in targets.values())}
+        named, note = _named_targets(topic, samples, left)
         targets |= {topic: named} if named else {}
         notes.append(note)
     stamps = np.unique([time for time, _ in max(most.values(), key=len)])
@@ -165,7 +166,10 @@ def _log_distances(commands: Floats, places: Floats) -> Floats:
     found = np.full((len(commands), len(places)), np.inf)
     for late in range(min(_MOST_LATE, commands.shape[1])):
         apart = commands[:, None, : commands.shape[1] - late] - places[None, :, late:]
-        far = np.sqrt(np.mean(np.where(np.isfinite(apart), apart, 0.0) ** 2, axis=2))
+        is_known = np.isfinite(apart)
+        squares = np.where(is_known, apart, 0.0) ** 2
+        far = np.sqrt(squares.sum(axis=2) / np.maximum(is_known.sum(axis=2), 1))
+        far = np.where(is_known.any(axis=2), far, _FARTHEST)  # what was measured at other times tells nothing
         found = np.minimum(found, np.log(np.maximum(far, _FINEST)))
     return found
 

@@ -172,6 +172,6 @@ def _beyond_limits(arm: Arm, q: Floats) -> Sequence[str]:
             units += (
                 "; or LeRobot's -100 to 100 of the calibrated range? then give each its factor, half of "
                 f'(range_max - range_min) 2 pi / 4096 / 100 of calibration.json: --columns "joint {arm.joints[0]}='
-                '0.01*NAME"'
+                'FACTOR*NAME"'
             )
     return (f"{count(len(wrong), 'joint')} of the robot, first {shown(wrong[0])}, go beyond their limits{units}",)

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton, Noise
 from micah_plan.errors import InputError, choices, shown
-from micah_plan.task.goal import Goal
+from micah_plan.task.goal import Goal, unharmed
 from micah_plan.task.start import Start, start_mode
 
 Spread = float | tuple[float, float] | Sequence[float]
@@ -39,8 +38,11 @@ def with_start(start: Start, automaton: HybridAutomaton, values: Mapping[str, Sp
     if mode is not None:
         _check_modes([mode], automaton, "start mode")
     changed = replace(start, mean=tuple(mean), std=tuple(std), mode=mode or (None if values else start.mode))
+    if not values:
+        return changed
+    # A start that no mode allows is refused by whoever solves the problem: any mode says then what follows.
     for tie in automaton.mode(start_mode(automaton, changed)[0] or automaton.mode_names[0]).ties:
-        if automaton.coordinate_names[tie.coordinate] not in values and values:
+        if automaton.coordinate_names[tie.coordinate] not in values:
             mean[tie.coordinate] = float(tie.value(np.array(mean)))
     return replace(changed, mean=tuple(mean))
 
@@ -58,14 +60,12 @@ def with_goal(
     Raises:
         InputError: for an unknown name, for what is no number, and without a tolerance.
     """
-    unharmed = tuple(name for name in automaton.mode_names if name != COLLIDED)
     if modes is None:
         wanted = goal.modes if values is None else ()
     else:
         wanted = (modes,) if isinstance(modes, str) else tuple(modes)
     _check_modes(wanted, automaton, "goal modes")
-    if not wanted and COLLIDED in automaton.mode_names:
-        wanted = unharmed
+    wanted = wanted or unharmed(automaton.mode_names)
     if values is None:
         return replace(goal, modes=wanted)
     known = {index: tolerance for index, _, tolerance in goal.target}
@@ -99,10 +99,8 @@ def with_noise(noise: Noise, automaton: HybridAutomaton, values: Mapping[str, Ma
             if isinstance(value, bool) or not isinstance(value, int | float) or not (isfinite(value) and value >= 0):
                 raise InputError(f"{kind} of {name}: expected a standard deviation, found {shown(value)}")
             stds[index] = float(value)
-        if kind == "process_std":
-            noise = replace(noise, process_std=tuple(stds))
-        else:
-            noise = replace(noise, observation_std=tuple(stds))
+        stated: dict[str, Any] = {kind: tuple(stds)}
+        noise = replace(noise, **stated)
     return noise
 
 

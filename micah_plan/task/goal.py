@@ -8,6 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats
+from micah_plan.automaton.contacts.values import COLLIDED
+
+
+def unharmed(modes: Sequence[str]) -> tuple[str, ...]:
+    """The modes that a goal without modes means: an object that has hit something has not arrived, wherever it is.
+
+    Empty, which means any, for an object that cannot.
+    """
+    return tuple(mode for mode in modes if mode != COLLIDED) if COLLIDED in modes else ()
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -86,10 +86,43 @@ def plan_page(
         InputError: if the runs have other parts than the model, or there is no trajectory that they could follow.
     """
     problem = with_shown_points(problem)
-    automaton = problem.automaton
     if plan.trajectory:
-        plan = replace(plan, trajectory=plan.trajectory.of_first(automaton.n))
+        plan = replace(plan, trajectory=plan.trajectory.of_first(problem.automaton.n))
     runs = _executed(plan, problem, executed, failures)
+    badge = _BADGES[plan.outcome]
+    said = _Said(
+        title=title,
+        kind="plan and its execution" if runs else "plan",
+        badge=runs_badge(runs) if runs else badge,
+        message=f"{badge[0].lower()}: {plan.reason}" if runs else plan.reason,
+        facts=_facts(plan, problem),
+    )
+    return _drawn(plan, problem, runs, said)
+
+
+def problem_page(problem: Problem, *, title: str = "Problem") -> str:
+    """The page of a problem that is not solved yet, as HTML text: the object at the start and in the goal, and what is
+    around it.
+    """
+    message = "from the start, where the object is believed to be, to the goal"
+    said = _Said(title, "problem", ("NOT SOLVED YET", "fair"), message, _asked(problem))
+    return _drawn(Plan("no_plan", "not solved yet"), with_shown_points(problem), (), said)
+
+
+@dataclass(frozen=True)
+class _Said:
+    """What stands beside the scene: see `ScenePage`."""
+
+    title: str
+    kind: str
+    badge: tuple[str, Status]
+    message: str
+    facts: list[tuple[str, str]]
+
+
+def _drawn(plan: Plan, problem: Problem, runs: tuple[ExecutedRun, ...], said: _Said) -> str:
+    """The scene of a plan, its runs, or start and goal where there is no trajectory, with what is said of it."""
+    automaton = problem.automaton
     scene, size = DrawnScene(), object_size(automaton)
     keys = keyframes(plan.trajectory) if plan.trajectory else _still(_start_mode(problem), np.array(problem.start.mean))
     goal = _goal(problem, keys)
@@ -111,54 +144,15 @@ def plan_page(
     parts = [link.child for _, link in shown_links(automaton)]
     points = np.concatenate([handle_path(automaton, frames, part) for frames in (keys, goal) for part in parts])
     page = ScenePage(
-        title=title,
-        kind="plan and its execution" if runs else "plan",
+        **vars(said),
         camera=camera(scene, points, body_boxes(problem.scene)),
-        badge=runs_badge(runs) if runs else _BADGES[plan.outcome],
-        message=f"{_BADGES[plan.outcome][0].lower()}: {plan.reason}" if runs else plan.reason,
         chips=[(name, mode_colors(automaton).get(name, INK)) for name in plan.mode_sequence],
-        facts=_facts(plan, problem),
         legend=[*(runs_legend() if runs else []), *_legend(plan, problem, size, spacing)],
         details=[*(runs_details(runs) if runs else []), *_details(plan, problem)],
         timeline=_timeline(plan.trajectory, problem, runs, after) if plan.trajectory else Timeline(),
         hidden=["spread"],
         charts=plan_charts(plan, pre_release_problem(problem), [(run.run, run.x) for run in runs]),
         runs=listed,
-    )
-    return render_scene(page, scene)
-
-
-def problem_page(problem: Problem, *, title: str = "Problem") -> str:
-    """The page of a problem that is not solved yet, as HTML text: the object at the start and in the goal, and what is
-    around it.
-    """
-    problem = with_shown_points(problem)
-    automaton, mode, start = problem.automaton, _start_mode(problem), np.array(problem.start.mean)
-    scene, size = DrawnScene(), object_size(automaton)
-    keys = _still(mode, start)
-    goal = _goal(problem, keys)
-    _, moved = _whole(problem, keys, None)
-    draw_object(scene, automaton, keys, moved)
-    draw_mode_joints(scene, automaton, keys, moved, size)
-    _draw_state(scene, "start", problem, mode, start, START)
-    placed = goal_poses(problem, goal.states[0])
-    _draw_state(scene, "goal", problem, goal.modes[0], goal.states[0], GOAL, placed)
-    draw_bodies(scene, problem.scene)
-    spacing = draw_ground_and_frame(scene, size)
-    parts = [link.child for _, link in shown_links(automaton)]
-    ends = [handle_path(automaton, frames, part) for frames in (keys, goal) for part in parts]
-    ends += [pose.translation.reshape(-1, 3) for pose in (placed or {}).values()]
-    points = np.concatenate(ends)
-    unsolved = Plan("no_plan", "not solved yet")
-    page = ScenePage(
-        title=title,
-        kind="problem",
-        camera=camera(scene, points, body_boxes(problem.scene)),
-        badge=("NOT SOLVED YET", "fair"),
-        message="from the start, where the object is believed to be, to the goal",
-        facts=_asked(problem),
-        legend=_legend(unsolved, problem, size, spacing),
-        details=_details(unsolved, problem),
     )
     return render_scene(page, scene)
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from micah_plan import HybridAutomaton, InputError, execute, load, show, solve
 from micah_plan.documents.plan import load_plan
@@ -160,6 +161,14 @@ def test_data_with_the_keys_of_a_problem_file(repository: Path, microwave: Hybri
         solve(data | {"goal": {"target": {"dor": {"value": 0.8, "tolerance": 0.03}}}}, model=microwave)
     with pytest.raises(InputError, match="missing key 'start'"):
         solve({"goal": data["goal"]}, model=microwave)
+    held = yaml.safe_load((repository / "problems" / "stapler_on_books.yaml").read_text())
+    held = {key: value for key, value in held.items() if key not in ("robot", "grasp")}  # files beside the problem's
+    stapler = load(repository / "models" / "stapler.yaml")
+    same = solve(held, model=stapler, advise=False, time_limit_s=0.01).problem
+    assert same.goal == load(repository / "problems" / "stapler_on_books.yaml").goal  # type: ignore[union-attr]
+    held["release"]["support"] = "shelf"  # 140 mm higher than the goal
+    with pytest.raises(InputError, match=r"key 'release': goal\.target\.z: released on 'shelf', .* write 0\.4"):
+        solve(held, model=stapler)
     with pytest.raises(InputError, match="missing key 'model'"):
         load(data)
 

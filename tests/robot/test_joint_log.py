@@ -191,6 +191,39 @@ def test_commands_of_a_group_controller(
         is_the_door(found, arm)
 
 
+@requires("ros")
+def test_groups_of_joints_have_commands_of_their_own(arm: Any, tmp_path: Path) -> None:
+    """A gripper is no second command of an arm's joint, though it is as near to one."""
+    from micah_plan.recording.ros_mcap import Logged, header_at, write_log
+
+    q, messages = opened()[0], []
+    for k in range(ROWS):
+        time = 1_700_000_000_000_000_000 + 50_000_000 * k
+        state = {"name": [*arm.joints, "finger"], "position": [*q[k].tolist(), float(q[k, 0])]}
+        state |= {"header": header_at(time, ""), "velocity": [], "effort": []}
+        messages.append(Logged("/joint_states", "sensor_msgs/msg/JointState", time, state))
+        for topic, command in (("/arm/commands", q[k].tolist()), ("/gripper/commands", [float(q[k, 0])])):
+            array = {"layout": {"dim": [], "data_offset": 0}, "data": command}
+            messages.append(Logged(topic, "std_msgs/msg/Float64MultiArray", time, array))
+    (tmp_path / "log.mcap").write_bytes(write_log(messages))
+    columns, notes = read_columns(tmp_path / "log.mcap")
+    assert {name for name in columns if name.startswith("target ")} == {
+        f"target {name}" for name in (*arm.joints, "finger")
+    }
+    assert len(notes) == 2
+
+
+def test_times_by_other_names_and_percent_of_a_range(arm: Any) -> None:
+    columns = {"timestamp": 0.05 * np.arange(ROWS)} | table(arm)
+    is_the_door(tool_recording(columns, arm, Conventions(**ROBOT)), arm)
+    with pytest.raises(InputError, match="column 't' is missing"):
+        tool_recording(columns | {"time": np.arange(ROWS)}, arm, Conventions(**ROBOT))  # which of the two?
+    degrees = tool_recording({"t": 0.05 * np.arange(ROWS)} | table(arm, factor=90.0 / np.pi), arm, Conventions(**ROBOT))
+    assert any("--units deg; or LeRobot's -100 to 100" in note for note in degrees.notes)
+    far = tool_recording({"t": 0.05 * np.arange(ROWS)} | table(arm, factor=900.0), arm, Conventions(**ROBOT))
+    assert not any("LeRobot" in note for note in far.notes)
+
+
 def test_rows_in_which_a_joint_is_not_known_are_gaps(arm: Any) -> None:
     """As before the first message of a topic that begins later."""
     columns = {"t": 0.05 * np.arange(ROWS)} | table(arm)

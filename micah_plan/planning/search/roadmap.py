@@ -64,6 +64,16 @@ class ModeMotion:
     admits: Callable[[Floats], Booleans] | None = None
     held: Callable[[Floats], Floats] | None = None
 
+    @cached_property
+    def facing(self) -> tuple[tuple[int, int, Booleans], ...]:
+        """Pairs (i, j) of obstacles and what is outside, one of them an obstacle, with boundaries that face each other:
+        (h, g) which of theirs do.
+        """
+        every = (*self.obstacles, *self.outside)
+        pairs = ((i, j) for i, j in combinations(range(len(every)), 2) if i < len(self.obstacles))
+        found = ((i, j, _facing(every[i], every[j], self.B)) for i, j in pairs)
+        return tuple((i, j, facing) for i, j, facing in found if facing.any())
+
     def steps(self, x: Floats, y: Floats) -> Floats:
         """(k,) number of steps (not rounded) of the straight motions x (k, n) -> y (k, n); infinite if not allowed."""
         delta = y - x
@@ -155,16 +165,12 @@ def _squeezed(motion: ModeMotion, x: Floats, y: Floats) -> Booleans:
 
     What a mode's invariant excludes is one more of them; but a mode may be as thin as its invariant alone makes it.
     """
-    obstacles, real = (*motion.obstacles, *motion.outside), len(motion.obstacles)
+    obstacles = (*motion.obstacles, *motion.outside)
     found = np.zeros(len(x), dtype=bool)
-    if not real or len(obstacles) < 2:
-        return found
-    ends = [_within(obstacle, x, y, -EQUAL) for obstacle in obstacles]
-    beside = [leave - enter > EQUAL for enter, leave in ends]
-    for i, j in combinations(range(len(obstacles)), 2):
-        facing = _facing(obstacles[i], obstacles[j], motion.B)
-        if i >= real or not facing.any():  # an obstacle is among them
-            continue
+    needed = {number for i, j, _ in motion.facing for number in (i, j)}
+    ends = {number: _within(obstacles[number], x, y, -EQUAL) for number in needed}
+    beside = {number: leave - enter > EQUAL for number, (enter, leave) in ends.items()}
+    for i, j, facing in motion.facing:
         begin, end = (limit([ends[i][side], ends[j][side]], axis=0) for side, limit in ((0, np.max), (1, np.min)))
         k = np.flatnonzero(~found & beside[i] & beside[j] & (end - begin > EQUAL))
         at = x[k] + 0.5 * (begin + end)[k, None] * (y[k] - x[k])
