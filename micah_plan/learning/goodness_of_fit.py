@@ -42,7 +42,7 @@ from micah_plan.learning.segmenting.free import (
 )
 from micah_plan.learning.segmenting.noise import MeasurementNoise, NoiseModel
 from micah_plan.learning.segmenting.noise_fit import WANDER_DURATIONS, initial_noise, misses
-from micah_plan.learning.segmenting.segmentation import Segmented, best_single, log_probability_at_most
+from micah_plan.learning.segmenting.segmentation import Segmented, best_single
 from micah_plan.learning.segments import FittedPiece, left_by, segment_configurations
 from micah_plan.learning.settings import LearnSettings
 from micah_plan.learning.track import PartTrack, extent
@@ -113,11 +113,8 @@ def assess_joints(
     answer = segmented.log_probability
     if path is None and not (missed_by_one > _CURVED * scatter).any():
         # Rows that come by once lie on a smooth curve whatever holds them, and one joint is as near as joints are.
-        fits = single.log_probability > max(answer, log_probability_at_most(segmented, settings))
-        return GoodnessOfFit(-np.inf, single.log_probability, single) if fits else None
+        return GoodnessOfFit(-np.inf, single.log_probability, single) if single.log_probability > answer else None
     log_alternative = (free if path is None else path.log_probability) - _RARE
-    if log_alternative > answer:
-        answer = log_probability_at_most(segmented, settings)
     if log_alternative <= answer:
         return GoodnessOfFit(log_alternative - answer, answer)
     log_odds = log_alternative - max(single.log_probability, answer)

@@ -48,7 +48,6 @@ from micah_plan.learning.settings import LearnSettings
 from micah_plan.learning.track import PartTrack
 
 _MOST_ROUNDS = 3  # of segments, joints and noise in turn
-_TIGHTENED = 2  # rounds of noise and joints
 _MOST_PROPOSALS = 3  # that are settled
 _GRAINS = 16  # places that are told apart when proposals are compared
 _CONVERGED = 0.2  # nats
@@ -80,22 +79,6 @@ def segment_track(track: PartTrack, settings: LearnSettings, start: Segmented | 
     best = max(outcomes, key=lambda outcome: outcome.log_probability)
     others = tuple(alternative(outcome) for outcome in outcomes if outcome is not best)
     return replace(_beside_rivals(best, settings), others=others)
-
-
-def log_probability_at_most(answer: Segmented, settings: LearnSettings) -> float:
-    """ln probability of the joints of an answer under the noise that explains them best, however little it wanders.
-
-    That a tracker wanders is expected where segments are told apart, so that no wander becomes a joint. Whether there
-    is any joint is asked with all scales open, as they are for free motion.
-    """
-    prior, best = answer.prior, answer.log_probability
-    for _ in range(_TIGHTENED):
-        noise = fit_noise_to_residuals([(answer.table.pool, answer.segmentation.which)], settings, any_slow=True)
-        (table,) = _tables([answer], noise, settings)
-        joints_in_use = list(range(len(rows_of_joints(answer)[0])))
-        answer = Segmented(answer.track, noise[0], prior, shared(table, joints_in_use, prior, settings), table)
-        best = max(best, answer.log_probability)
-    return best
 
 
 def best_single(answer: Segmented, settings: LearnSettings) -> Segmented:
