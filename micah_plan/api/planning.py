@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -232,8 +233,8 @@ class RunsResult(Result):
 
     @property
     def success(self) -> bool:
-        """Whether every trial reached the goal."""
-        return self.successes == self.trials
+        """Whether every trial of a verified plan reached the goal."""
+        return self.planned.success and self.successes == self.trials
 
     @property
     def outcome(self) -> str:
@@ -292,6 +293,8 @@ class RunsResult(Result):
             said, whose = "are believed to have reached the goal (the plant does not know the truth)", " (believed)"
         spread = with_spread(error.mean, error.std, unit)
         lines: list[str | Table] = [f"{self.successes} of {self.trials} trials {said}"]
+        if not self.planned.success:
+            lines.insert(0, f"this plan is not verified, and was executed anyway: {self.planned.reason}")
         if self.statistics.released is not None:
             released = f"{self.statistics.released} stand in the goal on their own, nothing knocked over"
             lines.append(f"  released     {released}")
@@ -305,6 +308,7 @@ class RunsResult(Result):
         released = self.statistics.released
         return {
             "trials": self.trials,
+            **({} if self.planned.success else {"plan": self.planned.outcome, "plan_reason": self.planned.reason}),
             "successes": self.successes,
             "believed": self.statistics.believed,
             "final_error": asdict(self.final_error),
@@ -355,6 +359,7 @@ def execute(
     replan_every: int | None = ...,
     plant_parameters: Mapping[str, float] | None = ...,
     start: Mapping[str, float] | None = ...,
+    anyway: bool = ...,
     progress: Progress | None = ...,
     keep: Keep | None = ...,
 ) -> RunsResult: ...
@@ -369,6 +374,7 @@ def execute(
     replan_every: int | None = None,
     plant_parameters: Mapping[str, float] | None = None,
     start: Mapping[str, float] | None = None,
+    anyway: bool = False,
     progress: Progress | None = None,
     keep: Keep | None = None,
 ) -> RunsResult | ExperimentResult:
@@ -382,6 +388,7 @@ def execute(
         replan_every: steps after which the rest of the plan is optimised again; 0: never; None: as the problem says.
         plant_parameters: physical parameters that differ from the problem's, e.g. ``{"friction": 25.0}``.
         start: where simulated trials truly start, by coordinate, whatever is believed [rad or m].
+        anyway: whether to execute a plan that was found but not verified, too, to see how it fails; in simulation only.
         progress: called with a message and the fraction done.
         keep: called with the log of every trial, also when an error or Ctrl-C breaks it off.
 
@@ -394,7 +401,8 @@ def execute(
     from micah_plan.execution.trials import run_trials
 
     if isinstance(plan, Experiment) or (isinstance(plan, Source) and kind_of(plan) == "experiment"):
-        refuse_options_of_plans({"replan_every": replan_every, "plant_parameters": plant_parameters, "start": start})
+        of_plans = {"replan_every": replan_every, "plant_parameters": plant_parameters, "start": start}
+        refuse_options_of_plans({**of_plans, "anyway": anyway or None})
         return carried_out(plan, plant=plant, repetitions=trials, seed=seed, progress=progress, keep=keep)
     chosen, begin = plan_of(plan), time.perf_counter()
     problem = replace(chosen.problem, plant={**chosen.problem.plant, **(plant_parameters or {})})
@@ -403,5 +411,6 @@ def execute(
     if replan_every is not None:
         problem = replace(problem, settings=replace(problem.settings, replan_every=replan_every))
     trials = 1 if trials is None else trials
-    statistics = run_trials(problem, chosen.plan, plant=plant, trials=trials, seed=seed, progress=progress, keep=keep)
+    run = partial(run_trials, problem, chosen.plan, plant=plant, trials=trials, seed=seed, anyway=anyway)
+    statistics = run(progress=progress, keep=keep)
     return RunsResult(statistics, PlanningResult(chosen.plan, problem), time.perf_counter() - begin)

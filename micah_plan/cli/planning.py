@@ -107,6 +107,10 @@ def execute(
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Where simulated trials truly start, whatever is believed [rad or m]."),
     ] = None,
+    anyway: Annotated[
+        bool,
+        typer.Option("--anyway", help="Also a plan that is not verified, in simulation, to see how it fails."),
+    ] = False,
     seed: Seed = 0,
     as_json: JsonFlag = False,
 ) -> None:
@@ -126,16 +130,17 @@ def execute(
     check_outputs((plan,), outputs)
     if kind_of(plan) == "experiment":
         others = {"--replan-every": replan_every, "--figure": figure, "--html": html, "--start": start}
+        others |= {"--anyway": anyway or None}
         refuse_options_of_plans(others, plan)
         _carry_out(plan, output, plant, trials, seed, as_json)
         return
     stored = load_plan(plan)
-    require_executable(stored)
+    require_executable(stored, anyway)
     planned, machine = PlanningResult(stored.plan, stored.problem), named_plant(plant)
     begun = starts_of(stored.problem, start or ())
     print_warnings(stored.plan.warnings)
     with _kept_logs(output) as logs, progress_bar(as_json) as progress:
-        run = partial(executed, planned, plant=machine, trials=trials or 1, seed=seed, start=begun)
+        run = partial(executed, planned, plant=machine, trials=trials or 1, seed=seed, start=begun, anyway=anyway)
         result = run(replan_every=replan_every, progress=progress, keep=logs.append)
     contents = {output: recording_bytes(result.recording, output)} | drawn(result, title_of(plan), html, figure)
     write_and_print(result, contents, as_json)

@@ -319,16 +319,22 @@ def load_plan(path: str | Path) -> StoredPlan:
     return _stored(located)
 
 
-def require_executable(stored: StoredPlan) -> Trajectory:
+def require_executable(stored: StoredPlan, anyway: bool = False) -> Trajectory:
     """The trajectory of a plan that solves its problem.
+
+    Args:
+        anyway: whether one that was found but not verified will do.
 
     Raises:
         InputError: if the plan has another outcome.
     """
     plan = stored.plan
-    if plan.outcome != "solved" or plan.trajectory is None:
+    if plan.trajectory is None or (plan.outcome != "solved" and not anyway):
         problem = f"plan has outcome {plan.outcome}: {plan.reason}"
-        raise InputError(problem, source=stored.source or None, remedy="only a solved plan can be executed")
+        remedy = "only a solved plan can be executed"
+        if plan.trajectory is not None:
+            remedy += "; `execute --anyway` shows in simulation how this one fails"
+        raise InputError(problem, source=stored.source or None, remedy=remedy)
     return plan.trajectory
 
 

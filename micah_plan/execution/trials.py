@@ -70,6 +70,7 @@ def run_trials(
     seed: int = 0,
     max_steps: int | None = None,
     replans: bool = True,
+    anyway: bool = False,
     progress: Progress | None = None,
     keep: Keep | None = None,
 ) -> TrialStatistics:
@@ -81,6 +82,8 @@ def run_trials(
         max_steps: control steps per trial at most; None: twice the plan's plus 20.
         replans: whether new plans are made where one fails, and the rest of one is optimised again every so many steps
             as the problem's settings ask for.
+        anyway: whether a plan that was found but not verified is executed as well, to see how it fails: by a plant that
+            comes with the package, which is no machine.
         progress: called with a message and the fraction done.
         keep: called with the log of every trial when it ends (of trials in step, when all of them have), and also when
             an error or Ctrl-C breaks it off.
@@ -92,8 +95,10 @@ def run_trials(
         PlantError: if the machine cannot be reset.
     """
     trajectory = plan.trajectory
-    if plan.outcome != "solved" or trajectory is None:
+    if trajectory is None or (plan.outcome != "solved" and not anyway):
         raise InputError(f"only a solved plan can be executed, this one is '{plan.outcome}': {plan.reason}")
+    if plan.outcome != "solved" and not (isinstance(plant, str) and plant in BUILT_IN):
+        raise InputError("a plan that is not verified moves no machine", remedy=f"choose plant {' or '.join(BUILT_IN)}")
     if trials < 1:
         raise InputError(f"trials must be at least 1. Got {trials}")
     carried = pre_release_problem(problem)

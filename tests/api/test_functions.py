@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -164,6 +165,26 @@ def test_no_plan_is_a_result_with_its_reason(repository: Path) -> None:
     assert refused.reason in str(refused)
     with pytest.raises(InputError, match="only a solved plan can be executed"):
         execute(refused)
+
+
+def test_runs_of_a_plan_that_is_not_verified_never_look_like_those_of_a_good_one(
+    repository: Path, solved: PlanningResult
+) -> None:
+    doubtful = replace(solved, plan=replace(solved.plan, outcome="not_verified", reason="too few roll-outs succeed"))
+    with pytest.raises(InputError, match="only a solved plan can be executed"):
+        execute(doubtful)
+    runs = execute(doubtful, trials=2, anyway=True)
+    assert runs.successes == 2  # in truth it is a good plan
+    assert not runs.success
+    assert runs.outcome == "partly"
+    first = str(runs).splitlines()[0]
+    assert first == "this plan is not verified, and was executed anyway: too few roll-outs succeed"
+    assert runs.json()["plan"] == "not_verified"
+    good = execute(solved, trials=2, anyway=True)
+    assert good.success
+    assert "plan" not in good.json()
+    with pytest.raises(InputError, match="anyway is for plans, this is an experiment"):
+        execute(repository / "problems" / "experiments" / "drawer.yaml", anyway=True)
 
 
 @pytest.mark.slow

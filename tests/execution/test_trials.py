@@ -57,6 +57,17 @@ def test_progress_ends_at_one():
     assert "trial 2 of 2" in seen[-1][0]
 
 
+def test_a_plan_that_is_not_verified_is_executed_anyway_in_simulation_only():
+    doubtful = Plan("not_verified", "fails often", pulling())
+    assert run_trials(PULL, doubtful, trials=2, anyway=True).trials == 2
+    with pytest.raises(
+        InputError, match="a plan that is not verified moves no machine; choose plant nominal or mujoco"
+    ):
+        run_trials(PULL, doubtful, plant=lambda problem: make_plant(problem, "nominal"), anyway=True)
+    with pytest.raises(InputError, match="only a solved plan can be executed, this one is 'no_plan'"):
+        run_trials(PULL, Plan("no_plan", "too narrow"), anyway=True)
+
+
 def test_only_solved_plans_are_executed():
     with pytest.raises(InputError, match="only a solved plan can be executed, this one is 'no_plan': too narrow"):
         run_trials(PULL, Plan("no_plan", "too narrow"))
