@@ -37,7 +37,7 @@ INTRODUCTIONS = {
         "Parts file",
         "models/parts/drawer.yaml",
         "Shapes and handles of an object's parts. `micah-plan learn --parts` copies them into the model. They are for "
-        "drawing, for physics and for the clearances of a [robot](../concepts/execution.md#robots); the plan of the "
+        "drawing, for physics and for the clearances of a [robot](../concepts/robots.md); the plan of the "
         "object itself does not use the shapes.",
     ),
     "problem": (
