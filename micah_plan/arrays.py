@@ -21,7 +21,7 @@ DIFFERENCE = 1e-6
 SMALLEST_STD = 1e-9
 """What a standard deviation of 0 is taken for, so that its inverse and its derivative exist [m or rad]."""
 TINY = 1e-12
-"""Beside 1: below it squares and weights are 0 but for round-off; against divisions by 0."""
+"""Beside 1: below it squares and weights are 0 except for round-off; against divisions by 0."""
 VANISHING = 1e-300
 """The smallest share whose logarithm is taken."""
 

@@ -103,7 +103,7 @@ def replace_files(contents: Mapping[Path, bytes]) -> None:
     """Write files that belong together: all are on the disk before the first is replaced, and then one after the other.
 
     Raises:
-        InputError: if one cannot be written; then none is replaced, but for a failure between the replacements.
+        InputError: if one cannot be written; then none is replaced, except for a failure between the replacements.
     """
     waiting: list[tuple[Path, Path]] = []
     path: str | Path = ""

@@ -59,7 +59,7 @@ def sure_graph() -> KinematicGraph:
 
 
 def unfit_graph() -> KinematicGraph:
-    """The same, but for its first segment, which no single joint explains."""
+    """The same, except for its first segment, which no single joint explains."""
     (edge,) = sure_graph().edges
     first = replace(edge.segments[0], certainty=SegmentCertainty(None, (("revolute", 0.001),), NO_SINGLE_JOINT))
     return KinematicGraph((replace(edge, segments=(first, *edge.segments[1:])),))

@@ -23,7 +23,7 @@ _AXIS, _CENTER = ("axis_1", "axis_2"), ("center_1", "center_2")
 
 @dataclass(frozen=True)
 class Freedom:
-    """What one kind of joint has that others have not: formulas are the same for all kinds but for this.
+    """What one kind of joint has that others have not: formulas are the same for all kinds except for this.
 
     Attributes:
         moves, turns, climbs: whether its part moves at all, about an axis, and along that axis while it turns.

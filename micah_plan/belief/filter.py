@@ -170,7 +170,7 @@ def update_each(automaton: HybridAutomaton, beliefs: Sequence[HybridBelief], z: 
 
 
 def explains(automaton: HybridAutomaton, belief: HybridBelief, z: Floats) -> bool:
-    """Whether a measurement z (n,) that was taken in lies where the likeliest mode has the state, but for noise.
+    """Whether a measurement z (n,) that was taken in lies where the likeliest mode has the state, except for noise.
 
     What remains of it scatters by less than the noise of a measurement. Where it is so far away that noise would have
     less than the probability that filters drop, the model does not describe what is measured, however sure the belief.
@@ -509,7 +509,7 @@ def _marginals(belief: BeliefBatch) -> tuple[Floats, Floats]:
 
 
 def _known(mode: Mode, n: int) -> Iterator[tuple[int, Floats, float, float]]:
-    """(coordinate, row (n,), value, std) of a mode's pins and ties: row'x is the value but for the std."""
+    """(coordinate, row (n,), value, std) of a mode's pins and ties: row'x is the value except for the std."""
     unit = np.eye(n)
     for pin in mode.pins:
         yield (

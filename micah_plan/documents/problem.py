@@ -365,7 +365,7 @@ def check_start(start: Start, automaton: HybridAutomaton, located: Located) -> N
 
 
 def _check_ties(start: Start, automaton: HybridAutomaton, mode: Mode, located: Located) -> None:
-    """Refuse a start at which a coordinate is not where those that it follows put it, but for its own std."""
+    """Refuse a start at which a coordinate is not where those that it follows put it, except for its own std."""
     for tie in mode.ties:
         coordinate, found = automaton.coordinates[tie.coordinate], start.mean[tie.coordinate]
         expected = float(tie.value(np.array(start.mean)))

@@ -132,7 +132,7 @@ class RobotDocument(Document):
 
     @classmethod
     def written(cls, value: RobotDescription, scope: Scope) -> Mapping[str, Any]:
-        """The robot's data with the content of its files but for the meshes."""
+        """The robot's data with the content of its files except for the meshes."""
         return {**vars(value), "held": value.locked, "srdf": None, "srdf_text": value.srdf or None}
 
 

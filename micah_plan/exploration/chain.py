@@ -368,7 +368,7 @@ def judged(chains: Sequence[Chain], rows: StepRows) -> tuple[Chain, float]:
 
 
 def _log(chain: Chain) -> float:
-    """Log of its probability, but for a constant [nats]."""
+    """Log of its probability, up to a constant [nats]."""
     return chain.evidence - _JOINT * len(chain.hinges)
 
 

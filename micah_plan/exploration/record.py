@@ -438,6 +438,6 @@ def _student(square: Floats, volume: Floats, count: Floats) -> Floats:
 
 
 def _normal(off: Floats, covariance: Floats) -> Floats:
-    """(n,) log densities of offsets (n, 3), but for a constant."""
+    """(n,) log densities of offsets (n, 3), up to a constant."""
     square = np.einsum("ni,nij,nj->n", off, np.linalg.inv(covariance), off)
     return np.asarray(-0.5 * square - 0.5 * np.linalg.slogdet(covariance)[1])

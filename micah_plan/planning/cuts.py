@@ -187,7 +187,7 @@ def _parts(automaton: HybridAutomaton, mode: Mode) -> dict[str, tuple[Floats, Fl
 
 
 def _cuts(problem: Problem, mode: Mode) -> Iterator[Cut]:
-    """The states of a mode in which a part meets a body, but for those that meet at the start."""
+    """The states of a mode in which a part meets a body, except for those that meet at the start."""
     start = np.array(problem.start.mean)[: problem.automaton.n]
     for name, (points, slides) in _parts(problem.automaton, mode).items():
         if slides is None or not slides.any():

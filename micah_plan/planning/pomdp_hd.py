@@ -54,7 +54,7 @@ _MOST_DETOURS = 2
 
 
 def plan(problem: Problem, seed: int = 0, progress: Progress | None = None, deadline: Deadline | None = None) -> Plan:
-    """Plan from the start belief to the goal. Deterministic but for the limits of processor time.
+    """Plan from the start belief to the goal. Deterministic except for the limits of processor time.
 
     Args:
         problem: what to solve.

@@ -84,7 +84,7 @@ def _speed_beside(step: Floats, is_single: Booleans) -> tuple[Floats, Ints]:
 
 
 def _step_density(error: Floats, scale: Floats | float) -> Floats:
-    """(m,) log density of the lengths of errors (m, k), but for a constant: Student-t."""
+    """(m,) log density of the lengths of errors (m, k), up to a constant: Student-t."""
     squares = np.sum(np.square(error), axis=1) / np.square(scale)
     return np.asarray(-np.log(scale) - 0.5 * (_FREEDOM + 1.0) * np.log1p(squares / _FREEDOM))
 

@@ -124,7 +124,7 @@ def _length(rows: Recording, part: str) -> str:
 
 
 def _extent(rows: Recording) -> float:
-    """Over what a part moves, but for the few rows that are furthest out [m]."""
+    """Over what a part moves, except for the few rows that are furthest out [m]."""
     return float(np.linalg.norm(np.subtract(*np.quantile(rows.position, [0.85, 0.15], axis=0))))
 
 

@@ -31,7 +31,7 @@ GATES = 2
 NEVER_GATED = (-np.inf, -np.inf)
 # Share of commands that lead to where the part can be, give or take the range that was seen, if they are places.
 _REACHABLE = 0.5
-# Commands that differ by less than this share of their size are the same, but for their digits.
+# Commands that differ by less than this share of their size are the same, except for their digits.
 _DIGITS = 1e-3
 
 

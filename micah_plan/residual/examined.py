@@ -119,7 +119,7 @@ def examined(automaton: HybridAutomaton, recording: Recording) -> Examined:
 
 
 def as_begun(data: CoordinateData, gates: Collection[Effect]) -> CoordinateData:
-    """The data whose effects have acted from the start, but for those that began in this recording."""
+    """The data whose effects have acted from the start, except for those that began in this recording."""
     return replace(data, effects=tuple(e if e in gates else replace(e, since=None) for e in data.effects))
 
 

@@ -112,7 +112,7 @@ class Fit:
         return ModelBatch(self.model, vectors[:, :count], vectors[:, count:], np.full(len(vectors), self.freedom))
 
     def penalty(self, vectors: Floats) -> Floats:
-        """(B,) negative log of the prior, but for its constant."""
+        """(B,) negative log of the prior, up to its constant."""
         away = (vectors[:, self.free.at] - self.free.centre) / self.free.std
         return np.asarray(0.5 * (away**2).sum(axis=1))
 

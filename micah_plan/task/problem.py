@@ -105,7 +105,7 @@ class Problem(Summarised):
             start: mean, or (mean, standard deviation), of some coordinates [rad or m].
             start_mode: that it is in; None: the first that allows the mean, where a start is given.
             goal: value, or (value, tolerance), of the coordinates that count [rad or m], instead of the whole target.
-            modes: that count as reached; empty, or where only a goal is given: any, but for a collision.
+            modes: that count as reached; empty, or where only a goal is given: any, except for a collision.
             noise: standard deviations by `process_std` and `observation_std` and by coordinate [rad or m].
 
         Raises:

@@ -3,7 +3,7 @@
 A placement ends with the object released. The hand carries it to a place above its support and lowers it until contact
 is felt; the gripper opens, and the object turns until a side lies flat. It turns about the fingers: as they loosen,
 friction lets it turn between them before it lets it slide, and the edge that touched slides. Where it then is follows
-from where the hand was, but for the height: that is the support's.
+from where the hand was, except for the height: that is the support's.
 
 The goal of a problem with a release speaks of the object at rest: of the state in which a hand would hold it there.
 """

@@ -1,7 +1,7 @@
 """Recordings with a planted action channel.
 
-A joint, a motion that the actions command but for a random walk, and a channel: the frame of the actions turned by up
-to 180°, gains of 0.05 to 3, delays of -0.1 to 0.5 s.
+A joint, a motion that the actions command except for a random walk, and a channel: the frame of the actions turned by
+up to 180°, gains of 0.05 to 3, delays of -0.1 to 0.5 s.
 """
 
 from __future__ import annotations

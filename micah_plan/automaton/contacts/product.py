@@ -2,7 +2,7 @@
 
 The state is the hand's position and the joint, (x, y, z, theta); the input is the hand's displacement. Nothing drives
 the joint but contacts. Modes (MICAH, section V-C, for the stapler; here for any joint and face):
-- *free*: the joint keeps its place but for large noise, it swings;
+- *free*: the joint keeps its place except for large noise, it swings;
 - *line*, *surface*: the joint follows the hand's height above the face (a `Tie`), see `touch`;
 - the learned rigid modes, one each: a rigid object moves alike whatever it touches, so contacts do not multiply them.
 

@@ -79,7 +79,7 @@ class Surroundings:
     """The bodies around a held object.
 
     Attributes:
-        solids: bodies that the object must not hit, but for contacts.
+        solids: bodies that the object must not hit, except for contacts.
         faces: which faces the moving part may touch.
         lower, upper: corners of where the hand may go [m].
     """

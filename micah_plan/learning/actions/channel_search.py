@@ -38,7 +38,7 @@ _TURNS = np.array(  # derivative of exp(e) at 0 by each component of e
 
 @dataclass(frozen=True, eq=False)
 class Quadratic:
-    """ln likelihood (but for a constant) b'm - m'N m / 2 of m = vec(g R) for d delays.
+    """ln likelihood (up to a constant) b'm - m'N m / 2 of m = vec(g R) for d delays.
 
     Attributes:
         normal: (d, 9, 9) N.

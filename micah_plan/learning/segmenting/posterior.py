@@ -131,7 +131,7 @@ _SAME_ROWS = 0.6  # of the rows of either
 # By how much a stop in the end is more probable than the recursion has it where actions do not tell: there a motion may
 # be followed by any kind, and by a pause. And how many times too large the evidence is for kinds, and for rests: joints
 # and noise are fitted to the rows that they are judged by. Both from simulations of short and noisy motions
-# (reliability.py).
+# (`benchmarks overstated` varies each).
 _ENDS_AT_REST = 2.7  # nats
 LOG_ODDS_OVERSTATED = 6.0
 # How many of the parts that leave their joint further than usual are on a mechanism of more than one axis. A hinge in

@@ -66,7 +66,7 @@ def cheapest_sequences(
 
     def push(cost: float, prefix: _Prefix, complete: bool) -> None:
         if np.isfinite(cost):
-            # Orders of independent transitions cost the same but for rounding: the longest prefix goes on, or all of
+            # Orders of independent transitions cost the same except for rounding: the longest prefix goes on, or all of
             # their permutations would be expanded side by side.
             depth = len(prefix.modes) + int(complete)
             heapq.heappush(queue, (round(cost, _DIGITS), -depth, next(tickets), cost, prefix, complete))
