@@ -94,11 +94,7 @@ def run_trials(
         MissingDependencyError: if the plant needs a library that is not installed.
         PlantError: if the machine cannot be reset.
     """
-    trajectory = plan.trajectory
-    if trajectory is None or (plan.outcome != "solved" and not anyway):
-        raise InputError(f"only a solved plan can be executed, this one is '{plan.outcome}': {plan.reason}")
-    if plan.outcome != "solved" and not (isinstance(plant, str) and plant in BUILT_IN):
-        raise InputError("a plan that is not verified moves no machine", remedy=f"choose plant {' or '.join(BUILT_IN)}")
+    trajectory = _executable(plan, plant, anyway)
     if trials < 1:
         raise InputError(f"trials must be at least 1. Got {trials}")
     carried = pre_release_problem(problem)
@@ -124,6 +120,15 @@ def run_trials(
                     if keep is not None and log is not None:
                         keep(log)
     return summarise(results)
+
+
+def _executable(plan: Plan, plant: object, anyway: bool) -> Trajectory:
+    """The trajectory of a plan that is solved; or of any that was found, for a plant that is no machine."""
+    if plan.trajectory is None or (plan.outcome != "solved" and not anyway):
+        raise InputError(f"only a solved plan can be executed, this one is '{plan.outcome}': {plan.reason}")
+    if plan.outcome != "solved" and not (isinstance(plant, str) and plant in BUILT_IN):
+        raise InputError("a plan that is not verified moves no machine", remedy=f"choose plant {' or '.join(BUILT_IN)}")
+    return plan.trajectory
 
 
 def _opened(problem: Problem, plant: str | PlantMaker | Plant) -> AbstractContextManager[CheckedPlant]:
