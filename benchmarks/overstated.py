@@ -14,9 +14,10 @@ number hardly matters.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from types import ModuleType
+from unittest.mock import patch
 
 import numpy as np
 from kinds_catalogue import KINDS, simulated
@@ -34,20 +35,6 @@ NUMBERS: Mapping[str, tuple[tuple[ModuleType, ...], tuple[float, ...]]] = {
 """By name: the modules that look it up, and the values that are tried."""
 LEAST = 1e-4
 """What was said to be impossible, and is so, counts as one in ten thousand."""
-
-
-@contextmanager
-def instead(name: str, value: float) -> Iterator[None]:
-    """With another value of a number."""
-    owners, _ = NUMBERS[name]
-    before = getattr(owners[0], name)
-    for owner in owners:
-        setattr(owner, name, value)
-    try:
-        yield
-    finally:
-        for owner in owners:
-            setattr(owner, name, before)
 
 
 def scored(said: Sequence[tuple[float, bool]]) -> str:
@@ -75,7 +62,9 @@ def main() -> None:
         owners, values = NUMBERS[name]
         now = getattr(owners[0], name)
         for value in sorted({*values, now}):
-            with instead(name, value):
+            with ExitStack() as stack:
+                for owner in owners:
+                    stack.enter_context(patch.object(owner, name, value))
                 answers = [judged(learned(truth.recording)[0], truth) for truth in truths]
             kinds = scored([(one.sure, one.kinds) for one in answers])
             counts = scored([(one.count, one.counted) for one in answers if one.count is not None])

@@ -308,7 +308,11 @@ class RunsResult(Result):
         released = self.statistics.released
         return {
             "trials": self.trials,
-            **({} if self.planned.success else {"plan": self.planned.outcome, "plan_reason": self.planned.reason}),
+            **(
+                {}
+                if self.planned.success
+                else {"plan_outcome": self.planned.outcome, "plan_reason": self.planned.reason}
+            ),
             "successes": self.successes,
             "believed": self.statistics.believed,
             "final_error": asdict(self.final_error),

@@ -51,6 +51,7 @@ from micah_plan.task.plan import (
     ReleasePlan,
     Trajectory,
     disagreement,
+    executable_trajectory,
 )
 from micah_plan.task.problem import Problem
 
@@ -328,14 +329,7 @@ def require_executable(stored: StoredPlan, anyway: bool = False) -> Trajectory:
     Raises:
         InputError: if the plan has another outcome.
     """
-    plan = stored.plan
-    if plan.trajectory is None or (plan.outcome != "solved" and not anyway):
-        problem = f"plan has outcome {plan.outcome}: {plan.reason}"
-        remedy = "only a solved plan can be executed"
-        if plan.trajectory is not None:
-            remedy += "; `execute --anyway` shows in simulation how this one fails"
-        raise InputError(problem, source=stored.source or None, remedy=remedy)
-    return plan.trajectory
+    return executable_trajectory(stored.plan, anyway=anyway, source=stored.source or None)
 
 
 def _stored(located: Located) -> StoredPlan:

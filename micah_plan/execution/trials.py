@@ -17,7 +17,7 @@ from micah_plan.execution.pilot import Replanning
 from micah_plan.execution.plant import Plant, PlantMaker
 from micah_plan.quantities import Progress
 from micah_plan.recording.value import Recording
-from micah_plan.task.plan import Plan, Trajectory
+from micah_plan.task.plan import Plan, Trajectory, executable_trajectory
 from micah_plan.task.plants import BUILT_IN, DEFAULT_PLANT
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import pre_release_problem
@@ -82,8 +82,7 @@ def run_trials(
         max_steps: control steps per trial at most; None: twice the plan's plus 20.
         replans: whether new plans are made where one fails, and the rest of one is optimised again every so many steps
             as the problem's settings ask for.
-        anyway: whether a plan that was found but not verified is executed as well, to see how it fails: by a plant that
-            comes with the package, which is no machine.
+        anyway: whether a plan that is not verified is executed, too: by a plant of the package, which is no machine.
         progress: called with a message and the fraction done.
         keep: called with the log of every trial when it ends (of trials in step, when all of them have), and also when
             an error or Ctrl-C breaks it off.
@@ -94,7 +93,9 @@ def run_trials(
         MissingDependencyError: if the plant needs a library that is not installed.
         PlantError: if the machine cannot be reset.
     """
-    trajectory = _executable(plan, plant, anyway)
+    trajectory = executable_trajectory(plan, anyway=anyway)
+    if plan.outcome != "solved" and not (isinstance(plant, str) and plant in BUILT_IN):
+        raise InputError("a plan that is not verified moves no machine", remedy=f"choose plant {' or '.join(BUILT_IN)}")
     if trials < 1:
         raise InputError(f"trials must be at least 1. Got {trials}")
     carried = pre_release_problem(problem)
@@ -120,15 +121,6 @@ def run_trials(
                     if keep is not None and log is not None:
                         keep(log)
     return summarise(results)
-
-
-def _executable(plan: Plan, plant: object, anyway: bool) -> Trajectory:
-    """The trajectory of a plan that is solved; or of any that was found, for a plant that is no machine."""
-    if plan.trajectory is None or (plan.outcome != "solved" and not anyway):
-        raise InputError(f"only a solved plan can be executed, this one is '{plan.outcome}': {plan.reason}")
-    if plan.outcome != "solved" and not (isinstance(plant, str) and plant in BUILT_IN):
-        raise InputError("a plan that is not verified moves no machine", remedy=f"choose plant {' or '.join(BUILT_IN)}")
-    return plan.trajectory
 
 
 def _opened(problem: Problem, plant: str | PlantMaker | Plant) -> AbstractContextManager[CheckedPlant]:

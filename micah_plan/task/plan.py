@@ -20,6 +20,7 @@ import numpy as np
 
 from micah_plan.arrays import EQUAL, Booleans, Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.errors import InputError
 from micah_plan.quantities import Summarised
 from micah_plan.task.problem import Problem
 
@@ -250,6 +251,24 @@ def least_share(confidence: float, trials: int) -> float:
     standard error of the observed share would vanish where nothing succeeds.
     """
     return confidence - _STANDARD_ERRORS * math.sqrt(confidence * (1.0 - confidence) / max(trials, 1))
+
+
+def executable_trajectory(plan: Plan, *, anyway: bool = False, source: str | None = None) -> Trajectory:
+    """The trajectory of a plan that solves its problem.
+
+    Args:
+        anyway: whether one that was found but not verified will do.
+        source: the file that the plan is in.
+
+    Raises:
+        InputError: if the plan has another outcome.
+    """
+    if plan.trajectory is not None and (plan.outcome == "solved" or anyway):
+        return plan.trajectory
+    remedy = "only a solved plan can be executed"
+    if plan.trajectory is not None:
+        remedy += "; `execute --anyway` shows in simulation how this one fails"
+    raise InputError(f"plan has outcome {plan.outcome}: {plan.reason}", source=source, remedy=remedy)
 
 
 def disagreement(plan: Plan, problem: Problem) -> tuple[str, str] | None:

@@ -93,7 +93,7 @@ def plan_page(
     said = _Said(
         title=title,
         kind="plan and its execution" if runs else "plan",
-        badge=runs_badge(runs) if runs else badge,
+        badge=_badge_of_runs(plan, runs) if runs else badge,
         message=f"{badge[0].lower()}: {plan.reason}" if runs else plan.reason,
         facts=_facts(plan, problem),
     )
@@ -107,6 +107,15 @@ def problem_page(problem: Problem, *, title: str = "Problem") -> str:
     message = "from the start, where the object is believed to be, to the goal"
     said = _Said(title, "problem", ("NOT SOLVED YET", "fair"), message, _asked(problem))
     return _drawn(Plan("no_plan", "not solved yet"), with_shown_points(problem), (), said)
+
+
+def _badge_of_runs(plan: Plan, runs: tuple[ExecutedRun, ...]) -> tuple[str, Status]:
+    """How many runs reached the goal; what a plan is that was executed anyway stands before that, in its colour."""
+    said, status = runs_badge(runs)
+    if plan.outcome == "solved":
+        return said, status
+    outcome, status = _BADGES[plan.outcome]
+    return f"{outcome}, {said}", status
 
 
 @dataclass(frozen=True)

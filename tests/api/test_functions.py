@@ -179,10 +179,11 @@ def test_runs_of_a_plan_that_is_not_verified_never_look_like_those_of_a_good_one
     assert runs.outcome == "partly"
     first = str(runs).splitlines()[0]
     assert first == "this plan is not verified, and was executed anyway: too few roll-outs succeed"
-    assert runs.json()["plan"] == "not_verified"
+    assert runs.json()["plan_outcome"] == "not_verified"
+    assert "NOT VERIFIED, 2 of 2 runs reached the goal" in runs.page()
     good = execute(solved, trials=2, anyway=True)
     assert good.success
-    assert "plan" not in good.json()
+    assert "plan_outcome" not in good.json()
     with pytest.raises(InputError, match="anyway is for plans, this is an experiment"):
         execute(repository / "problems" / "experiments" / "drawer.yaml", anyway=True)
 

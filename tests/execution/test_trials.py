@@ -64,14 +64,14 @@ def test_a_plan_that_is_not_verified_is_executed_anyway_in_simulation_only():
         InputError, match="a plan that is not verified moves no machine; choose plant nominal or mujoco"
     ):
         run_trials(PULL, doubtful, plant=lambda problem: make_plant(problem, "nominal"), anyway=True)
-    with pytest.raises(InputError, match="only a solved plan can be executed, this one is 'no_plan'"):
+    with pytest.raises(InputError, match="plan has outcome no_plan: too narrow; only a solved plan"):
         run_trials(PULL, Plan("no_plan", "too narrow"), anyway=True)
 
 
 def test_only_solved_plans_are_executed():
-    with pytest.raises(InputError, match="only a solved plan can be executed, this one is 'no_plan': too narrow"):
+    with pytest.raises(InputError, match="plan has outcome no_plan: too narrow; only a solved plan can be executed"):
         run_trials(PULL, Plan("no_plan", "too narrow"))
-    with pytest.raises(InputError, match="'not_verified'"):
+    with pytest.raises(InputError, match=r"plan has outcome not_verified: .*`execute --anyway`"):
         run_trials(PULL, Plan("not_verified", "fails often", pulling()))
     with pytest.raises(InputError, match="trials must be at least 1"):
         run_trials(PULL, PLAN, trials=0)
