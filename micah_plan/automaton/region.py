@@ -100,7 +100,7 @@ class HalfSpace:
         """Whether they face each other and have nothing in common but perhaps their boundary."""
         if not self.faces(half_space):
             return False
-        return -half_space.c / half_space._size <= self.c / self._size + 1e-9
+        return -half_space.offset <= self.offset + 1e-9
 
     def margin(self, x: Floats, u: Floats) -> Floats:
         """a'x + b'u - c for x (..., n) and u (..., m); positive inside."""
@@ -116,6 +116,16 @@ class HalfSpace:
     def _normal(self) -> tuple[float, ...]:
         """(n,) weights of the state, of length 1."""
         return tuple((np.array(self.a) / self._size).tolist())
+
+    @cached_property
+    def direction(self) -> tuple[float, ...]:
+        """(n,) weights of the state, of length 1 and to nine digits: equal for boundaries that are parallel."""
+        return tuple((np.round(self._normal, 9) + 0.0).tolist())
+
+    @cached_property
+    def offset(self) -> float:
+        """How far the boundary is from the origin, along `direction`."""
+        return self.c / self._size
 
     @cached_property
     def _weights(self) -> tuple[Floats, Floats]:

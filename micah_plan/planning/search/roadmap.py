@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import combinations, permutations
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,8 @@ from micah_plan.task.settings import NEVER, Deadline
 _MISS = 1e-7
 # Cost of a transition, in steps: with equal motion the sequence with fewer modes comes first.
 TRANSITION_COST = 1.0
+# Margins within which a state is on a boundary, and normals of the same plane.
+_ON_BOUNDARY, _SAME_NORMAL = 2.0 * EQUAL, 1e-8
 # Fewer states than this are all connected with each other, about as PRM* would.
 _FEWEST_GROWN = 8
 
@@ -65,14 +67,26 @@ class ModeMotion:
     held: Callable[[Floats], Floats] | None = None
 
     @cached_property
-    def facing(self) -> tuple[tuple[int, int, Booleans], ...]:
-        """Pairs (i, j) of obstacles and what is outside, one of them an obstacle, with boundaries that face each other:
-        (h, g) which of theirs do.
+    def shared_faces(self) -> dict[tuple[int, int], Booleans]:
+        """By pairs (i, j) of obstacles and what is outside, one of them an obstacle, that share a face: (h, g) which of
+        their boundaries it is, of those that inputs move a state across.
         """
         every = (*self.obstacles, *self.outside)
-        pairs = ((i, j) for i, j in combinations(range(len(every)), 2) if i < len(self.obstacles))
-        found = ((i, j, _facing(every[i], every[j], self.B)) for i, j in pairs)
-        return tuple((i, j, facing) for i, j, facing in found if facing.any())
+        boundaries = [(i, h, row) for i, region in enumerate(every) for h, row in enumerate(region.half_spaces)]
+        a = np.array([row.a for _, _, row in boundaries]).reshape(-1, len(self.B))
+        size = np.maximum(np.linalg.norm(a, axis=1), ROUND_OFF)
+        normal, place = a / size[:, None], np.array([row.c for _, _, row in boundaries]) / size
+        owner, moves = np.array([i for i, _, _ in boundaries]), (a @ self.B).any(axis=1)
+        shared = dict[tuple[int, int], Booleans]()
+        for k in np.flatnonzero(moves & (owner < len(self.obstacles))).tolist():
+            near = _ON_BOUNDARY * (1.0 / size[k] + 1.0 / size) + _SAME_NORMAL
+            faces = moves & (owner > owner[k]) & (np.abs(place + place[k]) <= near)
+            faces &= np.abs(normal + normal[k]).max(axis=1) <= _SAME_NORMAL
+            i, h, _ = boundaries[k]
+            for j, g, _ in (boundaries[other] for other in np.flatnonzero(faces)):
+                count = len(every[i].half_spaces), len(every[j].half_spaces)
+                shared.setdefault((i, j), np.zeros(count, dtype=bool))[h, g] = True
+        return shared
 
     def steps(self, x: Floats, y: Floats) -> Floats:
         """(k,) number of steps (not rounded) of the straight motions x (k, n) -> y (k, n); infinite if not allowed."""
@@ -167,26 +181,18 @@ def _squeezed(motion: ModeMotion, x: Floats, y: Floats) -> Booleans:
     """
     obstacles = (*motion.obstacles, *motion.outside)
     found = np.zeros(len(x), dtype=bool)
-    needed = {number for i, j, _ in motion.facing for number in (i, j)}
+    needed = {number for pair in motion.shared_faces for number in pair}
     ends = {number: _within(obstacles[number], x, y, -EQUAL) for number in needed}
     beside = {number: leave - enter > EQUAL for number, (enter, leave) in ends.items()}
-    for i, j, facing in motion.facing:
+    for (i, j), shared in motion.shared_faces.items():
         begin, end = (limit([ends[i][side], ends[j][side]], axis=0) for side, limit in ((0, np.max), (1, np.min)))
         k = np.flatnonzero(~found & beside[i] & beside[j] & (end - begin > EQUAL))
         at = x[k] + 0.5 * (begin + end)[k, None] * (y[k] - x[k])
         touched = [_touched(obstacles[number], at, motion.B) for number in (i, j)]
         # At an edge there is a way past one of them.
-        other = (touched[0][:, :, None] & touched[1][:, None, :] & ~facing).any(axis=(1, 2))
+        other = (touched[0][:, :, None] & touched[1][:, None, :] & ~shared).any(axis=(1, 2))
         found[k] = touched[0].any(axis=1) & touched[1].any(axis=1) & ~other
     return found
-
-
-def _facing(obstacle: Region, other: Region, moves: Floats) -> Booleans:
-    """(h, g) which boundaries of two obstacles, of those that inputs move a state across, face each other."""
-    pairs = [
-        [_moved(h, moves) and _moved(g, moves) and h.faces(g) for g in other.half_spaces] for h in obstacle.half_spaces
-    ]
-    return np.array(pairs, dtype=bool)
 
 
 def _moved(boundary: HalfSpace, moves: Floats) -> bool:
@@ -197,7 +203,7 @@ def _moved(boundary: HalfSpace, moves: Floats) -> bool:
 def _touched(obstacle: Region, x: Floats, moves: Floats) -> Booleans:
     """(k, h) on which boundaries of an obstacle states (k, n) are, of those that inputs through B (n, m) cross."""
     margins = obstacle.margins(x, np.zeros((len(x), len(obstacle.half_spaces[0].b))))
-    return (np.abs(margins) <= 2.0 * EQUAL) & [_moved(h, moves) for h in obstacle.half_spaces]
+    return (np.abs(margins) <= _ON_BOUNDARY) & [_moved(h, moves) for h in obstacle.half_spaces]
 
 
 @dataclass(frozen=True, eq=False)

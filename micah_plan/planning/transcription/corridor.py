@@ -127,12 +127,12 @@ def _nearest(outside: Iterable[HalfSpace], stds: Mapping[HalfSpace, float]) -> l
     Args:
         stds: of those thresholds that are uncertain; only those that are equally so stand for each other.
     """
-    nearest = dict[tuple[float, ...], HalfSpace]()
+    nearest = dict[tuple[tuple[float, ...], float], HalfSpace]()
     for h in outside:
-        direction = (*(np.round(np.array(h.a) / np.linalg.norm(h.a), 9) + 0.0).tolist(), stds.get(h, 0.0))
-        before = nearest.get(direction)
-        if before is None or h.c / np.linalg.norm(h.a) < before.c / np.linalg.norm(before.a):
-            nearest[direction] = h
+        alike = h.direction, stds.get(h, 0.0)
+        before = nearest.get(alike)
+        if before is None or h.offset < before.offset:
+            nearest[alike] = h
     return list(nearest.values())
 
 
