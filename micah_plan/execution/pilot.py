@@ -13,6 +13,7 @@ from micah_plan.arrays import ROUND_OFF, Floats
 from micah_plan.automaton.input_memory import own_size
 from micah_plan.automaton.transition import step
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.planning.avoided_inputs import cut_off
 from micah_plan.planning.feedback import feedback_input
 from micah_plan.planning.limits import coasted, limited_input, limits_of
 from micah_plan.task.plan import ArmTrajectory, Trajectory
@@ -72,15 +73,16 @@ class PlanFollower:
         knot, agrees = self._knot, mode == plan.modes[self._knot]
         if knot == len(plan.inputs):
             if self._has_arrived(belief):
-                return Advice(self._settle(belief, knot), "finished")
+                return Advice(self._without_unplanned(belief, self._settle(belief, knot), knot - 1), "finished")
         elif agrees or self._still_arrives(mode, estimate):
             self._knot += 1
             strayed = agrees and self._strayed(belief, knot)
-            return Advice(self._planned(mode, estimate, knot), "strayed" if strayed else "on_plan")
+            u = self._without_unplanned(belief, self._planned(mode, estimate, knot), knot)
+            return Advice(u, "strayed" if strayed else "on_plan")
         earlier = [k for k in range(knot) if plan.modes[k] == mode]
-        if earlier:
-            return Advice(self._towards(mode, estimate, earlier[-1]), "lagging")
-        return Advice(self._towards(mode, estimate, knot), "off_plan")
+        aim = earlier[-1] if earlier else knot
+        fit: Fit = "lagging" if earlier else "off_plan"
+        return Advice(self._without_unplanned(belief, self._towards(mode, estimate, aim), aim - 1), fit)
 
     @property
     def place(self) -> tuple[Trajectory, int]:
@@ -153,6 +155,11 @@ class PlanFollower:
         away[: self._size] = self._trajectory.means[knot][: self._size] - ahead[: self._size]
         u = np.linalg.pinv(effect) @ np.where(effect.any(axis=1), away, 0.0)
         return self._limited(mode, estimate, np.asarray(u, dtype=float))
+
+    def _without_unplanned(self, belief: HybridBelief, u: Floats, knot: int) -> Floats:
+        """An input without what would take a transition that the planned one of a knot is out of; -1: at rest."""
+        planned = self._trajectory.inputs[knot] if knot >= 0 else np.zeros_like(u)
+        return np.asarray(cut_off(self._automaton, belief.weights[None], u[None], self._max_step, planned)[0])
 
     def _limited(self, mode: str, estimate: Floats, u: Floats) -> Floats:
         return limited_input(self._automaton.mode(mode), estimate, u, self._max_step)

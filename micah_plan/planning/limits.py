@@ -113,16 +113,18 @@ def room_for_motion(held: Floats, max_step: Floats) -> Floats:
     return np.asarray(np.maximum(max_step - np.abs(held), _LEAST_ROOM * max_step))
 
 
-def input_length(path: Floats, B: Floats, limits: Limits, held: Floats, drift: Floats) -> float:
+def input_length(path: Floats, B: Floats, bounds: tuple[Floats, Floats], held: Floats, drift: Floats) -> float:
     """Least number of steps (not rounded) that lead along waypoints (w, n), by inputs through B (n, m) and by drift.
 
     Args:
+        bounds: (m,) lowest and (m,) highest inputs.
         held: (w, m) inputs that keep it at each waypoint.
         drift: (n,) of a step, of what no input moves.
     """
     away, most = np.diff(path, axis=0), np.maximum(np.abs(held[:-1]), np.abs(held[1:]))
     u = away @ np.linalg.pinv(B).T
-    steps = np.max(np.abs(u) / room_for_motion(most, limits.max_step), axis=1, initial=0.0)
+    lowest, highest = bounds
+    steps = np.max(np.abs(u) / room_for_motion(most, np.where(u < 0.0, -lowest, highest)), axis=1, initial=0.0)
     moving = drift != 0.0
     waited = np.max(away[:, moving] / drift[moving], axis=1, initial=0.0)
     return float(np.sum(np.maximum(steps, waited)))

@@ -19,6 +19,7 @@ from micah_plan.automaton.step_noise import drawn_gains
 from micah_plan.automaton.transition import TransitionBatch
 from micah_plan.belief.filter import initial_belief, predict_belief, repeated, update
 from micah_plan.belief.hybrid_belief import BeliefBatch
+from micah_plan.planning.avoided_inputs import cut_off
 from micah_plan.planning.feedback import feedback_input, time_knots
 from micah_plan.planning.limits import (
     limited_input,
@@ -115,6 +116,7 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
         u = feedback_input(trajectory, int(knot), estimate)
         for number, rows in alike(believed):
             u[rows] = limited_input(whole.modes[number], estimate[rows], u[rows], limits.max_step)
+        u = cut_off(whole, beliefs.weights, u, limits.max_step, trajectory.inputs[knot])
         commanded = channel.pass_on(towards(automaton, estimate, x, u), modes, x)
         modes, x = chances.objects.step(modes, x, commanded, chances.process[step])
         visited.append(modes)

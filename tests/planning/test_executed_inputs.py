@@ -303,7 +303,7 @@ def test_what_nobody_can_do_has_no_plan_that_is_taken_for_good(tmp_path, why) ->
 
 
 @pytest.mark.parametrize("texts", [GLASS, WALL], ids=["glass", "wall"])
-def test_the_inputs_that_are_executed_keep_to_their_bound_with_the_confidence(tmp_path, monkeypatch, texts) -> None:
+def test_the_inputs_that_are_executed_keep_to_their_bound(tmp_path, monkeypatch, texts) -> None:
     problem = _problem(tmp_path, texts)
     trajectory = plan(problem).trajectory
     assert trajectory is not None
@@ -317,10 +317,8 @@ def test_the_inputs_that_are_executed_keep_to_their_bound_with_the_confidence(tm
     monkeypatch.setattr(TransitionBatch, "step", spied)
     roll_out(problem, trajectory, draw_chances(problem, trajectory, 4000, 1))
     inputs = np.array(sent)[..., 0]
-    failing = 1.0 - problem.settings.confidence
-    bound = 0.025 if texts is GLASS else None
-    if bound is not None:
-        assert np.mean(inputs >= bound, axis=1).max() < 1.3 * failing
+    if texts is GLASS:
+        assert inputs.max() < 0.025  # what feedback adds is cut off there
     # The feedback moves inputs: without it the planned ones could be nearer to the bound.
     assert inputs.std(axis=1).max() > 0.05 * limits_of(problem).max_step[0]
 

@@ -12,6 +12,7 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
 from micah_plan.automaton.input_reversal import matrix_after
 from micah_plan.automaton.region import HalfSpace
+from micah_plan.planning.avoided_inputs import STRICT_SHARE, input_bounds
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.limits import (
     Limits,
@@ -34,8 +35,6 @@ from micah_plan.task.problem import Problem
 
 # A mode that can move gets at least this many steps: time for measurements even if it is already there.
 _FEWEST_STEPS = 3
-# How far inside a strict guard a plan must be, as a share of a step, where no uncertainty asks for more.
-STRICT_SHARE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,9 +79,7 @@ def guess(problem: Problem, limits: Limits, sequence: ModeSequence, stretch: flo
     """
     flows = [motion_per_input(problem.automaton, mode, limits.max_step) for mode in sequence.modes]
     needed = [
-        input_length(
-            path, B, limits, holding_inputs(problem.automaton, mode, path, B), _drift(problem.automaton, mode, path)
-        )
+        _least_steps(problem, limits, mode, path, B)
         for mode, path, B in zip(sequence.modes, sequence.waypoints, flows, strict=True)
     ]
     steps = _divide(problem, limits, sequence, needed, stretch)
@@ -177,8 +174,7 @@ def _roll(
             covariance = factors[-1] @ factors[-1].T + _spreads(mode, spread, factors, closed)[-1]
             path = np.vstack([path, _inside(path[0], path[-1], covariance, edge, problem, limits)])
         B = motion_per_input(automaton, name, limits.max_step)
-        held, drift = holding_inputs(automaton, name, path, B), _drift(automaton, name, path)
-        needed.append(input_length(path, B, limits, held, drift))
+        needed.append(_least_steps(problem, limits, name, path, B))
         states = _resample(path, limits.speed, count)
         inputs = np.diff(states, axis=0) @ np.linalg.pinv(B).T + holding_inputs(automaton, name, states[:-1], B)
         if edge is not None and automaton.input_memories and not mode.mode.B.any():
@@ -194,6 +190,13 @@ def _roll(
             mean, factor = _belief(compiled_edge(automaton, edge).belief_reset(means[-1], factors[-1], u))
             spread = _carried(automaton, edge, spreads[-1])
     return tuple(phases), needed
+
+
+def _least_steps(problem: Problem, limits: Limits, mode: str, path: Floats, B: Floats) -> float:
+    """Least number of steps (not rounded) of a mode along a path (w, n), by inputs that move it through B (n, m)."""
+    automaton = problem.automaton
+    bounds = input_bounds(automaton, automaton.mode(mode), limits.max_step)
+    return input_length(path, B, bounds, holding_inputs(automaton, mode, path, B), _drift(automaton, mode, path))
 
 
 def _drift(automaton: HybridAutomaton, mode: str, path: Floats) -> Floats:

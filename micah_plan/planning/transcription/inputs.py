@@ -6,7 +6,8 @@ a half-space a'x + b'u >= c is planned to hold as
     a'mean + b'u - c >= k sqrt(||L'a||² + (a + G'b)' Λ (a + G'b)),
 
 with G the gains and Λ the spread of the estimate in closed loop. Admissible inputs are met whatever the feedback asks
-for, since what is executed is cut off there: they bound the planned input alone.
+for, since what is executed is cut off there: they bound the planned input alone. So do guards on the input alone that
+nothing leads back from (`avoided_inputs`).
 """
 
 from __future__ import annotations
@@ -16,11 +17,12 @@ from typing import NamedTuple
 import numpy as np
 
 from micah_plan.arrays import EQUAL, SMALLEST_STD, Floats
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton
+from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
+from micah_plan.planning.avoided_inputs import STRICT_SHARE, needs_margin
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.transcription.corridor import kept_out, mixed_guards
-from micah_plan.planning.transcription.guess import STRICT_SHARE, PhaseGuess
+from micah_plan.planning.transcription.guess import PhaseGuess
 from micah_plan.planning.transcription.rows import Row, boundary_name, unit_of
 
 
@@ -63,20 +65,12 @@ def input_rows(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, k:
     for edge in automaton.edges:
         (first, *others) = edge.guard.half_spaces or (None,)
         if edge.source == guess.mode and not edge.is_self_transition and not others and first and first.on_input:
-            sides += [(step, first, -1.0, not _leads_back(automaton, edge)) for step in steps]
+            sides += [(step, first, -1.0, needs_margin(automaton, edge)) for step in steps]
     for guard, edge in mixed_guards(automaton, guess).items():
         of_steps = enumerate(kept_out(guard, guess, k))
-        sides += [(step, h, -1.0, not _leads_back(automaton, edge)) for step, h in of_steps if h.on_input]
+        sides += [(step, h, -1.0, needs_margin(automaton, edge)) for step, h in of_steps if h.on_input]
     rows = [_row(automaton, limits, guess, side, k, is_sent=False) for side in dict.fromkeys(sides[sent:])]
     return [_row(automaton, limits, guess, side, k, is_sent=True) for side in sides[:sent]] + rows
-
-
-def _leads_back(automaton: HybridAutomaton, edge: Edge) -> bool:
-    """Whether a transition leads to where one leads back: a lost contact is found again, what is broken is not mended.
-
-    Such a transition the planned input must not take, but what the feedback adds to it may.
-    """
-    return any(back.target == edge.source for back in automaton.edges_from(edge.target))
 
 
 def _row(

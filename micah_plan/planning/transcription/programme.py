@@ -39,6 +39,7 @@ import numpy as np
 from micah_plan.arrays import SMALLEST_STD, Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.input_reversal import input_reversal_of
+from micah_plan.planning.avoided_inputs import STRICT_SHARE
 from micah_plan.planning.limits import Limits, steps_of_memory
 from micah_plan.planning.nlp import Programme
 from micah_plan.planning.path_constraints import effort_cost, goal_cost, variance_cost
@@ -53,7 +54,7 @@ from micah_plan.planning.transcription.corridor import (
     path_rows,
     pattern_entries,
 )
-from micah_plan.planning.transcription.guess import STRICT_SHARE, PhaseGuess, crossed, guard_need
+from micah_plan.planning.transcription.guess import PhaseGuess, crossed, guard_need
 from micah_plan.planning.transcription.inputs import InputRow, deepest, input_rows, spread_across
 from micah_plan.planning.transcription.rows import ConstraintRows, Row, unit_of
 from micah_plan.planning.transcription.stops import planned_step

@@ -1,0 +1,94 @@
+"""Inputs that no step is meant to make: those that take a transition which is not planned.
+
+Whether a guard on the input alone holds (carried faster than this a glass spills, pulled harder than this a string
+tears) follows from what is sent, which nothing makes uncertain. So, as with the largest step and with admissible
+inputs, feedback is cut off where it would take such a transition, in roll-outs and in execution; the plan needs no
+margin for it, but steps enough. That holds for guards that nothing leads back from: a contact that is lost is found
+again, and may be lost where feedback pulls back.
+
+Guards on places as well keep the margin: where the place is uncertain, slowing down whenever it may be the wrong one
+costs more plans than it saves.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from micah_plan.arrays import Floats
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
+from micah_plan.automaton.memo import memoised
+from micah_plan.automaton.region import HalfSpace
+
+STRICT_SHARE = 1e-3
+"""How far inside of a strict guard, or outside of one that is not, a plan must be, as a share of a step, where no
+uncertainty asks for more."""
+
+
+# A mode that is less likely is not feared.
+_LEAST_WEIGHT = 1e-3
+
+
+def leads_back(automaton: HybridAutomaton, edge: Edge) -> bool:
+    """Whether a transition leads to where one leads back: a lost contact is found again, what is broken is not."""
+    return any(back.target == edge.source for back in automaton.edges_from(edge.target))
+
+
+@memoised
+def _final_guards(automaton: HybridAutomaton, mode: Mode) -> tuple[tuple[HalfSpace, ...], ...]:
+    """The guards on the input alone of a mode's transitions that nothing leads back from."""
+    if automaton.input_memories:  # what is sent now arrives later, in part
+        return ()
+    edges = (edge for edge in automaton.edges_from(mode.name) if not edge.is_self_transition)
+    guards = (edge.guard for edge in edges if not leads_back(automaton, edge))
+    return tuple(guard.half_spaces for guard in guards if guard.on_input and not guard.on_state)
+
+
+def needs_margin(automaton: HybridAutomaton, edge: Edge) -> bool:
+    """Whether a plan leaves room for feedback before the half-spaces on inputs of a guard that it keeps out of.
+
+    Not where feedback is cut off, nor where it may take the transition since one leads back.
+    """
+    is_final = edge.guard.half_spaces in _final_guards(automaton, automaton.mode(edge.source))
+    return not is_final and not leads_back(automaton, edge)
+
+
+def cut_off(automaton: HybridAutomaton, weights: Floats, u: Floats, max_step: Floats, planned: Floats) -> Floats:
+    """(t, m) inputs, out of those guards that a planned input (m,) is out of.
+
+    Of a guard that it is out of by several half-spaces, the one that it misses by most is kept to.
+
+    Args:
+        weights: (t, q) of the modes in each of t beliefs: of all that are possible the guards count.
+    """
+    cut = u.copy()
+    for number, mode in enumerate(automaton.modes):
+        possible = weights[:, number] > _LEAST_WEIGHT
+        for guard in _final_guards(automaton, mode):
+            missed = [(h.c - float(np.array(h.b) @ planned)) / float(np.linalg.norm(h.b)) for h in guard]
+            if max(missed) > 0.0:
+                kept = guard[int(np.argmax(missed))]
+                b = np.array(kept.b)
+                inside = cut @ b - kept.c + STRICT_SHARE * float(np.abs(b) @ max_step)
+                cut -= np.outer(np.maximum(0.0, inside) * possible, b / float(b @ b))
+    return cut
+
+
+def input_bounds(automaton: HybridAutomaton, mode: Mode, max_step: Floats) -> tuple[Floats, Floats]:
+    """(m,) lowest and (m,) highest inputs of a mode that are admissible and take no transition, each input by itself.
+
+    Half-spaces that couple inputs, or inputs and states, are left to the optimisation.
+    """
+    lowest, highest = -max_step, max_step.copy()
+    rows = [h for h in mode.inputs.half_spaces if not h.on_state]
+    for edge in automaton.edges_from(mode.name):
+        if len(edge.guard.half_spaces) == 1 and not edge.is_self_transition:
+            rows += [h.opposite for h in edge.guard.half_spaces if not h.on_state]
+    for h in rows:  # b'u >= c
+        at = np.flatnonzero(h.b)
+        if len(at) == 1 and h.c < 0.0:  # rest is admissible
+            (j,), bound = at, h.c / h.b[at[0]]
+            if bound < 0.0:
+                lowest[j] = max(lowest[j], bound)
+            else:
+                highest[j] = min(highest[j], bound)
+    return lowest, highest
