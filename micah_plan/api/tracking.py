@@ -11,6 +11,7 @@ import numpy as np
 from micah_plan.api.inputs import Measured, located, recording_of
 from micah_plan.api.result import RecordedResult
 from micah_plan.arrays import Floats
+from micah_plan.automaton.graph import KinematicGraph
 from micah_plan.documents.tags import load_tags
 from micah_plan.errors import located_in
 from micah_plan.quantities import Progress, Table, plain, quantity
@@ -55,6 +56,14 @@ class _Tracking(RecordedResult):
     def warnings(self) -> tuple[str, ...]:
         return self.tracked.notes
 
+    def _learned(self) -> KinematicGraph | None:
+        """The joints that the poses show; None where they are too few."""
+        from micah_plan.learning.learn import learn_graph
+        from micah_plan.learning.settings import FEWEST_ROWS
+
+        is_enough = all(len(self.recording.select(part=part)) >= FEWEST_ROWS for part in self.recording.parts)
+        return learn_graph(self.recording) if is_enough else None
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TrackResult(_Tracking):
@@ -77,13 +86,9 @@ class TrackResult(_Tracking):
         Raises:
             InputError: if the video is no longer there.
         """
-        from micah_plan.learning.learn import learn_graph
-        from micah_plan.learning.settings import FEWEST_ROWS
         from micah_plan.view.tracked_page import tracked_page
 
-        recording = self.recording
-        is_enough = all(len(recording.select(part=part)) >= FEWEST_ROWS for part in recording.parts)
-        return tracked_page(self.tracked, learn_graph(recording) if is_enough else None, title=title or self.title)
+        return tracked_page(self.tracked, self._learned(), title=title or self.title)
 
     def report(self) -> list[str | Table]:
         found = self.tracked
@@ -126,6 +131,13 @@ class PointsResult(_Tracking):
     @property
     def title(self) -> str:
         return "Tracked bodies"
+
+    def page(self, title: str = "") -> str:
+        """The points in the colours of their bodies, moving with them, beside the joints that these show."""
+        from micah_plan.view.recording_page import recording_page
+
+        graph, points = self._learned(), self.tracked.places()
+        return recording_page(self.recording, graph, title=title or self.title, points=points)
 
     def report(self) -> list[str | Table]:
         found, rows = self.tracked, []

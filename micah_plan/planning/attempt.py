@@ -50,7 +50,9 @@ class Attempt:
         """What a planner makes of it; no plan, for a reason at a level, if it finds nothing or not in time."""
         try:
             return planner(self)
-        except (NoWayError, TimeLimitError) as failed:
+        except NoWayError as failed:
+            return self.refused(failed.reason, (finding_of_reason(level, failed.reason, ways=failed.ways),))
+        except TimeLimitError as failed:
             return self.refused(failed.reason, (finding_of_reason(level, failed.reason),))
 
     def solved(

@@ -16,6 +16,15 @@ from micah_plan.arrays import EQUAL, ROUND_OFF, Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.input_reversal import input_reversal_of
 from micah_plan.planning.limits import Limits
+from micah_plan.planning.offers import (
+    LARGER_STEPS,
+    LESS_NOISE,
+    MORE_KNOTS,
+    SURER_START,
+    lower_confidence,
+    more_revisits,
+    moved_target,
+)
 from micah_plan.planning.search.leaves import leaves_of
 from micah_plan.planning.search.passages import passage_exists
 from micah_plan.planning.search.polytope import mode_states
@@ -23,13 +32,11 @@ from micah_plan.planning.search.roadmap import obstacles_on_state
 from micah_plan.planning.search.samples import Samples, guard_states, inside_any
 from micah_plan.planning.transcription.rows import Row, Shortfall, unit_of
 from micah_plan.quantities import percent, plain, quantity
-from micah_plan.task.plan import Finding, Level, Offer, Outcome, Plan
+from micah_plan.task.plan import Finding, Level, Offer, Outcome, Plan, one_of
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import is_final, modes_to_be_in, start_mode
 
 LEAST_CONFIDENCE = 0.5
-LOWER_CONFIDENCE = "lower `confidence`"
-MOVE_TARGET = "move its target into the range"
 _WIDER = "widen the goal's tolerance"
 # A remedy asks for at most so many more revisits: each makes the search for them several times longer.
 _MOST_MORE_REVISITS = 2
@@ -37,10 +44,12 @@ _MOST_MORE_REVISITS = 2
 _MOST_NAMED = 4
 
 
-def finding_of_reason(level: Level, reason: str, modes: tuple[str, ...] = ()) -> Finding:
+def finding_of_reason(
+    level: Level, reason: str, modes: tuple[str, ...] = (), ways: tuple[str | Offer, ...] = ()
+) -> Finding:
     """A finding from a reason, one line that ends with its remedy after a semicolon."""
     sentence, _, remedy = reason.rpartition("; ")
-    return Finding(level, sentence or remedy, remedy if sentence else "", modes)
+    return Finding(level, sentence or remedy, remedy if sentence else "", modes, ways=ways)
 
 
 def endpoint_findings(problem: Problem) -> tuple[Finding, ...]:
@@ -64,11 +73,13 @@ def _start_finding(problem: Problem, reason: str) -> Finding:
         return finding
     words = f"start {coordinate.name}"
     unit, place = coordinate.unit, min(max(start.mean[worst], low), high)
+    moved = Offer(f"{words} within the range", f"{words} at", "start", ((worst, place),))
+    ways = moved, "name the mode that the object is in"
     return replace(
         finding,
         sentence=f"{finding.sentence}: it misses mode '{nearest.name}' by {quantity(amount, unit)}",
-        remedy=f"{words} within the range, or name the mode that the object is in",
-        offers=(Offer(f"{words} within the range", f"{words} at", "start", ((worst, place),)),),
+        remedy=one_of(ways),
+        ways=ways,
         constraint=f"{coordinate.name} in [{low:g}, {high:g}] {unit}",
         amount=amount,
         unit=unit,
@@ -88,15 +99,16 @@ def _goal_findings(problem: Problem) -> Iterator[Finding]:
         missing, name, unit = abs(nearest - value) - tolerance, coordinate.name, coordinate.unit
         if missing > EQUAL * max((high - low for low, high in ranges if np.isfinite(high - low)), default=0.0):
             texts = " or ".join(f"[{low:g}, {high:g}]" for low, high in ranges)
+            way = moved_target(index, nearest)
             yield Finding(
                 "goal",
                 f"the goal {name} = {value:g} ± {tolerance:g} {unit} misses the range {texts} {unit} by "
                 f"{quantity(missing, unit)}",
-                MOVE_TARGET,
+                way.words,
                 constraint=f"{name} in {texts} {unit}",
                 amount=missing,
                 unit=unit,
-                offers=(moved_target(index, nearest),),
+                ways=(way,),
             )
 
 
@@ -288,18 +300,18 @@ def findings_of(problem: Problem, modes: tuple[str, ...], shortfalls: Sequence[S
 def finding_of(problem: Problem, modes: tuple[str, ...], shortfall: Shortfall) -> Finding:
     """A constraint of the optimisation that does not hold, in the words of the user."""
     row, amount = shortfall.row, float(shortfall.amount)
-    wider = [Offer(_WIDER, f"{_WIDER} to", "tolerance", ((i, row.upper + amount),)) for i in _goal_index(problem, row)]
+    ways = _plain_ways(problem, shortfall)
     finding = Finding(
         "optimisation",
         _missed(shortfall),
-        _plain_remedy(problem, shortfall),
+        one_of(ways),
         modes,
         row.mode,
         row.knot,
         row.label,
         amount if np.isfinite(amount) else None,
         unit=row.unit,
-        offers=tuple(wider) if np.isfinite(amount) else (),
+        ways=ways,
     )
     if shortfall.std is None:
         return finding
@@ -311,19 +323,8 @@ def finding_of(problem: Problem, modes: tuple[str, ...], shortfall: Shortfall) -
     sentence = _sentence(problem, row, room, need, is_narrow)
     # The confidence at which the room suffices, rounded down.
     possible = int(100 * ndtr(problem.settings.sigmas * room / need)) / 100 if need > 0 else 0.0
-    remedy = _remedy(problem, row, room, need, possible > LEAST_CONFIDENCE)
-    offers = (lower_confidence(possible),) if LOWER_CONFIDENCE in remedy else ()
-    return replace(finding, sentence=sentence, remedy=remedy, room=room, need=need, offers=offers)
-
-
-def moved_target(index: int, value: float) -> Offer:
-    """The offer to move the target of a coordinate into the range."""
-    return Offer(MOVE_TARGET, "move its target to", "target", ((index, value),))
-
-
-def lower_confidence(confidence: float) -> Offer:
-    """The offer of a lower confidence."""
-    return Offer(LOWER_CONFIDENCE, f"{LOWER_CONFIDENCE} to", "confidence", ((0, confidence),))
+    ways = _ways(problem, row, room, need, possible)
+    return replace(finding, sentence=sentence, remedy=one_of(ways), room=room, need=need, ways=ways)
 
 
 def _goal_index(problem: Problem, row: Row) -> list[int]:
@@ -358,10 +359,15 @@ def _sentence(problem: Problem, row: Row, room: float, need: float, is_narrow: b
     return f"the path has {has} to {name}, {needs}"
 
 
-def _remedy(problem: Problem, row: Row, room: float, need: float, is_enough: bool) -> str:
+def _ways(problem: Problem, row: Row, room: float, need: float, possible: float) -> tuple[str | Offer, ...]:
+    """What could help where a belief lacks room.
+
+    Args:
+        room, need: what there is and what the belief needs [unit].
+        possible: the confidence at which the room suffices.
+    """
     if _turned_by(problem, row) is not None:
-        return "raise max_step, or lower the start's std or the noise"
-    ways = ["lower the start's std or the noise"]
+        return LARGER_STEPS, SURER_START, LESS_NOISE
     edges = problem.automaton.edges_from(row.mode)
     contact = [
         edge.target
@@ -370,10 +376,14 @@ def _remedy(problem: Problem, row: Row, room: float, need: float, is_enough: boo
         and row.half_space in edge.guard.half_spaces
         and not is_final(problem.automaton, problem.automaton.mode(edge.target))
     ]
+    if row.kind == "guard" and room < 0.0:  # the mean does not get there either
+        return MORE_KNOTS, LARGER_STEPS, SURER_START, LESS_NOISE
+    ways: list[str | Offer] = [SURER_START, LESS_NOISE]
     ways += [f"allow contact with '{contact[0]}'"] if contact else []
     ways += [f"relax {row.name} by {quantity(need - room, row.unit)}"] if row.kind == "path" else []
-    last = LOWER_CONFIDENCE if is_enough else "make more room (no confidence above 0.5 suffices)"
-    return f"{', '.join(ways)}, or {last}"
+    ways += [more_revisits("raise revisits", 1)] if not problem.settings.revisits else []  # it may localise elsewhere
+    is_enough = possible > LEAST_CONFIDENCE
+    return *ways, lower_confidence(possible) if is_enough else "make more room (no confidence above 0.5 suffices)"
 
 
 def _turned_by(problem: Problem, row: Row) -> str | None:
@@ -385,17 +395,20 @@ def _turned_by(problem: Problem, row: Row) -> str | None:
     return None
 
 
-def _plain_remedy(problem: Problem, shortfall: Shortfall) -> str:
-    row, settings = shortfall.row, problem.settings
-    steps = f"raise max_knots (now {settings.max_knots}) or max_step"
+def _plain_ways(problem: Problem, shortfall: Shortfall) -> tuple[str | Offer, ...]:
+    """What could help where a constraint cannot hold, whatever the belief is."""
+    row, amount = shortfall.row, float(shortfall.amount)
+    steps = MORE_KNOTS, LARGER_STEPS
     if row.kind == "goal":
-        return f"{_WIDER}, or {steps}"
+        indices = _goal_index(problem, row) if np.isfinite(amount) else []
+        wider = [Offer(_WIDER, f"{_WIDER} to", "tolerance", ((i, row.upper + amount),)) for i in indices]
+        return *(wider or (_WIDER,)), *steps
     if row.kind == "input":
-        return "raise max_step, or correct the inputs that the model admits"
+        return *steps, "correct the inputs that the model admits"
     if row.kind == "boundary":
-        return f"move the goal or the start away from it, or {steps}"
-    if row.kind == "path" and np.isfinite(shortfall.amount):
-        return f"relax it by {quantity(shortfall.amount, row.unit)}, or {steps}"
+        return "move the goal or the start away from it", *steps
+    if row.kind == "path" and np.isfinite(amount):
+        return f"relax it by {quantity(amount, row.unit)}", *steps
     return steps
 
 

@@ -26,6 +26,7 @@ from micah_plan.automaton.input_memory import (
     without_memory_states,
 )
 from micah_plan.planning.zero_time_transitions import ZeroTimeEdge
+from micah_plan.task.plan import Offer, one_of
 from micah_plan.task.problem import Problem
 
 # Steps that cross a coordinate's whole range when neither the settings nor the automaton limit the input.
@@ -289,8 +290,9 @@ def linear_step(automaton: HybridAutomaton, mode: str, x: Floats, u: Floats, lar
 
 
 class NoWayError(Exception):
-    """A planner found nothing; `reason` says why and ends with the remedy."""
+    """A planner found nothing; `reason` says why and ends with the remedy, one of `ways` where these are known."""
 
-    def __init__(self, reason: str) -> None:
-        self.reason = reason
-        super().__init__(reason)
+    def __init__(self, reason: str, ways: tuple[str | Offer, ...] = ()) -> None:
+        self.reason = f"{reason}; {one_of(ways)}" if ways else reason
+        self.ways = ways
+        super().__init__(self.reason)

@@ -29,9 +29,10 @@ import numpy as np
 
 from micah_plan.arrays import EQUAL, Booleans, Floats, Ints
 from micah_plan.planning.limits import Limits
+from micah_plan.planning.offers import LESS_NOISE, MORE_CONFIDENCE, SURER_START
 from micah_plan.quantities import percent, quantity
 from micah_plan.task.path import Pay, Require, path_terms
-from micah_plan.task.plan import Finding, Trajectory
+from micah_plan.task.plan import Finding, Offer, Trajectory, one_of
 from micah_plan.task.problem import Problem
 
 
@@ -89,12 +90,13 @@ class PathRecord:
                 continue
             is_number = amount < np.inf
             by = f", by up to {quantity(amount, unit)}" if is_number else ""
-            remedy = "lower the noise or the start's std, or raise `confidence`, which leaves more room"
+            ways: tuple[str | Offer, ...] = LESS_NOISE, SURER_START, MORE_CONFIDENCE
             missing = -float(np.quantile(worst, 1.0 - confidence, method="inverted_cdf"))
             if EQUAL < missing < np.inf:
-                remedy = f"relax it by {quantity(missing, unit)}, which {percent(confidence)} of them hold, {remedy}"
+                ways = f"relax it by {quantity(missing, unit)}, which {percent(confidence)} of them hold", *ways
             sentence = f"{percent(share, 0)} of the roll-outs break '{name}'{by}"
-            finding = Finding("verification", sentence, remedy, modes, constraint=f"'{name}'", unit=unit)
+            place = f"'{name}'"
+            finding = Finding("verification", sentence, one_of(ways), modes, constraint=place, unit=unit, ways=ways)
             findings.append((share, replace(finding, amount=amount if is_number else None)))
         return findings
 

@@ -227,7 +227,8 @@ def _low_level(attempt: Attempt, sequence: ModeSequence) -> _Tried:
     try:
         return _optimised(attempt, sequence)
     except (NoWayError, TimeLimitError) as failed:
-        finding = finding_of_reason("optimisation", failed.reason, sequence.modes)
+        ways = failed.ways if isinstance(failed, NoWayError) else ()
+        finding = finding_of_reason("optimisation", failed.reason, sequence.modes, ways)
         return _Tried(sequence, None, failed.reason, (finding,))
 
 

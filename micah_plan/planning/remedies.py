@@ -1,30 +1,33 @@
-"""Numbers in remedies: each is tried, by planning with it, before it is named.
+"""Remedies that were tried: each change that one offers is planned with before it is named.
 
 What a failure measures, such as how far too many roll-outs end from the goal, says where to begin, not what suffices: a
 plan for a wider tolerance is another plan. So a remedy names a number only if planning with it succeeds, with the
-problem's seed and with one more; else it stays without.
+problem's seed and with one more. What does not help is left out; what could not be tried says so.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Protocol
 
 from micah_plan.planning.findings import LEAST_CONFIDENCE
-from micah_plan.quantities import plain
-from micah_plan.task.plan import Finding, Offer, Plan
+from micah_plan.planning.offers import as_written, changed, in_words
+from micah_plan.task.plan import Finding, Offer, OfferKind, Plan, one_of
 from micah_plan.task.problem import Problem
 
-NO_CONFIDENCE = "make more room (lowering `confidence` did not help)"
-# Numbers tried for one change, and problems solved for all of a plan's remedies.
-_MOST_NUMBERS = 4
-_MOST_SOLVED = 8
+# Numbers tried for one change that has a number, and for one that has none; problems solved for a plan's remedies.
+_MOST_NUMBERS, _MOST_FACTORS = 4, 2
+_MOST_SOLVED = 14
 # A tolerance that does not suffice is widened by at least this factor; a confidence lowered by at least this much.
 _WIDER = 1.1
 _TWICE = 2.0  # times as far a root is moved the next time
 _LOWER = 0.02
+# What is changed by a factor is changed so many times as much the next time.
+_FACTORS: tuple[OfferKind, ...] = ("max_knots", "max_step", "samples_per_mode", "noise", "start_std", "surer")
+_MUCH = 4.0
+# Has to be done, also where it is not enough.
+_NECESSARY: tuple[OfferKind, ...] = ("start", "target")
 
 
 class PlanSolver(Protocol):
@@ -35,65 +38,82 @@ class PlanSolver(Protocol):
 
 
 def advised(problem: Problem, plan: Plan, solver: PlanSolver, seed: int = 0) -> Plan:
-    """A plan that failed, with the numbers in its remedies that help; of each kind of change the first is tried."""
-    budget, done, findings = [_MOST_SOLVED], set[str](), list[Finding]()
-    for finding in plan.findings if plan.outcome != "solved" else ():
-        remedy = finding.remedy
-        for offer in finding.offers:
-            if offer.kind in done:
-                continue
-            done.add(offer.kind)
-            words, helping = offer.words, _that_helps(problem, offer, solver, seed, budget)
-            if helping is not None:
-                words = f"{offer.named} {_number(problem, helping)}"
-            elif offer.kind == "confidence" and budget[0]:
-                words = NO_CONFIDENCE
-            remedy = remedy.replace(offer.words, words, 1)
-        findings.append(replace(finding, remedy=remedy, offers=()))
-    return replace(plan, findings=tuple(findings)) if findings else plan
+    """A plan that failed, with remedies that help; of each kind of change the first is tried."""
+    if plan.outcome == "solved" or not plan.findings:
+        return plan
+    trials, reason, findings = _Trials(problem, solver, seed), plan.reason, list[Finding]()
+    for finding in plan.findings:
+        remedy = trials.tried(finding) if finding.ways else finding.remedy
+        if reason.endswith(f"; {finding.remedy}"):
+            reason = f"{reason.removesuffix(finding.remedy)}{remedy}"
+        findings.append(replace(finding, remedy=remedy, ways=()))
+    return replace(plan, reason=reason, findings=tuple(findings))
 
 
-def changed(problem: Problem, offer: Offer) -> Problem:
-    """The problem with the change."""
-    values = dict(offer.values)
-    if offer.kind == "confidence":
-        return replace(problem, settings=replace(problem.settings, confidence=values[0]))
-    if offer.kind == "root" and problem.robot is not None:
-        return replace(problem, robot=replace(problem.robot, position=(values[0], values[1], values[2])))
-    if offer.kind == "start":
-        mean = tuple(values.get(i, mean) for i, mean in enumerate(problem.start.mean))
-        return replace(problem, start=replace(problem.start, mean=mean))
-    target = tuple(
-        (i, values.get(i, value), tol) if offer.kind == "target" else (i, value, values.get(i, tol))
-        for i, value, tol in problem.goal.target
-    )
-    return replace(problem, goal=replace(problem.goal, target=target))
+class _Trials:
+    """What came out of trying changes: by kind the words of what helps, "" if nothing does."""
 
+    def __init__(self, problem: Problem, solver: PlanSolver, seed: int) -> None:
+        self._problem, self._solver, self._seed = problem, solver, seed
+        self._left = _MOST_SOLVED
+        self._words = dict[OfferKind, str]()
 
-def _that_helps(problem: Problem, offer: Offer, solver: PlanSolver, seed: int, budget: list[int]) -> Offer | None:
-    """The offer, or the next larger change of its kind, with which planning succeeds with two seeds."""
-    for _ in range(_MOST_NUMBERS):
-        offer = _written(offer)
-        if (offer.kind == "confidence" and offer.values[0][1] <= LEAST_CONFIDENCE) or not offer.values:
-            return None
-        answers = list[Plan]()
-        for seed_tried in (seed, seed + 1):
-            if not budget[0]:
-                return None
-            budget[0] -= 1
-            answers.append(solver(changed(problem, offer), seed=seed_tried))
-            if answers[-1].outcome != "solved":
-                break
+    def tried(self, finding: Finding) -> str:
+        """The remedy of a finding, without what does not help."""
+        ways, failed = list[str](), list[str]()
+        for way in finding.ways:
+            words = way if isinstance(way, str) else self._of(way)
+            if isinstance(way, Offer) and way.kind in _NECESSARY:
+                words = words or way.words
+            if words:
+                ways.append(words)
+            elif isinstance(way, Offer):
+                failed.append(way.words)
+        return one_of(ways) if ways else f"change the task or the model (tried in vain: {', '.join(failed)})"
+
+    def _of(self, offer: Offer) -> str:
+        """Words of an offer; empty if it does not help."""
+        if offer.kind in self._words:
+            # Of another coordinate or number than the one that was tried, nothing is known.
+            is_of_all = offer.kind in (*_FACTORS, "confidence", "revisits")
+            return self._words[offer.kind] if is_of_all else offer.words
+        helping = self._that_helps(offer)
+        if helping is not None:
+            self._words[offer.kind] = in_words(self._problem, helping)
+        elif self._left:
+            self._words[offer.kind] = ""
         else:
-            return offer
-        if offer.kind in ("start", "target"):  # there is only one nearest
-            return None
-        offer = _further(problem, offer, [o for finding in answers[-1].findings for o in finding.offers], answers[-1])
-    return None
+            return f"{offer.words} (not tried)"
+        return self._words[offer.kind]
+
+    def _that_helps(self, offer: Offer) -> Offer | None:
+        """The offer, or the next larger change of its kind, with which planning succeeds with two seeds."""
+        for _ in range(_MOST_FACTORS if offer.kind in _FACTORS else _MOST_NUMBERS):
+            offer = as_written(offer)
+            if (offer.kind == "confidence" and offer.values[0][1] <= LEAST_CONFIDENCE) or not offer.values:
+                return None
+            answers = list[Plan]()
+            for seed in (self._seed, self._seed + 1):
+                if not self._left:
+                    return None
+                self._left -= 1
+                answers.append(self._solver(changed(self._problem, offer), seed=seed))
+                if answers[-1].outcome != "solved":
+                    break
+            else:
+                return offer
+            if offer.kind in ("start", "target", "revisits"):  # there is only one nearest
+                return None
+            proposed = [way for finding in answers[-1].findings for way in finding.ways if isinstance(way, Offer)]
+            offer = _further(self._problem, offer, proposed, answers[-1])
+        return None
 
 
 def _further(problem: Problem, offer: Offer, next_offers: Sequence[Offer], answer: Plan) -> Offer:
     """A larger change of the same kind than one that did not suffice, as its failure proposes."""
+    if offer.kind in _FACTORS:
+        value = offer.values[0][1]
+        return replace(offer, values=((0, _MUCH * value if value > 1.0 else value / _MUCH),))
     if offer.kind == "root" and problem.robot is not None:
         stands = problem.robot.position
         return replace(offer, values=tuple((i, stands[i] + _TWICE * (value - stands[i])) for i, value in offer.values))
@@ -104,39 +124,3 @@ def _further(problem: Problem, offer: Offer, next_offers: Sequence[Offer], answe
         return replace(offer, values=((0, most),))
     wider = {i: max(_WIDER * value, _WIDER * proposed.get(i, 0.0)) for i, value in offer.values}
     return replace(offer, values=tuple({**{i: _WIDER * v for i, v in proposed.items()}, **wider}.items()))
-
-
-def _written(offer: Offer) -> Offer:
-    """The offer with numbers as they are printed: tolerances up, confidences down."""
-    if offer.kind == "confidence":
-        return replace(offer, values=((0, math.floor(100.0 * offer.values[0][1] + 1e-9) / 100.0),))
-    if offer.kind == "root":
-        return replace(offer, values=tuple((i, round(value, 2)) for i, value in offer.values))
-    if offer.kind != "tolerance":
-        return replace(offer, values=tuple((i, float(f"{value:.4g}")) for i, value in offer.values))
-    return replace(offer, values=tuple((i, _rounded_up(value)) for i, value in offer.values))
-
-
-def _rounded_up(value: float) -> float:
-    """The next number of three significant digits."""
-    unit = 10.0 ** (math.floor(math.log10(value)) - 2)
-    return float(f"{math.ceil(value / unit - 1e-9) * unit:.3g}")
-
-
-def _number(problem: Problem, offer: Offer) -> str:
-    """The numbers as they are to be written into the file."""
-    if offer.kind == "confidence":
-        return f"{offer.values[0][1]:.2f}"
-    if offer.kind == "root":
-        return f"[{', '.join(_text(value) for _, value in offer.values)}] m"
-    coordinates = problem.automaton.coordinates
-    # The coordinate that the words name comes first: its number follows them.
-    named = sorted(offer.values, key=lambda pair: f"'{coordinates[pair[0]].name}'" not in offer.words)
-    first, *others = [(coordinates[i], value) for i, value in named]
-    texts = [f"{_text(first[1])} {first[0].unit}"]
-    texts += [f"that of '{c.name}' to {_text(value)} {c.unit}" for c, value in others]
-    return texts[0] if len(texts) == 1 else ", ".join(texts[:-1]) + f" and {texts[-1]}"
-
-
-def _text(value: float) -> str:
-    return plain(value, 6)

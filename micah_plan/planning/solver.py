@@ -31,7 +31,7 @@ from micah_plan.planning.release import with_release
 from micah_plan.planning.remedies import advised
 from micah_plan.planning.tightening import verified_plan
 from micah_plan.quantities import Progress
-from micah_plan.task.plan import ArmTrajectory, Finding, Offer, Plan, Trajectory
+from micah_plan.task.plan import ArmTrajectory, Finding, Offer, Plan, Trajectory, one_of
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import pre_release_problem
 from micah_plan.task.settings import Deadline, TimeLimitError
@@ -67,7 +67,7 @@ def solve(
         planner: another one, whose plans are checked alike and as they are: called with the problem, and with `seed`,
             `progress` and `deadline` by name (see `planning.attempt`).
         advise: if it fails, try what its remedies propose, so that they name numbers that help (`planning.remedies`):
-            up to eight more solutions. False: remedies without numbers.
+            up to fourteen more solutions. False: remedies without numbers.
 
     Returns:
         A plan whose outcome says whether it solves the problem; it is never silently worse than it claims.
@@ -181,13 +181,14 @@ def _followed(
 
 def _finding(problem: Problem, plan: Plan, arm: ArmFailure, mode: str) -> Finding:
     constraint = f"{arm.kind}: {', '.join(arm.names)}" if arm.names else arm.kind
-    offers: tuple[Offer, ...] = ()
+    ways: tuple[str | Offer, ...] = ()
     if arm.short is not None and problem.robot is not None:
         nearer = max(_NEARER, _LEAST / max(float(np.linalg.norm(arm.short)), 1e-9)) * arm.short
         place = np.array(problem.robot.position) + nearer
-        offers = (Offer("the robot's root", "the robot's root to", "root", tuple(enumerate(place.tolist()))),)
+        moved = Offer("move the robot's root", "move the robot's root to", "root", tuple(enumerate(place.tolist())))
+        ways = ("move the grasp", moved) if arm.kind == "joint limit" else (moved,)
     where = plan.mode_sequence, mode, arm.knot, constraint
-    return Finding("arm", arm.sentence, arm.remedy, *where, amount=arm.amount, offers=offers)
+    return Finding("arm", arm.sentence, one_of(ways) if ways else arm.remedy, *where, amount=arm.amount, ways=ways)
 
 
 def _impossible(plan: Plan, stop: _Stop) -> Plan:

@@ -11,17 +11,20 @@ from scipy.special import ndtri
 from micah_plan.arrays import INTERVAL, Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.planning.cuts import with_scene
-from micah_plan.planning.findings import (
-    LOWER_CONFIDENCE,
-    MOVE_TARGET,
-    finding_of_reason,
+from micah_plan.planning.findings import finding_of_reason
+from micah_plan.planning.offers import (
+    LESS_NOISE,
+    MORE_CONFIDENCE,
+    MORE_KNOTS,
+    SURER_START,
     lower_confidence,
+    more_revisits,
     moved_target,
 )
 from micah_plan.planning.path_constraints import PathRecord, joined_records
 from micah_plan.planning.roll_outs import RollOuts, are_in_goal, departure, draw_chances, nearby, roll_out
 from micah_plan.quantities import percent, quantity
-from micah_plan.task.plan import Finding, Offer, Plan, Trajectory, least_share, least_trials
+from micah_plan.task.plan import Finding, Offer, Plan, Trajectory, least_share, least_trials, one_of
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import pre_release_problem
 from micah_plan.task.settings import NEVER, Deadline, TimeLimitError
@@ -81,14 +84,14 @@ def verify(
         return answer
     if (leaves := departure(problem, plan.trajectory)) is not None:
         where = leaves.planned, leaves.knot
-        remedy = "give the modes more room at that transition, or raise max_knots"
-        finding = Finding("verification", leaves.sentence, remedy, plan.mode_sequence, *where, "transitions")
+        ways = "give the modes more room at that transition", MORE_KNOTS, LESS_NOISE
+        remedy = one_of(ways)
+        finding = Finding("verification", leaves.sentence, remedy, plan.mode_sequence, *where, "transitions", ways=ways)
         reason = f"found {' -> '.join(plan.mode_sequence)}, but {leaves.sentence}; {remedy}"
         return replace(answer, outcome="not_verified", reason=reason, findings=(finding, *plan.findings))
     reason = (
         f"found {' -> '.join(plan.mode_sequence)}, but {successes} of {done} roll-outs ({percent(share, 0)}) end in "
-        f"the goal, fewer than the confidence {percent(confidence)} asks for; widen the tolerance, or lower the "
-        "confidence or the noise"
+        f"the goal, fewer than the confidence {percent(confidence)} asks for"
     )
     findings = _findings(problem, plan.mode_sequence, ends)
     return replace(answer, outcome="not_verified", reason=reason, findings=(*plan.findings, *findings))
@@ -178,10 +181,9 @@ def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Fin
         sentence = (
             f"{percent(share, 0)} of the roll-outs end in another mode than {wanted}, most of them in '{commonest}'"
         )
-        remedy = "lower the noise or the start's std, or raise `confidence`, which makes transitions surer"
-        findings.append(
-            (share, Finding("verification", sentence, remedy, modes, mode=commonest, constraint="goal modes"))
-        )
+        ways: tuple[str | Offer, ...] = LESS_NOISE, SURER_START, MORE_CONFIDENCE
+        finding = Finding("verification", sentence, one_of(ways), modes, commonest, None, "goal modes", ways=ways)
+        findings.append((share, finding))
     ranges = {index: automaton.ranges(index, [automaton.mode(modes[-1])]) for index in goal.indices}
     of_target = goal.target, goal.distances(ends.states).T, goal.misses(ends.states).T
     joint = _joint_offer(problem, ends)
@@ -195,28 +197,25 @@ def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Fin
             f"{percent(share, 0)} of the roll-outs end outside of the goal for '{coordinate.name}'{elsewhere}: "
             f"{percent(confidence)} of all need {quantity(need, unit)}, its tolerance is {quantity(tolerance, unit)}"
         )
-        words, offers = f"widen the tolerance of '{coordinate.name}'", list[Offer]()
-        remedy = f"{words}, lower the noise, or {LOWER_CONFIDENCE}"
-        offers.append(Offer(words, f"{words} to", "tolerance", joint))
-        offers.append(lower_confidence(float(ends.in_goal.mean())))
+        words = f"widen the tolerance of '{coordinate.name}'"
+        ways = Offer(words, f"{words} to", "tolerance", joint), LESS_NOISE, lower_confidence(float(ends.in_goal.mean()))
         nearest = min((min(max(value, low), high) for low, high in ranges[index]), key=lambda x: abs(x - value))
         if nearest != value:  # the end of the range is nearer than the target: what misses does so on one side
-            remedy = f"{MOVE_TARGET}, {remedy}"
-            offers.insert(0, moved_target(index, nearest))
+            ways = moved_target(index, nearest), *ways
         if elsewhere:
-            remedy, offers = "lower the noise or the start's std, so that the transitions are surer", []
+            ways = LESS_NOISE, SURER_START, MORE_CONFIDENCE
         if problem.settings.revisits == 0 and (better := _localising(automaton, modes[-1], index)):
-            remedy += f"; or let the plan come back from '{better}', which tells '{coordinate.name}': raise `revisits`"
+            words = f"let the plan come back from '{better}', which tells '{coordinate.name}': raise `revisits`"
+            ways = *ways, more_revisits(words, 1)
         place = f"the goal {coordinate.name} = {value:g} ± {tolerance:g}"
-        finding = Finding("verification", sentence, remedy, modes, constraint=place, unit=unit, offers=tuple(offers))
+        finding = Finding("verification", sentence, one_of(ways), modes, constraint=place, unit=unit, ways=ways)
         findings.append((share, replace(finding, amount=need - tolerance, room=tolerance, need=need)))
     if not findings and joint:
         words = f"widen the tolerance of '{automaton.coordinates[joint[0][0]].name}'"
         share = float(1.0 - ends.in_goal.mean())
         sentence = f"{percent(share, 0)} of the roll-outs end outside of the goal, which has all its targets at once"
-        remedy = f"{words}, lower the noise, or {LOWER_CONFIDENCE}"
-        both = Offer(words, f"{words} to", "tolerance", joint), lower_confidence(1.0 - share)
-        return [Finding("verification", sentence, remedy, modes, offers=both)]
+        ways = Offer(words, f"{words} to", "tolerance", joint), LESS_NOISE, lower_confidence(1.0 - share)
+        return [Finding("verification", sentence, one_of(ways), modes, ways=ways)]
     return [finding for _, finding in sorted(findings, key=lambda pair: -pair[0])]
 
 

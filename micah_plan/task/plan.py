@@ -13,6 +13,7 @@ successes below the confidence, a last state that is not where the plan says, a 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -28,22 +29,35 @@ Outcome = Literal["solved", "no_plan", "not_verified"]
 Level = Literal["start", "goal", "search", "optimisation", "verification", "arm"]
 
 
+OfferKind = Literal[
+    "tolerance", "target", "start", "confidence", "root", "revisits",
+    "max_knots", "max_step", "samples_per_mode", "noise", "start_std", "surer",
+]  # fmt: skip
+"""What a remedy can change; those of the second line by a factor."""
+
+
 @dataclass(frozen=True)
 class Offer:
-    """A number that a remedy names once planning with it has succeeded.
+    """A change that a remedy names once planning with it has succeeded.
 
     Attributes:
-        words: of the remedy, which name the change without the number.
+        words: of the remedy, which name the change without a number.
         named: what takes their place, with the number behind.
         kind: what it changes.
-        values: (coordinate, value [its unit]) of tolerances, targets and starts; (0, confidence); (axis, place [m]) of
-            the robot's root.
+        values: (coordinate, value [its unit]) of tolerances, targets and starts; (axis, place [m]) of the robot's root;
+            (0, number) of confidence and revisits; (0, factor) of others.
     """
 
     words: str
     named: str
-    kind: Literal["tolerance", "target", "start", "confidence", "root"]
+    kind: OfferKind
     values: tuple[tuple[int, float], ...]
+
+
+def one_of(ways: Sequence[str | Offer]) -> str:
+    """Ways out in words: ``a``, ``a, or b``, ``a, b, or c``."""
+    *others, last = [way if isinstance(way, str) else way.words for way in ways]
+    return f"{', '.join(others)}, or {last}" if others else last
 
 
 @dataclass(frozen=True)
@@ -60,7 +74,7 @@ class Finding:
         amount: by how much [unit].
         room, need: available and required room, where the belief's spread is the cause [unit].
         unit: of the three.
-        offers: numbers that the remedy may name, not tried yet; no part of a plan file.
+        ways: of which the remedy is one, changes that were not tried yet among them; no part of a plan file.
     """
 
     level: Level
@@ -74,7 +88,7 @@ class Finding:
     room: float | None = None
     need: float | None = None
     unit: str = ""
-    offers: tuple[Offer, ...] = field(default=(), compare=False, repr=False)
+    ways: tuple[str | Offer, ...] = field(default=(), compare=False, repr=False)
 
 
 @dataclass(frozen=True)

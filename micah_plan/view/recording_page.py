@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from micah_plan.view.learned import (
 from micah_plan.view.learning_charts import learning_charts
 from micah_plan.view.motion import LONGEST_S, SHORTEST_S
 from micah_plan.view.page import Band, LegendEntry, ScenePage, Timeline, render_scene
-from micah_plan.view.palette import FRAME_AXES, GRID, INK, MUTED
+from micah_plan.view.palette import FRAME_AXES, GRID, INK, MUTED, category
 from micah_plan.view.scene import DrawnScene, slug
 from micah_plan.view.solids import beads
 
@@ -42,6 +42,7 @@ def recording_page(
     *,
     title: str = "Recording",
     pictures: Sequence[tuple[float, bytes]] = (),
+    points: Mapping[str, Floats] | None = None,
 ) -> str:
     """The page as HTML text.
 
@@ -49,6 +50,7 @@ def recording_page(
         recording: at least one row.
         graph: the segments learned from it; None shows the track alone.
         pictures: (time [s], JPEG) of the camera that saw a recording of one run; shown beside the scene.
+        points: (k, 3) that were tracked on each part, in its frame [m]; of what is no part, in the base frame.
     """
     scene = DrawnScene()
     scene.reserve(recording.position)
@@ -63,6 +65,7 @@ def recording_page(
     _draw_track(scene, "track/rest", recording.position[~shown_rows], MUTED, size)
     shown, duration = _shown_times(recording)
     timeline = _animate(scene, recording, segments, size, shown, duration)
+    of_points = _draw_points(scene, recording, segments, points or {}, size, shown)
     spacing = draw_ground(scene)
     legend = [LegendEntry(c.color, c.label, shape="dot") for c in segments]
     if segments and not shown_rows.all():
@@ -71,6 +74,7 @@ def recording_page(
     no_single_joints = [c for c in segments if fits_no_joint(c.segment)]
     if len(no_single_joints) < len(segments):
         legend.append(LegendEntry(INK, "fitted joints: axis and centre, arc, line, ring (rigid)", "joints", "line"))
+    legend += of_points
     legend.append(LegendEntry(FRAME_AXES[0], "measured frame of the part (x red, y green, z blue)", "frames", "line"))
     legend.append(LegendEntry(GRID, f"grid of {quantity(spacing, 'm')}, base frame, z up", "ground", "line"))
     page = ScenePage(
@@ -93,6 +97,33 @@ def recording_page(
 def _draw_track(scene: DrawnScene, path: str, points: Floats, color: str, size: float) -> None:
     if len(points):
         scene.mesh(path, beads(points[evenly(len(points), _MOST_BEADS)], 0.014 * size), color)
+
+
+def _draw_points(
+    scene: DrawnScene,
+    recording: Recording,
+    segments: tuple[ColoredSegment, ...],
+    points: Mapping[str, Floats],
+    size: float,
+    shown: Floats,
+) -> list[LegendEntry]:
+    """Points of each body in its colour, moving with it; what stands is grey. Their entries in the legend."""
+    poses, entries = recording.poses(), list[LegendEntry]()
+    for number, (name, places) in enumerate(points.items()):
+        own = [c.color for c in segments if c.edge.child == name and c.segment.joint.moves]
+        color = MUTED if name not in recording.parts else own[0] if own else category(number)
+        path = f"points/{slug(name, number)}"
+        scene.mesh(path, beads(places, 0.018 * size), color)
+        entries.append(LegendEntry(color, f"{len(places)} points on {name}", shape="dot"))
+        if name in recording.parts:
+            rows = np.flatnonzero([part == name for part in recording.part])
+            rows = rows[evenly(len(rows), _MOST_KEYFRAMES)]
+            scene.animate(path, shown[rows], poses[rows])
+        else:
+            scene.reserve(places)
+    if entries:
+        entries.append(LegendEntry(MUTED, "tracked points", "points", "dot"))
+    return entries
 
 
 def _draw_segment_joint(

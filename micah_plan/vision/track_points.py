@@ -45,6 +45,14 @@ class TrackedPoints:
     stds: dict[str, tuple[float, float]]
     notes: tuple[str, ...]
 
+    def places(self) -> dict[str, Floats]:
+        """(n, 3) places of the points of each body [m]: in its frame; of the base, in the frame of the recording."""
+        base, first = self.bodies[0], int(np.flatnonzero(self.bodies[0].is_seen)[0])
+        standing = base.shape @ base.turns[first].T + base.positions[first]
+        return {self.names[0]: standing} | {
+            name: body.shape for name, body in zip(self.names[1:], self.bodies[1:], strict=True)
+        }
+
 
 def track_points(tracks: PointTracks, rate: float) -> TrackedPoints:
     """The bodies that points are on, and a recording of their poses.

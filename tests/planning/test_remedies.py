@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,13 +13,23 @@ from planning_examples import door_problem, drawer_problem, planar_problem, with
 from micah_plan.automaton.hybrid import Edge
 from micah_plan.automaton.region import box
 from micah_plan.documents.problem import load_problem
+from micah_plan.planning.offers import (
+    LARGER_STEPS,
+    LESS_NOISE,
+    MORE_CONFIDENCE,
+    MORE_KNOTS,
+    MORE_STATES,
+    SURER_START,
+    changed,
+    lower_confidence,
+)
 from micah_plan.planning.pomdp_hd import plan
-from micah_plan.planning.remedies import changed
+from micah_plan.planning.remedies import advised
 from micah_plan.planning.solver import solve
 from micah_plan.planning.tightening import verified_plan
 from micah_plan.planning.verification import verify
 from micah_plan.task.goal import Goal
-from micah_plan.task.plan import Finding, Offer, Plan, least_trials
+from micah_plan.task.plan import Finding, Offer, Plan, least_trials, one_of
 from micah_plan.task.problem import Problem
 from micah_plan.task.settings import Deadline
 from micah_plan.task.start import start_mode
@@ -57,7 +68,7 @@ NUMBERED = {
     "a tight door": ("move its target to", "widen the tolerance of 'door' to", "lower `confidence` to"),
     "far from a light": ("lower `confidence` to", "widen the tolerance of 'x' to"),
     "far beyond the end of a drawer": ("move its target to",),
-    "an arm that stands too far away": (r"or the robot's root to \[-?",),
+    "an arm that stands too far away": (r"or move the robot's root to \[-?",),
 }
 
 
@@ -108,6 +119,64 @@ def test_without_advice_no_number_is_named(name: str) -> None:
     problem = FAILING[name]()
     for finding in solve(problem, advise=False).findings:
         assert not taken(problem, finding)
+
+
+def _refused(*ways: str | Offer) -> Plan:
+    words = one_of(ways)
+    finding = Finding("search", "it is too far", words, ways=ways)
+    return Plan("no_plan", f"it is too far; {words}", findings=(finding,))
+
+
+def _solver(helps: Callable[[Problem], bool], asked: list[Problem]) -> Callable[..., Plan]:
+    def solver(problem: Problem, *, seed: int) -> Plan:
+        asked.append(problem)
+        return Plan("solved" if helps(problem) else "no_plan", "", seed=seed)
+
+    return solver
+
+
+def _after(plan: Plan, helps: Callable[[Problem], bool]) -> tuple[str, list[Problem]]:
+    asked: list[Problem] = []
+    answer = advised(door_problem(0.2, 0.6), plan, _solver(helps, asked))
+    assert answer.reason == f"it is too far; {answer.findings[0].remedy}"
+    return answer.findings[0].remedy, asked
+
+
+def test_what_helps_is_named_with_its_number_and_what_does_not_is_left_out() -> None:
+    plan = _refused(MORE_KNOTS, LARGER_STEPS, "move the goal")
+    assert _after(plan, lambda p: p.settings.max_knots >= 100)[0] == "raise max_knots to 120, or move the goal"
+    assert _after(plan, lambda p: p.settings.max_knots >= 130)[0] == "raise max_knots to 480, or move the goal"
+    assert _after(plan, lambda p: p.settings.max_knots >= 500)[0] == "move the goal"
+
+
+def test_of_noise_and_steps_is_said_how_much() -> None:
+    quiet = door_problem(0.2, 0.6).automaton.noise.process_std[0]
+    plan = _refused(LESS_NOISE, SURER_START, LARGER_STEPS)
+    remedy, _ = _after(plan, lambda p: p.automaton.noise.process_std[0] < 0.3 * quiet)
+    assert remedy == "lower the noise (an eighth of it suffices)"
+    remedy, _ = _after(plan, lambda p: p.automaton.noise.process_std[0] == quiet)
+    assert remedy == "lower the start's std (half of it suffices), or raise max_step (twice as much suffices)"
+
+
+def test_where_nothing_helps_that_is_said() -> None:
+    remedy, asked = _after(_refused(MORE_KNOTS, LESS_NOISE), lambda _: False)
+    assert remedy == "change the task or the model (tried in vain: raise max_knots, lower the noise)"
+    assert len(asked) == 4  # two numbers each, and no second seed where the first fails
+
+
+def test_what_could_not_be_tried_says_so() -> None:
+    ways = [MORE_KNOTS, LARGER_STEPS, LESS_NOISE, SURER_START, MORE_CONFIDENCE, MORE_STATES, lower_confidence(0.9)]
+    remedy, asked = _after(_refused(*ways), lambda _: False)
+    assert len(asked) == 14
+    assert remedy == "lower `confidence` (not tried)"
+
+
+def test_what_helps_only_with_one_seed_does_not_help() -> None:
+    def lucky(_: Problem, *, seed: int) -> Plan:
+        return Plan("solved" if seed == 0 else "no_plan", "")
+
+    answer = advised(door_problem(0.2, 0.6), _refused(MORE_KNOTS), lucky)
+    assert answer.findings[0].remedy == "change the task or the model (tried in vain: raise max_knots)"
 
 
 def test_an_offer_changes_what_it_says_and_nothing_else() -> None:

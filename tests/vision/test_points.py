@@ -15,6 +15,7 @@ from micah_plan.cli.application import app
 from micah_plan.documents.tags import load_tags
 from micah_plan.errors import InputError
 from micah_plan.recording.conventions import Conventions
+from micah_plan.view.recording_page import recording_page
 from micah_plan.vision.camera import Camera
 from micah_plan.vision.point_files import load_points
 
@@ -258,3 +259,28 @@ def test_learn_takes_tracks_as_they_are(tmp_path, markers) -> None:
     assert "e.g. --rate 30" in str(refused.exception)
     assert CliRunner().invoke(app, [*line, "--rate", "25"]).exit_code == 0
     assert model.exists()
+
+
+def test_points_move_with_their_bodies() -> None:
+    """Places in a body's frame, taken along by its poses, are where the points were seen, in the frame of the base."""
+    tracks, _ = planted("door", is_moving=False)
+    result = track_bodies(tracks, rate=30.0)
+    found, places = result.tracked, result.tracked.places()
+    assert list(places) == list(found.names)
+    (standing, moving), noise = found.bodies, found.noise
+    seen = np.nanmedian(tracks[standing.points], axis=1)
+    assert np.nanmedian(np.linalg.norm(places["base"] - seen, axis=1)) < 2.0 * noise
+    recording = result.recording
+    poses = recording.poses()
+    for row in (0, len(recording) // 2, len(recording) - 1):
+        frame = round(recording.time[row] * 30.0)
+        carried = poses[row].apply(places["body 1"])
+        assert np.nanmedian(np.linalg.norm(carried - tracks[moving.points, frame], axis=1)) < 3.0 * noise
+
+
+def test_the_page_shows_points_in_the_colour_of_their_body() -> None:
+    result = track_bodies(planted("door")[0], rate=30.0)
+    page = result.page()
+    assert f"{len(result.tracked.bodies[0].points)} points on base" in page
+    assert f"{len(result.tracked.bodies[1].points)} points on body 1" in page
+    assert "points on" not in recording_page(result.recording)

@@ -25,6 +25,7 @@ from micah_plan.planning.limits import (
     motion_per_input,
     steps_of_memory,
 )
+from micah_plan.planning.offers import LARGER_STEPS, MORE_KNOTS
 from micah_plan.planning.search.mode_search import ModeSequence
 from micah_plan.planning.search.path_beliefs import MOST_LOCALISING_STEPS, WORTH_A_STEP, steps_to_correct_start
 from micah_plan.planning.search.polytope import nominal_start
@@ -140,7 +141,8 @@ def _divide(problem: Problem, limits: Limits, sequence: ModeSequence, needed: li
     if sum(least) > most:
         raise NoWayError(
             f"the path needs at least {sum(least) + len(sequence.modes)} knots at the largest step, more than "
-            f"max_knots = {problem.settings.max_knots}; raise max_knots or max_step"
+            f"max_knots = {problem.settings.max_knots}",
+            (MORE_KNOTS, LARGER_STEPS),
         )
     spare = min(1.0, (most - sum(least)) / max(1, sum(wanted) - sum(least)))
     return [low + int(spare * max(0, high - low)) for low, high in zip(least, wanted, strict=True)]

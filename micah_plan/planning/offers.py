@@ -1,0 +1,135 @@
+"""What a remedy can change of a problem: each offer in words, as a changed problem, and as the number to be written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from micah_plan.planning.limits import limits_of
+from micah_plan.quantities import plain
+from micah_plan.task.plan import Offer, OfferKind
+from micah_plan.task.problem import Problem
+
+# How many times as much is tried first of what has no number of its own.
+_AT_FIRST = 2.0
+
+
+def _more(words: str, kind: OfferKind, factor: float = _AT_FIRST) -> Offer:
+    return Offer(words, f"{words} to", kind, ((0, factor),))
+
+
+MORE_KNOTS = _more("raise max_knots", "max_knots")
+LARGER_STEPS = _more("raise max_step", "max_step")
+MORE_STATES = _more("raise samples_per_mode", "samples_per_mode")
+LESS_NOISE = _more("lower the noise", "noise", 1.0 / _AT_FIRST)
+SURER_START = _more("lower the start's std", "start_std", 1.0 / _AT_FIRST)
+MORE_CONFIDENCE = _more("raise `confidence`, which leaves more room", "surer")
+
+
+def lower_confidence(confidence: float) -> Offer:
+    """The offer of a lower confidence."""
+    return Offer("lower `confidence`", "lower `confidence` to", "confidence", ((0, confidence),))
+
+
+def moved_target(index: int, value: float) -> Offer:
+    """The offer to move the target of a coordinate into the range."""
+    return Offer("move its target into the range", "move its target to", "target", ((index, value),))
+
+
+def more_revisits(words: str, revisits: int) -> Offer:
+    """The offer to let a plan come back to a mode so many times."""
+    return Offer(words, f"{words} to", "revisits", ((0, revisits),))
+
+
+def changed(problem: Problem, offer: Offer) -> Problem:
+    """The problem with the change."""
+    values = dict(offer.values)
+    if offer.kind in _SETTINGS:
+        setting, value_of = _SETTINGS[offer.kind]
+        return replace(problem, settings=replace(problem.settings, **{setting: value_of(problem, values[0])}))
+    if offer.kind == "noise":
+        noise, factor = problem.automaton.noise, values[0]
+        process, seen = (tuple(factor * s for s in stds) for stds in (noise.process_std, noise.observation_std))
+        quieter = replace(noise, process_std=process, observation_std=seen)
+        return replace(problem, automaton=replace(problem.automaton, noise=quieter))
+    if offer.kind == "start_std":
+        return replace(problem, start=replace(problem.start, std=tuple(values[0] * s for s in problem.start.std)))
+    if offer.kind == "root" and problem.robot is not None:
+        return replace(problem, robot=replace(problem.robot, position=(values[0], values[1], values[2])))
+    if offer.kind == "start":
+        mean = tuple(values.get(i, mean) for i, mean in enumerate(problem.start.mean))
+        return replace(problem, start=replace(problem.start, mean=mean))
+    target = tuple(
+        (i, values.get(i, value), tol) if offer.kind == "target" else (i, value, values.get(i, tol))
+        for i, value, tol in problem.goal.target
+    )
+    return replace(problem, goal=replace(problem.goal, target=target))
+
+
+def _surer(problem: Problem, factor: float) -> float:
+    """The confidence with fewer failures, by the square of a factor, to four digits."""
+    return round(1.0 - (1.0 - problem.settings.confidence) / (factor * factor), 4)
+
+
+_SETTINGS: dict[OfferKind, tuple[str, Callable[[Problem, float], Any]]] = {
+    "confidence": ("confidence", lambda _, value: value),
+    "surer": ("confidence", _surer),
+    "revisits": ("revisits", lambda _, value: int(value)),
+    "max_knots": ("max_knots", lambda problem, factor: round(factor * problem.settings.max_knots)),
+    "samples_per_mode": ("samples_per_mode", lambda p, factor: round(factor * p.settings.samples_per_mode)),
+    "max_step": ("max_step", lambda problem, factor: tuple((factor * limits_of(problem).max_step).tolist())),
+}
+"""By kinds of offers: the setting that they change, and to what."""
+
+
+# Of what has no number to be written: how much of it.
+_SHARES = {0.125: "an eighth of it", 0.5: "half of it", 2.0: "twice as much", 8.0: "eight times as much"}
+
+
+def as_written(offer: Offer) -> Offer:
+    """The offer with numbers as they are printed: tolerances up, confidences down."""
+    if offer.kind == "confidence":
+        return replace(offer, values=((0, math.floor(100.0 * offer.values[0][1] + 1e-9) / 100.0),))
+    if offer.kind == "root":
+        return replace(offer, values=tuple((i, round(value, 2)) for i, value in offer.values))
+    if offer.kind != "tolerance":
+        return replace(offer, values=tuple((i, float(f"{value:.4g}")) for i, value in offer.values))
+    return replace(offer, values=tuple((i, _rounded_up(value)) for i, value in offer.values))
+
+
+def _rounded_up(value: float) -> float:
+    """The next number of three significant digits."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return float(f"{math.ceil(value / unit - 1e-9) * unit:.3g}")
+
+
+def in_words(problem: Problem, offer: Offer) -> str:
+    """The offer with its numbers, as they are to be written into the file; of noise and steps by which factor."""
+    value = offer.values[0][1]
+    if offer.kind in ("noise", "start_std", "max_step"):
+        return f"{offer.words} ({_SHARES[value]} suffices)"
+    if offer.kind == "surer":
+        return f"raise `confidence` to {_surer(problem, value):g}, which leaves more room"
+    if offer.kind in _SETTINGS:
+        number = _SETTINGS[offer.kind][1](problem, value)
+        return f"{offer.named} {number:.2f}" if offer.kind == "confidence" else f"{offer.named} {number}"
+    return f"{offer.named} {_numbers(problem, offer)}"
+
+
+def _numbers(problem: Problem, offer: Offer) -> str:
+    """Those of tolerances, targets, starts and places."""
+    if offer.kind == "root":
+        return f"[{', '.join(_text(value) for _, value in offer.values)}] m"
+    coordinates = problem.automaton.coordinates
+    # The coordinate that the words name comes first: its number follows them.
+    named = sorted(offer.values, key=lambda pair: f"'{coordinates[pair[0]].name}'" not in offer.words)
+    first, *others = [(coordinates[i], value) for i, value in named]
+    texts = [f"{_text(first[1])} {first[0].unit}"]
+    texts += [f"that of '{c.name}' to {_text(value)} {c.unit}" for c, value in others]
+    return texts[0] if len(texts) == 1 else ", ".join(texts[:-1]) + f" and {texts[-1]}"
+
+
+def _text(value: float) -> str:
+    return plain(value, 6)
