@@ -20,13 +20,14 @@ _MISPLACED = expat.errors.XML_ERROR_MISPLACED_XML_PI
 
 @dataclass
 class Element:
-    """An element without its text; robot files keep everything in attributes. Line and source are for messages."""
+    """An element. Robot files keep everything in attributes, SDF in `text`. Line and source are for messages."""
 
     tag: str
     attributes: dict[str, str]
     line: int
     children: list[Element] = field(default_factory=list)
     source: str = ""
+    text: str = ""
 
     def all(self, tag: str) -> list[Element]:
         """The children of a tag."""
@@ -38,7 +39,7 @@ class Element:
 
     def alone(self) -> Element:
         """A copy without the children."""
-        return Element(self.tag, dict(self.attributes), self.line, source=self.source)
+        return Element(self.tag, dict(self.attributes), self.line, source=self.source, text=self.text)
 
     def walk(self) -> Iterator[Element]:
         """This element and all below it, in the order of the file."""
@@ -94,10 +95,15 @@ def parse_xml(text: str, source: str) -> Element:
         (opened[-1].children if opened else roots).append(element)
         opened.append(element)
 
+    def characters(words: str) -> None:
+        if opened:
+            opened[-1].text += words
+
     def doctype(*_: object) -> None:
         raise refused("document types and entities are not allowed")
 
     parser.StartElementHandler, parser.StartDoctypeDeclHandler = start, doctype
+    parser.CharacterDataHandler, parser.buffer_text = characters, True
     parser.EndElementHandler = lambda _: opened.pop()
     try:
         parser.Parse(data, True)

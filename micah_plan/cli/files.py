@@ -70,7 +70,7 @@ def new(
 
 
 def convert(
-    source: Annotated[Path, typer.Argument(help="Recording, plan, model (YAML), URDF or MJCF.")],
+    source: Annotated[Path, typer.Argument(help="Recording, plan, model (YAML), URDF, SDF or MJCF.")],
     target: Annotated[Path, typer.Argument(help="File to write; its suffix chooses the format.")],
     topic: Topics = None,
     frame: Frame = None,
@@ -94,11 +94,11 @@ def convert(
     ] = 500.0,
     package: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=FOLDER", help="Of a URDF, where a package of its meshes lies; may be repeated."),
+        typer.Option(metavar="NAME=FOLDER", help="Of URDF and SDF, where a package of meshes lies; may be repeated."),
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Convert recordings (also ROS bags), plans (to JointTrajectory) and models (to and from URDF and MJCF; to SDF)."""
+    """Convert recordings (also ROS bags), plans (to JointTrajectory) and models (to and from URDF, SDF and MJCF)."""
     from micah_plan.exchange.convert import convert as converted
     from micah_plan.exchange.convert import targets
 

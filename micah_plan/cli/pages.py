@@ -1,4 +1,4 @@
-"""`micah-plan show`: a recording, a model, a problem or a plan as a page."""
+"""`micah-plan show`: a recording, a model, a problem, a plan or a folder of them as a page."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ View = Literal["whole", "motion", "object", "front", "side", "top"]
 
 
 def show(
-    file: Annotated[Path, typer.Argument(help="A recording, a model, a problem or a plan.")],
+    file: Annotated[Path, typer.Argument(help="A recording, a model, a problem, a plan, or a folder.")],
     runs: Annotated[
         Path | None, typer.Argument(help="Executed runs of the plan (a recording), to show beside it.")
     ] = None,
@@ -42,9 +42,10 @@ def show(
 ) -> None:
     """Write a page, a picture or a video of a recording, a model, a problem, a plan (with its runs), or serve the page.
 
-    With --live the page is made again when the file changes.
+    With --live the page is made again when the file changes. Of a folder it lists the files, their pages and the next
+    command.
     """
-    from micah_plan.view.live import PageServer, remade_on_change
+    from micah_plan.view.live import remade_on_change
 
     wanted = {
         "-o": (output, PAGE),
@@ -55,9 +56,12 @@ def show(
     files = {option: path for option, (path, _) in wanted.items() if path is not None}
     if not files and not live:
         raise InputError("no output is named", remedy="name a file with -o, or serve the page with --live")
-    if runs is not None and _kind_of(file) != "plan":
+    if runs is not None and (file.is_dir() or _kind_of(file) != "plan"):
         raise InputError("only a plan is shown with runs", source=file, remedy="name the plan first, then its runs")
     check_outputs((file, runs), [Output(option, *where) for option, where in wanted.items()])
+    if file.is_dir():
+        _show_folder(file, files, live, as_json)
+        return
     filming = _filming(size, fps, speed, view)
     with progress_bar(as_json) as progress:
         current = remade_on_change(file, lambda: _page_of(file, runs, progress))
@@ -69,15 +73,43 @@ def show(
     if not live:
         print_summary(as_json, summary, lambda: print_files(files.values()))
         return
+    _serve(current, port, summary, list(files.values()), as_json)
+
+
+def _serve(
+    current: Callable[[], str], port: int, summary: dict[str, str | int], files: list[Path], as_json: bool
+) -> None:
+    """Serve what a page is at each moment until Ctrl-C."""
+    from micah_plan.view.live import PageServer
+
     with PageServer(current, port) as server:
         summary["url"] = server.url
-        print_summary(as_json, summary, lambda: print_files(files.values()))
+        print_summary(as_json, summary, lambda: print_files(files))
         if not as_json:
             leave = "for this machine only; reload it after a change, leave with Ctrl-C"
             print_lines((f"the page is at {server.url} {leave}",))
         sys.stdout.flush()  # a program that started this waits for the address
         with suppress(KeyboardInterrupt):  # the way to end it
             server.serve_forever()
+
+
+def _show_folder(folder: Path, files: Mapping[str, Path], live: bool, as_json: bool) -> None:
+    from micah_plan.api.folder import look_into, page_of
+
+    if live or list(files) != ["-o"]:
+        raise InputError("of a folder there is a page only", source=folder, remedy="name it with -o, and nothing else")
+    found = look_into(folder, [files["-o"]])
+    page = page_of(found).encode()
+    replace_files({files["-o"]: page})
+    command, why = found.step
+    summary = {"kind": "folder", "page": str(files["-o"]), "files": len(found.files), "next": command}
+
+    def said() -> None:
+        print_files(files.values())
+        if command:
+            print_lines((f"next: {command}  ({why})",))
+
+    print_summary(as_json, summary | {"bytes": len(page)}, said)
 
 
 def _filming(size: str, rate: float, speed: float, view: str | None) -> Filming:

@@ -34,6 +34,7 @@ _LINE_WIDTH = 120
 _OTHERS = {
     **dict.fromkeys((".csv", ".tum", ".npz", ".parquet", ".mcap", ".bag", ".db3"), "a recording"),
     ".urdf": "a URDF, which `micah-plan convert` makes a model of",
+    ".sdf": "an SDF file, which `micah-plan convert` makes a model of",
 }
 _INTEGER = re.compile(r"[-+]?[0-9]{1,30}")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -147,3 +148,10 @@ def lost_in_bodies(automaton: HybridAutomaton, density: float, *, handles: bool)
     if bare:
         notes.append(f"without shapes, so a ball of {_BARE_MASS:g} kg: {', '.join(bare)}")
     return tuple(notes)
+
+
+def roll_pitch_yaw(rotation: Rotation) -> Floats:
+    """(3,) turns about the fixed axes x, y and z, as URDF and SDF write them; where the pitch is upright yaw is 0."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of several such triples SciPy takes one, and says so
+        return np.asarray(rotation.as_euler("xyz"))

@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -24,6 +24,7 @@ from micah_plan.exchange.load import load_recording
 from micah_plan.exchange.mjcf import load_mjcf, mjcf_text
 from micah_plan.exchange.rerun import write_rrd
 from micah_plan.exchange.sdf import sdf_text
+from micah_plan.exchange.sdf_read import load_sdf
 from micah_plan.exchange.urdf import load_urdf, urdf_text
 from micah_plan.execution.mujoco.parameters import parameters_of
 from micah_plan.files import replace_file
@@ -41,7 +42,7 @@ TARGETS = {
     **dict.fromkeys(READABLE, (*RECORDINGS, ".rrd")),
     ".json": (".json", ".mcap", ".yaml"),
     **dict.fromkeys((".yaml", ".yml"), (".urdf", ".mjcf", ".xml", ".sdf")),
-    **dict.fromkeys((".urdf", ".xml", ".mjcf"), (".yaml", ".yml")),
+    **dict.fromkeys((".urdf", ".sdf", ".xml", ".mjcf"), (".yaml", ".yml")),
 }
 """What a file may be converted to, by its ending."""
 _MODELS = (".yaml", ".yml")
@@ -49,6 +50,11 @@ _GOAL = """\
 Goal of a control_msgs/action/FollowJointTrajectory; CONTROLLER is such as /joint_trajectory_controller:
   ros2 action send_goal CONTROLLER/follow_joint_trajectory control_msgs/action/FollowJointTrajectory "$(cat FILE)"
 """
+_OBJECTS: Mapping[str, Callable[..., tuple[HybridAutomaton, tuple[str, ...]]]] = {
+    ".urdf": load_urdf,
+    ".sdf": load_sdf,
+    **dict.fromkeys((".xml", ".mjcf"), lambda source, _: load_mjcf(source)),
+}
 _BODIES = {".urdf": urdf_text, ".sdf": sdf_text, ".mjcf": mjcf_text, ".xml": mjcf_text}
 
 
@@ -60,7 +66,7 @@ def targets(path: str | Path) -> tuple[str, ...]:
     """
     suffix = Path(path).suffix.lower() or (".mcap" if is_log(path) else "")
     if suffix not in TARGETS:
-        remedy = f"give a recording ({', '.join(READABLE)}), plan (.json), model (.yaml), .urdf or .xml (MuJoCo)"
+        remedy = f"give a recording ({', '.join(READABLE)}), plan (.json), model (.yaml), .urdf, .sdf or .xml (MuJoCo)"
         raise InputError(f"nothing can be made of a {shown(suffix)} file", source=path, remedy=remedy)
     return TARGETS[suffix]
 
@@ -83,7 +89,7 @@ def convert(
         part, run: of a recording, which to write; None: all.
         poses_only: leave out what is no pose, such as actions, so that formats of trajectories can hold the rest.
         density: of the shapes of a model, for the masses of bodies [kg/m^3].
-        packages: of a URDF, folder by package name of its meshes.
+        packages: of a URDF or SDF, folder by package name of its meshes.
         conventions: of a recording; None: those that lie beside it, if any.
 
     Returns:
@@ -118,8 +124,8 @@ def convert(
             content = write_log([Logged(TOPIC, "trajectory_msgs/msg/JointTrajectory", 0, message)])
         replace_file(target, content)
         return "plan", ()
-    if suffix in (".urdf", ".xml", ".mjcf"):
-        automaton, notes = load_urdf(source, packages) if suffix == ".urdf" else load_mjcf(source)
+    if suffix in _OBJECTS:
+        automaton, notes = _OBJECTS[suffix](source, packages)
         dump_model(automaton, target)
         return "model", notes
     with located_in(source):

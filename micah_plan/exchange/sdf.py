@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Part, Primitive
 from micah_plan.automaton.joint import IDENTITY
-from micah_plan.exchange.bodies import DAMPING, DENSITY, MovingPart, inertia_of, moving_parts
+from micah_plan.exchange.bodies import DAMPING, DENSITY, MovingPart, inertia_of, moving_parts, roll_pitch_yaw
 
 _Node = ElementTree.Element
 
@@ -97,7 +97,7 @@ def _shape(owner: _Node, shape: Primitive, is_drawn: bool) -> None:
 
 def _pose(position: ArrayLike, quaternion: ArrayLike, relative_to: str = "") -> _Node:
     pose = ElementTree.Element("pose", {"relative_to": relative_to} if relative_to else {})
-    turn = Rotation.from_quat(quaternion).as_euler("xyz")  # about fixed axes
+    turn = roll_pitch_yaw(Rotation.from_quat(quaternion))
     pose.text = _words([*np.asarray(position, dtype=float), *turn])
     return pose
 

@@ -28,7 +28,7 @@ from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Link, Part, Primitive
 from micah_plan.automaton.joint import IDENTITY, Joint, Vector3, prismatic, revolute
 from micah_plan.errors import InputError, located_in
-from micah_plan.exchange.bodies import DAMPING, DENSITY, Inertia, MovingPart, inertia_of, moving_parts
+from micah_plan.exchange.bodies import DAMPING, DENSITY, Inertia, MovingPart, inertia_of, moving_parts, roll_pitch_yaw
 from micah_plan.exchange.one_mode import Follows, Moving, coordinate_of, doubts, one_mode
 from micah_plan.robot.robot_text import NO_LIMIT, CheckedRobot, check_urdf
 from micah_plan.task.body import vector3
@@ -124,7 +124,7 @@ def _shape(shape: Primitive, tag: str) -> Element:
 
 
 def _origin(position: ArrayLike, quaternion: ArrayLike) -> Element:
-    rpy = Rotation.from_quat(quaternion).as_euler("xyz")  # about fixed axes, as in URDF
+    rpy = roll_pitch_yaw(Rotation.from_quat(quaternion))
     return Element("origin", {"xyz": _words(position), "rpy": _words(rpy)}, 0)
 
 
@@ -147,9 +147,16 @@ def load_urdf(path: str | Path, packages: Mapping[str, str] | None = None) -> tu
     root = parse_xml(read_xml(path, "URDF"), str(path))
     if root.tag != "robot":
         raise InputError(f"expected <robot> (URDF), found <{root.tag[:40]}>", source=path)
-    checked = check_urdf(root, str(Path(path).parent), packages or {}, is_arm=False)
+    return automaton_of_urdf(root, path, packages or {}, "urdf")
+
+
+def automaton_of_urdf(
+    root: Element, path: str | Path, packages: Mapping[str, str], method: str
+) -> tuple[HybridAutomaton, tuple[str, ...]]:
+    """`load_urdf` of the root element of a file; `method` is told as what the model is made of."""
+    checked = check_urdf(root, str(Path(path).parent), packages, is_arm=False)
     with located_in(path):
-        return _Tree(checked, str(path), _meshes_of_handles(root, Path(path).parent)).automaton()
+        return _Tree(checked, str(path), _meshes_of_handles(root, Path(path).parent)).automaton(method)
 
 
 @dataclass
@@ -184,7 +191,7 @@ class _Tree:
         self._root = next(name for name in self._links if name not in carried)
         self._notes: list[str] = list(checked.left_out)
 
-    def automaton(self) -> tuple[HybridAutomaton, tuple[str, ...]]:
+    def automaton(self, method: str) -> tuple[HybridAutomaton, tuple[str, ...]]:
         base = self._body(self._root)
         base.name, base.frame = BASE, _HERE
         bodies, moving = [base], list[Moving]()
@@ -201,7 +208,7 @@ class _Tree:
                 bodies.append(child)
         parts = [self._part(body) for body in bodies]
         followers = {name: Follows(mimic.joint, mimic.multiplier, mimic.offset) for name, mimic in self._mimics.items()}
-        automaton = one_mode(moving, parts, followers, "urdf")
+        automaton = one_mode(moving, parts, followers, method)
         return automaton, (*self._notes, *doubts(moving, parts))
 
     def _body(self, root: str) -> _Body:
