@@ -53,7 +53,7 @@ class Attempt:
         except NoWayError as failed:
             return self.refused(failed.reason, (finding_of_reason(level, failed.reason, ways=failed.ways),))
         except TimeLimitError as failed:
-            return self.refused(failed.reason, (finding_of_reason(level, failed.reason),))
+            return self.refused(failed.reason, (Finding(level, failed.sentence, failed.remedy),))
 
     def solved(
         self,

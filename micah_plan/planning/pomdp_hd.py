@@ -226,9 +226,11 @@ def _low_level(attempt: Attempt, sequence: ModeSequence) -> _Tried:
     """The belief path through a mode sequence, in as few steps as lead through it."""
     try:
         return _optimised(attempt, sequence)
-    except (NoWayError, TimeLimitError) as failed:
-        ways = failed.ways if isinstance(failed, NoWayError) else ()
-        finding = finding_of_reason("optimisation", failed.reason, sequence.modes, ways)
+    except NoWayError as failed:
+        finding = finding_of_reason("optimisation", failed.reason, sequence.modes, failed.ways)
+        return _Tried(sequence, None, failed.reason, (finding,))
+    except TimeLimitError as failed:
+        finding = Finding("optimisation", failed.sentence, failed.remedy, sequence.modes)
         return _Tried(sequence, None, failed.reason, (finding,))
 
 

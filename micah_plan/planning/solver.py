@@ -167,8 +167,7 @@ def _followed(
     try:
         arm = arm_along(problem, trajectory, seed, deadline=deadline)
     except TimeLimitError as over:
-        says, (sentence, _, remedy) = "", over.reason.rpartition("; ")
-        finding = Finding("arm", sentence, remedy, plan.mode_sequence)
+        says, finding = "", Finding("arm", over.sentence, over.remedy, plan.mode_sequence)
     spent = time.perf_counter() - begin
     plan = replace(plan, timings={**plan.timings, "arm": spent, "total": plan.timings["total"] + spent})
     if isinstance(arm, ArmTrajectory):

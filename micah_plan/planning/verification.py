@@ -11,7 +11,6 @@ from scipy.special import ndtri
 from micah_plan.arrays import INTERVAL, Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.planning.cuts import with_scene
-from micah_plan.planning.findings import finding_of_reason
 from micah_plan.planning.offers import (
     LESS_NOISE,
     MORE_CONFIDENCE,
@@ -73,7 +72,7 @@ def verify(
     try:
         ends = _ends(problem, plan.trajectory, count, seed, deadline, sequential)
     except TimeLimitError as over:
-        finding = finding_of_reason("verification", over.reason, plan.mode_sequence)
+        finding = Finding("verification", over.sentence, over.remedy, plan.mode_sequence)
         reason = f"found {' -> '.join(plan.mode_sequence)}, but {over.reason}"
         return replace(plan, outcome="not_verified", reason=reason, findings=(finding, *plan.findings))
     successes, done = int(ends.in_goal.sum()), len(ends.in_goal)

@@ -68,11 +68,16 @@ _SHORTEST_S = 1e-3
 
 
 class TimeLimitError(Exception):
-    """The time is over; `reason` says in which stage, how far that was, and what to do."""
+    """The time is over.
+
+    Attributes:
+        sentence: in which stage, and how far that was. remedy: what to do. reason: both.
+    """
 
     def __init__(self, limit_s: float, stage: str, state: str, remedy: str) -> None:
         reached = f"the time limit of {limit_s:g} s (solve_time_limit_s) was reached in the {stage}"
-        self.reason = f"{reached}: {state}; {remedy}"
+        self.sentence, self.remedy = f"{reached}: {state}", remedy
+        self.reason = f"{self.sentence}; {remedy}"
         super().__init__(self.reason)
 
 

@@ -84,10 +84,9 @@ def test_a_narrow_corridor_tells_its_width_and_what_the_belief_needs(repository)
     # Both sides together miss what the corridor lacks.
     assert 0 < finding.amount <= finding.need - finding.room + 1e-6
     assert "is 12 mm wide, the belief needs" in finding.sentence
-    # Room and need speak of a confidence of 0.89, but roll-outs touch a wall more often: no number is named.
+    # Room and need speak of a confidence of 0.89, but roll-outs touch a wall more often: it is not offered.
     assert finding.remedy.endswith("or lower `confidence`")
-    told = solve(problem).findings[0]
-    assert told.remedy.endswith("lowering `confidence` did not help)")
+    assert solve(problem).findings[0].remedy == "lower the noise (half of it suffices)"
     lower = solve(with_settings(problem, confidence=0.88), advise=False)
     assert (lower.outcome, (lower.success_probability or 0.0) < 0.7) == ("not_verified", True)
 
