@@ -13,6 +13,7 @@ from typing import Protocol
 
 from micah_plan.planning.findings import LEAST_CONFIDENCE
 from micah_plan.planning.offers import as_written, changed, in_words
+from micah_plan.quantities import Progress
 from micah_plan.task.plan import Finding, Offer, OfferKind, Plan, one_of
 from micah_plan.task.problem import Problem
 
@@ -37,11 +38,15 @@ class PlanSolver(Protocol):
         """The plan, verified, and with its arm if it has one."""
 
 
-def advised(problem: Problem, plan: Plan, solver: PlanSolver, seed: int = 0) -> Plan:
-    """A plan that failed, with remedies that help; of each kind of change the first is tried."""
+def advised(problem: Problem, plan: Plan, solver: PlanSolver, seed: int = 0, progress: Progress | None = None) -> Plan:
+    """A plan that failed, with remedies that help; of each kind of change the first is tried.
+
+    Args:
+        progress: called with what is tried, and the share of the trials that are used up.
+    """
     if plan.outcome == "solved" or not plan.findings:
         return plan
-    trials, reason, findings = _Trials(problem, solver, seed), plan.reason, list[Finding]()
+    trials, reason, findings = _Trials(problem, solver, seed, progress), plan.reason, list[Finding]()
     for finding in plan.findings:
         remedy = trials.tried(finding) if finding.ways else finding.remedy
         if reason.endswith(f"; {finding.remedy}"):
@@ -53,8 +58,8 @@ def advised(problem: Problem, plan: Plan, solver: PlanSolver, seed: int = 0) -> 
 class _Trials:
     """What came out of trying changes: by kind the words of what helps, "" if nothing does."""
 
-    def __init__(self, problem: Problem, solver: PlanSolver, seed: int) -> None:
-        self._problem, self._solver, self._seed = problem, solver, seed
+    def __init__(self, problem: Problem, solver: PlanSolver, seed: int, progress: Progress | None) -> None:
+        self._problem, self._solver, self._seed, self._progress = problem, solver, seed, progress
         self._left = _MOST_SOLVED
         self._words = dict[OfferKind, str]()
 
@@ -96,6 +101,8 @@ class _Trials:
             for seed in (self._seed, self._seed + 1):
                 if not self._left:
                     return None
+                if self._progress is not None:
+                    self._progress(f"no plan; whether it helps to {offer.words}", 1.0 - self._left / _MOST_SOLVED)
                 self._left -= 1
                 answers.append(self._solver(changed(self._problem, offer), seed=seed))
                 if answers[-1].outcome != "solved":

@@ -91,7 +91,7 @@ def solve(
     answer = replace(with_arm, warnings=warnings)
     if not advise or answer.outcome == "solved":
         return answer
-    return advised(problem, answer, partial(solve, advise=False, planner=planner), seed)
+    return advised(problem, answer, partial(solve, advise=False, planner=planner), seed, progress)
 
 
 @dataclass(frozen=True, eq=False)

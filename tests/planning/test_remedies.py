@@ -171,6 +171,16 @@ def test_what_could_not_be_tried_says_so() -> None:
     assert remedy == "lower `confidence` (not tried)"
 
 
+def test_what_is_tried_is_told_while_it_is(capsys) -> None:
+    told: list[tuple[str, float]] = []
+    advised(
+        door_problem(0.2, 0.6), _refused(MORE_KNOTS), _solver(lambda _: False, []), progress=lambda *a: told.append(a)
+    )
+    assert [text for text, _ in told] == ["no plan; whether it helps to raise max_knots"] * 2
+    assert [share for _, share in told] == sorted(share for _, share in told)
+    assert capsys.readouterr().out == ""
+
+
 def test_what_helps_only_with_one_seed_does_not_help() -> None:
     def lucky(_: Problem, *, seed: int) -> Plan:
         return Plan("solved" if seed == 0 else "no_plan", "")
