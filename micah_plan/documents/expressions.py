@@ -16,6 +16,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Annotated, Any
 
 from pydantic import Field, PlainValidator
@@ -206,9 +207,14 @@ def _exact(value: float) -> str:
     return repr(float(value))
 
 
-def _listed(scope: Scope) -> list[str]:
+def _listed(scope: Scope) -> tuple[str, ...]:
     """The variables as expressions write them, coordinates before inputs."""
-    return [_written(name) for name in scope["coordinate"]] + [f"{INPUT} {_written(name)}" for name in scope["input"]]
+    return _names_written(tuple(scope["coordinate"]), tuple(scope["input"]))
+
+
+@lru_cache(maxsize=16)  # one for all of the thousands of expressions of a file
+def _names_written(coordinates: tuple[str, ...], inputs: tuple[str, ...]) -> tuple[str, ...]:
+    return (*map(_written, coordinates), *(f"{INPUT} {_written(name)}" for name in inputs))
 
 
 def _written(name: str) -> str:
