@@ -149,7 +149,7 @@ def by_rrt_connect(scene: Scene, seed: int) -> Floats | None:
 def free_boxes(boxes: Floats) -> list[tuple[Floats, Floats]]:
     """Boxes that what is free divides into: cells between the faces of obstacles, joined with the free ones beside.
 
-    Boxes that overlap as far as they can are fewer, but the graph of them takes GCS six times as long.
+    Boxes that overlap as far as they can are fewer, but the graph of them takes GCS several times as long.
     """
     d = boxes.shape[2]
     edges = [np.unique(np.clip([0.0, 1.0, *boxes[:, :, i].ravel()], 0.0, 1.0)) for i in range(d)]

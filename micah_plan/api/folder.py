@@ -12,7 +12,8 @@ from micah_plan.api.files import Loaded, load
 from micah_plan.api.planning import PlanningResult
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.documents.kind import kind_of
-from micah_plan.errors import InputError
+from micah_plan.errors import InputError, MicahError
+from micah_plan.exchange.convert import READABLE
 from micah_plan.files import PAGE
 from micah_plan.recording.value import Recording
 from micah_plan.task.problem import Problem
@@ -24,7 +25,8 @@ Group = Literal["recordings", "models", "problems", "plans", "runs", "others"]
 GROUPS: tuple[Group, ...] = ("recordings", "models", "problems", "plans", "runs", "others")
 """In the order in which work goes on."""
 
-_SUFFIXES = (".yaml", ".yml", ".json", ".csv", ".npz", ".tum", ".parquet", ".mcap", ".db3", ".bag")
+# A text may be anything, so trajectories are only those of their own ending.
+_SUFFIXES = (".yaml", ".yml", ".json", *(suffix for suffix in READABLE if suffix != ".txt"))
 _NOT_A_PLAN = ".timings.json"
 # Files that are read, and bytes of the largest: what is larger is named without being read.
 _MOST_FILES, _MOST_BYTES = 200, 50_000_000
@@ -104,7 +106,7 @@ def _looked_at(path: Path, pages: Sequence[Path]) -> FileInFolder:
         if kind in ("recording", "model", "problem", "plan", "sweep", "experiment", "parts"):
             value = load(path)
         words = str(value) if isinstance(value, Recording | HybridAutomaton | Problem | PlanningResult) else kind
-    except InputError as error:
+    except MicahError as error:  # one that cannot be used, or needs a library that is not there
         return FileInFolder(path, "others", str(error), None, tuple(pages))
     return FileInFolder(path, _group_of(value), words, value, tuple(pages))
 
@@ -145,9 +147,8 @@ def _next_step(files: Sequence[FileInFolder]) -> tuple[str, str]:
         runs = last["runs"].file
         better = [each for each in files if isinstance(each.value, HybridAutomaton) and each.value.effects]
         if better:
-            return command(
-                "predict", better[-1].file, runs
-            ), "see how well the calibrated model predicts what was measured"
+            asked = command("predict", better[-1].file, runs)
+            return asked, "see how well the calibrated model predicts what was measured"
         asked = command("calibrate", last["models"].file, runs, "-o", "better.yaml")
         return asked, "compare the model with what was measured, and add what it lacks"
     if "plans" in last:

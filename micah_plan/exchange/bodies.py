@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats
@@ -155,3 +156,8 @@ def roll_pitch_yaw(rotation: Rotation) -> Floats:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of several such triples SciPy takes one, and says so
         return np.asarray(rotation.as_euler("xyz"))
+
+
+def written(values: ArrayLike) -> str:
+    """Numbers as XML files have them, exactly."""
+    return " ".join(repr(float(value)) for value in np.asarray(values, dtype=float))

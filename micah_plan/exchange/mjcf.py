@@ -27,7 +27,7 @@ from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Link, Part, Primitive
 from micah_plan.automaton.joint import Vector3, prismatic, revolute
 from micah_plan.errors import InputError, located_in, shown
-from micah_plan.exchange.bodies import DAMPING, DENSITY, MovingPart, inertia_of, moving_parts
+from micah_plan.exchange.bodies import DAMPING, DENSITY, MovingPart, inertia_of, moving_parts, written
 from micah_plan.exchange.one_mode import Follows, Moving, coordinate_of, doubts, one_mode
 from micah_plan.mujoco_library import import_mujoco
 from micah_plan.robot.robot_text import MJCF_ROOTS, NO_LIMIT, check_mjcf
@@ -74,12 +74,12 @@ def _body(part: MovingPart, density: float) -> Element:
     inertia = inertia_of(part.part, density)
     moments = inertia.moments
     full = (*np.diag(moments), moments[0, 1], moments[0, 2], moments[1, 2])
-    inertial = {"pos": _words(inertia.center), "mass": repr(inertia.mass), "fullinertia": _words(full)}
+    inertial = {"pos": written(inertia.center), "mass": repr(inertia.mass), "fullinertia": written(full)}
     children = [*_joints(part), Element("inertial", inertial, 0), *_solids(part.part)]
     if part.part.handle is not None:
-        site = {"name": f"{part.child}_handle", "pos": _words(part.part.handle), "size": "0.01"}
+        site = {"name": f"{part.child}_handle", "pos": written(part.part.handle), "size": "0.01"}
         children.append(Element("site", site, 0))
-    placed = {"name": part.child, "pos": _words(joint.position), "quat": _quat(joint.quaternion)}
+    placed = {"name": part.child, "pos": written(joint.position), "quat": _quat(joint.quaternion)}
     return Element("body", placed, 0, children)
 
 
@@ -89,11 +89,11 @@ def _joints(part: MovingPart) -> list[Element]:
     if not joint.moves:
         return []
     back = Rotation.from_quat(joint.quaternion).inv()
-    axis = _words(back.apply(joint.axis))
-    center = _words(back.apply(np.subtract(joint.center, joint.position)))
+    axis = written(back.apply(joint.axis))
+    center = written(back.apply(np.subtract(joint.center, joint.position)))
     attributes = {"name": part.name, "axis": axis, "damping": repr(DAMPING[joint.unit])}
     if all(map(math.isfinite, part.limits)):
-        attributes["range"] = _words(part.limits)
+        attributes["range"] = written(part.limits)
     if joint.slides:
         return [Element("joint", {"type": "slide", **attributes}, 0)]
     elements = [Element("joint", {"type": "hinge", "pos": center, **attributes}, 0)]
@@ -112,17 +112,13 @@ def _solid(shape: Primitive) -> Element:
     if shape.kind == "cylinder":
         size[1] /= 2
     color = [int(shape.color[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-    place = {"pos": _words(shape.position), "quat": _quat(shape.quaternion), "rgba": f"{_words(color)} 1"}
+    place = {"pos": written(shape.position), "quat": _quat(shape.quaternion), "rgba": f"{written(color)} 1"}
     meets = {"contype": "0", "conaffinity": "0", "mass": "0"}
-    return Element("geom", {"type": shape.kind, "size": _words(size), **place, **meets}, 0)
+    return Element("geom", {"type": shape.kind, "size": written(size), **place, **meets}, 0)
 
 
 def _quat(quaternion: ArrayLike) -> str:
-    return _words(np.asarray(quaternion, dtype=float)[_SCALAR_FIRST])
-
-
-def _words(values: ArrayLike) -> str:
-    return " ".join(repr(float(value)) for value in np.asarray(values, dtype=float))
+    return written(np.asarray(quaternion, dtype=float)[_SCALAR_FIRST])
 
 
 _HERE = RigidTransform.identity()

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Part, Primitive
 from micah_plan.automaton.joint import IDENTITY
-from micah_plan.exchange.bodies import DAMPING, DENSITY, MovingPart, inertia_of, moving_parts, roll_pitch_yaw
+from micah_plan.exchange.bodies import DAMPING, DENSITY, MovingPart, inertia_of, moving_parts, roll_pitch_yaw, written
 
 _Node = ElementTree.Element
 
@@ -58,7 +58,7 @@ def _joint(model: _Node, part: MovingPart) -> None:
     if not joint.moves:
         return
     axis = _add(found, "axis")
-    _add(axis, "xyz", text=_words(turn.inv().apply(joint.axis)))
+    _add(axis, "xyz", text=written(turn.inv().apply(joint.axis)))
     limit = _add(axis, "limit")
     for key, end in zip(("lower", "upper"), part.limits, strict=True):
         if np.isfinite(end):
@@ -86,19 +86,19 @@ def _shape(owner: _Node, shape: Primitive, is_drawn: bool) -> None:
     owner.append(_pose(shape.position, shape.quaternion))
     solid = _add(_add(owner, "geometry"), shape.kind)
     if shape.kind == "box":
-        _add(solid, "size", text=_words(shape.size))
+        _add(solid, "size", text=written(shape.size))
     else:
         for key, value in zip(("radius", "length"), shape.size, strict=False):
             _add(solid, key, text=repr(float(value)))
     if is_drawn:
-        color = _words([*(int(shape.color[i : i + 2], 16) / 255 for i in (1, 3, 5)), 1.0])
+        color = written([*(int(shape.color[i : i + 2], 16) / 255 for i in (1, 3, 5)), 1.0])
         _add(_add(owner, "material"), "diffuse", text=color)
 
 
 def _pose(position: ArrayLike, quaternion: ArrayLike, relative_to: str = "") -> _Node:
     pose = ElementTree.Element("pose", {"relative_to": relative_to} if relative_to else {})
     turn = roll_pitch_yaw(Rotation.from_quat(quaternion))
-    pose.text = _words([*np.asarray(position, dtype=float), *turn])
+    pose.text = written([*np.asarray(position, dtype=float), *turn])
     return pose
 
 
@@ -106,7 +106,3 @@ def _add(parent: _Node, tag: str, attributes: Mapping[str, str] | None = None, t
     node = ElementTree.SubElement(parent, tag, dict(attributes or {}))
     node.text = text
     return node
-
-
-def _words(values: ArrayLike) -> str:
-    return " ".join(repr(float(value)) for value in np.asarray(values, dtype=float))

@@ -9,7 +9,7 @@ Source: http://sdformat.org/tutorials (pose semantics, version 1.7 on) and /spec
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError, shown
-from micah_plan.exchange.bodies import roll_pitch_yaw
+from micah_plan.exchange.bodies import roll_pitch_yaw, written
 from micah_plan.exchange.urdf import AXIS_LINK, automaton_of_urdf
 from micah_plan.robot.robot_text import NO_LIMIT
 from micah_plan.xml_text import Element, parse_xml, read_xml
@@ -80,7 +80,7 @@ class _Model:
                 before = f" on line {self._frames[name].element.line}" if name in self._frames else ""
                 raise element.error(f"the name {shown(name)} is taken already{before}", "rename it")
             within = {"frame": element.attributes.get("attached_to", ""), "joint": _text(element, "child")}
-            self._frames[name] = _placed(element, "pose", within.get(element.tag) or _MODEL)
+            self._frames[name] = _placed(element, within.get(element.tag) or _MODEL)
         self._notes: list[str] = []
 
     def urdf(self) -> tuple[Element, list[str]]:
@@ -128,7 +128,7 @@ class _Model:
             _origin(joint, before.inv() * at),
             _made(joint, "parent", {"link": parent}),
             _made(joint, "child", {"link": moving}),
-            _made(axis, "axis", {"xyz": _words(along)}),
+            _made(axis, "axis", {"xyz": written(along)}),
         ]
         if not is_endless:
             found.children.append(_made(axis, "limit", {"lower": repr(lower), "upper": repr(upper)}))
@@ -176,7 +176,7 @@ class _Model:
                 shape = self._shape(name, solid, tag == "collision")
                 if shape is None:
                     continue
-                own = _placed(solid, "pose", name)
+                own = _placed(solid, name)
                 if own.relative_to != name:
                     at = self._pose_of(name, solid).inv() * self._pose_of(own.relative_to, solid) * own.pose
                 else:
@@ -232,9 +232,9 @@ def _numbers(element: Element, text: str, count: int) -> list[float]:
     return numbers
 
 
-def _placed(owner: Element, tag: str, otherwise: str) -> _Frame:
+def _placed(owner: Element, otherwise: str) -> _Frame:
     """The pose of an element, relative to what it says or else to what is usual for it."""
-    pose = owner.first(tag)
+    pose = owner.first("pose")
     if pose is None or not pose.text.strip():
         within = otherwise if pose is None else pose.attributes.get("relative_to") or otherwise
         return _Frame(owner, _HERE, within)
@@ -279,7 +279,7 @@ def _material(solid: Element) -> list[Element]:
         return []
     rgba = [*_numbers(material, diffuse, len(diffuse.split())), 1.0][:4]
     found = _made(material, "material", {"name": ""})
-    found.children.append(_made(material, "color", {"rgba": _words(rgba)}))
+    found.children.append(_made(material, "color", {"rgba": written(rgba)}))
     return [found]
 
 
@@ -290,7 +290,7 @@ def _made(source: Element, tag: str, attributes: Mapping[str, str]) -> Element:
 
 def _origin(source: Element, pose: RigidTransform) -> Element:
     turn = roll_pitch_yaw(pose.rotation)
-    return _made(source, "origin", {"xyz": _words(pose.translation), "rpy": _words(turn)})
+    return _made(source, "origin", {"xyz": written(pose.translation), "rpy": written(turn)})
 
 
 def _fixed(source: Element, name: str, parent: str, child: str, pose: RigidTransform) -> Element:
@@ -298,7 +298,3 @@ def _fixed(source: Element, name: str, parent: str, child: str, pose: RigidTrans
     ends = (_made(source, key, {"link": end}) for key, end in (("parent", parent), ("child", child)))
     joint.children = [_origin(source, pose), *ends]
     return joint
-
-
-def _words(values: Sequence[float] | Floats) -> str:
-    return " ".join(repr(float(value)) for value in values)

@@ -28,7 +28,16 @@ from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import HybridAutomaton, Link, Part, Primitive
 from micah_plan.automaton.joint import IDENTITY, Joint, Vector3, prismatic, revolute
 from micah_plan.errors import InputError, located_in
-from micah_plan.exchange.bodies import DAMPING, DENSITY, Inertia, MovingPart, inertia_of, moving_parts, roll_pitch_yaw
+from micah_plan.exchange.bodies import (
+    DAMPING,
+    DENSITY,
+    Inertia,
+    MovingPart,
+    inertia_of,
+    moving_parts,
+    roll_pitch_yaw,
+    written,
+)
 from micah_plan.exchange.one_mode import Follows, Moving, coordinate_of, doubts, one_mode
 from micah_plan.robot.robot_text import NO_LIMIT, CheckedRobot, check_urdf
 from micah_plan.task.body import vector3
@@ -63,7 +72,7 @@ def _moved(part: MovingPart, density: float) -> list[Element]:
     turn, link = Rotation.from_quat(joint.quaternion), _link(child, part.part, density)
     if not joint.moves:
         return [link, _joint(part.name, "fixed", parent, child, joint.position, joint.quaternion)]
-    axis = Element("axis", {"xyz": _words(turn.inv().apply(joint.axis))}, 0)
+    axis = Element("axis", {"xyz": written(turn.inv().apply(joint.axis))}, 0)
     free = joint.turns and not np.isfinite(part.limits).any()
     low, high = (float(np.clip(end, -NO_LIMIT, NO_LIMIT)) for end in part.limits)
     bounds = {"lower": repr(low), "upper": repr(high), "effort": "100", "velocity": "1"}
@@ -111,25 +120,21 @@ def _inertial(inertia: Inertia) -> Element:
 def _shape(shape: Primitive, tag: str) -> Element:
     """The shape to draw, with its colour, or to check."""
     if shape.kind == "box":
-        solid = {"size": _words(shape.size)}
+        solid = {"size": written(shape.size)}
     else:
         solid = dict(zip(("radius", "length"), map(repr, shape.size), strict=False))
     geometry = Element("geometry", {}, 0, [Element(shape.kind, solid, 0)])
     element = Element(tag, {}, 0, [_origin(shape.position, shape.quaternion), geometry])
     if tag == "visual":
         parts = [int(shape.color[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-        color = Element("color", {"rgba": f"{_words(parts)} 1"}, 0)
+        color = Element("color", {"rgba": f"{written(parts)} 1"}, 0)
         element.children.append(Element("material", {"name": shape.color}, 0, [color]))
     return element
 
 
 def _origin(position: ArrayLike, quaternion: ArrayLike) -> Element:
     rpy = roll_pitch_yaw(Rotation.from_quat(quaternion))
-    return Element("origin", {"xyz": _words(position), "rpy": _words(rpy)}, 0)
-
-
-def _words(values: ArrayLike) -> str:
-    return " ".join(repr(float(value)) for value in np.asarray(values, dtype=float))
+    return Element("origin", {"xyz": written(position), "rpy": written(rpy)}, 0)
 
 
 _HERE = RigidTransform.identity()

@@ -15,6 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from micah_plan.arrays import Floats
+from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
 from micah_plan.automaton.memo import memoised
 from micah_plan.automaton.region import HalfSpace
@@ -36,7 +37,8 @@ def leads_back(automaton: HybridAutomaton, edge: Edge) -> bool:
 @memoised
 def _final_guards(automaton: HybridAutomaton, mode: Mode) -> tuple[tuple[HalfSpace, ...], ...]:
     """The guards on the input alone of a mode's transitions that nothing leads back from."""
-    if automaton.input_memories:  # what is sent now arrives later, in part
+    # What is sent arrives later or in part, or leads to a place: how fast depends on where the part is.
+    if automaton.input_memories or any(form(effect.name).layer == "place" for effect in automaton.effects):
         return ()
     edges = (edge for edge in automaton.edges_from(mode.name) if not edge.is_self_transition)
     guards = (edge.guard for edge in edges if not leads_back(automaton, edge))

@@ -12,20 +12,22 @@ from micah_plan.quantities import plain
 from micah_plan.task.plan import Offer, OfferKind
 from micah_plan.task.problem import Problem
 
-# How many times as much is tried first of what has no number of its own.
-_AT_FIRST = 2.0
-
-
-def _more(words: str, kind: OfferKind, factor: float = _AT_FIRST) -> Offer:
-    return Offer(words, f"{words} to", kind, ((0, factor),))
-
-
-MORE_KNOTS = _more("raise max_knots", "max_knots")
-LARGER_STEPS = _more("raise max_step", "max_step")
-MORE_STATES = _more("raise samples_per_mode", "samples_per_mode")
-LESS_NOISE = _more("lower the noise", "noise", 1.0 / _AT_FIRST)
-SURER_START = _more("lower the start's std", "start_std", 1.0 / _AT_FIRST)
-MORE_CONFIDENCE = _more("raise `confidence`, which leaves more room", "surer")
+# Twice as much, or half of it, is tried first of what has no number of its own.
+MORE_KNOTS = Offer("raise max_knots", "raise max_knots to", "max_knots", ((0, 2.0),))
+LARGER_STEPS = Offer("raise max_step", "", "max_step", ((0, 2.0),))
+LESS_NOISE = Offer("lower the noise", "", "noise", ((0, 0.5),))
+SURER_START = Offer("lower the start's std", "", "start_std", ((0, 0.5),))
+MORE_CONFIDENCE = Offer("raise `confidence` (more room)", "raise `confidence` (more room) to", "surer", ((0, 2.0),))
+# Of what has no number to be written: how much of it, by factors that are tried.
+_SHARES = {0.125: "an eighth of it", 0.5: "half of it", 2.0: "twice as much", 8.0: "eight times as much"}
+# By kinds of offers: the setting that they change, and to what.
+_SETTINGS: dict[OfferKind, tuple[str, Callable[[Problem, float], Any]]] = {
+    "confidence": ("confidence", lambda _, value: value),
+    "surer": ("confidence", lambda problem, factor: _surer(problem, factor)),
+    "revisits": ("revisits", lambda _, value: int(value)),
+    "max_knots": ("max_knots", lambda problem, factor: round(factor * problem.settings.max_knots)),
+    "max_step": ("max_step", lambda problem, factor: tuple((factor * limits_of(problem).max_step).tolist())),
+}
 
 
 def lower_confidence(confidence: float) -> Offer:
@@ -73,21 +75,6 @@ def _surer(problem: Problem, factor: float) -> float:
     return round(1.0 - (1.0 - problem.settings.confidence) / (factor * factor), 4)
 
 
-_SETTINGS: dict[OfferKind, tuple[str, Callable[[Problem, float], Any]]] = {
-    "confidence": ("confidence", lambda _, value: value),
-    "surer": ("confidence", _surer),
-    "revisits": ("revisits", lambda _, value: int(value)),
-    "max_knots": ("max_knots", lambda problem, factor: round(factor * problem.settings.max_knots)),
-    "samples_per_mode": ("samples_per_mode", lambda p, factor: round(factor * p.settings.samples_per_mode)),
-    "max_step": ("max_step", lambda problem, factor: tuple((factor * limits_of(problem).max_step).tolist())),
-}
-"""By kinds of offers: the setting that they change, and to what."""
-
-
-# Of what has no number to be written: how much of it.
-_SHARES = {0.125: "an eighth of it", 0.5: "half of it", 2.0: "twice as much", 8.0: "eight times as much"}
-
-
 def as_written(offer: Offer) -> Offer:
     """The offer with numbers as they are printed: tolerances up, confidences down."""
     if offer.kind == "confidence":
@@ -110,8 +97,6 @@ def in_words(problem: Problem, offer: Offer) -> str:
     value = offer.values[0][1]
     if offer.kind in ("noise", "start_std", "max_step"):
         return f"{offer.words} ({_SHARES[value]} suffices)"
-    if offer.kind == "surer":
-        return f"raise `confidence` to {_surer(problem, value):g}, which leaves more room"
     if offer.kind in _SETTINGS:
         number = _SETTINGS[offer.kind][1](problem, value)
         return f"{offer.named} {number:.2f}" if offer.kind == "confidence" else f"{offer.named} {number}"

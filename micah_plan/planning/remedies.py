@@ -25,7 +25,7 @@ _WIDER = 1.1
 _TWICE = 2.0  # times as far a root is moved the next time
 _LOWER = 0.02
 # What is changed by a factor is changed so many times as much the next time.
-_FACTORS: tuple[OfferKind, ...] = ("max_knots", "max_step", "samples_per_mode", "noise", "start_std", "surer")
+_FACTORS: tuple[OfferKind, ...] = ("max_knots", "max_step", "noise", "start_std", "surer")
 _MUCH = 4.0
 # Has to be done, also where it is not enough.
 _NECESSARY: tuple[OfferKind, ...] = ("start", "target")
@@ -55,6 +55,10 @@ def advised(problem: Problem, plan: Plan, solver: PlanSolver, seed: int = 0, pro
     return replace(plan, reason=reason, findings=tuple(findings))
 
 
+class _NoneLeftError(Exception):
+    """No more problems may be solved."""
+
+
 class _Trials:
     """What came out of trying changes: by kind the words of what helps, "" if nothing does."""
 
@@ -82,17 +86,19 @@ class _Trials:
             # Of another coordinate or number than the one that was tried, nothing is known.
             is_of_all = offer.kind in (*_FACTORS, "confidence", "revisits")
             return self._words[offer.kind] if is_of_all else offer.words
-        helping = self._that_helps(offer)
-        if helping is not None:
-            self._words[offer.kind] = in_words(self._problem, helping)
-        elif self._left:
-            self._words[offer.kind] = ""
-        else:
+        try:
+            helping = self._that_helps(offer)
+        except _NoneLeftError:
             return f"{offer.words} (not tried)"
+        self._words[offer.kind] = "" if helping is None else in_words(self._problem, helping)
         return self._words[offer.kind]
 
     def _that_helps(self, offer: Offer) -> Offer | None:
-        """The offer, or the next larger change of its kind, with which planning succeeds with two seeds."""
+        """The offer, or the next larger change of its kind, with which planning succeeds with two seeds.
+
+        Raises:
+            _NoneLeftError: if all that may be solved was solved before that is known.
+        """
         for _ in range(_MOST_FACTORS if offer.kind in _FACTORS else _MOST_NUMBERS):
             offer = as_written(offer)
             if (offer.kind == "confidence" and offer.values[0][1] <= LEAST_CONFIDENCE) or not offer.values:
@@ -100,7 +106,7 @@ class _Trials:
             answers = list[Plan]()
             for seed in (self._seed, self._seed + 1):
                 if not self._left:
-                    return None
+                    raise _NoneLeftError
                 if self._progress is not None:
                     self._progress(f"no plan; whether it helps to {offer.words}", 1.0 - self._left / _MOST_SOLVED)
                 self._left -= 1

@@ -31,7 +31,7 @@ Level = Literal["start", "goal", "search", "optimisation", "verification", "arm"
 
 OfferKind = Literal[
     "tolerance", "target", "start", "confidence", "root", "revisits",
-    "max_knots", "max_step", "samples_per_mode", "noise", "start_std", "surer",
+    "max_knots", "max_step", "noise", "start_std", "surer",
 ]  # fmt: skip
 """What a remedy can change; those of the second line by a factor."""
 

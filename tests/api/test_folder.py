@@ -9,9 +9,10 @@ import pytest
 from shell import exit_code
 from typer.testing import CliRunner
 
+from micah_plan.api.files import load
 from micah_plan.api.folder import look_into, page_of
 from micah_plan.cli.application import app
-from micah_plan.errors import InputError
+from micah_plan.errors import InputError, MissingDependencyError
 
 ROOT = Path(__file__).resolve().parents[2]
 RECORDING, MODEL = ROOT / "examples" / "demonstrations" / "drawer.csv", ROOT / "models" / "drawer.yaml"
@@ -87,6 +88,21 @@ def test_what_cannot_be_read_says_why_and_does_not_end_it(tmp_path) -> None:
     assert [each.file.name for each in found.of("others")] == ["broken.yaml", "mine.csv"]
     assert all(each.value is None and str(each.file) in each.words for each in found.of("others"))
     assert found.step[0].endswith("--model drawer.yaml")
+
+
+def test_a_library_that_is_missing_is_said_of_its_file_alone(tmp_path, monkeypatch) -> None:
+    shutil.copy(MODEL, tmp_path / "drawer.yaml")
+    (tmp_path / "log.bag").write_bytes(b"#ROSBAG V2.0")
+
+    def without_library(path: Path) -> object:
+        if path.suffix == ".bag":
+            raise MissingDependencyError("reading .bag needs the extra 'ros'")
+        return load(path)
+
+    monkeypatch.setattr("micah_plan.api.folder.load", without_library)
+    found = look_into(tmp_path)
+    assert [each.words for each in found.of("others")] == ["reading .bag needs the extra 'ros'"]
+    assert len(found.of("models")) == 1
 
 
 def test_the_command_writes_the_page_and_says_what_is_next(tmp_path) -> None:

@@ -12,7 +12,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.belief.filter import initial_belief
 from micah_plan.documents.model import load_model
 from micah_plan.execution.pilot import PlanFollower
-from micah_plan.planning.avoided_inputs import cut_off, input_bounds
+from micah_plan.planning.avoided_inputs import cut_off, input_bounds, needs_margin
 from micah_plan.planning.solver import solve
 from micah_plan.task.plan import Trajectory
 
@@ -61,6 +61,17 @@ def test_where_a_transition_leads_back_feedback_may_take_it(tmp_path) -> None:
     # The plan itself keeps out of it, so it still counts with slower steps.
     bounds = input_bounds(automaton, automaton.mode("carries"), np.array([LARGEST]))
     assert np.ravel(bounds) == pytest.approx([-0.025, 0.025])
+
+
+def test_of_commands_that_are_places_feedback_is_not_cut_off(tmp_path) -> None:
+    """How far a place is depends on where the part is, which nobody knows: plans keep their margin there."""
+    places = (
+        GLASS[0]
+        + "effects:\n  - {name: follow, coordinate: x, parameters: {share: 0.5, offset: 0, gain: 1, delay: 0, momentum: 0, width: 0}}\n"
+    )
+    automaton = _problem(tmp_path, (places, GLASS[1])).automaton
+    assert _sent(automaton, [0.04], [0.0]) == pytest.approx([0.04])
+    assert all(needs_margin(automaton, edge) for edge in automaton.edges)
 
 
 PLANE = """\

@@ -18,10 +18,10 @@ from micah_plan.planning.offers import (
     LESS_NOISE,
     MORE_CONFIDENCE,
     MORE_KNOTS,
-    MORE_STATES,
     SURER_START,
     changed,
     lower_confidence,
+    more_revisits,
 )
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.remedies import advised
@@ -165,10 +165,12 @@ def test_where_nothing_helps_that_is_said() -> None:
 
 
 def test_what_could_not_be_tried_says_so() -> None:
-    ways = [MORE_KNOTS, LARGER_STEPS, LESS_NOISE, SURER_START, MORE_CONFIDENCE, MORE_STATES, lower_confidence(0.9)]
+    ways = [MORE_KNOTS, LARGER_STEPS, LESS_NOISE, SURER_START, MORE_CONFIDENCE, lower_confidence(0.9)]
     remedy, asked = _after(_refused(*ways), lambda _: False)
     assert len(asked) == 14
-    assert remedy == "lower `confidence` (not tried)"
+    assert remedy.startswith("change the task or the model (tried in vain: raise max_knots, ")  # the last one just did
+    more = more_revisits("raise revisits", 1)
+    assert _after(_refused(*ways, more), lambda _: False) == ("raise revisits (not tried)", asked)
 
 
 def test_what_is_tried_is_told_while_it_is(capsys) -> None:
