@@ -90,7 +90,7 @@ class _Model:
         robot.children += [self._link(name, link) for name, link in self._links.items()]
         for joint in self._joints:
             robot.children += self._joined(joint)
-        carried = {_text(joint, "child") for joint in self._joints}
+        carried = {self._link_of(_text(joint, "child")) for joint in self._joints}
         standing = [name for name in self._links if name not in carried]
         is_held = any(self._link_of(_text(joint, "parent")) == _WORLD for joint in self._joints)
         for name in standing:
@@ -105,9 +105,9 @@ class _Model:
         name, kind = _name(joint), joint.attributes.get("type", "")
         parent, child = _text(joint, "parent"), _text(joint, "child")
         for end, key in ((parent, "parent"), (child, "child")):
-            if end not in self._links and end != _WORLD and end not in self._frames:
+            if end not in self._frames and (end != _WORLD or key == "child"):
                 raise joint.error(f"expected the name of a link as {key}, found {shown(end)}", "correct the SDF")
-        parent = self._link_of(parent)
+        parent, child = self._link_of(parent), self._link_of(child)
         before, at, after = (self._pose_of(frame, joint) for frame in (parent, name, child))
         if kind == "fixed":
             return [_fixed(joint, name, parent, child, before.inv() * after)]

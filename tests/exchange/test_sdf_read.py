@@ -127,6 +127,13 @@ def test_our_own_come_back(tmp_path, name) -> None:
         assert high == pytest.approx(automaton.ranges(i)[-1][1])
 
 
+def test_ends_of_joints_may_be_frames(tmp_path) -> None:
+    edge = '<frame name="edge" attached_to="door"><pose>0 0.1 0 0 0 0.3</pose></frame><link name="case">'
+    framed = CABINET.replace('<link name="case">', edge).replace("<child>door</child>", "<child>edge</child>")
+    framed = framed.replace("<parent>case</parent>", "<parent>corner</parent>")
+    assert loaded(tmp_path, framed)[0] == loaded(tmp_path, CABINET)[0]
+
+
 @pytest.mark.filterwarnings("error")
 def test_a_link_that_stands_upright_warns_of_nothing(tmp_path) -> None:
     upright = CABINET.replace("0.1 0 0.2 0 0.7 0", "0.1 0 0.2 0.3 1.5707963267948966 0.1")

@@ -65,10 +65,8 @@ def test_where_a_transition_leads_back_feedback_may_take_it(tmp_path) -> None:
 
 def test_of_commands_that_are_places_feedback_is_not_cut_off(tmp_path) -> None:
     """How far a place is depends on where the part is, which nobody knows: plans keep their margin there."""
-    places = (
-        GLASS[0]
-        + "effects:\n  - {name: follow, coordinate: x, parameters: {share: 0.5, offset: 0, gain: 1, delay: 0, momentum: 0, width: 0}}\n"
-    )
+    values = "share: 0.5, offset: 0, gain: 1, delay: 0, momentum: 0, width: 0"
+    places = f"{GLASS[0]}effects:\n  - {{name: follow, coordinate: x, parameters: {{{values}}}}}\n"
     automaton = _problem(tmp_path, (places, GLASS[1])).automaton
     assert _sent(automaton, [0.04], [0.0]) == pytest.approx([0.04])
     assert all(needs_margin(automaton, edge) for edge in automaton.edges)
