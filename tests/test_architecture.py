@@ -54,6 +54,7 @@ IMPORTERS: dict[str, tuple[tuple[str, ...], bool]] = {
     "matplotlib": (("view.",), False),
     "jinja2": (("view.",), True),
     "ruamel": (("documents.",), True),
+    "yaml": (("documents.",), True),
     "pydantic": (("documents.",), False),
     "cv2": (("vision.opencv",), True),
     **dict.fromkeys(("mcap", "lz4", "zstandard"), (("recording.ros_mcap",), True)),
@@ -309,8 +310,8 @@ def test_importing_the_package_loads_few_modules() -> None:
 # MeshCat's own package imports a server and IPython; `scipy.stats` takes half a second for a quantile.
 NEVER = ("scipy.stats", "meshcat", "tornado", "zmq", "IPython", "pyngrok", "pandas", "sympy")
 NOT_LOADED: dict[str, tuple[str, ...]] = {
-    "--version": ("numpy", "scipy", "jinja2", "ruamel"),
-    "--help": ("numpy", "scipy", "jinja2", "ruamel"),
+    "--version": ("numpy", "scipy", "jinja2", "ruamel", "yaml"),
+    "--help": ("numpy", "scipy", "jinja2", "ruamel", "yaml"),
     "schema problem": ("scipy", "ompl", "pinocchio", "casadi", "matplotlib", "jinja2"),
     "check problems/drawer_open.yaml": ("scipy", "ompl", "pinocchio", "casadi", "matplotlib", "jinja2"),
     "learn examples/demonstrations/drawer.csv -o {out}/model.yaml": (

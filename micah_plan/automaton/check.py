@@ -26,12 +26,11 @@ from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Pin, Tie
 from micah_plan.automaton.joint import KINDS
 from micah_plan.automaton.memo import memoised
-from micah_plan.automaton.region import HalfSpace, Interval, Region, is_empty
+from micah_plan.automaton.region import UNLIMITED, HalfSpace, Interval, Region, is_empty
 from micah_plan.errors import InputError, shown
 from micah_plan.quantities import LARGEST
 
 UNITS = ("rad", "m")
-_EVERYTHING = (-math.inf, math.inf)
 Place = tuple[str | int, ...]
 
 
@@ -159,10 +158,10 @@ def _check_tie(automaton: HybridAutomaton, mode: Mode, tie: Tie) -> None:
 
 def _check_edge(automaton: HybridAutomaton, edge: Edge) -> None:
     where = f"edge {edge.name}"
-    names = automaton.mode_names
     for end in (edge.source, edge.target):
-        if end not in names:
-            raise InputError(f"{where}: unknown mode {shown(end)}", remedy=f"choose one of {', '.join(names)}")
+        if not automaton.has_mode(end):
+            remedy = f"choose one of {', '.join(automaton.mode_names)}"
+            raise InputError(f"{where}: unknown mode {shown(end)}", remedy=remedy)
     if edge.guard.is_everything:
         raise InputError(f"{where}: a guard must have at least one half-space, else its mode is never stayed in")
     _check_region(edge.guard, f"{where}: guard")
@@ -242,6 +241,8 @@ def _check_entry(automaton: HybridAutomaton, edge: Edge) -> None:
         return  # the guard holds nowhere in the source; the edge is useless but leads nowhere wrong
     for index, (low, high) in enumerate(_after_reset(automaton, edge, before)):
         allowed = target.invariant.interval(index)
+        if allowed[0] <= low and high <= allowed[1]:
+            continue
         room = EQUAL * max([1.0, *(abs(v) for v in (low, high, *allowed) if math.isfinite(v))])
         room += sum(pin.std for mode in (source, target) for pin in mode.pins if pin.coordinate == index)
         if low > allowed[1] + room or high < allowed[0] - room:
@@ -279,7 +280,7 @@ def _after_reset(automaton: HybridAutomaton, edge: Edge, box: list[Interval]) ->
     for weights, inputs, offset in zip(a, b, c, strict=True):
         ends = [sorted((w * low, w * high)) for w, (low, high) in zip(weights, box, strict=True) if w]
         low, high = (offset + sum(end[k] for end in ends) for k in (0, 1))
-        image.append(_EVERYTHING if any(inputs) or math.isnan(low) or math.isnan(high) else (low, high))
+        image.append(UNLIMITED if any(inputs) or math.isnan(low) or math.isnan(high) else (low, high))
     return image
 
 
@@ -385,10 +386,12 @@ def _check_step(mode: Mode) -> None:
 
 
 def _check_reset(automaton: HybridAutomaton, edge: Edge) -> None:
-    a, b, c = edge.reset.matrices(automaton.n, automaton.m)
-    for coordinate, *row, constant in zip(automaton.coordinates, *a.T, *b.T, c.tolist(), strict=True):
+    if edge.reset.is_identity:
+        return
+    a, b, c = (matrix.tolist() for matrix in edge.reset.matrices(automaton.n, automaton.m))
+    for coordinate, row, inputs, constant in zip(automaton.coordinates, a, b, c, strict=True):
         where = f"edge {edge.name}: reset of {coordinate.name}"
-        _check_weights(row, where)
+        _check_weights((*row, *inputs), where)
         if not abs(constant) <= LARGEST:
             problem = f"{where}: expected at most {LARGEST:g} {coordinate.unit} in size, found {constant:g}"
             raise InputError(problem, remedy="give it in m or rad")
@@ -429,8 +432,8 @@ def _implies(first: HalfSpace, second: HalfSpace) -> bool:
 def _check_stays(automaton: HybridAutomaton, edge: Edge) -> None:
     """Refuse a guard that holds wherever the invariant of its own mode does: the mode would be left at once, always."""
     mode = automaton.mode(edge.source)
-    within = mode.invariant.half_spaces + mode.inputs.half_spaces
-    if all(is_empty(Region((*within, half_space.opposite))) for half_space in edge.guard.half_spaces):
+    within = mode.invariant, mode.inputs
+    if all(is_empty(*within, Region((half_space.opposite,))) for half_space in edge.guard.half_spaces):
         names = " and ".join(half_space.name or "an unnamed half-space" for half_space in edge.guard.half_spaces)
         raise InputError(
             f"edge {edge.name}: its guard holds everywhere in mode {mode.name}, which is never stayed in. Got {names}",

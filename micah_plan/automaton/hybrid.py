@@ -339,7 +339,17 @@ class HybridAutomaton(Summarised):
         Raises:
             InputError: if there is none; the message lists the names.
         """
-        return _number(name, self.mode_names, "mode")
+        number = self._mode_numbers.get(name)
+        return _number(name, self.mode_names, "mode") if number is None else number
+
+    def has_mode(self, name: str) -> bool:
+        """Whether a mode has that name."""
+        return name in self._mode_numbers
+
+    @cached_property
+    def _mode_numbers(self) -> dict[str, int]:
+        """Numbers by name; of a name that is used twice the first."""
+        return {name: i for i, name in reversed(list(enumerate(self.mode_names)))}
 
     def mode(self, name: str) -> Mode:
         """The mode of that name; raises what `mode_index` does."""

@@ -22,6 +22,7 @@ _OPPOSITES = ((">=", "<"), ("<=", ">"), (">", "<="), ("<", ">="))
 
 Interval = tuple[float, float]
 """Lower and upper end."""
+UNLIMITED: Interval = (-math.inf, math.inf)
 
 
 class Bound(NamedTuple):
@@ -169,12 +170,35 @@ class Region:
 
     def interval(self, coordinate: int) -> Interval:
         """(low, high) that its half-spaces on one coordinate alone leave; infinite where there are none."""
-        low, high = -np.inf, np.inf
+        return self._intervals.get(coordinate, UNLIMITED)
+
+    @cached_property
+    def _intervals(self) -> dict[int, Interval]:
+        """By coordinate, where any half-space is on it alone."""
+        found = dict[int, Interval]()
+        for bound in (half_space.bound for half_space in self.half_spaces):
+            if bound is not None:
+                low, high = found.get(bound.coordinate, UNLIMITED)
+                at = bound.value
+                found[bound.coordinate] = (max(low, at), high) if bound.is_lower else (low, min(high, at))
+        return found
+
+    @cached_property
+    def tightest(self) -> dict[tuple[int, bool], tuple[float, bool]] | None:
+        """Largest limit, and whether it is strict, by variable (inputs behind coordinates) and whether it is a lower
+        one, upper ones with their sign changed; None if a half-space couples variables."""
+        found = dict[tuple[int, bool], tuple[float, bool]]()
         for half_space in self.half_spaces:
-            bound = half_space.bound
-            if bound is not None and bound.coordinate == coordinate:
-                low, high = (max(low, bound.value), high) if bound.is_lower else (low, min(high, bound.value))
-        return low, high
+            weights = [(i, weight) for i, weight in enumerate((*half_space.a, *half_space.b)) if weight]
+            if len(weights) > 1:
+                return None
+            # Without a weight it says that 0 is at least its constant, or more.
+            index, weight = weights[0] if weights else (-1, 1.0)
+            if not weights:
+                found[index, False] = (0.0, False)
+            limit = half_space.c / abs(weight), half_space.strict
+            found[index, weight > 0] = max(found.get((index, weight > 0), limit), limit)
+        return found
 
     def margins(self, x: Floats, u: Floats) -> Floats:
         """(..., k) margins of the k half-spaces at x (..., n), u (..., m); positive inside."""
@@ -245,16 +269,14 @@ def _unit(index: int, size: int) -> tuple[float, ...]:
     return tuple(1.0 if i == index else 0.0 for i in range(size))
 
 
-def is_empty(region: Region) -> bool:
-    """Whether no (x, u) is in an intersection of half-spaces; strict ones need room inside their boundary."""
-    rows = region.half_spaces
-    if not rows:
-        return False
-    if all(sum(map(bool, (*h.a, *h.b))) <= 1 for h in rows):
-        return _is_empty_box(region)
+def is_empty(*regions: Region) -> bool:
+    """Whether no (x, u) is in an intersection of regions; strict half-spaces need room inside their boundary."""
+    if all(region.tightest is not None for region in regions):
+        return _is_empty_box(regions)
     # Only sets that couple variables need a linear programme; the import takes longer than all other checks.
     from scipy.optimize import linprog
 
+    rows = [half_space for region in regions for half_space in region.half_spaces]
     weights = np.array([[*h.a, *h.b] for h in rows])
     slack = np.array([[1.0 if h.strict else 0.0] for h in rows])
     bounds = [(None, None)] * weights.shape[1] + [(0.0, 1.0)]
@@ -264,16 +286,12 @@ def is_empty(region: Region) -> bool:
     return bool(solution.status == 2 or (strict and solution.status == 0 and solution.x[-1] <= ROUND_OFF))
 
 
-def _is_empty_box(region: Region) -> bool:
+def _is_empty_box(regions: Sequence[Region]) -> bool:
     """`is_empty` for half-spaces of one variable each: its largest lower bound against its smallest upper bound."""
     tightest: dict[tuple[int, bool], tuple[float, bool]] = {}
-    for h in region.half_spaces:
-        index, weight = next(((i, w) for i, w in enumerate((*h.a, *h.b)) if w), (0, 0.0))
-        if not weight and (h.c > 0 or (h.strict and h.c == 0)):
-            return True
-        if weight:
-            key = index, weight > 0
-            tightest[key] = max(tightest.get(key, (-math.inf, False)), (h.c / abs(weight), h.strict))
+    for region in regions:
+        for key, limit in (region.tightest or {}).items():
+            tightest[key] = max(tightest.get(key, limit), limit)
     # A lower bound and, with its sign changed, an upper one leave nothing where their sum is above 0.
     both = [(low, tightest[i, False]) for (i, is_lower), low in tightest.items() if is_lower and (i, False) in tightest]
     return any(low + high > 0 or (low + high == 0 and (a or b)) for (low, a), (high, b) in both)

@@ -55,7 +55,12 @@ def parse_affine(text: str, scope: Scope) -> Affine:
     Raises:
         InputError: if it is not one or uses an unknown name; the file and place are left to the caller.
     """
-    parser = _Parser(text, scope)
+    return _affine(text, tuple(scope["coordinate"]), tuple(scope["input"]))
+
+
+@lru_cache(maxsize=1024)  # as of half-spaces
+def _affine(text: str, coordinates: tuple[str, ...], inputs: tuple[str, ...]) -> Affine:
+    parser = _Parser(text, {"coordinate": coordinates, "input": inputs})
     expression = parser.sum()
     parser.end("+ or -")
     return expression
@@ -67,6 +72,12 @@ def parse_half_space(text: str, scope: Scope, name: str | None = None) -> HalfSp
     Raises:
         InputError: as for `parse_affine`, and if no variable has a weight.
     """
+    return _half_space(text, tuple(scope["coordinate"]), tuple(scope["input"]), name)
+
+
+@lru_cache(maxsize=4096)  # the modes beside a boundary write it alike
+def _half_space(text: str, coordinates: tuple[str, ...], inputs: tuple[str, ...], name: str | None) -> HalfSpace:
+    scope = {"coordinate": coordinates, "input": inputs}
     parser = _Parser(text, scope)
     total = parser.sum()
     operator = parser.comparison()

@@ -64,6 +64,10 @@ class Document(BaseModel):
         entries |= {key: _read(kind, entries[key], at.at(key), scope) for key, kind in meant.items()}
         return {self.renamed.get(key, key): value for key, value in entries.items()}
 
+    def meaning(self, key: str, at: Located, scope: Scope) -> Any:
+        """What one of its keys says, as `meanings` has it."""
+        return _read(_kinds(type(self))[key], getattr(self, key), at.at(key), scope)
+
     @classmethod
     def written(cls, value: Any, scope: Scope) -> Mapping[str, Any]:
         """What to write of a value, by key; keys that are not there are left out."""

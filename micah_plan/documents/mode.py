@@ -79,7 +79,7 @@ class ModeDocument(Document):
 
     def drifts(self, at: Located, scope: Scope) -> dict[str, float]:
         """What each coordinate moves in one step without any input [rad or m], if it does."""
-        steps = self.meanings(at, scope)["step"]
+        steps = self.meaning("step", at, scope)
         return {scope["coordinate"][i]: change.constant for i, change in steps.items() if change.constant}
 
     @classmethod
