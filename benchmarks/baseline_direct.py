@@ -42,6 +42,7 @@ from micah_plan.symbolic.compiled import compiled_mode, sensing_std
 from micah_plan.symbolic.square_root import lower_factor, observe, put_at
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
+from micah_plan.task.reason import Reason
 from micah_plan.task.settings import Deadline
 
 Expression = TypeVar("Expression", ca.MX, ca.SX)
@@ -74,10 +75,8 @@ def _optimised(attempt: Attempt) -> tuple[Floats, str]:
     problem, limits, deadline = attempt.problem, attempt.limits, attempt.deadline
     modes, edges, n = len(problem.automaton.modes), len(problem.automaton.edges), problem.automaton.n
     if (modes + edges) * (n + 1) * n**2 > _LARGEST:
-        raise NoWayError(
-            f"the mixture of {modes} modes and {edges} transitions in {n} dimensions is too large for direct planning; "
-            "use the method pomdp-hd"
-        )
+        mixture = f"the mixture of {modes} modes and {edges} transitions in {n} dimensions"
+        raise NoWayError(Reason(f"{mixture} is too large for direct planning", ("use the method pomdp-hd",)))
     with attempt.clock.stage("build"):
         x = nominal_start(problem, limits, attempt.mode)
         straight = _straight(problem, limits, x)
@@ -95,7 +94,8 @@ def _optimised(attempt: Attempt) -> tuple[Floats, str]:
     if not usable:
         said = ", ".join(sorted({path.said for path, _ in found})) or "none"
         deadline.check("optimisation", f"{len(found)} of {_STARTS} starts were tried ({said})")
-        raise NoWayError(f"none of {len(found)} starts of the direct optimisation led to the goal ({said})")
+        sentence = f"none of {len(found)} starts of the direct optimisation led to the goal ({said})"
+        raise NoWayError(Reason(sentence, ("use the method pomdp-hd",)))
     inputs = min(usable, key=lambda pair: pair[0].cost)[1]
     return inputs, f"cheapest of {len(usable)} local optima of the soft mixture"
 

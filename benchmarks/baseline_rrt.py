@@ -25,6 +25,7 @@ from micah_plan.planning.search.samples import goal_states
 from micah_plan.quantities import Progress
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
+from micah_plan.task.reason import Reason
 from micah_plan.task.settings import Deadline
 
 # Extensions of the tree, after which it is given up: with them the result depends on the seed alone.
@@ -70,7 +71,8 @@ def _grow(attempt: Attempt) -> tuple[Floats, str]:
         planner.solve(ob.PlannerTerminationCondition(is_over))
     if not definition.hasExactSolution():
         limit = f"{_MOST_EXTENSIONS} extensions" if asked > _MOST_EXTENSIONS else "the time limit (solve_time_limit_s)"
-        raise NoWayError(f"RRT found no path to the goal within {limit}; this does not prove that there is none")
+        sentence = f"RRT found no path to the goal within {limit}, which does not prove that there is none"
+        raise NoWayError(Reason(sentence, ("use the method pomdp-hd",)))
     path, m = definition.getSolutionPath(), attempt.problem.automaton.m
     controls = [[path.getControl(i)[j] for j in range(m)] for i in range(path.getControlCount())]
     durations = [round(path.getControlDuration(i)) for i in range(len(controls))]
@@ -89,7 +91,8 @@ class _System:
         sets = [(mode, goal_states(problem, limits, mode)) for mode in problem.automaton.mode_names]
         self.goals = [(mode, states) for mode, states in sets if not states.is_empty]
         if not self.goals:
-            raise NoWayError("the goal lies in the range of no mode that it may end in; move the goal into a range")
+            ways = ("move the goal into a range",)
+            raise NoWayError(Reason("the goal lies in the range of no mode that it may end in", ways))
 
     def information(self) -> Any:
         lowest = self.limits.lower / self.width

@@ -72,7 +72,7 @@ class _Trial:
         self._plant = CheckedPlant(plant, self._parts)
         mode, reason = start_mode(self._plain, problem.start)
         if mode is None:
-            raise InputError(reason)
+            raise InputError(str(reason))
         self._mode = mode
         self._x: Floats = np.array(augmented.start.mean, dtype=float)
         """State with the memory of inputs: measured where it can be, else as the model predicts."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from micah_plan.planning.cuts import with_scene
-from micah_plan.planning.findings import endpoint_findings, finding_of_reason
+from micah_plan.planning.findings import endpoint_findings
 from micah_plan.planning.limits import Limits, NoWayError, limits_of
 from micah_plan.quantities import Progress
 from micah_plan.task.path import check_constraint
@@ -51,7 +51,7 @@ class Attempt:
         try:
             return planner(self)
         except NoWayError as failed:
-            return self.refused(failed.reason, (finding_of_reason(level, failed.reason, ways=failed.ways),))
+            return self.refused(str(failed.reason), (Finding.of(level, failed.reason),))
         except TimeLimitError as failed:
             return self.refused(failed.reason, (Finding(level, failed.sentence, failed.remedy),))
 
@@ -108,6 +108,6 @@ def attempted(
     attempt = Attempt(problem, seed, deadline or Deadline(problem.settings.solve_time_limit_s))
     mode, reason = start_mode(problem.automaton, problem.start)
     if mode is None:
-        return attempt.refused(reason, ())
+        return attempt.refused(str(reason), ())
     attempt = replace(attempt, problem=replace(problem, start=replace(problem.start, mode=mode)))
     return (replace(attempt, progress=progress) if progress else attempt).made_by(planner, level)

@@ -12,6 +12,8 @@ costs more plans than it saves.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from micah_plan.arrays import Floats
@@ -75,21 +77,31 @@ def cut_off(automaton: HybridAutomaton, weights: Floats, u: Floats, max_step: Fl
     return cut
 
 
-def input_bounds(automaton: HybridAutomaton, mode: Mode, max_step: Floats) -> tuple[Floats, Floats]:
-    """(m,) lowest and (m,) highest inputs of a mode that are admissible and take no transition, each input by itself.
+def admissible_inputs(mode: Mode, max_step: Floats) -> tuple[Floats, Floats]:
+    """(m,) lowest and (m,) highest inputs that a mode admits, within the largest step, each input by itself.
 
-    Half-spaces that couple inputs, or inputs and states, are left to the optimisation.
+    Half-spaces that couple inputs, or inputs and states, are left out.
     """
-    lowest, highest = -max_step, max_step.copy()
-    rows = [h for h in mode.inputs.half_spaces if not h.on_state]
+    return _bounded(mode.inputs.half_spaces, -max_step, max_step)
+
+
+def input_bounds(automaton: HybridAutomaton, mode: Mode, max_step: Floats) -> tuple[Floats, Floats]:
+    """As `admissible_inputs`, of those that take no transition; rest is one of them."""
+    rows = list(mode.inputs.half_spaces)
     for edge in automaton.edges_from(mode.name):
         if len(edge.guard.half_spaces) == 1 and not edge.is_self_transition:
-            rows += [h.opposite for h in edge.guard.half_spaces if not h.on_state]
-    for h in rows:  # b'u >= c
+            rows += [h.opposite for h in edge.guard.half_spaces]
+    return _bounded([h for h in rows if h.c < 0.0], -max_step, max_step)
+
+
+def _bounded(half_spaces: Sequence[HalfSpace], lowest: Floats, highest: Floats) -> tuple[Floats, Floats]:
+    """(m,) lowest and (m,) highest inputs within those half-spaces that are on one of them alone."""
+    lowest, highest = lowest.copy(), highest.copy()
+    for h in half_spaces:  # b'u >= c
         at = np.flatnonzero(h.b)
-        if len(at) == 1 and h.c < 0.0:  # rest is admissible
+        if len(at) == 1 and not h.on_state:
             (j,), bound = at, h.c / h.b[at[0]]
-            if bound < 0.0:
+            if h.b[j] > 0.0:
                 lowest[j] = max(lowest[j], bound)
             else:
                 highest[j] = min(highest[j], bound)

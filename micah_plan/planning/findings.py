@@ -19,8 +19,12 @@ from micah_plan.planning.limits import Limits
 from micah_plan.planning.offers import (
     LARGER_STEPS,
     LESS_NOISE,
+    LONGER_SEARCH,
+    MORE_CANDIDATES,
     MORE_KNOTS,
+    MORE_STATES,
     SURER_START,
+    larger_steps,
     lower_confidence,
     more_revisits,
     moved_target,
@@ -32,33 +36,28 @@ from micah_plan.planning.search.roadmap import obstacles_on_state
 from micah_plan.planning.search.samples import Samples, guard_states, inside_any
 from micah_plan.planning.transcription.rows import Row, Shortfall, unit_of
 from micah_plan.quantities import percent, plain, quantity
-from micah_plan.task.plan import Finding, Level, Offer, Outcome, Plan, one_of
+from micah_plan.task.plan import Finding, Level, Outcome, Plan
 from micah_plan.task.problem import Problem
+from micah_plan.task.reason import Offer, Reason, one_of
 from micah_plan.task.start import is_final, modes_to_be_in, start_mode
 
 LEAST_CONFIDENCE = 0.5
 _WIDER = "widen the goal's tolerance"
 # A remedy asks for at most so many more revisits: each makes the search for them several times longer.
 _MOST_MORE_REVISITS = 2
+# By how much larger steps are looked at.
+_LARGER = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
 # Modes that one message describes.
 _MOST_NAMED = 4
 
 
-def finding_of_reason(
-    level: Level, reason: str, modes: tuple[str, ...] = (), ways: tuple[str | Offer, ...] = ()
-) -> Finding:
-    """A finding from a reason, one line that ends with its remedy after a semicolon."""
-    sentence, _, remedy = reason.rpartition("; ")
-    return Finding(level, sentence or remedy, remedy if sentence else "", modes, ways=ways)
-
-
 def endpoint_findings(problem: Problem) -> tuple[Finding, ...]:
     """What is wrong with the start, else with the goal, whatever leads from one to the other; empty if nothing is."""
-    mode, reason = start_mode(problem.automaton, problem.start)
-    return (_start_finding(problem, reason),) if mode is None else tuple(_goal_findings(problem))
+    _, reason = start_mode(problem.automaton, problem.start)
+    return tuple(_goal_findings(problem)) if reason is None else (_start_finding(problem, reason),)
 
 
-def _start_finding(problem: Problem, reason: str) -> Finding:
+def _start_finding(problem: Problem, reason: Reason) -> Finding:
     """The start in no mode, or outside of its own: which coordinate is out of the nearest mode's range, and how far."""
     automaton, start = problem.automaton, problem.start
     outside = []
@@ -68,7 +67,7 @@ def _start_finding(problem: Problem, reason: str) -> Finding:
     nearest, amounts = min(outside, key=lambda pair: max(pair[1]))
     worst = int(np.argmax(amounts))
     amount, coordinate, (low, high) = amounts[worst], automaton.coordinates[worst], nearest.interval(worst)
-    finding = replace(finding_of_reason("start", reason), mode=nearest.name)
+    finding = replace(Finding.of("start", reason), mode=nearest.name)
     if amount <= 0:  # it is out of a range that is not of one coordinate alone
         return finding
     words = f"start {coordinate.name}"
@@ -112,24 +111,24 @@ def _goal_findings(problem: Problem) -> Iterator[Finding]:
             )
 
 
-def why_unreachable(problem: Problem, limits: Limits, samples: Samples) -> str:
-    """Why no chain of transitions leads to the goal, whatever the path inside the modes; empty if one does."""
+def why_unreachable(problem: Problem, limits: Limits, samples: Samples) -> Reason | None:
+    """Why no chain of transitions leads to the goal, whatever the path inside the modes; None if one does."""
     if not samples.goals:
         return _no_mode_holds_goal(problem, limits)
     edges = [(i, edge) for i, edge in enumerate(problem.automaton.edges) if not edge.is_self_transition]
     if not set(samples.goals) & _reachable(samples.start[0], (edge for _, edge in edges)):
         goals = ", ".join(f"'{name}'" for name in samples.goals)
-        return (
-            f"no transitions lead from the start's mode '{samples.start[0]}' to a mode with the goal ({goals}); "
-            f"change the goal or add the missing transition to the model"
+        return Reason(
+            f"no transitions lead from the start's mode '{samples.start[0]}' to a mode with the goal ({goals})",
+            ("change the goal or add the missing transition to the model",),
         )
     reached = _reachable(samples.start[0], (edge for i, edge in edges if i in samples.exits))
     if set(samples.goals) & reached:
-        return ""
+        return None
     return _closed_edge(problem, limits, next(e for i, e in edges if e.source in reached and e.target not in reached))
 
 
-def why_disconnected(problem: Problem, limits: Limits, samples: Samples, in_the_way: tuple[str, ...]) -> str:
+def why_disconnected(problem: Problem, limits: Limits, samples: Samples, in_the_way: tuple[str, ...]) -> Reason:
     """Why the roadmaps do not connect start and goal although the transitions do.
 
     Args:
@@ -142,40 +141,42 @@ def why_disconnected(problem: Problem, limits: Limits, samples: Samples, in_the_
     for (index, value, tolerance), apart in zip(problem.goal.target, missed, strict=True):
         start, coordinate = problem.start.mean[index], automaton.coordinates[index]
         if apart and not moved[index]:
-            return (
+            return Reason(
                 f"'{coordinate.name}' starts at {start:g} {coordinate.unit} and the goal is {value:g} ± {tolerance:g} "
-                f"{coordinate.unit}, but no mode that can be reached moves it; change the goal or the start"
+                f"{coordinate.unit}, but no mode that can be reached moves it",
+                ("change the goal or the start",),
             )
-    if reason := _why_inside(problem, samples):
+    if (reason := _why_inside(problem, samples)) is not None:
         return reason
     if samples.is_cut_short:
-        return (
+        return Reason(
             f"the search stopped after {problem.settings.search_limit:,} linear programmes, before any sequence of "
-            f"transitions led to the goal; raise search_limit"
+            f"transitions led to the goal",
+            (LONGER_SEARCH,),
         )
-    if reason := _why_excluded(problem, limits, samples.start[0]):
+    if (reason := _why_excluded(problem, limits, samples.start[0])) is not None:
         return reason
     if in_the_way:
         is_asked = in_the_way[0] in [constraint.name for constraint in problem.constraints]
         others = f" (or without {', '.join(map(repr, in_the_way[1:]))})" if in_the_way[1:] else ""
         remedy = "relax it" if is_asked else "make room there, or let the object change its mode first"
-        return f"the modes that can be reached lead to the goal only without '{in_the_way[0]}'{others}; {remedy}"
-    return (
+        sentence = f"the modes that can be reached lead to the goal only without '{in_the_way[0]}'{others}"
+        return Reason(sentence, (remedy,))
+    return Reason(
         f"the roadmaps ({problem.settings.samples_per_mode} states per mode) do not connect the start to the goal: "
-        f"guards of other transitions are in the way, or there are too few states; raise samples_per_mode"
+        f"guards of other transitions are in the way, or there are too few states",
+        (MORE_STATES,),
     )
 
 
-def _why_inside(problem: Problem, samples: Samples) -> str:
-    """Whether the start, or all of the goal, lies where a transition on the state leaves the mode; else empty."""
+def _why_inside(problem: Problem, samples: Samples) -> Reason | None:
+    """Whether the start, or all of the goal, lies where a transition on the state leaves the mode; else None."""
     automaton, (mode, number) = problem.automaton, samples.start
     start = samples.points[mode][[number]]
     if (inside := _deepest(automaton, mode, start)) is not None:
         edge, depth, unit = inside
-        return (
-            f"the start lies inside '{edge.guard.name}' ('{edge.name}'), {quantity(depth, unit)} deep; move the start "
-            f"or what is there"
-        )
+        sentence = f"the start lies inside '{edge.guard.name}' ('{edge.name}'), {quantity(depth, unit)} deep"
+        return Reason(sentence, ("move the start or what is there",))
     names = list[str]()
     for name, numbers in samples.goals.items():
         # On leaves that nothing reaches the goal has no states; nor does it count to be stuck.
@@ -183,12 +184,12 @@ def _why_inside(problem: Problem, samples: Samples) -> str:
             continue
         points = samples.points[name][numbers]
         if not inside_any(obstacles_on_state(automaton, name), points).all():
-            return ""
+            return None
         if (inside := _deepest(automaton, name, points[:1])) is not None:
             names.append(f"'{inside[0].guard.name}' ('{inside[0].name}')")
     if not names:
-        return ""
-    return f"the goal lies inside {' and '.join(dict.fromkeys(names))}; move the goal or what is there"
+        return None
+    return Reason(f"the goal lies inside {' and '.join(dict.fromkeys(names))}", ("move the goal or what is there",))
 
 
 def _deepest(automaton: HybridAutomaton, mode: str, point: Floats) -> tuple[Edge, float, str] | None:
@@ -208,8 +209,8 @@ def _deepest(automaton: HybridAutomaton, mode: str, point: Floats) -> tuple[Edge
     return edge, depth, unit
 
 
-def _why_excluded(problem: Problem, limits: Limits, start_mode: str) -> str:
-    """Why the goal is out of reach even with nothing in the way, if what inputs keep tells; else empty."""
+def _why_excluded(problem: Problem, limits: Limits, start_mode: str) -> Reason | None:
+    """Why the goal is out of reach even with nothing in the way, if what inputs keep tells; else None."""
     automaton, revisits = problem.automaton, problem.settings.revisits
     leaves = [
         leaves_of_mode
@@ -217,24 +218,24 @@ def _why_excluded(problem: Problem, limits: Limits, start_mode: str) -> str:
         if leaves_of_mode.are_many
     ]
     if not leaves or passage_exists(problem, limits, start_mode, revisits) is not False:
-        return ""
+        return None
     for more in range(revisits + 1, revisits + 1 + _MOST_MORE_REVISITS):
         if passage_exists(problem, limits, start_mode, more):
-            return (
-                f"no inputs lead to the goal in modes that are each entered at most {1 + revisits} times; "
-                f"raise revisits to {more} or more"
-            )
+            times = "once" if revisits == 0 else f"{1 + revisits} times"
+            sentence = f"no inputs lead to the goal in modes that are each entered at most {times}"
+            return Reason(sentence, (more_revisits("raise revisits", more),))
     words = [
         f"'{leave.mode.name}' keeps {' and '.join(leave.kept_words(automaton.coordinate_names))}" for leave in leaves
     ]
     kept = ", ".join(words[:_MOST_NAMED] + ["..."] * (len(words) > _MOST_NAMED))
-    return (
+    return Reason(
         f"no inputs lead to the goal, even with nothing in the way: what the inputs of a mode cannot change stays as "
-        f"it was when the mode was entered ({kept}); change the goal or the start"
+        f"it was when the mode was entered ({kept})",
+        ("change the goal or the start",),
     )
 
 
-def _no_mode_holds_goal(problem: Problem, limits: Limits) -> str:
+def _no_mode_holds_goal(problem: Problem, limits: Limits) -> Reason:
     automaton, goal = problem.automaton, problem.goal
     items = [(automaton.coordinates[i], i, value, tolerance) for i, value, tolerance in goal.target]
     wanted = ", ".join(f"{c.name} = {value:g} ± {tolerance:g} {c.unit}" for c, _, value, tolerance in items)
@@ -245,20 +246,22 @@ def _no_mode_holds_goal(problem: Problem, limits: Limits) -> str:
         texts += [tie.words(automaton.coordinate_names) for tie in automaton.mode(name).ties]
         ranges.append(f"'{name}' allows {', '.join(texts)}")
     among = "the goal's modes" if goal.modes else "the modes"
-    return f"the goal {wanted} lies in the range of none of {among} ({'; '.join(ranges)}); move the goal into a range"
+    sentence = f"the goal {wanted} lies in the range of none of {among} ({'; '.join(ranges)})"
+    return Reason(sentence, ("move the goal into a range",))
 
 
-def _closed_edge(problem: Problem, limits: Limits, edge: Edge) -> str:
+def _closed_edge(problem: Problem, limits: Limits, edge: Edge) -> Reason:
     if guard_states(problem, limits, edge).is_empty:
         rows = ", ".join(f"'{h.name}'" for h in edge.guard.half_spaces)
-        return (
-            f"the guard of '{edge.name}' ({rows}) holds nowhere in mode '{edge.source}' with inputs up to max_step; "
-            f"check it against the mode's invariant, or raise max_step"
-        )
-    return (
-        f"the reset of '{edge.name}' leads out of the invariant of mode '{edge.target}'; "
-        f"correct the reset or the invariant in the model"
-    )
+        where = f"the guard of '{edge.name}' ({rows}) holds nowhere in mode '{edge.source}'"
+        for factor in _LARGER:
+            larger = replace(limits, max_step=factor * limits.max_step)
+            if not guard_states(problem, larger, edge).is_empty:
+                return Reason(f"{where} with inputs up to max_step", (larger_steps(factor),))
+        ways = ("correct the guard, or the invariant or the inputs of the mode",)
+        return Reason(f"{where}, whatever max_step is", ways)
+    sentence = f"the reset of '{edge.name}' leads out of the invariant of mode '{edge.target}'"
+    return Reason(sentence, ("correct the reset or the invariant in the model",))
 
 
 def _reachable(start: str, edges: Iterable[Edge]) -> set[str]:
@@ -281,10 +284,10 @@ def partly_met(shortfall: Shortfall) -> str:
     )
 
 
-def finding_of_status(modes: tuple[str, ...], status: str) -> Finding:
+def finding_of_status(modes: tuple[str, ...], status: str, *, is_out_of_time: bool = False) -> Finding:
     """An optimisation that failed although no constraint has to be broken."""
-    remedy = "raise time_limit_s, samples_per_mode or candidates, or try another seed"
-    return Finding("optimisation", f"the optimisation failed: {status}", remedy, modes)
+    ways = ("raise time_limit_s",) if is_out_of_time else (MORE_STATES, MORE_CANDIDATES, "try another seed")
+    return Finding.of("optimisation", Reason(f"the optimisation failed: {status}", ways), modes)
 
 
 def findings_of(problem: Problem, modes: tuple[str, ...], shortfalls: Sequence[Shortfall]) -> list[Finding]:

@@ -26,8 +26,8 @@ from micah_plan.automaton.input_memory import (
     without_memory_states,
 )
 from micah_plan.planning.zero_time_transitions import ZeroTimeEdge
-from micah_plan.task.plan import Offer, one_of
 from micah_plan.task.problem import Problem
+from micah_plan.task.reason import Reason
 
 # Steps that cross a coordinate's whole range when neither the settings nor the automaton limit the input.
 STEPS_PER_RANGE = 20.0
@@ -290,9 +290,8 @@ def linear_step(automaton: HybridAutomaton, mode: str, x: Floats, u: Floats, lar
 
 
 class NoWayError(Exception):
-    """A planner found nothing; `reason` says why and ends with the remedy, one of `ways` where these are known."""
+    """A planner found nothing, for a reason."""
 
-    def __init__(self, reason: str, ways: tuple[str | Offer, ...] = ()) -> None:
-        self.reason = f"{reason}; {one_of(ways)}" if ways else reason
-        self.ways = ways
-        super().__init__(self.reason)
+    def __init__(self, reason: Reason) -> None:
+        self.reason = reason
+        super().__init__(str(reason))

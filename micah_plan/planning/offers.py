@@ -9,11 +9,14 @@ from typing import Any
 
 from micah_plan.planning.limits import limits_of
 from micah_plan.quantities import plain
-from micah_plan.task.plan import Offer, OfferKind
 from micah_plan.task.problem import Problem
+from micah_plan.task.reason import Offer, OfferKind
 
 # Twice as much, or half of it, is tried first of what has no number of its own.
 MORE_KNOTS = Offer("raise max_knots", "raise max_knots to", "max_knots", ((0, 2.0),))
+MORE_STATES = Offer("raise samples_per_mode", "raise samples_per_mode to", "samples_per_mode", ((0, 2.0),))
+LONGER_SEARCH = Offer("raise search_limit", "raise search_limit to", "search_limit", ((0, 2.0),))
+MORE_CANDIDATES = Offer("raise candidates", "raise candidates to", "candidates", ((0, 2.0),))
 LARGER_STEPS = Offer("raise max_step", "", "max_step", ((0, 2.0),))
 LESS_NOISE = Offer("lower the noise", "", "noise", ((0, 0.5),))
 SURER_START = Offer("lower the start's std", "", "start_std", ((0, 0.5),))
@@ -26,8 +29,21 @@ _SETTINGS: dict[OfferKind, tuple[str, Callable[[Problem, float], Any]]] = {
     "surer": ("confidence", lambda problem, factor: _surer(problem, factor)),
     "revisits": ("revisits", lambda _, value: int(value)),
     "max_knots": ("max_knots", lambda problem, factor: round(factor * problem.settings.max_knots)),
+    "samples_per_mode": ("samples_per_mode", lambda problem, factor: round(factor * problem.settings.samples_per_mode)),
+    "search_limit": ("search_limit", lambda problem, factor: round(factor * problem.settings.search_limit)),
+    "candidates": ("candidates", lambda problem, factor: round(factor * problem.settings.candidates)),
     "max_step": ("max_step", lambda problem, factor: tuple((factor * limits_of(problem).max_step).tolist())),
 }
+
+
+def more_knots(factor: float) -> Offer:
+    """The offer of so many times as many knots."""
+    return replace(MORE_KNOTS, values=((0, factor),))
+
+
+def larger_steps(factor: float) -> Offer:
+    """The offer of steps that are so many times as large."""
+    return replace(LARGER_STEPS, values=((0, factor),))
 
 
 def lower_confidence(confidence: float) -> Offer:
@@ -96,7 +112,7 @@ def in_words(problem: Problem, offer: Offer) -> str:
     """The offer with its numbers, as they are to be written into the file; of noise and steps by which factor."""
     value = offer.values[0][1]
     if offer.kind in ("noise", "start_std", "max_step"):
-        return f"{offer.words} ({_SHARES[value]} suffices)"
+        return f"{offer.words} ({_SHARES.get(value, f'{value:g} times as much')} suffices)"
     if offer.kind in _SETTINGS:
         number = _SETTINGS[offer.kind][1](problem, value)
         return f"{offer.named} {number:.2f}" if offer.kind == "confidence" else f"{offer.named} {number}"

@@ -32,8 +32,9 @@ from micah_plan.planning.limits import Limits
 from micah_plan.planning.offers import LESS_NOISE, MORE_CONFIDENCE, SURER_START
 from micah_plan.quantities import percent, quantity
 from micah_plan.task.path import Pay, Require, path_terms
-from micah_plan.task.plan import Finding, Offer, Trajectory, one_of
+from micah_plan.task.plan import Finding, Trajectory
 from micah_plan.task.problem import Problem
+from micah_plan.task.reason import Offer, one_of
 
 
 @dataclass(eq=False)

@@ -22,7 +22,7 @@ from micah_plan.automaton.input_memory import own_size
 from micah_plan.planning.attempt import Attempt, attempted
 from micah_plan.planning.cuts import Cut, tight_places, with_room, without
 from micah_plan.planning.feedback import belief_lqr
-from micah_plan.planning.findings import finding_of_reason, finding_of_status, findings_of, sentence_of
+from micah_plan.planning.findings import finding_of_status, findings_of, sentence_of
 from micah_plan.planning.limits import (
     Limits,
     NoWayError,
@@ -85,7 +85,7 @@ def planned(attempt: Attempt, search_result: SearchResult | None = None) -> Plan
     whole = with_input_memory(asked)
     attempt = replace(attempt, problem=with_zero_time_transitions(whole))
     if search_result is not None:
-        return _chosen(attempt, asked, _optimised_each(attempt, search_result.sequences, search_result.reason))
+        return _chosen(attempt, asked, _optimised_each(attempt, search_result))
     plan = _chosen(attempt, asked, _with_detours(attempt))
     if plan.trajectory is None or departure(asked, plan.trajectory) is None:
         return plan
@@ -107,11 +107,10 @@ def _with_detours(attempt: Attempt) -> list[_Tried]:
     plain, cuts = without_input_memory(attempt.problem), list[Cut]()
     limits, size_of_state = limits_of(plain), own_size(attempt.problem.automaton)
     search_result = _searched(attempt, plain, cuts)
-    tried = _optimised_each(attempt, search_result.sequences, search_result.reason)
+    tried = _optimised_each(attempt, search_result)
     if not any(attempt_result.is_whole for attempt_result in tried):
         with suppress(TimeLimitError):
-            detours = [way for way in _searched(attempt, with_room(plain), cuts).sequences if not _is_known(way, tried)]
-            tried += _optimised_each(attempt, detours) if detours else []
+            tried += _optimised_each(attempt, _unknown(attempt, _searched(attempt, with_room(plain), cuts), tried))
     for _ in range(_MOST_DETOURS):
         tight = [
             cut
@@ -123,8 +122,7 @@ def _with_detours(attempt: Attempt) -> list[_Tried]:
             break
         cuts = tight
         with suppress(TimeLimitError):
-            detours = [way for way in _searched(attempt, plain, cuts).sequences if not _is_known(way, tried)]
-            tried += _optimised_each(attempt, detours) if detours else []
+            tried += _optimised_each(attempt, _unknown(attempt, _searched(attempt, plain, cuts), tried))
     return tried
 
 
@@ -134,6 +132,16 @@ def _searched(attempt: Attempt, plain: Problem, cuts: Sequence[Cut]) -> SearchRe
     with attempt.clock.stage("search"):
         task = with_passing_time(without(plain, cuts) if cuts else plain)
         return search_modes(task, limits_of(task), attempt.mode, attempt.seed, deadline=attempt.deadline)
+
+
+def _unknown(attempt: Attempt, found: SearchResult, tried: Sequence[_Tried]) -> SearchResult:
+    """The sequences that were not optimised yet, through modes of the problem; that there are none is no failure.
+
+    A state that is cut out may be in the goal, but to be stuck there is no plan.
+    """
+    own = set(attempt.problem.automaton.mode_names)
+    ways = (way for way in found.sequences if own.issuperset(way.modes))
+    return SearchResult(tuple(way for way in ways if not _is_known(way, tried)))
 
 
 def _is_known(sequence: ModeSequence, tried: Sequence[_Tried]) -> bool:
@@ -148,17 +156,17 @@ def _is_known(sequence: ModeSequence, tried: Sequence[_Tried]) -> bool:
     )
 
 
-def _optimised_each(attempt: Attempt, sequences: Sequence[ModeSequence], reason: str = "") -> list[_Tried]:
-    """The belief paths through mode sequences.
+def _optimised_each(attempt: Attempt, found: SearchResult) -> list[_Tried]:
+    """The belief paths through the mode sequences of a search.
 
     Raises:
-        NoWayError: if there is no sequence.
+        NoWayError: if it has a reason why there are none.
     """
-    if not sequences:
-        raise NoWayError(reason)
+    if found.reason is not None:
+        raise NoWayError(found.reason)
     tried = []
-    for number, sequence in enumerate(sequences, start=1):
-        attempt.progress(f"optimising {' -> '.join(sequence.modes)}", number / (len(sequences) + 1))
+    for number, sequence in enumerate(found.sequences, start=1):
+        attempt.progress(f"optimising {' -> '.join(sequence.modes)}", number / (len(found.sequences) + 1))
         attempt_result = _low_level(attempt, with_memory(attempt.problem, sequence))
         tried.append(replace(attempt_result, corners=sequence.waypoints))
     return tried
@@ -227,8 +235,8 @@ def _low_level(attempt: Attempt, sequence: ModeSequence) -> _Tried:
     try:
         return _optimised(attempt, sequence)
     except NoWayError as failed:
-        finding = finding_of_reason("optimisation", failed.reason, sequence.modes, failed.ways)
-        return _Tried(sequence, None, failed.reason, (finding,))
+        finding = Finding.of("optimisation", failed.reason, sequence.modes)
+        return _Tried(sequence, None, str(failed.reason), (finding,))
     except TimeLimitError as failed:
         finding = Finding("optimisation", failed.sentence, failed.remedy, sequence.modes)
         return _Tried(sequence, None, failed.reason, (finding,))
@@ -253,7 +261,8 @@ def _optimised(attempt: Attempt, sequence: ModeSequence) -> _Tried:
             return _Tried(sequence, path, path.message)
         deadline.check("optimisation", f"{name} was at {steps} steps", "candidates")
     if path.is_out_of_time:  # its state then does not say what is possible
-        return _Tried(sequence, path, path.message, (finding_of_status(sequence.modes, path.message),))
+        finding = finding_of_status(sequence.modes, path.message, is_out_of_time=True)
+        return _Tried(sequence, path, path.message, (finding,))
     with clock.stage("optimise"):
         missed = unmet(nlp, _time_limit(attempt))
     message = "; ".join([path.message, *map(sentence_of, missed)])

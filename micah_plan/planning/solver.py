@@ -31,8 +31,9 @@ from micah_plan.planning.release import with_release
 from micah_plan.planning.remedies import advised
 from micah_plan.planning.tightening import verified_plan
 from micah_plan.quantities import Progress
-from micah_plan.task.plan import ArmTrajectory, Finding, Offer, Plan, Trajectory, one_of
+from micah_plan.task.plan import ArmTrajectory, Finding, Plan, Trajectory
 from micah_plan.task.problem import Problem
+from micah_plan.task.reason import Offer, one_of
 from micah_plan.task.release import pre_release_problem
 from micah_plan.task.settings import Deadline, TimeLimitError
 

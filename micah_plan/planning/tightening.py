@@ -127,8 +127,8 @@ def _cut_short(plan: Plan, deadline: Deadline) -> Plan:
         f"the time limit of {deadline.limit_s:g} s (solve_time_limit_s) was reached before planning with more room"
     )
     finding = Finding("verification", sentence, "raise solve_time_limit_s", plan.mode_sequence)
-    message, _, _ = plan.reason.partition("; ")
-    return replace(plan, reason=f"{message}; {sentence}; {finding.remedy}", findings=(finding, *plan.findings))
+    reason = f"{plan.reason}; {sentence}; {finding.remedy}"
+    return replace(plan, reason=reason, findings=(finding, *plan.findings))
 
 
 def _added(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:

@@ -23,8 +23,9 @@ from micah_plan.planning.offers import (
 from micah_plan.planning.path_constraints import PathRecord, joined_records
 from micah_plan.planning.roll_outs import RollOuts, are_in_goal, departure, draw_chances, nearby, roll_out
 from micah_plan.quantities import percent, quantity
-from micah_plan.task.plan import Finding, Offer, Plan, Trajectory, least_share, least_trials, one_of
+from micah_plan.task.plan import Finding, Plan, Trajectory, least_share, least_trials
 from micah_plan.task.problem import Problem
+from micah_plan.task.reason import Offer, one_of
 from micah_plan.task.release import pre_release_problem
 from micah_plan.task.settings import NEVER, Deadline, TimeLimitError
 

@@ -13,7 +13,6 @@ successes below the confidence, a last state that is not where the plan says, a 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -24,40 +23,10 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError
 from micah_plan.quantities import Summarised
 from micah_plan.task.problem import Problem
+from micah_plan.task.reason import Offer, Reason
 
 Outcome = Literal["solved", "no_plan", "not_verified"]
 Level = Literal["start", "goal", "search", "optimisation", "verification", "arm"]
-
-
-OfferKind = Literal[
-    "tolerance", "target", "start", "confidence", "root", "revisits",
-    "max_knots", "max_step", "noise", "start_std", "surer",
-]  # fmt: skip
-"""What a remedy can change; those of the second line by a factor."""
-
-
-@dataclass(frozen=True)
-class Offer:
-    """A change that a remedy names once planning with it has succeeded.
-
-    Attributes:
-        words: of the remedy, which name the change without a number.
-        named: what takes their place, with the number behind.
-        kind: what it changes.
-        values: (coordinate, value [its unit]) of tolerances, targets and starts; (axis, place [m]) of the robot's root;
-            (0, number) of confidence and revisits; (0, factor) of others.
-    """
-
-    words: str
-    named: str
-    kind: OfferKind
-    values: tuple[tuple[int, float], ...]
-
-
-def one_of(ways: Sequence[str | Offer]) -> str:
-    """Ways out in words: ``a``, ``a, or b``, ``a, b, or c``."""
-    *others, last = [way if isinstance(way, str) else way.words for way in ways]
-    return f"{', '.join(others)}, or {last}" if others else last
 
 
 @dataclass(frozen=True)
@@ -89,6 +58,11 @@ class Finding:
     need: float | None = None
     unit: str = ""
     ways: tuple[str | Offer, ...] = field(default=(), compare=False, repr=False)
+
+    @classmethod
+    def of(cls, level: Level, reason: Reason, modes: tuple[str, ...] = ()) -> Finding:
+        """A reason at a level."""
+        return cls(level, reason.sentence, reason.remedy, modes, ways=reason.ways)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from micah_plan.automaton.augmented import threshold_stds, with_boundary_states
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.region import Region
 from micah_plan.errors import InputError
+from micah_plan.task.reason import Reason
 
 _MOST_DRAWS = 200
 
@@ -33,8 +34,8 @@ class Start:
     true: tuple[tuple[int, float], ...] = ()
 
 
-def start_mode(automaton: HybridAutomaton, start: Start) -> tuple[str | None, str]:
-    """The mode that a start is in; None with the reason if its mean lies in no mode's (or not in the named) range.
+def start_mode(automaton: HybridAutomaton, start: Start) -> tuple[str | None, Reason | None]:
+    """The mode that a start is in, or None and the reason if its mean lies in no mode's (or not in the named) range.
 
     A mode's range is its invariant, and the part of it that the automaton's Init allows if there is one.
     """
@@ -43,13 +44,13 @@ def start_mode(automaton: HybridAutomaton, start: Start) -> tuple[str | None, st
     outside = {mode.name: _sigmas_outside(automaton, start, mode) for mode in modes}
     nearest = min(outside, key=outside.__getitem__)
     if outside[nearest] <= NEAR_STDS:
-        return nearest, ""
+        return nearest, None
     values = zip(automaton.coordinates, start.mean, start.std, strict=True)
     text = f"the start {', '.join(f'{c.name} = {mean:g} ± {std:g} {c.unit}' for c, mean, std in values)} lies"
     if start.mode is not None:
-        return None, f"{text} outside the range of its mode '{nearest}'; correct either"
+        return None, Reason(f"{text} outside the range of its mode '{nearest}'", ("correct either",))
     names = ", ".join(f"'{name}'" for name in outside)
-    return None, f"{text} in the range of no mode ({names}); move it into one"
+    return None, Reason(f"{text} in the range of no mode ({names})", ("move it into one",))
 
 
 def is_final(automaton: HybridAutomaton, mode: Mode) -> bool:
@@ -80,7 +81,7 @@ def sample_start(automaton: HybridAutomaton, start: Start, rng: np.random.Genera
     """
     name, reason = start_mode(automaton, start)
     if name is None:
-        raise InputError(reason)
+        raise InputError(str(reason))
     x = draw_states(automaton, automaton.mode(name), start, rng, np.zeros((1, threshold_stds(automaton).size)))[0]
     return (name, x) if not start.true else _true_start(automaton, start, name, x)
 
@@ -94,7 +95,7 @@ def _true_start(automaton: HybridAutomaton, start: Start, believed: str, x: Floa
     if name is None:
         name, reason = start_mode(automaton, replace(there, mode=None))
     if name is None:
-        raise InputError(f"the true start: {reason.removeprefix('the start ')}", remedy="choose one that a mode allows")
+        raise InputError(f"the true start is in no mode: {reason}")
     for pin in automaton.mode(name).pins:
         if abs(x[pin.coordinate] - pin.value) > EQUAL:
             coordinate = automaton.coordinates[pin.coordinate]

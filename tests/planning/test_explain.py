@@ -61,7 +61,7 @@ def test_the_search_names_the_guard() -> None:
     finding = first(door_problem(DOOR_SHUT, 0.3, mode="shut", automaton=door_automaton(release=0.1)))
     assert finding.level == "search"
     assert "the guard of 'shut -> swings' ('input door < -0.1') holds nowhere" in finding.sentence
-    assert "raise max_step" in finding.remedy
+    assert finding.remedy == "correct the guard, or the invariant or the inputs of the mode"
 
 
 def test_too_few_knots_are_an_finding_of_the_optimisation() -> None:

@@ -16,6 +16,7 @@ from micah_plan.planning.solver import solve
 from micah_plan.planning.verification import verify
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
+from micah_plan.task.reason import Reason
 from micah_plan.task.start import start_mode
 
 
@@ -97,7 +98,7 @@ def test_no_plan_after_optimisation_names_the_sequence_and_the_cause() -> None:
     assert all(c.cost is None for c in found.candidates)
 
 
-def mode_of(problem: Problem) -> tuple[str | None, str]:
+def mode_of(problem: Problem) -> tuple[str | None, Reason | None]:
     return start_mode(problem.automaton, problem.start)
 
 
@@ -108,7 +109,7 @@ def test_the_start_mode_is_the_named_one_or_the_first_that_holds_the_mean() -> N
     assert mode_of(door_problem(-0.01, 0.3))[0] == "swings"
     mode, reason = mode_of(door_problem(0.3, 0.6, mode="shut"))
     assert mode is None
-    assert "outside the range of its mode 'shut'" in reason
+    assert "outside the range of its mode 'shut'" in str(reason)
 
 
 def test_the_time_limit_ends_the_optimisation() -> None:

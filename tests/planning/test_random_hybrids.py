@@ -99,6 +99,12 @@ def test_a_plan_that_verifies_or_a_reason_that_is_true(seed: int) -> None:
         assert found.outcome == "solved", found.reason
 
 
+@pytest.mark.parametrize("seed", [78, 178])
+def test_what_a_remedy_tries_gets_an_answer(seed: int) -> None:
+    """Of 78 no input moves away from an obstacle; of 178 a state that is cut out lies in the goal."""
+    check_answer(random_problem(seed), solve(random_problem(seed)), seed)
+
+
 @pytest.mark.slow
 @settings(max_examples=10)
 @given(

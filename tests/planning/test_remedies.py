@@ -8,19 +8,22 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from planning_examples import door_problem, drawer_problem, planar_problem, with_settings
+from planning_examples import DOOR_SHUT, door_automaton, door_problem, drawer_problem, planar_problem, with_settings
 
 from micah_plan.automaton.hybrid import Edge
-from micah_plan.automaton.region import box
+from micah_plan.automaton.region import box, input_box
 from micah_plan.documents.problem import load_problem
 from micah_plan.planning.offers import (
     LARGER_STEPS,
     LESS_NOISE,
+    LONGER_SEARCH,
     MORE_CONFIDENCE,
     MORE_KNOTS,
+    MORE_STATES,
     SURER_START,
     changed,
     lower_confidence,
+    more_knots,
     more_revisits,
 )
 from micah_plan.planning.pomdp_hd import plan
@@ -29,8 +32,9 @@ from micah_plan.planning.solver import solve
 from micah_plan.planning.tightening import verified_plan
 from micah_plan.planning.verification import verify
 from micah_plan.task.goal import Goal
-from micah_plan.task.plan import Finding, Offer, Plan, least_trials, one_of
+from micah_plan.task.plan import Finding, Plan, least_trials
 from micah_plan.task.problem import Problem
+from micah_plan.task.reason import Offer, one_of
 from micah_plan.task.settings import Deadline
 from micah_plan.task.start import start_mode
 
@@ -199,6 +203,46 @@ def test_an_offer_changes_what_it_says_and_nothing_else() -> None:
     assert changed(problem, Offer("", "", "start", ((1, 0.1),))).start.mean == (problem.start.mean[0], 0.1)
     assert changed(problem, Offer("", "", "confidence", ((0, 0.6),))).settings == replace(settings, confidence=0.6)
 
+    more = [changed(problem, offer).settings for offer in (more_knots(11 / 60), MORE_STATES, LONGER_SEARCH)]
+    states, limit = 2 * settings.samples_per_mode, 2 * settings.search_limit
+    assert [more[0].max_knots, more[1].samples_per_mode, more[2].search_limit] == [11, states, limit]
+
+
+@pytest.mark.parametrize("knots", [3, 7, 17])
+def test_knots_that_a_path_needs_at_least_are_counted(knots: int) -> None:
+    """A door that needs 18 knots gets these, and not four times twice what it has."""
+    problem = with_settings(door_problem(0.2, 1.2), max_knots=knots)
+    refused = solve(problem)
+    assert refused.reason.endswith("raise max_knots to 18")
+    assert solve(with_settings(problem, max_knots=18)).outcome == "solved"
+
+
+def latched(step: float | None, admitted: float) -> Problem:
+    """A door that is shut until it is pulled by more than 0.1 rad, by steps and inputs up to these."""
+    automaton = door_automaton(release=0.1)
+    modes = tuple(replace(mode, inputs=input_box([-admitted], [admitted], 1, ["door"])) for mode in automaton.modes)
+    problem = door_problem(DOOR_SHUT, 0.3, mode="shut", automaton=replace(automaton, modes=modes))
+    return with_settings(problem, max_step=None if step is None else (step,))
+
+
+@pytest.mark.parametrize(
+    ("step", "suffices"), [(0.08, "twice as much"), (0.03, "4 times as much"), (0.001, "128 times as much")]
+)
+def test_steps_that_are_too_small_for_a_guard_are_counted(step: float, suffices: str) -> None:
+    problem = latched(step, 1.0)
+    refused = solve(problem)
+    assert "holds nowhere in mode 'shut' with inputs up to max_step" in refused.reason
+    assert refused.reason.endswith(f"; raise max_step ({suffices} suffices)")
+
+
+def test_steps_are_not_blamed_where_inputs_are_too_small() -> None:
+    """The mode admits 0.06 of the 0.1 that its latch needs; of 0.2 the same problem is solved."""
+    for step in (None, 0.05, 0.2):
+        refused = solve(latched(step, 0.06))
+        assert "holds nowhere in mode 'shut', whatever max_step is" in refused.reason
+        assert refused.reason.endswith("; correct the guard, or the invariant or the inputs of the mode")
+    assert solve(latched(None, 0.2), advise=False).outcome == "solved"
+
 
 def test_an_offer_of_a_root_moves_the_robot_alone() -> None:
     problem = of_file("microwave_close_by_arm")
@@ -253,7 +297,7 @@ def held(**mean: float) -> Problem:
 )
 def test_a_start_a_hair_outside_of_its_range_is_not_a_collision(mean: dict[str, float]) -> None:
     problem = held(**mean)
-    assert start_mode(problem.automaton, problem.start) == ("free", "")
+    assert start_mode(problem.automaton, problem.start) == ("free", None)
     assert solve(problem, advise=False).outcome == "solved"
 
 

@@ -23,7 +23,7 @@ def test_init_narrows_where_a_problem_starts() -> None:
     modes = [start_mode(automaton, Start((mean,), (0.02,)))[0] for mean in (0.3, 0.45, 0.55, 0.75, 0.95, DOOR_SHUT)]
     assert modes == [None, "swings", "swings", None, "swings", None]
     assert start_mode(automaton, Start((DOOR_SHUT,), (0.02,), "shut"))[0] is None
-    assert start_mode(automaton, Start((0.55,), (0.02,), "swings")) == ("swings", "")
+    assert start_mode(automaton, Start((0.55,), (0.02,), "swings")) == ("swings", None)
 
 
 def test_true_starts_are_drawn_within_init() -> None:

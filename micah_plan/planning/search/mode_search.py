@@ -44,6 +44,7 @@ from micah_plan.planning.search.roadmap import (
 )
 from micah_plan.planning.search.samples import Samples, sample_modes
 from micah_plan.task.problem import Problem
+from micah_plan.task.reason import Reason
 from micah_plan.task.settings import NEVER, Deadline, TimeLimitError
 
 # Times as many states before what does not connect is called unconnected.
@@ -78,14 +79,16 @@ class ModeSequence:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """The sequences found, cheapest first, or the reason why there are none.
+    """What a search found.
 
     Attributes:
+        sequences: cheapest first.
+        reason: why there are none.
         is_sparse: whether more states might have connected start and goal.
     """
 
     sequences: tuple[ModeSequence, ...]
-    reason: str = ""
+    reason: Reason | None = None
     is_sparse: bool = False
 
 
@@ -166,7 +169,7 @@ def _among_states(
     problem: Problem, limits: Limits, start_mode: str, seed: int, deadline: Deadline, *, is_last: bool = True
 ) -> SearchResult:
     samples = sample_modes(problem, limits, start_mode, np.random.default_rng(seed), deadline)
-    if reason := why_unreachable(problem, limits, samples):
+    if (reason := why_unreachable(problem, limits, samples)) is not None:
         return SearchResult((), reason)
     motions = motions_of(problem, limits)
     roadmap = _joined(problem, limits, samples, motions, deadline)

@@ -23,6 +23,7 @@ from scipy.optimize import linprog
 from micah_plan.arrays import ROUND_OFF, Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
 from micah_plan.automaton.region import HalfSpace
+from micah_plan.planning.avoided_inputs import admissible_inputs
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.path_constraints import in_steps
 from micah_plan.planning.search.polytope import Polytope, nominal_start, open_states
@@ -258,7 +259,8 @@ class _Search:
     def _followed(self, prefix: _Prefix, mode: Mode, index: int, edge: Edge) -> list[_Prefix]:
         """The sequence with one more transition: one for each boundary of its guard that it may be entered through."""
         moved, place = self._moved(prefix, mode)
-        moved = _within(moved, self.states[mode.name].intersect(edge.guard, self.limits.max_step), place)
+        lowest, highest = admissible_inputs(mode, self.limits.max_step)
+        moved = _within(moved, self.states[mode.name].intersect(edge.guard, lowest, highest), place)
         A, _, b = edge.reset.matrices(self.automaton.n, self.automaton.m)
         matrix, offset = A @ place[0], A @ place[1] + b
         target = self.automaton.mode(edge.target)

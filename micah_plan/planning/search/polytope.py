@@ -17,6 +17,7 @@ from micah_plan.automaton.hybrid import Mode
 from micah_plan.automaton.region import Region
 from micah_plan.planning.limits import Limits, NoWayError
 from micah_plan.task.problem import Problem
+from micah_plan.task.reason import Reason
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +45,18 @@ class Polytope:
             return True
         return bool(len(self.b)) and not len(self.extremes(np.zeros((1, self.n))))
 
-    def intersect(self, region: Region, max_step: Floats) -> Polytope:
-        """This set within a region of (x, u): the states that some input |u| <= max_step takes into each half-space."""
+    def intersect(self, region: Region, lowest: Floats, highest: Floats) -> Polytope:
+        """This set within a region of (x, u): the states that some input between two takes into each half-space.
+
+        Args:
+            lowest, highest: (m,) inputs [rad or m].
+        """
         lower, upper = self.lower.copy(), self.upper.copy()
         rows, offsets = list(self.A), list(self.b)
         for half_space in region.half_spaces:
             a = np.array(half_space.a)
-            c = half_space.c - float(np.abs(half_space.b) @ max_step)
+            b = np.array(half_space.b)
+            c = half_space.c - float(np.maximum(b * lowest, b * highest).sum())
             support = np.flatnonzero(a)
             if len(support) == 0:
                 if c > ROUND_OFF:
@@ -100,7 +106,8 @@ class Polytope:
         bounds = [*zip(self.lower, self.upper, strict=True), *[(0.0, None)] * n]
         solution = linprog(np.repeat([0.0, 1.0], n), A_ub=rows, b_ub=limits, bounds=bounds, method="highs")
         if solution.status != 0:
-            raise NoWayError("no state of the mode lies within the limits; start in a mode that the state is in")
+            ways = ("start in a mode that the state is in",)
+            raise NoWayError(Reason("no state of the mode lies within the limits", ways))
         return np.asarray(solution.x[:n])
 
     def sample(self, rng: np.random.Generator, count: int) -> Floats:
@@ -126,7 +133,7 @@ class Polytope:
 def open_states(mode: Mode, limits: Limits) -> Polytope:
     """The states of a mode as far as its pins and ties leave them open: its invariant within the limits."""
     states = Polytope(limits.lower, limits.upper, np.zeros((0, len(limits.lower))), np.zeros(0))
-    return states.intersect(mode.invariant, limits.max_step)
+    return states.intersect(mode.invariant, -limits.max_step, limits.max_step)
 
 
 def mode_states(mode: Mode, limits: Limits) -> Polytope:

@@ -16,6 +16,7 @@ import numpy as np
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import Edge, Mode
 from micah_plan.automaton.region import Region
+from micah_plan.planning.avoided_inputs import admissible_inputs
 from micah_plan.planning.limits import Limits, named_values
 from micah_plan.planning.search.leaves import Leaves, leaves_of
 from micah_plan.planning.search.passages import Passage, passages
@@ -188,7 +189,7 @@ class _Sampler:
                 continue
             self._add_outside(mode, self._draw(states, leaves, count, base))
             for region in obstacles_on_state(self._automaton, mode.name):
-                if (inside := states.intersect(region, self._limits.max_step)).is_empty:
+                if (inside := states.intersect(region, -self._limits.max_step, self._limits.max_step)).is_empty:
                     continue
                 for point in inside.sample(self._rng, max(_FEWEST_GUARD_STATES, count // 8)):
                     self.add(mode.name, _on_face(inside, region, leaves.put_on(base, point), leaves))
@@ -234,9 +235,9 @@ def goal_states(problem: Problem, limits: Limits, mode: str) -> Polytope:
 
 
 def guard_states(problem: Problem, limits: Limits, edge: Edge) -> Polytope:
-    """The states of an edge's source mode at which some input within the limits takes the edge."""
-    source = mode_states(problem.automaton.mode(edge.source), limits)
-    return source.intersect(edge.guard, limits.max_step)
+    """The states of an edge's source mode at which some admissible input within the limits takes the edge."""
+    mode = problem.automaton.mode(edge.source)
+    return mode_states(mode, limits).intersect(edge.guard, *admissible_inputs(mode, limits.max_step))
 
 
 def inside_any(regions: Sequence[Region], points: Floats) -> Booleans:

@@ -321,7 +321,7 @@ class _Beside:
 
     def sides(self, rows: list[list[HalfSpace]]) -> list[HalfSpace]:
         """The half-space of each obstacle to stay outside of, at the nearest place that is k-sigma out of all."""
-        ways = np.concatenate([0.0 * self.ways[:1], *(size * self.k * self.ways for size in _SIZES)])
+        ways = np.concatenate([np.zeros((1, self.slopes.shape[1])), *(size * self.k * self.ways for size in _SIZES)])
         ways = np.concatenate([ways, *(way + ways for way in ways[1:])])
         away = ways @ self.slopes.T
         clear = np.maximum.reduceat(self.far - away, self.firsts, axis=1).min(axis=1)

@@ -25,7 +25,7 @@ from micah_plan.planning.limits import (
     motion_per_input,
     steps_of_memory,
 )
-from micah_plan.planning.offers import LARGER_STEPS, MORE_KNOTS
+from micah_plan.planning.offers import LARGER_STEPS, more_knots
 from micah_plan.planning.search.mode_search import ModeSequence
 from micah_plan.planning.search.path_beliefs import MOST_LOCALISING_STEPS, WORTH_A_STEP, steps_to_correct_start
 from micah_plan.planning.search.polytope import nominal_start
@@ -33,6 +33,7 @@ from micah_plan.planning.transcription.stops import planned_step
 from micah_plan.planning.zero_time_transitions import ZeroTimeEdge, front_of, stds_of
 from micah_plan.symbolic.compiled import CompiledMode, compiled_edge, compiled_mode
 from micah_plan.task.problem import Problem
+from micah_plan.task.reason import Reason
 
 # A mode that can move gets at least this many steps: time for measurements even if it is already there.
 _FEWEST_STEPS = 3
@@ -139,11 +140,9 @@ def _divide(problem: Problem, limits: Limits, sequence: ModeSequence, needed: li
         waits = felt * (p < len(sequence.edges) and automaton.edges[sequence.edges[p]].guard.on_input)
         least[p], wanted[p] = least[p] + waits, wanted[p] + waits + (gone if moves else 0)
     if sum(least) > most:
-        raise NoWayError(
-            f"the path needs at least {sum(least) + len(sequence.modes)} knots at the largest step, more than "
-            f"max_knots = {problem.settings.max_knots}",
-            (MORE_KNOTS, LARGER_STEPS),
-        )
+        knots, most_knots = sum(least) + len(sequence.modes), problem.settings.max_knots
+        sentence = f"the path needs at least {knots} knots at the largest step, more than max_knots = {most_knots}"
+        raise NoWayError(Reason(sentence, (more_knots(knots / most_knots), LARGER_STEPS)))
     spare = min(1.0, (most - sum(least)) / max(1, sum(wanted) - sum(least)))
     return [low + int(spare * max(0, high - low)) for low, high in zip(least, wanted, strict=True)]
 

@@ -1,0 +1,59 @@
+"""Why something cannot be done, and the ways out of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+OfferKind = Literal[
+    "tolerance", "target", "start", "confidence", "root", "revisits",
+    "max_knots", "max_step", "noise", "start_std", "surer", "samples_per_mode", "search_limit", "candidates",
+]  # fmt: skip
+"""What a remedy can change; those of the second line by a factor."""
+
+
+@dataclass(frozen=True)
+class Offer:
+    """A change that a remedy names once planning with it has succeeded.
+
+    Attributes:
+        words: of the remedy, which name the change without a number.
+        named: what takes their place, with the number behind.
+        kind: what it changes.
+        values: (coordinate, value [its unit]) of tolerances, targets and starts; (axis, place [m]) of the robot's root;
+            (0, number) of confidence and revisits; (0, factor) of others.
+    """
+
+    words: str
+    named: str
+    kind: OfferKind
+    values: tuple[tuple[int, float], ...]
+
+
+def one_of(ways: Sequence[str | Offer]) -> str:
+    """Ways out in words: ``a``, ``a, or b``, ``a, b, or c``."""
+    *others, last = [way if isinstance(way, str) else way.words for way in ways]
+    return f"{', '.join(others)}, or {last}" if others else last
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Why something cannot be done.
+
+    Attributes:
+        sentence: what is wrong, with its amount.
+        ways: out of it, each in words or as a change that can be tried; at least one.
+    """
+
+    sentence: str
+    ways: tuple[str | Offer, ...]
+
+    @property
+    def remedy(self) -> str:
+        """The ways in words."""
+        return one_of(self.ways)
+
+    def __str__(self) -> str:
+        """Both in one line."""
+        return f"{self.sentence}; {self.remedy}"
