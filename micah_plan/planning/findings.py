@@ -303,7 +303,7 @@ def findings_of(problem: Problem, modes: tuple[str, ...], shortfalls: Sequence[S
 def finding_of(problem: Problem, modes: tuple[str, ...], shortfall: Shortfall) -> Finding:
     """A constraint of the optimisation that does not hold, in the words of the user."""
     row, amount = shortfall.row, float(shortfall.amount)
-    ways = _plain_ways(problem, shortfall)
+    ways = _plain_ways(shortfall)
     finding = Finding(
         "optimisation",
         _missed(shortfall),
@@ -328,12 +328,6 @@ def finding_of(problem: Problem, modes: tuple[str, ...], shortfall: Shortfall) -
     possible = int(100 * ndtr(problem.settings.sigmas * room / need)) / 100 if need > 0 else 0.0
     ways = _ways(problem, row, room, need, possible)
     return replace(finding, sentence=sentence, remedy=one_of(ways), room=room, need=need, ways=ways)
-
-
-def _goal_index(problem: Problem, row: Row) -> list[int]:
-    """The coordinate whose goal a row asks for; none for other rows."""
-    names = problem.automaton.coordinate_names
-    return [i for i in problem.goal.indices if row.kind == "goal" and row.name.startswith(f"the goal {names[i]} = ")]
 
 
 def _missed(shortfall: Shortfall) -> str:
@@ -398,14 +392,14 @@ def _turned_by(problem: Problem, row: Row) -> str | None:
     return None
 
 
-def _plain_ways(problem: Problem, shortfall: Shortfall) -> tuple[str | Offer, ...]:
+def _plain_ways(shortfall: Shortfall) -> tuple[str | Offer, ...]:
     """What could help where a constraint cannot hold, whatever the belief is."""
     row, amount = shortfall.row, float(shortfall.amount)
     steps = MORE_KNOTS, LARGER_STEPS
     if row.kind == "goal":
-        indices = _goal_index(problem, row) if np.isfinite(amount) else []
-        wider = [Offer(_WIDER, f"{_WIDER} to", "tolerance", ((i, row.upper + amount),)) for i in indices]
-        return *(wider or (_WIDER,)), *steps
+        if row.coordinate is None or not np.isfinite(amount):
+            return _WIDER, *steps
+        return Offer(_WIDER, f"{_WIDER} to", "tolerance", ((row.coordinate, row.upper + amount),)), *steps
     if row.kind == "input":
         return *steps, "correct the inputs that the model admits"
     if row.kind == "boundary":

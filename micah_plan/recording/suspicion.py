@@ -82,7 +82,7 @@ _FAR_LESS = 1000.0
 
 def suspicions_of_recording(recording: Recording) -> tuple[str, ...]:
     """What looks wrong in a recording, one line each; empty if nothing does."""
-    lines: list[str] = [*misread(recording)]
+    lines = [str(misreading) for misreading in misread(recording)]
     for part in recording.parts:
         rows = recording.select(part=part)
         lines += [_actions(rows, part), _forces(rows, part)]
@@ -91,13 +91,30 @@ def suspicions_of_recording(recording: Recording) -> tuple[str, ...]:
     return tuple(line for line in lines if line)
 
 
-def misread(recording: Recording) -> tuple[str, ...]:
-    """What looks as if the file had other units than a recording, and nobody said which, one line each."""
+@dataclass(frozen=True)
+class Misreading:
+    """Numbers that look as if they had other units than a recording.
+
+    Attributes:
+        sentence: what is odd, with its amount.
+        remedy: how the numbers are read, and the option that says otherwise.
+    """
+
+    sentence: str
+    remedy: str
+
+    def __str__(self) -> str:
+        """Both in one line."""
+        return f"{self.sentence}; {self.remedy}"
+
+
+def misread(recording: Recording) -> tuple[Misreading, ...]:
+    """What looks as if the file had other units than a recording, and nobody said which."""
     stated = recording.conventions.keys()
     parts = () if "length" in stated else recording.parts
     lines = [_length(recording.select(part=part), part) for part in parts]
     lines += [] if stated & {"time", "rate"} else [_clock(recording)]
-    return tuple(line for line in lines if line)
+    return tuple(line for line in lines if line is not None)
 
 
 def require_conventions(recording: Recording) -> None:
@@ -106,12 +123,12 @@ def require_conventions(recording: Recording) -> None:
     Raises:
         InputError: for the first of `misread`, with the options that say how it is meant.
     """
-    for line in misread(recording):
-        problem, _, remedy = line.partition("; ")
-        raise InputError(problem, remedy=f"{remedy}; if they are right as read, say that: {_AS_READ}")
+    for misreading in misread(recording):
+        remedy = f"{misreading.remedy}; if they are right as read, say that: {_AS_READ}"
+        raise InputError(misreading.sentence, remedy=remedy)
 
 
-def _length(rows: Recording, part: str) -> str:
+def _length(rows: Recording, part: str) -> Misreading | None:
     extent = _extent(rows)
     distance = float(np.median(np.linalg.norm(rows.position, axis=1)))
     if extent > LARGEST_EXTENT_M:
@@ -119,8 +136,8 @@ def _length(rows: Recording, part: str) -> str:
     elif distance > FARTHEST_M:
         sentence = f"part '{part}' is {quantity(distance, 'm')} from the origin of the base frame"
     else:
-        return ""
-    return f"{sentence}; positions and actions are read in m: if these are millimetres, say so: --units mm"
+        return None
+    return Misreading(sentence, "positions and actions are read in m: if these are millimetres, say so: --units mm")
 
 
 def _extent(rows: Recording) -> float:
@@ -175,16 +192,17 @@ def _no_motion(recording: Recording) -> str:
     return "no run has two rows of one part, so no motion is seen; give a part the same name and run in all of its rows"
 
 
-def _clock(recording: Recording) -> str:
+def _clock(recording: Recording) -> Misreading | None:
     steps = _steps(recording)
     step = float(np.median(steps)) if len(steps) else 0.0
     if 0.0 < step < SHORTEST_STEP_S:
         remedy = "times are read in s: if they are not, say how many rows a second has: --rate HZ"
-        return f"rows are {quantity(step, 's')} apart, and no tracker is so fast; {remedy}"
+        return Misreading(f"rows are {quantity(step, 's')} apart, and no tracker is so fast", remedy)
     if not _slow(steps):
-        return ""
+        return None
     clock = next((name for name, ticks in _CLOCKS if step * ticks <= _SLOWEST_S), "ns")
-    return f"rows are {quantity(step, 's')} apart; times are read in s: if they are in {clock}, say so: --units {clock}"
+    remedy = f"times are read in s: if they are in {clock}, say so: --units {clock}"
+    return Misreading(f"rows are {quantity(step, 's')} apart", remedy)
 
 
 def _slow(steps: Floats) -> bool:

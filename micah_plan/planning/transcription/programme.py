@@ -373,7 +373,7 @@ def _add_goal(nlp: Transcription) -> None:
         for end, when in ends:
             name = f"the goal {coordinate.name} = {value:g} ± {tolerance:g}{when}"
             place = last.mode, last.first_knot + last.steps, name, coordinate.unit
-            nlp.require(end[index] - value, [Row(*place, -tolerance, tolerance, "goal")])
+            nlp.require(end[index] - value, [Row(*place, -tolerance, tolerance, "goal", coordinate=index)])
     nlp.cost += sum(goal_cost(problem, end) for end, _ in ends)
     nlp.cost += variance_cost(problem, {index: ca.sumsqr(factor[index, :]) for index in problem.goal.indices})
 

@@ -32,6 +32,7 @@ class Row(NamedTuple):
         kind: what kind of thing it bounds.
         half_space, sign: the boundary, to stay inside of (+1) or outside of (-1), for boundaries and guards.
         confidence: with which it is to hold; None: for the mean only.
+        coordinate: of the goal that it asks for.
     """
 
     mode: str
@@ -44,6 +45,7 @@ class Row(NamedTuple):
     half_space: HalfSpace | None = None
     sign: float = 1.0
     confidence: float | None = None
+    coordinate: int | None = None
 
     @property
     def label(self) -> str:
