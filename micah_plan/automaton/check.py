@@ -236,7 +236,7 @@ def _check_entry(automaton: HybridAutomaton, edge: Edge) -> None:
     if edge.is_self_transition:
         return
     source, target = automaton.mode(edge.source), automaton.mode(edge.target)
-    before = _leaving_box(automaton, source, edge)
+    before = _leaving_box(source, edge)
     if any(low > high for low, high in before):
         return  # the guard holds nowhere in the source; the edge is useless but leads nowhere wrong
     for index, (low, high) in enumerate(_after_reset(automaton, edge, before)):
@@ -254,13 +254,13 @@ def _check_entry(automaton: HybridAutomaton, edge: Edge) -> None:
             )
 
 
-def _leaving_box(automaton: HybridAutomaton, source: Mode, edge: Edge) -> list[Interval]:
+def _leaving_box(source: Mode, edge: Edge) -> list[Interval]:
     """Per coordinate, where the state is when the edge is taken from within the source's invariant."""
-    box = [source.interval(i) for i in range(automaton.n)]
+    box = list(source.intervals)
     bounds = [half_space.bound for half_space in edge.guard.half_spaces]
+    only = bounds[0] if len(bounds) == 1 else None
     for i, (low, high) in enumerate(box):
         least, most = edge.guard.interval(i)
-        only = bounds[0] if len(bounds) == 1 else None
         if only is not None and only.coordinate == i and source.driven[i]:
             _, value, is_lower = only
             if (low < value) if is_lower else (high > value):

@@ -214,8 +214,14 @@ class Mode:
 
     def interval(self, coordinate: int) -> Interval:
         """(low, high) of a coordinate: its pin, or what the invariant leaves; low > high if that is nothing."""
-        pinned = next((pin.value for pin in self.pins if pin.coordinate == coordinate), None)
-        return self.invariant.interval(coordinate) if pinned is None else (pinned, pinned)
+        return self.intervals[coordinate]
+
+    @cached_property
+    def intervals(self) -> tuple[Interval, ...]:
+        """(n,) of all coordinates, see `interval`."""
+        pinned = {pin.coordinate: (pin.value, pin.value) for pin in reversed(self.pins)}
+        coordinates = range(len(self.input_matrix))
+        return tuple(pinned[i] if i in pinned else self.invariant.interval(i) for i in coordinates)
 
 
 @dataclass(frozen=True)

@@ -151,6 +151,8 @@ class TransitionDocument(Document):
 
 def _reset_of(values: Mapping[int, Affine], scope: Scope) -> Reset:
     """The affine map of expressions: A, B and c are there only if the expressions say something of them."""
+    if not values:
+        return Reset()
     n, m = len(scope["coordinate"]), len(scope["input"])
     a, b, c = np.eye(n), np.zeros((n, m)), np.zeros(n)
     for i, value in values.items():
