@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import comb
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 ROUND_OFF = 1e-9
@@ -38,6 +40,16 @@ NEAR_STDS, SURE_STDS = 3.0, 4.0
 def robust_std(values: Floats) -> Floats:
     """(...) std of values (N, ...) as their median deviation from the median tells it: few outliers do not count."""
     return np.asarray(STDS_PER_MAD * np.median(np.abs(values - np.median(values, axis=0)), axis=0))
+
+
+def earlier_rows(rows: NDArray[Scalar], by: int, axis: int = 1) -> NDArray[Scalar]:
+    """What the row so many rows earlier has, or later where it is negative; 0 or False where there is none."""
+    result, along = np.zeros_like(rows), rows.shape[axis]
+    by = max(-along, min(by, along))
+    here, there = slice(max(by, 0), along + min(by, 0)), slice(max(-by, 0), along + min(-by, 0))
+    before = (slice(None),) * axis
+    result[(*before, here)] = rows[(*before, there)]
+    return result
 
 
 def alike(numbers: Ints) -> list[tuple[int, Ints]]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from micah_plan.arrays import ROUND_OFF
+from micah_plan.arrays import ROUND_OFF, earlier_rows
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.likelihood import robust_log_density
 
@@ -36,7 +36,7 @@ def regularity(data: CoordinateData) -> float:
         return 0.0
     forms = []
     for series in (whole.u, whole.place):
-        before = [np.roll(series, k + 1, axis=1)[starts] for k in range(_MEMORY)]
+        before = [earlier_rows(series, k + 1)[starts] for k in range(_MEMORY)]
         now = series[starts]
         design = np.stack([np.ones(len(now)), *before], axis=1)
         forms.append(robust_log_density(design, now, _FREEDOM, _FINEST * float(np.std(now)) + ROUND_OFF))

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from micah_plan.arrays import NEAR_STDS, Booleans, Floats, Ints, robust_std
+from micah_plan.arrays import NEAR_STDS, Booleans, Floats, Ints, earlier_rows, robust_std
 from micah_plan.automaton.augmented import threshold_stds
 from micah_plan.automaton.effects.ends import range_of
 from micah_plan.automaton.effects.registry import form
@@ -180,7 +180,7 @@ class CoordinateData:
     @property
     def counted_starts(self) -> Booleans:
         """(S, T) whether the step that starts at this row counts."""
-        return np.roll(self.counted, -1, axis=1)
+        return earlier_rows(self.counted, -1)
 
     def of_segments(self, chosen: Ints) -> CoordinateData:
         """The rows of some segments (k,) alone."""

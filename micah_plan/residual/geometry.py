@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from micah_plan.arrays import SURE_STDS, Floats, Ints
+from micah_plan.arrays import SURE_STDS, Floats, Ints, earlier_rows
 from micah_plan.automaton.build import DIGITS
 from micah_plan.automaton.effects.add import is_possible
 from micah_plan.automaton.effects.value import Effect
@@ -296,7 +296,7 @@ def _regression(rows: _Rows, design: Floats, chosen: NDArray[np.bool_]) -> tuple
         beta = np.asarray(np.linalg.solve(gram, a.T @ b))
         covariance = np.asarray(np.linalg.inv(gram))
         missed, residual = target - columns @ beta, rows.residual - design @ beta
-        before = np.roll(residual, 1)
+        before = earlier_rows(residual, 1, axis=0)
         for k in range(count):
             scatter[k] = max(float(np.sqrt(np.mean(missed[direction == k] ** 2))), 1e-9)
             follows = chosen & ~rows.starts & (rows.direction == k)
@@ -310,6 +310,6 @@ def _whitened(rows: _Rows, values: Floats, memory: Floats) -> Floats:
     """Values (K, j) less what the row before foretells; the first row of a run is scaled to the same variance."""
     memory_of_run = memory[rows.direction]
     first = np.sqrt(np.maximum(1.0 - memory_of_run**2, 1e-6))
-    white = values - memory_of_run[:, None] * np.roll(values, 1, axis=0)
+    white = values - memory_of_run[:, None] * earlier_rows(values, 1, axis=0)
     white[rows.starts] = first[rows.starts, None] * values[rows.starts]
     return white

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import chdtrc
 
-from micah_plan.arrays import INTERVAL, NEAR_STDS, Floats
+from micah_plan.arrays import INTERVAL, NEAR_STDS, Floats, earlier_rows
 from micah_plan.residual.competition import Competition
 from micah_plan.residual.contenders import Contender, begins_later
 from micah_plan.residual.coordinate_data import CoordinateData
@@ -88,7 +88,7 @@ class HeldOut:
         """Floors of one step and of roll-outs of the model as it is: of what its errors follow nothing is noise."""
         nominal, starts = self.nominal, self.data.counted_starts
         step, rolled = self.noise_floor(nominal), self.rollout_floor(nominal)
-        one_step = np.roll(self.errors(nominal, "one_step"), -1, axis=1)[starts][:, None]
+        one_step = earlier_rows(self.errors(nominal, "one_step"), -1)[starts][:, None]
         left, test = self.left_by(nominal), whiteness_test(one_step, replace(self._circumstances, errors=None))
         if left is None or not left.is_more or test is None:
             return step, rolled
@@ -218,10 +218,10 @@ class HeldOut:
         """The test of innovations, whose std a model has as `size`: where they are less, so is what they follow."""
         starts = self.data.counted_starts
         innovations = error / spread
-        past = np.stack([np.roll(innovations, k, axis=1) for k in range(LAGS)], axis=-1)
+        past = np.stack([earlier_rows(innovations, k) for k in range(LAGS)], axis=-1)
         past[:, :LAGS] = 0.0
-        under = replace(self._circumstances, errors=past[starts], spread=np.roll(spread, -1, axis=1)[starts])
-        test = whiteness_test(np.roll(innovations, -1, axis=1)[starts][:, None], under)
+        under = replace(self._circumstances, errors=past[starts], spread=earlier_rows(spread, -1)[starts])
+        test = whiteness_test(earlier_rows(innovations, -1)[starts][:, None], under)
         left = float(np.mean(innovations[self.data.counted] ** 2))
         return test and replace(test, share=test.share * min(left / size**2, 1.0))
 

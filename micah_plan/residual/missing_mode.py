@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from micah_plan.arrays import ROUND_OFF, Floats, Ints, robust_std
+from micah_plan.arrays import ROUND_OFF, Floats, Ints, earlier_rows, robust_std
 from micah_plan.changepoints import LengthPrior, length_terms, most_probable_spans
 from micah_plan.quantities import percent, quantity
 from micah_plan.residual.coordinate_data import CoordinateData
@@ -77,9 +77,9 @@ def missing_modes(
         rivals: (S, T) innovations of other explanations.
     """
     starts = data.counted_starts
-    per = np.roll(spread, -1, axis=1)[starts]
+    per = earlier_rows(spread, -1)[starts]
     place = np.concatenate([data.z[:, :1], (data.z + data.u)[:, :-1]], axis=1)[starts]
-    v, e = data.u[starts], np.roll(innovations, -1, axis=1)[starts] / per
+    v, e = data.u[starts], earlier_rows(innovations, -1)[starts] / per
     held = np.repeat(fold[:, None], data.z.shape[1], axis=1)[starts]
     low, high = float(place.min()), float(place.max())
     if len(e) < _FEWEST_ROWS or high - low < 1e-9:
@@ -94,7 +94,7 @@ def missing_modes(
     if not 0 < cuts.size <= _MOST_CUTS or not any(otherwise):
         return ()
     piecewise = _by_piece(place, line, cuts, otherwise)
-    others = [np.roll(rival, -1, axis=1)[starts] / per / noise for rival in rivals]
+    others = [earlier_rows(rival, -1)[starts] / per / noise for rival in rivals]
     best = max(_log_density(residual) for residual in (e, _held_out(e, smooth, held), *others))
     residual = _held_out(e, piecewise, held)
     evidence = independent_share(_correlation(residual)) * (_log_density(residual) - best)

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import qr
 from scipy.special import fdtrc
 
-from micah_plan.arrays import ROUND_OFF, Floats, Ints, robust_std
+from micah_plan.arrays import ROUND_OFF, Floats, Ints, earlier_rows, robust_std
 
 # Earlier commands that may still act, and places over the range.
 LAGS = 4
@@ -162,9 +162,7 @@ def _unit(values: Floats) -> Floats:
 
 def lagged(commands: Floats) -> Floats:
     """(..., T, 1 + LAGS) commands of each step (..., T) and of those before it; 0 before the first."""
-    padded = np.concatenate([np.zeros((*commands.shape[:-1], LAGS)), commands], axis=-1)
-    rows = commands.shape[-1]
-    return np.stack([padded[..., LAGS - k : LAGS - k + rows] for k in range(1 + LAGS)], axis=-1)
+    return np.stack([earlier_rows(commands, k, axis=commands.ndim - 1) for k in range(1 + LAGS)], axis=-1)
 
 
 def _orthonormal(groups: Mapping[str, Floats]) -> tuple[Floats, Ints]:
