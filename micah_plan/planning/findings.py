@@ -45,8 +45,8 @@ LEAST_CONFIDENCE = 0.5
 _WIDER = "widen the goal's tolerance"
 # A remedy asks for at most so many more revisits: each makes the search for them several times longer.
 _MOST_MORE_REVISITS = 2
-# By how much larger steps are looked at.
-_LARGER = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
+# By how much larger steps are looked at: the last stands for any.
+_LARGER = tuple(2.0**k for k in range(1, 31))
 # Modes that one message describes.
 _MOST_NAMED = 4
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -23,27 +22,22 @@ SURER_START = Offer("lower the start's std", "", "start_std", ((0, 0.5),))
 MORE_CONFIDENCE = Offer("raise `confidence` (more room)", "raise `confidence` (more room) to", "surer", ((0, 2.0),))
 # Of what has no number to be written: how much of it, by factors that are tried.
 _SHARES = {0.125: "an eighth of it", 0.5: "half of it", 2.0: "twice as much", 8.0: "eight times as much"}
-# By kinds of offers: the setting that they change, and to what.
-_SETTINGS: dict[OfferKind, tuple[str, Callable[[Problem, float], Any]]] = {
-    "confidence": ("confidence", lambda _, value: value),
-    "surer": ("confidence", lambda problem, factor: _surer(problem, factor)),
-    "revisits": ("revisits", lambda _, value: int(value)),
-    "max_knots": ("max_knots", lambda problem, factor: round(factor * problem.settings.max_knots)),
-    "samples_per_mode": ("samples_per_mode", lambda problem, factor: round(factor * problem.settings.samples_per_mode)),
-    "search_limit": ("search_limit", lambda problem, factor: round(factor * problem.settings.search_limit)),
-    "candidates": ("candidates", lambda problem, factor: round(factor * problem.settings.candidates)),
-    "max_step": ("max_step", lambda problem, factor: tuple((factor * limits_of(problem).max_step).tolist())),
-}
+# What counted factors are multiplied with if they do not suffice.
+_MARGIN = 2.0
+# Offers that change a setting; what is no count among them has a rule of its own (`_setting`).
+_SETTINGS: tuple[OfferKind, ...] = (
+    "confidence", "surer", "revisits", "max_step", "max_knots", "samples_per_mode", "search_limit", "candidates",
+)  # fmt: skip
 
 
 def more_knots(factor: float) -> Offer:
-    """The offer of so many times as many knots."""
-    return replace(MORE_KNOTS, values=((0, factor),))
+    """The offer of so many times as many knots, which were counted: what they lack is a margin."""
+    return replace(MORE_KNOTS, values=((0, factor),), growth=_MARGIN)
 
 
 def larger_steps(factor: float) -> Offer:
-    """The offer of steps that are so many times as large."""
-    return replace(LARGER_STEPS, values=((0, factor),))
+    """The offer of steps that are so many times as large, as was counted."""
+    return replace(LARGER_STEPS, values=((0, factor),), growth=_MARGIN)
 
 
 def lower_confidence(confidence: float) -> Offer:
@@ -65,8 +59,8 @@ def changed(problem: Problem, offer: Offer) -> Problem:
     """The problem with the change."""
     values = dict(offer.values)
     if offer.kind in _SETTINGS:
-        setting, value_of = _SETTINGS[offer.kind]
-        return replace(problem, settings=replace(problem.settings, **{setting: value_of(problem, values[0])}))
+        name, value = _setting(problem, offer)
+        return replace(problem, settings=replace(problem.settings, **{name: value}))
     if offer.kind == "noise":
         noise, factor = problem.automaton.noise, values[0]
         process, seen = (tuple(factor * s for s in stds) for stds in (noise.process_std, noise.observation_std))
@@ -86,6 +80,18 @@ def changed(problem: Problem, offer: Offer) -> Problem:
     return replace(problem, goal=replace(problem.goal, target=target))
 
 
+def _setting(problem: Problem, offer: Offer) -> tuple[str, Any]:
+    """Name and new value of the setting that an offer changes."""
+    kind, value = offer.kind, offer.values[0][1]
+    if kind == "surer":
+        return "confidence", _surer(problem, value)
+    if kind == "max_step":
+        return kind, tuple((value * limits_of(problem).max_step).tolist())
+    if kind in ("confidence", "revisits"):
+        return kind, int(value) if kind == "revisits" else value
+    return kind, round(value * getattr(problem.settings, kind))
+
+
 def _surer(problem: Problem, factor: float) -> float:
     """The confidence with fewer failures, by the square of a factor, to four digits."""
     return round(1.0 - (1.0 - problem.settings.confidence) / (factor * factor), 4)
@@ -97,6 +103,8 @@ def as_written(offer: Offer) -> Offer:
         return replace(offer, values=((0, math.floor(100.0 * offer.values[0][1] + 1e-9) / 100.0),))
     if offer.kind == "root":
         return replace(offer, values=tuple((i, round(value, 2)) for i, value in offer.values))
+    if offer.kind in _SETTINGS:
+        return offer
     if offer.kind != "tolerance":
         return replace(offer, values=tuple((i, float(f"{value:.4g}")) for i, value in offer.values))
     return replace(offer, values=tuple((i, _rounded_up(value)) for i, value in offer.values))
@@ -114,7 +122,7 @@ def in_words(problem: Problem, offer: Offer) -> str:
     if offer.kind in ("noise", "start_std", "max_step"):
         return f"{offer.words} ({_SHARES.get(value, f'{value:g} times as much')} suffices)"
     if offer.kind in _SETTINGS:
-        number = _SETTINGS[offer.kind][1](problem, value)
+        _, number = _setting(problem, offer)
         return f"{offer.named} {number:.2f}" if offer.kind == "confidence" else f"{offer.named} {number}"
     return f"{offer.named} {_numbers(problem, offer)}"
 

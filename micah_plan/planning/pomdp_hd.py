@@ -110,7 +110,7 @@ def _with_detours(attempt: Attempt) -> list[_Tried]:
     tried = _optimised_each(attempt, search_result)
     if not any(attempt_result.is_whole for attempt_result in tried):
         with suppress(TimeLimitError):
-            tried += _optimised_each(attempt, _unknown(attempt, _searched(attempt, with_room(plain), cuts), tried))
+            tried += _optimised_each(attempt, _untried(attempt, _searched(attempt, with_room(plain), cuts), tried))
     for _ in range(_MOST_DETOURS):
         tight = [
             cut
@@ -122,7 +122,7 @@ def _with_detours(attempt: Attempt) -> list[_Tried]:
             break
         cuts = tight
         with suppress(TimeLimitError):
-            tried += _optimised_each(attempt, _unknown(attempt, _searched(attempt, plain, cuts), tried))
+            tried += _optimised_each(attempt, _untried(attempt, _searched(attempt, plain, cuts), tried))
     return tried
 
 
@@ -134,7 +134,7 @@ def _searched(attempt: Attempt, plain: Problem, cuts: Sequence[Cut]) -> SearchRe
         return search_modes(task, limits_of(task), attempt.mode, attempt.seed, deadline=attempt.deadline)
 
 
-def _unknown(attempt: Attempt, found: SearchResult, tried: Sequence[_Tried]) -> SearchResult:
+def _untried(attempt: Attempt, found: SearchResult, tried: Sequence[_Tried]) -> SearchResult:
     """The sequences that were not optimised yet, through modes of the problem; that there are none is no failure.
 
     A state that is cut out may be in the goal, but to be stuck there is no plan.

@@ -23,13 +23,12 @@ _MOST_NUMBERS, _MOST_FACTORS = 4, 2
 _MOST_SOLVED = 14
 # A tolerance that does not suffice is widened by at least this factor; a confidence lowered by at least this much.
 _WIDER = 1.1
-_TWICE = 2.0  # times as far a root is moved the next time; what is tried first of what nothing was counted of
+_TWICE = 2.0  # times as far a root is moved the next time
 _LOWER = 0.02
-# What is changed by a factor is changed so many times as much the next time.
+# What is changed by a factor.
 _FACTORS: tuple[OfferKind, ...] = (
     "max_knots", "max_step", "noise", "start_std", "surer", "samples_per_mode", "search_limit", "candidates",
 )  # fmt: skip
-_MUCH = 4.0
 # Has to be done, also where it is not enough.
 _NECESSARY: tuple[OfferKind, ...] = ("start", "target")
 
@@ -129,10 +128,7 @@ def _further(problem: Problem, offer: Offer, next_offers: Sequence[Offer], answe
     """A larger change of the same kind than one that did not suffice, as its failure proposes."""
     if offer.kind in _FACTORS:
         value = offer.values[0][1]
-        if value < 1.0:
-            return replace(offer, values=((0, value / _MUCH),))
-        # A factor of its own was counted: what it lacks is a margin.
-        return replace(offer, values=((0, (_MUCH if value == _TWICE else _TWICE) * value),))
+        return replace(offer, values=((0, value * offer.growth if value > 1.0 else value / offer.growth),))
     if offer.kind == "root" and problem.robot is not None:
         stands = problem.robot.position
         return replace(offer, values=tuple((i, stands[i] + _TWICE * (value - stands[i])) for i, value in offer.values))

@@ -23,12 +23,14 @@ class Offer:
         kind: what it changes.
         values: (coordinate, value [its unit]) of tolerances, targets and starts; (axis, place [m]) of the robot's root;
             (0, number) of confidence and revisits; (0, factor) of others.
+        growth: by what a factor that does not suffice is multiplied (one below 1: divided) the next time.
     """
 
     words: str
     named: str
     kind: OfferKind
     values: tuple[tuple[int, float], ...]
+    growth: float = 4.0
 
 
 def one_of(ways: Sequence[str | Offer]) -> str:

@@ -211,4 +211,6 @@ class TestEmpty:
         # A half-space over both states that holds wherever the others can lie sends the same set through the programme.
         coupled = HalfSpace((1.0, 1.0), (0.0,), -100.0)
         bounded = [HalfSpace(weights(i, s)[:2], weights(i, s)[2:], -40.0) for i in range(3) for s in (1, -1)]
-        assert is_empty(Region((*single, *bounded))) == is_empty(Region((*single, *bounded, coupled)))
+        is_nothing = is_empty(Region((*single, *bounded, coupled)))
+        assert is_empty(Region((*single, *bounded))) == is_nothing
+        assert is_empty(Region(tuple(single)), Region(tuple(bounded))) == is_nothing

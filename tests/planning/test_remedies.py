@@ -226,7 +226,7 @@ def latched(step: float | None, admitted: float) -> Problem:
 
 
 @pytest.mark.parametrize(
-    ("step", "suffices"), [(0.08, "twice as much"), (0.03, "4 times as much"), (0.001, "128 times as much")]
+    ("step", "suffices"), [(0.08, "twice as much"), (0.03, "4 times as much"), (0.0005, "256 times as much")]
 )
 def test_steps_that_are_too_small_for_a_guard_are_counted(step: float, suffices: str) -> None:
     problem = latched(step, 1.0)
