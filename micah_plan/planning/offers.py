@@ -120,7 +120,7 @@ def in_words(problem: Problem, offer: Offer) -> str:
     """The offer with its numbers, as they are to be written into the file; of noise and steps by which factor."""
     value = offer.values[0][1]
     if offer.kind in ("noise", "start_std", "max_step"):
-        return f"{offer.words} ({_SHARES.get(value, f'{value:g} times as much')} suffices)"
+        return f"{offer.words} ({_SHARES.get(value, f'{value:,.0f} times as much')} suffices)"
     if offer.kind in _SETTINGS:
         _, number = _setting(problem, offer)
         return f"{offer.named} {number:.2f}" if offer.kind == "confidence" else f"{offer.named} {number}"

@@ -217,6 +217,15 @@ def test_knots_that_a_path_needs_at_least_are_counted(knots: int) -> None:
     assert solve(with_settings(problem, max_knots=18)).outcome == "solved"
 
 
+def test_plans_that_would_take_minutes_are_not_tried() -> None:
+    """Steps of 0.2 mrad take 4,756 knots to swing the door by 0.96 rad; of 2 nrad, more than there may be."""
+    for step, expected in ((2e-4, "; raise max_knots to 4756 or more (not tried), or raise max_step"), (2e-9, "; ")):
+        refused = solve(with_settings(door_problem(0.2, 1.2), max_step=(step,)))
+        assert refused.outcome == "no_plan"
+        assert expected in refused.reason
+        assert ("or more" in refused.reason) == (step > 1e-6)
+
+
 def latched(step: float | None, admitted: float) -> Problem:
     """A door that is shut until it is pulled by more than 0.1 rad, by steps and inputs up to these."""
     automaton = door_automaton(release=0.1)

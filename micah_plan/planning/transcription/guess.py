@@ -25,7 +25,7 @@ from micah_plan.planning.limits import (
     motion_per_input,
     steps_of_memory,
 )
-from micah_plan.planning.offers import LARGER_STEPS, more_knots
+from micah_plan.planning.offers import larger_steps, more_knots
 from micah_plan.planning.search.mode_search import ModeSequence
 from micah_plan.planning.search.path_beliefs import MOST_LOCALISING_STEPS, WORTH_A_STEP, steps_to_correct_start
 from micah_plan.planning.search.polytope import nominal_start
@@ -33,10 +33,13 @@ from micah_plan.planning.transcription.stops import planned_step
 from micah_plan.planning.zero_time_transitions import ZeroTimeEdge, front_of, stds_of
 from micah_plan.symbolic.compiled import CompiledMode, compiled_edge, compiled_mode
 from micah_plan.task.problem import Problem
-from micah_plan.task.reason import Reason
+from micah_plan.task.reason import Offer, Reason
+from micah_plan.task.settings import MOST_KNOTS
 
 # A mode that can move gets at least this many steps: time for measurements even if it is already there.
 _FEWEST_STEPS = 3
+# Plans of more knots are not tried for a remedy: of a door, 966 take 17 s of CPU, 9,600 longer than 6 minutes.
+_MOST_TRIED_KNOTS = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,11 +143,20 @@ def _divide(problem: Problem, limits: Limits, sequence: ModeSequence, needed: li
         waits = felt * (p < len(sequence.edges) and automaton.edges[sequence.edges[p]].guard.on_input)
         least[p], wanted[p] = least[p] + waits, wanted[p] + waits + (gone if moves else 0)
     if sum(least) > most:
-        knots, most_knots = sum(least) + len(sequence.modes), problem.settings.max_knots
-        sentence = f"the path needs at least {knots} knots at the largest step, more than max_knots = {most_knots}"
-        raise NoWayError(Reason(sentence, (more_knots(knots / most_knots), LARGER_STEPS)))
+        raise NoWayError(_too_few_knots(sum(least) + len(sequence.modes), problem.settings.max_knots))
     spare = min(1.0, (most - sum(least)) / max(1, sum(wanted) - sum(least)))
     return [low + int(spare * max(0, high - low)) for low, high in zip(least, wanted, strict=True)]
+
+
+def _too_few_knots(needed: int, allowed: int) -> Reason:
+    """Why a path that needs at least so many knots cannot be planned with those that are allowed."""
+    ways: list[str | Offer] = [larger_steps(max(2.0, float(np.ceil(needed / allowed))))]
+    if needed <= _MOST_TRIED_KNOTS:
+        ways.insert(0, more_knots(needed / allowed))
+    elif needed <= MOST_KNOTS:
+        ways.insert(0, f"raise max_knots to {needed} or more (not tried)")
+    sentence = f"the path needs at least {needed} knots at the largest step, more than max_knots = {allowed}"
+    return Reason(sentence, tuple(ways))
 
 
 def _roll(
