@@ -11,7 +11,7 @@ from micah_plan.documents.fields import Distance, EachInput, NonNegative, Positi
 from micah_plan.documents.layout import Document, Scope, doc, plain_data
 from micah_plan.documents.located import Located
 from micah_plan.documents.validation import validated
-from micah_plan.task.settings import MOST_KNOTS, PlannerSettings
+from micah_plan.task.settings import PlannerSettings
 
 Confidence = Annotated[float, Field(gt=0.5, lt=1.0)]
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
@@ -33,7 +33,7 @@ class PlannerDocument(Document):
     max_step: EachInput[Distance] | None = doc(
         "Largest input per step, by input [rad or m]; default: from the model.", None
     )
-    max_knots: Annotated[int, Field(ge=2, le=MOST_KNOTS)] = doc(
+    max_knots: Annotated[int, Field(ge=2, le=100_000)] = doc(
         "Upper limit of knots over the whole plan.", PlannerSettings.max_knots
     )
     pace: Annotated[float, Field(gt=0, le=1)] = doc(

@@ -11,9 +11,6 @@ from dataclasses import dataclass
 from math import inf
 from time import perf_counter, process_time
 
-MOST_KNOTS = 100_000
-"""The largest `max_knots`."""
-
 
 @dataclass(frozen=True)
 class PlannerSettings:

@@ -33,8 +33,7 @@ from micah_plan.planning.transcription.stops import planned_step
 from micah_plan.planning.zero_time_transitions import ZeroTimeEdge, front_of, stds_of
 from micah_plan.symbolic.compiled import CompiledMode, compiled_edge, compiled_mode
 from micah_plan.task.problem import Problem
-from micah_plan.task.reason import Offer, Reason
-from micah_plan.task.settings import MOST_KNOTS
+from micah_plan.task.reason import Reason
 
 # A mode that can move gets at least this many steps: time for measurements even if it is already there.
 _FEWEST_STEPS = 3
@@ -150,11 +149,9 @@ def _divide(problem: Problem, limits: Limits, sequence: ModeSequence, needed: li
 
 def _too_few_knots(needed: int, allowed: int) -> Reason:
     """Why a path that needs at least so many knots cannot be planned with those that are allowed."""
-    ways: list[str | Offer] = [larger_steps(max(2.0, float(np.ceil(needed / allowed))))]
+    ways = [larger_steps(max(2.0, float(np.ceil(needed / allowed))))]
     if needed <= _MOST_TRIED_KNOTS:
         ways.insert(0, more_knots(needed / allowed))
-    elif needed <= MOST_KNOTS:
-        ways.insert(0, f"raise max_knots to {needed} or more (not tried)")
     sentence = f"the path needs at least {needed} knots at the largest step, more than max_knots = {allowed}"
     return Reason(sentence, tuple(ways))
 
