@@ -46,6 +46,7 @@ LIBRARIES = (
     Library("jinja2", "jinja2", "pages"),
     Library("matplotlib", "matplotlib.figure", "figures"),
     Library("meshcat", "meshcat", "pages"),
+    Library("numba", "numba", "calibrate"),
     Library("numpy", "numpy", "numbers"),
     Library("ompl", "ompl.base", "search modes"),
     Library("pin", "pinocchio", "plan with arms"),

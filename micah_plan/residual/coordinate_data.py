@@ -177,6 +177,12 @@ class CoordinateData:
         """(S,) whether a segment goes on from rows before it: its own first rows do not count."""
         return np.asarray(~self.counted[:, 1:3].any(axis=1))
 
+    @cached_property
+    def numbered(self) -> Ints:
+        """(S, T) number of each row that counts, one segment after the other; -1: it does not."""
+        number = np.cumsum(self.counted).reshape(self.counted.shape) - 1
+        return np.where(self.counted, number, -1)
+
     @property
     def counted_starts(self) -> Booleans:
         """(S, T) whether the step that starts at this row counts."""

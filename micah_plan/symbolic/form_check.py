@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 
@@ -11,6 +9,7 @@ from micah_plan.arrays import TINY, Floats
 from micah_plan.automaton.effects.form import EffectForm, Operations, Value, Values
 from micah_plan.errors import InputError
 from micah_plan.symbolic.compiled import CasadiOperations
+from micah_plan.symbolic.straight_line import straight_line
 
 # What a form is tried at: commands, and places of the coordinate.
 _COMMANDS = np.array([-0.3, -0.02, 0.0, 0.001, 0.04, 0.5])
@@ -84,7 +83,7 @@ def _checked(form: EffectForm, p: list[float]) -> dict[str, Floats]:
         alone = np.array([np.ravel(output[name])[0] for output in single])
         if not np.allclose(alone, values, atol=TINY):
             raise InputError(f"effect {form.name}: {name} must mean the same for numbers as for arrays")
-        if not np.allclose(symbolic[name], values, atol=TINY):
+        if not all(np.allclose(read[name], values, atol=TINY) for read in symbolic):
             raise InputError(
                 f"effect {form.name}: {name} must mean the same to CasADi, which plans with it, as to NumPy",
                 remedy="write it with the functions of ops",
@@ -92,19 +91,25 @@ def _checked(form: EffectForm, p: list[float]) -> dict[str, Floats]:
     return outputs
 
 
-def _by_casadi(form: EffectForm, p: list[float]) -> dict[str, Floats]:
+def _by_casadi(form: EffectForm, p: list[float]) -> list[dict[str, Floats]]:
+    """Values of all hooks: with numbers for the parameters, as in plans, and with symbols, as in calibrations."""
     c, v = ca.SX.sym("c"), ca.SX.sym("v")
+    symbols = [ca.SX.sym(parameter.name) for parameter in form.parameters]
+    every = []
     try:
-        read = _outputs(form, CasadiOperations(), p, c, v)
-        function = ca.Function("read", [c, v], [ca.SX(value) for value in read.values()])
+        for given in (list[Value](p), list[Value](symbols)):
+            read = {name: ca.SX(value) for name, value in _outputs(form, CasadiOperations(), given, c, v).items()}
+            straight_line([c, v], symbols, list(read.values()))
+            function = ca.Function("read", [c, v, *symbols], list(read.values()))
+            rows = [[float(value) for value in function(*at, *p)] for at in zip(_PLACES, _COMMANDS, strict=True)]
+            every.append(dict(zip(read, np.array(rows).T, strict=True)))
     # NumPy's functions refuse expressions in many ways, as does an `if` on one.
     except Exception as error:
         raise InputError(
             f"effect {form.name}: CasADi, which plans with it, cannot read its formula: {error}",
-            remedy="write it with the functions of ops, and without an if on values",
+            remedy="write it with the functions of ops, and without an if on values or parameters",
         ) from error
-    rows = [[float(value) for value in function(*at)] for at in zip(_PLACES, _COMMANDS, strict=True)]
-    return dict(zip(read, np.array(rows).T, strict=True))
+    return every
 
 
 def _sensible(lower: float, upper: float) -> float:
@@ -112,7 +117,7 @@ def _sensible(lower: float, upper: float) -> float:
     return low if low <= high else high
 
 
-def _outputs(form: EffectForm, ops: Operations, p: Sequence[float], c: Value, v: Value) -> dict[str, Value]:
+def _outputs(form: EffectForm, ops: Operations, p: Values, c: Value, v: Value) -> dict[str, Value]:
     """What every hook makes of a configuration and a command; arrays for NumPy."""
     memory = form.at_rest_in(c, p)
     out, after = form.respond(ops, c, v, memory, p)

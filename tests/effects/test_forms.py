@@ -253,6 +253,13 @@ class Deciding(Stretching):
         return v * (1.0 + p[0]) if v > 0 or v < 0 else 0.0 * v
 
 
+class Counting(Stretching):
+    """Decides on a number of its parameter, which calibrations have as a symbol."""
+
+    def command(self, ops, v, p):
+        return p[0] * v if p[0] > 0.0 else v
+
+
 class OfOneSize(Stretching):
     """Gives three values, whatever it is given."""
 
@@ -286,6 +293,7 @@ class Growing(Stretching):
         (Moving, "hooks of the layers command and geometry"),
         (Twisting, "calibrate tries no forms of the layer geometry but its own"),
         (OfNumpy, "CasADi, which plans with it, cannot read"),
+        (Counting, "cannot read its formula"),
         (Deciding, "its formula fails: The truth value"),
         (OfOneSize, "one finite value per state and command"),
         (Broken, "its formula fails: broken"),

@@ -14,6 +14,11 @@ LONGEST_DELAY = 12
 """The longest delay [steps]."""
 
 
+def _steps_kept(delay: Value) -> int:
+    """How many commands a delay keeps: of a number what it needs, of an expression or an array what any needs."""
+    return math.ceil(delay) if isinstance(delay, float | int) else LONGEST_DELAY
+
+
 @final
 class Delay(EffectForm):
     """v_t -> v_(t-delay), linear between whole steps."""
@@ -25,13 +30,12 @@ class Delay(EffectForm):
     complexity_rank = 6
 
     def at_rest(self, p: Values) -> Memory:
-        # Many delays at once share a line for the longest.
-        return (0.0,) * (LONGEST_DELAY if np.ndim(p[0]) else math.ceil(p[0]))
+        return (0.0,) * _steps_kept(p[0])
 
     def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
         sent = (v, *memory)
-        # Only the whole steps before and after a delay count; many at once share the line.
-        ages = range(int(np.min(p[0])), min(int(np.max(p[0])) + 2, len(sent)))
+        # Of a number, only the whole steps before and after it count.
+        ages = range(int(p[0]), min(int(p[0]) + 2, len(sent))) if isinstance(p[0], float | int) else range(len(sent))
         late = 0.0 * v
         for age in ages:
             late = late + ops.maximum(0.0, 1.0 - ops.abs(p[0] - age)) * sent[age]
@@ -154,8 +158,7 @@ class Follow(EffectForm):
     is_sought = False
 
     def at_rest_in(self, c: Value, p: Values) -> Memory:
-        count = LONGEST_DELAY if np.ndim(p[3]) else math.ceil(p[3])
-        return (c, *(c,) * count)
+        return (c, *(c,) * _steps_kept(p[3]))
 
     def respond(self, ops: Operations, c: Value, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
         late, line = Delay().remember(ops, c + v, memory[1:], p[3:4])

@@ -1,0 +1,422 @@
+"""The loop over rows, compiled: instructions of a step on many hypotheses at once, and the filter around them.
+
+Numba compiles it when it is first called, and keeps what it compiled beside this file or in the user's cache.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
+
+import numba
+import numpy as np
+
+from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.symbolic.straight_line import Operation
+
+_Function = TypeVar("_Function", bound=Callable[..., None])
+
+FILTER, ONE_STEP, ROLLOUT = range(3)
+# Registers that every program has, and where its own begin.
+PLACE_OF_PART, COMMAND, COMMANDED_PLACE, TIME, ORDER, LOW, HIGH, FREE, SLOPE, OFFSET, STEEPNESS, FIRST_OWN = range(12)
+# What is known of each hypothesis beside its parameters: variances, freedom of the t distribution, ends beside those of
+# the rows, commands that leave an end.
+WHITE, PROCESS, MOTION, WANDER, FREEDOM, BESIDE_LOW, BESIDE_HIGH, RELEASE_LOW, RELEASE_HIGH = range(9)
+# The state of each hypothesis beside its registers.
+_WANDERED, _OF_PLACE, _OF_BOTH, _OF_READING, _ERROR, _VARIANCE = range(6)
+_LOW_BEFORE, _HIGH_BEFORE, _AT_LOW, _AT_HIGH, _IS_GONE, _STATES = range(6, 12)
+
+
+def _compiled(function: _Function) -> _Function:
+    """A function that Numba compiles when it is first called; divisions by 0 give what NumPy's give."""
+    compiled: _Function
+    try:
+        compiled = numba.njit(cache=True, error_model="numpy")(function)
+    except RuntimeError:  # there is no folder that may be written to: it is then compiled in each process
+        compiled = numba.njit(error_model="numpy")(function)
+    return compiled
+
+
+class Programs(NamedTuple):
+    """Instructions ((n, 4) each) of what is done when.
+
+    Attributes:
+        once: for the parameters. rest: memories of what rests at `PLACE_OF_PART`. ends: `LOW` and `HIGH` of a row.
+        step: `COMMAND`, `FREE` and `SLOPE` from `PLACE_OF_PART`, `COMMAND` and `COMMANDED_PLACE`.
+        reading: `OFFSET` and `STEEPNESS`.
+        registers: how many there are.
+        constants: (c, 2) register and value.
+        given: (k,) registers of the parameters.
+    """
+
+    once: Ints
+    rest: Ints
+    ends: Ints
+    step: Ints
+    reading: Ints
+    registers: int
+    constants: Floats
+    given: Ints
+
+
+class RowsGiven(NamedTuple):
+    """What rows (S, T) bring along: see `coordinate_data.CoordinateData`.
+
+    Attributes:
+        effort: squared commands, over their usual size. moved: (1, S, T), or (B, S, T) of each hypothesis: commands.
+        ends: (2, S, T), or (2, 1, 1) if they are always the same. blur: of a reading. goes_on: (S,) variance of the
+            second row beside its own.
+        in_mode: (k, modes) in which modes the k sets of modes are. last: (S,) last row that counts.
+        number: (S, T) column of the results in which a row is; -1: in none.
+    """
+
+    z: Floats
+    moved: Floats
+    effort: Floats
+    place: Floats
+    noise: Floats
+    is_measured: Booleans
+    time: Floats
+    order: Floats
+    mode: Ints
+    ends: Floats
+    goes_on: Floats
+    in_mode: Booleans
+    last: Ints
+    number: Ints
+
+
+class Settings(NamedTuple):
+    """What all hypotheses of a batch share.
+
+    Attributes:
+        kind: `FILTER`, `ONE_STEP` or `ROLLOUT`.
+        is_bounded: whether there are ends. is_held: whether something may hold the part there.
+        surely: an error that is surely no noise, where `RowsGiven.noise` is 1.
+        stays: correlation of the wandering error. held_variance: share of the variance that an end leaves.
+    """
+
+    kind: int
+    is_bounded: bool
+    is_held: bool
+    surely: float
+    stays: float
+    held_variance: float
+
+
+@_compiled
+def _evaluate(code: Ints, r: Floats, in_mode: Booleans, mode: int) -> None:
+    """Instructions on registers (R, lanes)."""
+    lanes = r.shape[1]
+    for k in range(code.shape[0]):
+        operation = code[k, 0]
+        o, a, b = r[code[k, 1]], r[code[k, 2]], r[code[k, 3]]
+        if operation == Operation.MUL:
+            for j in range(lanes):
+                o[j] = a[j] * b[j]
+        elif operation == Operation.ADD:
+            for j in range(lanes):
+                o[j] = a[j] + b[j]
+        elif operation == Operation.SUB:
+            for j in range(lanes):
+                o[j] = a[j] - b[j]
+        elif operation == Operation.ASSIGN:
+            for j in range(lanes):
+                o[j] = a[j]
+        elif operation == Operation.FMAX:
+            for j in range(lanes):
+                o[j] = a[j] if a[j] >= b[j] else b[j]
+        elif operation == Operation.FMIN:
+            for j in range(lanes):
+                o[j] = a[j] if a[j] <= b[j] else b[j]
+        elif operation == Operation.FABS:
+            for j in range(lanes):
+                o[j] = abs(a[j])
+        elif operation == Operation.NEG:
+            for j in range(lanes):
+                o[j] = -a[j]
+        elif operation == Operation.DIV:
+            for j in range(lanes):
+                o[j] = a[j] / b[j]
+        elif operation == Operation.IF_ELSE_ZERO:
+            for j in range(lanes):
+                o[j] = b[j] if a[j] != 0.0 else 0.0
+        elif operation == Operation.SELECT:
+            for j in range(lanes):
+                o[j] = b[j] if a[j] != 0.0 else o[j]
+        elif operation == Operation.LT:
+            for j in range(lanes):
+                o[j] = 1.0 if a[j] < b[j] else 0.0
+        elif operation == Operation.LE:
+            for j in range(lanes):
+                o[j] = 1.0 if a[j] <= b[j] else 0.0
+        elif operation == Operation.NOT:
+            for j in range(lanes):
+                o[j] = 1.0 if a[j] == 0.0 else 0.0
+        elif operation == Operation.SIGN:
+            for j in range(lanes):
+                o[j] = 1.0 if a[j] > 0.0 else (-1.0 if a[j] < 0.0 else a[j])
+        elif operation == Operation.SQ:
+            for j in range(lanes):
+                o[j] = a[j] * a[j]
+        elif operation == Operation.IN_MODES:
+            value = 1.0 if in_mode[code[k, 2], mode] else 0.0
+            for j in range(lanes):
+                o[j] = value
+        else:
+            _evaluate_rare(operation, o, a, b)
+
+
+@_compiled
+def _evaluate_rare(operation: int, o: Floats, a: Floats, b: Floats) -> None:
+    """One of the instructions that are slow or rare."""
+    for j in range(len(o)):
+        x, y = a[j], b[j]
+        if operation == Operation.EXP:
+            o[j] = math.exp(x)
+        elif operation == Operation.SIN:
+            o[j] = math.sin(x)
+        elif operation == Operation.COS:
+            o[j] = math.cos(x)
+        elif operation == Operation.TANH:
+            o[j] = math.tanh(x)
+        elif operation == Operation.INV:
+            o[j] = 1.0 / x
+        elif operation == Operation.SQRT:
+            o[j] = np.sqrt(x)
+        elif operation == Operation.LOG:
+            o[j] = np.log(x)
+        elif operation in (Operation.POW, Operation.CONSTPOW):
+            o[j] = np.power(x, y)
+        elif operation == Operation.AND:
+            o[j] = 1.0 if x != 0.0 and y != 0.0 else 0.0
+        elif operation == Operation.TWICE:
+            o[j] = x + x
+        elif operation == Operation.EQ:
+            o[j] = 1.0 if x == y else 0.0
+        elif operation == Operation.NE:
+            o[j] = 1.0 if x != y else 0.0
+        elif operation == Operation.OR:
+            o[j] = 1.0 if x != 0.0 or y != 0.0 else 0.0
+        elif operation == Operation.TAN:
+            o[j] = math.tan(x)
+        elif operation == Operation.ASIN:
+            o[j] = np.arcsin(x)
+        elif operation == Operation.ACOS:
+            o[j] = np.arccos(x)
+        elif operation == Operation.ATAN:
+            o[j] = math.atan(x)
+        elif operation == Operation.ATAN2:
+            o[j] = math.atan2(x, y)
+        elif operation == Operation.FLOOR:
+            o[j] = np.floor(x)
+        elif operation == Operation.CEIL:
+            o[j] = np.ceil(x)
+        elif operation == Operation.FMOD:
+            o[j] = np.fmod(x, y)
+        elif operation == Operation.SINH:
+            o[j] = math.sinh(x)
+        elif operation == Operation.COSH:
+            o[j] = math.cosh(x)
+
+
+@_compiled
+def _load(r: Floats, constants: Floats, given: Ints, values: Floats) -> None:
+    """Fill the registers of numbers and of parameters (k, B)."""
+    for k in range(constants.shape[0]):
+        r[int(constants[k, 0])] = constants[k, 1]
+    for k in range(given.shape[0]):
+        r[given[k]] = values[k]
+    r[STEEPNESS] = 1.0
+
+
+@_compiled
+def _find_ends(code: Ints, r: Floats, in_mode: Booleans, mode: int, known: Floats, low: float, high: float) -> None:
+    """Ends in a row: those that are given, what is beside them, and what effects make of them."""
+    for j in range(r.shape[1]):
+        r[LOW, j] = low + known[BESIDE_LOW, j]
+        r[HIGH, j] = high + known[BESIDE_HIGH, j]
+    _evaluate(code, r, in_mode, mode)
+    for j in range(r.shape[1]):
+        r[HIGH, j] = max(r[HIGH, j], r[LOW, j])
+
+
+@_compiled
+def _begin(r: Floats, state: Floats, known: Floats, z: float, noise: float) -> None:
+    """Take the first row of a segment as it was measured."""
+    for j in range(r.shape[1]):
+        low, high, steep = r[LOW, j], r[HIGH, j], r[STEEPNESS, j]
+        place = min(max((z - r[OFFSET, j]) / steep, low), high)
+        r[PLACE_OF_PART, j] = place
+        state[_WANDERED, j] = state[_OF_BOTH, j] = state[_IS_GONE, j] = 0.0
+        state[_OF_PLACE, j] = known[WHITE, j] * noise / steep**2
+        state[_OF_READING, j] = known[WANDER, j]
+        state[_LOW_BEFORE, j], state[_HIGH_BEFORE, j] = low, high
+        state[_AT_LOW, j] = 1.0 if place <= low else 0.0
+        state[_AT_HIGH, j] = 1.0 if place >= high else 0.0
+
+
+@_compiled
+def _hold(r: Floats, state: Floats, known: Floats) -> None:
+    """Hold the part at its lower or upper end: until a command releases it, or the end is gone."""
+    for j in range(r.shape[1]):
+        low, high, v = r[LOW, j], r[HIGH, j], r[COMMAND, j]
+        free = min(max(r[FREE, j], low), high)
+        at_low = state[_AT_LOW, j] != 0.0 and v <= known[RELEASE_LOW, j] and low == state[_LOW_BEFORE, j]
+        at_high = state[_AT_HIGH, j] != 0.0 and -v <= known[RELEASE_HIGH, j] and high == state[_HIGH_BEFORE, j]
+        state[_LOW_BEFORE, j], state[_HIGH_BEFORE, j] = low, high
+        state[_AT_LOW, j] = 1.0 if at_low or free <= low else 0.0
+        state[_AT_HIGH, j] = 1.0 if at_high or free >= high else 0.0
+        if at_high and known[RELEASE_HIGH, j] > 0.0:
+            r[FREE, j], r[SLOPE, j] = high, 0.0
+        elif at_low and known[RELEASE_LOW, j] > 0.0:
+            r[FREE, j], r[SLOPE, j] = low, 0.0
+
+
+@_compiled
+def _move(
+    r: Floats,
+    state: Floats,
+    known: Floats,
+    effort: float,
+    is_bounded: bool,
+    stays: float,
+    held_variance: float,
+) -> None:
+    """Take the part to where it is free to go, or to what ends its way."""
+    for j in range(r.shape[1]):
+        free, slope = r[FREE, j], min(max(r[SLOPE, j], -1.0), 1.0)
+        if is_bounded:
+            ended = min(max(free, r[LOW, j]), r[HIGH, j])
+            slope = slope if ended == free else 0.0
+            free = ended
+        state[_OF_BOTH, j] *= slope * stays
+        of_place = state[_OF_PLACE, j] * (slope * slope * (1.0 - held_variance) + held_variance)
+        state[_OF_PLACE, j] = of_place + known[PROCESS, j] + known[MOTION, j] * effort
+        state[_OF_READING, j] = state[_OF_READING, j] * stays**2 + (1.0 - stays**2) * known[WANDER, j]
+        state[_WANDERED, j] *= stays
+        r[PLACE_OF_PART, j] = free
+
+
+@_compiled
+def _compare(r: Floats, state: Floats, known: Floats, z: float, noise: float) -> None:
+    """Compare with a row."""
+    for j in range(r.shape[1]):
+        steep, of_both = r[STEEPNESS, j], state[_OF_BOTH, j]
+        state[_ERROR, j] = z - r[OFFSET, j] - steep * r[PLACE_OF_PART, j] - state[_WANDERED, j]
+        to_place, to_reading = steep * state[_OF_PLACE, j] + of_both, steep * of_both + state[_OF_READING, j]
+        state[_VARIANCE, j] = steep * to_place + to_reading + known[WHITE, j] * noise
+
+
+@_compiled
+def _let_go(r: Floats, state: Floats, known: Floats, noise: float) -> None:
+    """Find parts that were predicted on the wrong side of being held: measured away from an end, or left behind there.
+
+    Whether a part arrived at an end, and whether a command was just enough to leave it, noise decides. What is
+    measured afterwards tells, as soon as it is no noise; else one wrong guess would last for many rows.
+    """
+    for j in range(r.shape[1]):
+        state[_IS_GONE, j] = 0.0
+        steep, error = r[STEEPNESS, j], state[_ERROR, j]
+        for k in range(2):
+            side, end, release = (1.0, r[LOW, j], known[RELEASE_LOW, j])
+            if k == 1:
+                side, end, release = (-1.0, r[HIGH, j], known[RELEASE_HIGH, j])
+            if release > 0.0:
+                is_at = state[_AT_LOW + k, j] != 0.0
+                away = side * (r[PLACE_OF_PART, j] + error / steep - end)
+                gone = is_at and side * error > min(release * steep, noise)
+                caught = not is_at and side * error < -noise and away < noise
+                if gone or caught:
+                    state[_AT_LOW + k, j], state[_IS_GONE, j] = 1.0 if caught else 0.0, 1.0
+
+
+@_compiled
+def _take_in(r: Floats, state: Floats, known: Floats, z: float, noise: float, is_bounded: bool) -> None:
+    """Take a measurement in: a far one less."""
+    for j in range(r.shape[1]):
+        steep, error, variance = r[STEEPNESS, j], state[_ERROR, j], state[_VARIANCE, j]
+        of_both, is_gone = state[_OF_BOTH, j], state[_IS_GONE, j] != 0.0
+        to_place, to_reading = steep * state[_OF_PLACE, j] + of_both, steep * of_both + state[_OF_READING, j]
+        freedom = known[FREEDOM, j]
+        weight = min((freedom + 1.0) / (error * error / variance + freedom), 1.0) / variance
+        place = r[PLACE_OF_PART, j] + to_place * weight * error
+        of_place = state[_OF_PLACE, j] - to_place * weight * to_place
+        of_both -= to_place * weight * to_reading
+        state[_WANDERED, j] += to_reading * weight * error
+        state[_OF_READING, j] -= to_reading * weight * to_reading
+        state[_OF_BOTH, j] = 0.0 if is_gone else of_both
+        state[_OF_PLACE, j] = known[WHITE, j] * noise / steep**2 if is_gone else of_place
+        place = (z - r[OFFSET, j]) / steep if is_gone else place
+        if is_bounded:
+            place = min(max(place, r[LOW, j]), r[HIGH, j])
+        r[PLACE_OF_PART, j] = place
+
+
+@_compiled
+def _take_as_measured(r: Floats, state: Floats, known: Floats, noise: float) -> None:
+    """Begin the next step where the part was measured."""
+    for j in range(r.shape[1]):
+        r[PLACE_OF_PART, j] += (state[_ERROR, j] + state[_WANDERED, j]) / r[STEEPNESS, j]
+        state[_OF_PLACE, j] = (known[WHITE, j] * noise + known[WANDER, j]) / r[STEEPNESS, j] ** 2
+
+
+@_compiled
+def go_through(
+    programs: Programs,
+    rows: RowsGiven,
+    settings: Settings,
+    values: Floats,
+    known: Floats,
+    at: Ints,
+    error: Floats,
+    variance: Floats,
+) -> None:
+    """Fill some of the errors and their variances (..., N): hypotheses go through the rows side by side.
+
+    Args:
+        values: (k, B) of the parameters. known: (9, B) what else is known of the hypotheses: `WHITE` and so on.
+        at: (B,) where each is in the results.
+    """
+    lanes = known.shape[1]
+    in_mode, kind, is_held = rows.in_mode, settings.kind, settings.is_held
+    r, state = np.zeros((programs.registers, lanes)), np.zeros((_STATES, lanes))
+    _load(r, programs.constants, programs.given, values)
+    _evaluate(programs.once, r, in_mode, rows.mode[0, 0])
+    is_shared, ends_are_alike = rows.moved.shape[0] == 1, rows.ends.shape[2] == 1
+    for s in range(rows.z.shape[0]):
+        of_s = 0 if ends_are_alike else s
+        r[TIME], r[ORDER] = rows.time[s, 0], rows.order[s, 0]
+        _find_ends(programs.ends, r, in_mode, rows.mode[s, 0], known, rows.ends[0, of_s, 0], rows.ends[1, of_s, 0])
+        _evaluate(programs.reading, r, in_mode, rows.mode[s, 0])
+        _begin(r, state, known, rows.z[s, 0], rows.noise[s, 0])
+        _evaluate(programs.rest, r, in_mode, rows.mode[s, 0])
+        for t in range(rows.last[s]):
+            mode, now, noise = rows.mode[s, t], rows.z[s, t + 1], rows.noise[s, t + 1]
+            for j in range(lanes):
+                r[COMMAND, j] = rows.moved[0 if is_shared else j, s, t]
+            r[COMMANDED_PLACE] = rows.place[s, t]
+            _evaluate(programs.step, r, in_mode, mode)
+            if not ends_are_alike or programs.ends.shape[0]:
+                of_t = 0 if ends_are_alike else t
+                _find_ends(programs.ends, r, in_mode, mode, known, rows.ends[0, of_s, of_t], rows.ends[1, of_s, of_t])
+            if is_held:
+                _hold(r, state, known)
+            effort = rows.effort[s, t]
+            _move(r, state, known, effort, settings.is_bounded, settings.stays, settings.held_variance)
+            if t == 0 and kind == FILTER:
+                state[_OF_PLACE] += rows.goes_on[s]
+            r[TIME], r[ORDER] = rows.time[s, t + 1], rows.order[s, t + 1]
+            _evaluate(programs.reading, r, in_mode, rows.mode[s, t + 1])
+            _compare(r, state, known, now, noise)
+            n = rows.number[s, t + 1]
+            if n >= 0:
+                for j in range(lanes):
+                    error[at[j], n], variance[at[j], n] = state[_ERROR, j], state[_VARIANCE, j]
+            if is_held and kind != ROLLOUT:
+                _let_go(r, state, known, settings.surely * math.sqrt(noise))
+            if kind == FILTER:
+                _take_in(r, state, known, now, noise, settings.is_bounded)
+            elif kind == ONE_STEP and rows.is_measured[s, t + 1]:
+                _take_as_measured(r, state, known, noise)

@@ -1,0 +1,204 @@
+"""The step of a model as instructions for the loop over rows: the formulas of its terms, one layer after the other.
+
+What is uncertain of a configuration grows or shrinks with the exact slope of each formula (`symbolic.formula_lines`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+
+from micah_plan.automaton.effects.form import EffectForm, Layer
+from micah_plan.residual.candidates import GATES, Model, Term
+from micah_plan.residual.row_loop import (
+    COMMAND,
+    COMMANDED_PLACE,
+    FIRST_OWN,
+    FREE,
+    HIGH,
+    LOW,
+    OFFSET,
+    ORDER,
+    PLACE_OF_PART,
+    SLOPE,
+    STEEPNESS,
+    TIME,
+    Programs,
+)
+from micah_plan.symbolic.formula_lines import (
+    at_rest_line,
+    command_line,
+    force_line,
+    memory_line,
+    reading_line,
+    response_line,
+    stops_line,
+)
+from micah_plan.symbolic.straight_line import Operation, StraightLine
+
+_Instruction = tuple[int, int, int, int]
+
+
+@dataclass(frozen=True)
+class ModelProgram:
+    """A model's instructions.
+
+    Attributes:
+        programs: for the loop over rows.
+        mode_sets: names of the modes in which terms act that do not act in all.
+    """
+
+    programs: Programs
+    mode_sets: tuple[tuple[str, ...], ...]
+
+
+@lru_cache(maxsize=1024)
+def model_program(model: Model, gated: tuple[bool, ...]) -> ModelProgram:
+    """The instructions of a model.
+
+    Args:
+        gated: whether each term acts since a place or a time only.
+    """
+    return _Assembly(model, gated).assembled()
+
+
+class _Assembly:
+    """Programs as they grow."""
+
+    def __init__(self, model: Model, gated: Sequence[bool]) -> None:
+        self.registers = FIRST_OWN
+        self.once, self.constants = list[_Instruction](), list[tuple[int, float]]()
+        self.rest, self.ends, self.step, self.reading = (list[_Instruction]() for _ in range(4))
+        self.mode_sets = list[tuple[str, ...]]()
+        sizes = [term.size for term in model]
+        firsts = np.concatenate([[0], np.cumsum(sizes)]).astype(int).tolist()
+        self.given = self._own(firsts[-1])
+        self.one, self.zero = self._own(2)
+        self.constants += [(self.one, 1.0), (self.zero, 0.0)]
+        values = [self.given[a:b] for a, b in pairwise(firsts)]
+        self.terms = list(zip(model, values, gated, strict=True))
+        self.follows_places = any(term.form.layer == "place" for term in model)
+        # How much the command changes with the configuration, where places are told.
+        self.steepness = self._own(1)[0]
+
+    def assembled(self) -> ModelProgram:
+        self._say_step()
+        for term, values, is_gated in self._of("guard"):
+            acts = self._acts(self.ends, term, values, is_gated)
+            low, high = self._called(self.ends, stops_line(term.form), (LOW, HIGH), values)
+            self._blend(self.ends, LOW, low, acts)
+            self._blend(self.ends, HIGH, high, acts)
+        self._say_reading()
+        once, rest, ends, step, reading = (
+            np.array(code, dtype=np.int64).reshape(-1, 4)
+            for code in (self.once, self.rest, self.ends, self.step, self.reading)
+        )
+        programs = Programs(
+            once=once,
+            rest=rest,
+            ends=ends,
+            step=step,
+            reading=reading,
+            registers=self.registers,
+            constants=np.array(self.constants, dtype=float).reshape(-1, 2),
+            given=np.array(self.given, dtype=np.int64),
+        )
+        return ModelProgram(programs, tuple(self.mode_sets))
+
+    def _say_step(self) -> None:
+        step, steep = self.step, self.steepness
+        step.append(_move(steep, self.zero))
+        for term, values, _ in self._of("place"):
+            memory = self._memory_of(term.form, values)
+            out, slope, *after = self._called(
+                step, response_line(term.form), (PLACE_OF_PART, COMMANDED_PLACE, *memory), values
+            )
+            step += [_move(COMMAND, out), _move(steep, slope), *map(_move, memory, after)]
+        for term, values, is_gated in self._of("memory"):
+            memory, acts = self._memory_of(term.form, values), self._acts(step, term, values, is_gated)
+            out, slope, *after = self._called(step, memory_line(term.form), (COMMAND, *memory), values)
+            self._pass_on(out, slope, acts)
+            step += map(_move, memory, after)
+        for term, values, is_gated in self._of("command"):
+            acts = self._acts(step, term, values, is_gated)
+            out, slope = self._called(step, command_line(term.form), (COMMAND,), values)
+            self._pass_on(out, slope, acts)
+        step += [(Operation.ADD, FREE, PLACE_OF_PART, COMMAND), (Operation.ADD, SLOPE, self.one, steep)]
+        for term, values, is_gated in self._of("force"):
+            acts = self._acts(step, term, values, is_gated)
+            added, along, across = self._called(step, force_line(term.form), (PLACE_OF_PART, COMMAND), values)
+            step += [(Operation.MUL, across, across, steep), (Operation.ADD, along, along, across)]
+            for register, change in ((FREE, added), (SLOPE, along)):
+                gated_change = [] if acts is None else [(Operation.IF_ELSE_ZERO, change, acts, change)]
+                step += [*gated_change, (Operation.ADD, register, register, change)]
+
+    def _say_reading(self) -> None:
+        reading = self.reading
+        if self._of("sensor"):
+            reading += [_move(OFFSET, self.zero), _move(STEEPNESS, self.one)]
+        for term, values, is_gated in self._of("sensor"):
+            acts = self._acts(reading, term, values, is_gated)
+            offset, steepness = self._called(reading, reading_line(term.form), (OFFSET, TIME), values)
+            reading.append((Operation.MUL, steepness, steepness, STEEPNESS))
+            self._blend(reading, OFFSET, offset, acts)
+            self._blend(reading, STEEPNESS, steepness, acts)
+
+    def _pass_on(self, out: int, slope: int, acts: int | None) -> None:
+        """Change the command, and how it changes with the configuration."""
+        self._blend(self.step, COMMAND, out, acts)
+        if self.follows_places:
+            self.step.append((Operation.MUL, slope, slope, self.steepness))
+            self._blend(self.step, self.steepness, slope, acts)
+
+    def _memory_of(self, form: EffectForm, values: Sequence[int]) -> list[int]:
+        """Registers of the memory, which begins at rest."""
+        begun = self._called(self.rest, at_rest_line(form), (PLACE_OF_PART,), values)
+        memory = self._own(len(begun))
+        self.rest += map(_move, memory, begun)
+        return memory
+
+    def _of(self, layer: Layer) -> list[tuple[Term, list[int], bool]]:
+        return [entry for entry in self.terms if entry[0].form.layer == layer]
+
+    def _own(self, count: int) -> list[int]:
+        first, self.registers = self.registers, self.registers + count
+        return list(range(first, self.registers))
+
+    def _called(
+        self, code: list[_Instruction], line: StraightLine, inputs: Sequence[int], values: Sequence[int]
+    ) -> list[int]:
+        """Registers of what a formula gives."""
+        kept, results, passing = self._own(line.kept), self._own(line.results), self._own(line.passing)
+        at = [*inputs, *values[: line.parameters], *kept, *results, *passing]
+        self.once += [(operation, at[o], at[a], at[b]) for operation, o, a, b in line.once.tolist()]
+        code += [(operation, at[o], at[a], at[b]) for operation, o, a, b in line.each.tolist()]
+        self.constants += [(at[int(register)], value) for register, value in line.constants.tolist()]
+        return results
+
+    def _acts(self, code: list[_Instruction], term: Term, values: Sequence[int], is_gated: bool) -> int | None:
+        """Register of whether a term acts in a row; None: it always does."""
+        parts = []
+        if is_gated:
+            for gate, passed in zip(values[-GATES:], (ORDER, TIME), strict=True):
+                (since,) = self._own(1)
+                code.append((Operation.LE, since, gate, passed))
+                parts.append(since)
+        if term.modes:
+            (inside,) = self._own(1)
+            code.append((Operation.IN_MODES, inside, len(self.mode_sets), 0))
+            self.mode_sets.append(term.modes)
+            parts.append(inside)
+        code += [(Operation.AND, parts[0], parts[0], other) for other in parts[1:]]
+        return parts[0] if parts else None
+
+    def _blend(self, code: list[_Instruction], register: int, changed: int, acts: int | None) -> None:
+        """Take a changed value where the term acts."""
+        code.append(_move(register, changed) if acts is None else (Operation.SELECT, register, acts, changed))
+
+
+def _move(register: int, value: int) -> _Instruction:
+    return (Operation.ASSIGN, register, value, value)
