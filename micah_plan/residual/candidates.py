@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from itertools import accumulate
 from typing import final
 
 import numpy as np
@@ -54,6 +56,13 @@ Model = tuple[Term, ...]
 def columns(model: Model) -> int:
     """Number of parameters of a model, gates included."""
     return sum(term.size for term in model)
+
+
+@lru_cache(maxsize=1024)
+def term_columns(model: Model) -> tuple[slice, ...]:
+    """Columns of each term, gates included."""
+    ends = accumulate(term.size for term in model)
+    return tuple(slice(end - term.size, end) for term, end in zip(model, ends, strict=True))
 
 
 @dataclass(frozen=True, eq=False)

@@ -260,7 +260,7 @@ class Competition(Contenders):
             losses = fitting.losses(fits, vectors)
             best = [int(np.argmin(loss - bonus * np.isin(own, firsts))) for loss, own in zip(losses, rows, strict=True)]
             begun = [replace(fit, vector=tried[k]) for fit, tried, k in zip(fits, vectors, best, strict=True)]
-            fits = fitting.improved(begun, 3, within=self.within)
+            fits = fitting.improved(begun, 3, within=self.within(fitting))
             rows = [_near(float(own[k]), at, firsts, stride) for own, k in zip(rows, best, strict=True)]
             rows = [own[(own >= first) & (own <= last)] for own in rows]
             stride = max(stride // 4, 1)

@@ -167,7 +167,6 @@ class Contenders:
         self.as_told = (at_commanded_places(),) if len(given) < len(data.effects) else ()
         self.has_places = any(term.form.layer == "place" for term in self.given)
         self.least = max(_LEAST, EVIDENCE_PER_ROW * int(data.counted.sum()))
-        self.within = _LEFT_BEHIND * self.least
         # Places that are relative to what was believed contain no measurement: nothing blurs them.
         is_open = data.meaning is None and not data.is_outside
         heard = np.clip(_HEARD * regularity(data), -_MOST_HEARD, _MOST_HEARD) if is_open else 0.0
@@ -179,6 +178,11 @@ class Contenders:
             self.nominal = self._begun_with(data.measured_alike())
             if self.nominal.evidence <= as_modelled.evidence:
                 self.nominal = self._begun_with(data)
+
+    def within(self, searched: Fitting) -> float:
+        """How far behind the best a fit has no chance of a tie [nats]: of some of the rows only as much of it."""
+        share = searched.data.counted.sum() / self.data.counted.sum()
+        return _LEFT_BEHIND * max(_LEAST, float(share) * self.least)
 
     def _begun_with(self, data: CoordinateData) -> Contender:
         """Begin with rows as precise as these data say; the nominal model of them."""
@@ -301,7 +305,7 @@ class Contenders:
         ]
         if is_screened:
             chosen = sorted(chosen, key=lambda pair: pair[1].loss)[:_VERIFIED]
-            ready = self.fitting.improved([fit for _, fit in chosen], _ON_ALL_ROUNDS, within=self.within)
+            ready = self.fitting.improved([fit for _, fit in chosen], _ON_ALL_ROUNDS, within=self.within(self.fitting))
             chosen = [(option, fit) for (option, _), fit in zip(chosen, ready, strict=True)]
         weighed = self.fitting.weighed([fit for _, fit in chosen])
         return [self._contender(option.parts, own) for (option, _), own in zip(chosen, weighed, strict=True)]
@@ -324,7 +328,7 @@ class Contenders:
             owners += [k] * len(others)
             tried += others
         best = dict[int, Fit]()
-        for k, fit in zip(owners, searched.improved(tried, rounds, within=self.within), strict=True):
+        for k, fit in zip(owners, searched.improved(tried, rounds, within=self.within(searched)), strict=True):
             best[k] = min(best.get(k, fit), fit, key=_tailed)
         return [best[k] for k in range(len(fits))]
 
@@ -341,7 +345,7 @@ class Contenders:
         begun = self._fit(Option(self.as_told, start[None]), start)
         splits = [begun, *(_noisy(begun, split) for split in _SPLITS)]
         tried = [replace(fit, freedom=freedom) for fit in splits for freedom in _FREEDOMS]
-        best = min(self.screening.improved(tried, TO_THE_END, within=self.within), key=_tailed)
+        best = min(self.screening.improved(tried, TO_THE_END, within=self.within(self.screening)), key=_tailed)
         if self.screening is not self.fitting:
             (best,) = self.fitting.improved([best], TO_THE_END)
         self.noise, self.freedom = best.noise, best.freedom

@@ -22,8 +22,8 @@ from scipy.special import gammaln
 
 from micah_plan.arrays import ROUND_OFF, SURE_STDS, Floats, Ints, Scalar
 from micah_plan.automaton.effects.form import EffectForm, Layer
-from micah_plan.residual.candidates import GATES, Model
-from micah_plan.residual.coordinate_data import CoordinateData
+from micah_plan.residual.candidates import GATES, Model, term_columns
+from micah_plan.residual.coordinate_data import UNSEEN, CoordinateData
 from micah_plan.residual.row_loop import RELEASE_HIGH, RELEASE_LOW, RowsGiven, Settings, go_through
 from micah_plan.residual.step_program import model_program
 
@@ -50,7 +50,7 @@ class ModelBatch:
         model: the terms.
         values: (B, columns) parameters of the terms, gates included.
         noise: (B, 6) see `NOISE`.
-        freedom: (B,) degrees of freedom of the t distribution.
+        freedom: (B,) degrees of freedom of the t distribution: even numbers, so that powers are cheap.
     """
 
     model: Model
@@ -58,21 +58,25 @@ class ModelBatch:
     noise: Floats
     freedom: Floats
 
+    def __post_init__(self) -> None:
+        if (self.freedom % 2.0).any():
+            raise ValueError("degrees of freedom must be even")
+
     def __len__(self) -> int:
         return len(self.values)
 
     @cached_property
     def gated(self) -> tuple[bool, ...]:
         """Whether each term acts since a place or a time only, in some of the hypotheses."""
-        ends = np.cumsum([term.size for term in self.model], dtype=int).tolist()
-        return tuple(bool((self.values[:, end - GATES : end] != -np.inf).any()) for end in ends)
+        gates = (self.values[:, columns.stop - GATES : columns.stop] for columns in term_columns(self.model))
+        return tuple(bool((own != -np.inf).any()) for own in gates)
 
     def terms(self, layer: Layer) -> list[tuple[EffectForm, Floats]]:
         """Forms of a layer with their parameters (k, B)."""
-        ends = np.cumsum([term.size for term in self.model], dtype=int).tolist()
+        pairs = zip(self.model, term_columns(self.model), strict=True)
         return [
-            (term.form, self.values[:, end - term.size : end - GATES].T)
-            for term, end in zip(self.model, ends, strict=True)
+            (term.form, self.values[:, columns.start : columns.stop - GATES].T)
+            for term, columns in pairs
             if term.form.layer == layer
         ]
 
@@ -82,39 +86,47 @@ class Rows:
     """What B hypotheses make of the N rows that count, in the order of `of_rows`.
 
     Attributes:
-        error: (B, N) measured minus predicted [rad or m].
-        log_variance: (B, N) of it.
-        density: (B, N) log density of each row [nats].
+        total: (B,) log density of all rows [nats].
+        error: (K, N) measured minus predicted [rad or m], of those whose errors were wanted. variance: (K, N) of it.
+        freedom: (K,) of the t distribution. anywhere: density of a row that may lie anywhere in the range.
     """
 
+    total: Floats
     error: Floats
-    log_variance: Floats
-    density: Floats
+    variance: Floats
+    freedom: Floats
+    anywhere: float
+
+    def density(self, own: slice = slice(None)) -> Floats:
+        """(k, N) log density of each row under some of the hypotheses [nats]."""
+        variance, freedom = self.variance[own], self.freedom[own][:, None]
+        half = 0.5 * (freedom + 1.0)
+        far = np.log1p(np.square(self.error[own]) / (variance * freedom))
+        density = _peak(freedom) * np.exp(-half * far) / np.sqrt(variance)
+        return np.asarray(np.log(density + self.anywhere))
 
 
-def filtered(data: CoordinateData, batches: Sequence[ModelBatch]) -> Rows:
-    """Rows of all hypotheses, one batch after the other."""
+def _peak(freedom: Floats) -> Floats:
+    """Density of Student's t of unit scale at 0."""
+    half = 0.5 * (freedom + 1.0)
+    return np.asarray(np.exp(gammaln(half) - gammaln(0.5 * freedom)) / np.sqrt(freedom * np.pi))
+
+
+def filtered(data: CoordinateData, batches: Sequence[ModelBatch], wanted: Sequence[int] | None = None) -> Rows:
+    """Rows of all hypotheses, one batch after the other.
+
+    Args:
+        wanted: of how many of each batch, its first ones, errors are wanted as well; None: of all.
+    """
+    wanted = [len(batch) for batch in batches] if wanted is None else wanted
+    total, error, variance = _gone_through(data, batches, "filter", data.numbered, wanted)
+    freedom = np.concatenate([batch.freedom[:count] for batch, count in zip(batches, wanted, strict=True)])
+    return Rows(total, error, variance, freedom, _anywhere(data))
+
+
+def _anywhere(data: CoordinateData) -> float:
     low, high = data.visited
-    anywhere = _ANYWHERE / max(high - low, ROUND_OFF)
-    error, variance = _gone_through(data, batches, "filter", data.numbered)
-    freedom = np.concatenate([batch.freedom for batch in batches])[:, None]
-    return Rows(error, *_densities(error, variance, freedom, anywhere))
-
-
-def _densities(error: Floats, variance: Floats, freedom: Floats, anywhere: float) -> tuple[Floats, Floats]:
-    """Logs of variances (b, N), and of densities: Student's t of freedoms (b, 1), or anywhere in the range."""
-    log_variance, half = np.log(variance), 0.5 * (freedom + 1.0)
-    log_density = error * error
-    log_density /= variance
-    log_density /= freedom
-    log_density += 1.0
-    np.log(log_density, out=log_density)
-    log_density *= -half
-    log_density += gammaln(half) - gammaln(0.5 * freedom) - 0.5 * np.log(freedom * np.pi)
-    log_density -= 0.5 * log_variance
-    density = np.exp(log_density, out=log_density)
-    density += anywhere
-    return log_variance, np.log(density, out=density)
+    return _ANYWHERE / max(high - low, ROUND_OFF)
 
 
 def of_rows(data: CoordinateData, of_segment: Ints) -> Ints:
@@ -125,45 +137,69 @@ def of_rows(data: CoordinateData, of_segment: Ints) -> Ints:
 def errors(data: CoordinateData, batches: Sequence[ModelBatch], kind: Kind) -> tuple[Floats, Floats]:
     """(B, S, T) measured minus predicted [rad or m], 0 where a row does not count, and the variance of that."""
     every = np.arange(data.z.size).reshape(data.z.shape)
-    error, variance = (rows.reshape(-1, *data.z.shape) for rows in _gone_through(data, batches, kind, every))
+    _, *found = _gone_through(data, batches, kind, every, [len(batch) for batch in batches])
+    error, variance = (rows.reshape(-1, *data.z.shape) for rows in found)
     return error * data.counted, variance
 
 
 def _gone_through(
-    data: CoordinateData, batches: Sequence[ModelBatch], kind: Kind, number: Ints
-) -> tuple[Floats, Floats]:
-    """(B, N) errors and their variances, of rows with a number (S, T) that is not negative."""
-    ends = np.cumsum([len(batch) for batch in batches])
-    shape = int(ends[-1]), int(number.max()) + 1
-    error, variance = np.zeros(shape), np.ones(shape)
+    data: CoordinateData, batches: Sequence[ModelBatch], kind: Kind, number: Ints, wanted: Sequence[int]
+) -> tuple[Floats, Floats, Floats]:
+    """(B,) log densities, and (K, N) errors and variances of rows with a number (S, T) that is not negative."""
+    sizes = np.array([len(batch) for batch in batches])
+    at, first = np.full(int(sizes.sum()), -1), np.cumsum(sizes) - sizes
+    for start, count, before in zip(first, wanted, np.cumsum(wanted) - wanted, strict=True):
+        at[start : start + count] = before + np.arange(count)
+    shape = sum(wanted), int(number.max()) + 1
+    total, error, variance = np.zeros(len(at)), np.zeros(shape), np.ones(shape)
     rows, alike = _rows_given(data, number), dict[tuple[Model, tuple[bool, ...]], list[int]]()
     for k, batch in enumerate(batches):
         alike.setdefault((batch.model, batch.gated), []).append(k)
     # All hypotheses of a model share its instructions.
     for (model, gated), own in alike.items():
         batch, program = _joined([batches[k] for k in own]), model_program(model, gated)
-        layers = {term.form.layer for term in model}
         known = _known(data, batch)
-        # What a sensor reads beyond the model's range need not lie there.
-        given = data.told if "sensor" in layers else (data.lower, data.upper)
-        given_rows = rows._replace(
-            moved=rows.moved if "frame" not in layers or data.action is None else _commands(data, data.action, batch),
-            ends=np.reshape(given, (2, 1, 1)) if data.row_ends is None else _own(data.row_ends),
-            in_mode=np.array([[name in some for name in data.modes] for some in program.mode_sets], dtype=bool).reshape(
-                -1, len(data.modes)
-            ),
+        of = np.concatenate([np.arange(first[k], first[k] + sizes[k]) for k in own])
+        total[of] = go_through(
+            program.programs,
+            _rows_for(data, rows, batch, program.mode_sets),
+            _settings(data, batch, kind, known),
+            batch.values.T.copy(),
+            known,
+            at[of],
+            error,
+            variance,
         )
-        settings = Settings(
-            kind=get_args(Kind).index(kind),
-            is_bounded=bool(np.isfinite([data.lower, data.upper]).any()) or "guard" in layers,
-            is_held=bool((known[RELEASE_LOW : RELEASE_HIGH + 1] > 0.0).any()),
-            surely=SURE_STDS * data.blur,
-            stays=_STAYS,
-            held_variance=_HELD_VARIANCE,
-        )
-        at = np.concatenate([np.arange(ends[k] - len(batches[k]), ends[k]) for k in own])
-        go_through(program.programs, given_rows, settings, batch.values.T.copy(), known, at, error, variance)
-    return error, variance
+    return total, error, variance
+
+
+def _rows_for(
+    data: CoordinateData, rows: RowsGiven, batch: ModelBatch, mode_sets: Sequence[tuple[str, ...]]
+) -> RowsGiven:
+    """The rows with commands, ends and modes as a model has them."""
+    in_mode = np.zeros((len(mode_sets), len(data.modes)), dtype=bool)
+    for k, names in enumerate(mode_sets):
+        in_mode[k] = [name in names for name in data.modes]
+    # What a sensor reads beyond the model's range need not lie there.
+    given = data.told if batch.terms("sensor") else (data.lower, data.upper)
+    return rows._replace(
+        moved=_commands(data, data.action, batch) if batch.terms("frame") and data.action is not None else rows.moved,
+        ends=np.reshape(given, (2, 1, 1)) if data.row_ends is None else _own(data.row_ends),
+        in_mode=in_mode,
+    )
+
+
+def _settings(data: CoordinateData, batch: ModelBatch, kind: Kind, known: Floats) -> Settings:
+    return Settings(
+        kind=get_args(Kind).index(kind),
+        is_bounded=bool(np.isfinite([data.lower, data.upper]).any() or batch.terms("guard")),
+        is_held=bool((known[RELEASE_LOW : RELEASE_HIGH + 1] > 0.0).any()),
+        surely=SURE_STDS * data.blur,
+        unseen=UNSEEN,
+        anywhere=_anywhere(data),
+        stays=_STAYS,
+        held_variance=_HELD_VARIANCE,
+    )
 
 
 def _rows_given(data: CoordinateData, number: Ints) -> RowsGiven:
@@ -173,7 +209,6 @@ def _rows_given(data: CoordinateData, number: Ints) -> RowsGiven:
         effort=_own((data.u / data.command_size) ** 2),
         place=_own(data.place),
         noise=_own(data.noise),
-        is_measured=_own(data.is_measured),
         time=_own(data.time),
         order=_own(data.order),
         mode=_own(data.mode),
@@ -202,14 +237,14 @@ def _joined(batches: Sequence[ModelBatch]) -> ModelBatch:
 
 
 def _known(data: CoordinateData, batch: ModelBatch) -> Floats:
-    """(9, B) what is known of hypotheses beside their parameters, in the order of `row_loop.WHITE` and so on."""
+    """(10, B) what is known of hypotheses beside their parameters, in the order of `row_loop.WHITE` and so on."""
     release = np.repeat(np.array(data.release)[:, None], len(batch), axis=1)
     for form, p in batch.terms("guard"):
         needed = form.release(list(p))
         for side in np.flatnonzero(data.clings):
             release[side] = np.maximum(release[side], needed)
     variances, beside = np.exp(2.0 * batch.noise[:, : len(STDS)]).T, batch.noise[:, len(STDS) :].T
-    return np.concatenate([variances, batch.freedom[None], beside, release])
+    return np.concatenate([variances, batch.freedom[None], beside, release, _peak(batch.freedom)[None]])
 
 
 def _commands(data: CoordinateData, action: Floats, batch: ModelBatch) -> Floats:
@@ -235,7 +270,7 @@ def generated(data: CoordinateData, hypothesis: ModelBatch, mode_at: Callable[[F
     for _ in range(data.z.shape[1]):
         before = made.z
         made = replace(made, place=before + data.u, mode=mode_at(before).reshape(before.shape))
-        error, _ = _gone_through(replace(made, z=z), [hypothesis], "rollout", every)
+        _, error, _ = _gone_through(replace(made, z=z), [hypothesis], "rollout", every, [1])
         made = replace(made, z=z - error.reshape(z.shape))
         if np.array_equal(made.z, before):
             break

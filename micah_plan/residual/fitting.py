@@ -131,33 +131,40 @@ class _Slopes:
 
     Attributes:
         tried: vectors whose losses were needed for the quotients, its own first; losses: theirs.
-        density: (N,) of the rows. gradient: (k, N) of it; error, log_variance: (k, N) of innovations and variances.
-        of_error, of_variance: (N,), and one number: Fisher information that quotients have.
+        gradient: (k,) of the log density of all rows.
+        scores: (k, 2 N) quotients of innovations, then of the logs of variances, each times the root of the Fisher
+            information that it has.
+        root: (N,) of that information of innovations.
         innovations, variance: (N,) themselves. freedom: of the t distribution.
+        of_rows: (k, N) gradients of the log density of each row, and (N,) that; None: they were not asked for.
     """
 
     tried: Floats
     losses: Floats
-    density: Floats
     gradient: Floats
-    error: Floats
-    log_variance: Floats
-    of_error: Floats
-    of_variance: float
+    scores: Floats
+    root: Floats
     innovations: Floats
     variance: Floats
     freedom: float
+    of_rows: tuple[Floats, Floats] | None = None
 
     def spread(self, jump: Floats | None = None) -> float:
         """Log of the root mean square of innovations over their stds, here or after a jump of the first entries."""
-        after = self.innovations if jump is None else self.innovations + jump @ self.error[: len(jump)]
-        return _spread(after, self.variance, self.freedom)
+        if jump is None:
+            return _spread(self.innovations, self.variance, self.freedom)
+        changed = (jump @ self.scores[: len(jump), : len(self.root)]) / self.root
+        return _spread(self.innovations + changed, self.variance, self.freedom)
 
-    def information(self, rows: Floats | slice = slice(None)) -> Floats:
-        """(k, k) Fisher information of some rows."""
-        error = self.error[:, rows] * np.sqrt(self.of_error[rows])
-        variance = self.log_variance[:, rows]
-        return np.asarray(error @ error.T + self.of_variance * (variance @ variance.T))
+    @cached_property
+    def information(self) -> Floats:
+        """(k, k) Fisher information of all rows."""
+        return np.asarray(self.scores @ self.scores.T)
+
+    def information_of(self, rows: Booleans) -> Floats:
+        """(k, k) Fisher information of some rows (N,)."""
+        scores = self.scores[:, np.concatenate([rows, rows])]
+        return np.asarray(scores @ scores.T)
 
 
 class Fitting:
@@ -181,8 +188,9 @@ class Fitting:
         """Losses of some vectors (b, ...) of each fit."""
         if not fits:
             return []
-        rows = filtered(self.data, [fit.hypotheses(own) for fit, own in zip(fits, vectors, strict=True)])
-        sums = np.split(-rows.density.sum(axis=1), np.cumsum([len(own) for own in vectors])[:-1])
+        batches = [fit.hypotheses(own) for fit, own in zip(fits, vectors, strict=True)]
+        rows = filtered(self.data, batches, [0] * len(fits))
+        sums = np.split(-rows.total, np.cumsum([len(own) for own in vectors])[:-1])
         return [fit.penalty(own) + total for fit, own, total in zip(fits, vectors, sums, strict=True)]
 
     def rescaled(self, fits: Sequence[Fit]) -> list[Fit]:
@@ -190,9 +198,8 @@ class Fitting:
         if not fits:
             return []
         rows = filtered(self.data, [fit.hypotheses(fit.vector[None]) for fit in fits])
-        variance = np.exp(rows.log_variance)
         return [
-            fit.with_noise(fit.noise[: len(STDS)] + _spread(rows.error[k], variance[k], fit.freedom))
+            fit.with_noise(fit.noise[: len(STDS)] + _spread(rows.error[k], rows.variance[k], fit.freedom))
             for k, fit in enumerate(fits)
         ]
 
@@ -228,13 +235,17 @@ class Fitting:
         if not fits:
             return []
         none = [fit.vector[None][:0] for fit in fits]
-        slopes, _ = self._slopes(fits, [_SLOPE_STEP * fit.free.scale for fit in fits], [f.vector for f in fits], none)
+        steps, vectors = [_SLOPE_STEP * fit.free.scale for fit in fits], [fit.vector for fit in fits]
+        slopes, _ = self._slopes(fits, steps, vectors, none, by_row=True)
         return [self._weighed(fit, of_fit) for fit, of_fit in zip(fits, slopes, strict=True)]
 
     def _weighed(self, fit: Fit, slopes: _Slopes) -> Weighed:
         group = self.group_of_rows
         every = [group == number for number in range(int(self.group.max()) + 1)]
-        information = np.array([slopes.information(rows) for rows in every])
+        if slopes.of_rows is None:
+            raise ValueError("groups of rows need the slopes of each row")
+        gradient, density = slopes.of_rows
+        information = np.array([slopes.information_of(rows) for rows in every])
         free = fit.free
         hessian = information.sum(axis=0) + np.diag(1.0 / free.std**2)
         loss = float(slopes.losses[0])
@@ -244,8 +255,8 @@ class Fitting:
             evidence=-loss - 0.5 * determinant - free.odds,
             hessian=hessian,
             information=information,
-            pull=np.array([slopes.gradient[:, rows].sum(axis=1) for rows in every]),
-            density=np.array([slopes.density[rows].sum() for rows in every]),
+            pull=np.array([gradient[:, rows].sum(axis=1) for rows in every]),
+            density=np.array([density[rows].sum() for rows in every]),
         )
 
     def without_each(self, weighed: Weighed) -> Floats:
@@ -267,7 +278,8 @@ class Fitting:
         tried = np.concatenate([fit.moved(jumps), fit.moved(0.3 * jumps), fit.moved(0.0 * jumps)])
         count = len(jumps)
         rows = filtered(self.data, [fit.hypotheses(tried[: 2 * count])])
-        sums = np.stack([rows.density[:, self.group_of_rows == g].sum(axis=1) for g in range(count)], axis=1)
+        density = rows.density()
+        sums = np.stack([density[:, self.group_of_rows == g].sum(axis=1) for g in range(count)], axis=1)
         sums = np.concatenate([sums, np.repeat(weighed.density[None], count, axis=0)]).reshape(3, count, count)
         own = np.arange(count)
         rest = sums.sum(axis=2) - sums[:, own, own] - fit.penalty(tried).reshape(3, count)
@@ -283,10 +295,16 @@ class Fitting:
         if without is not None:
             vectors[:, without] = np.inf
         rows, own = filtered(self.data, [weighed.fit.hypotheses(vectors)]), self.group_of_rows
-        return np.asarray(rows.density[own, np.arange(len(own))])
+        return np.asarray(rows.density()[own, np.arange(len(own))])
 
     def _slopes(
-        self, fits: Sequence[Fit], steps: Sequence[Floats], at: Sequence[Floats], more: Sequence[Floats]
+        self,
+        fits: Sequence[Fit],
+        steps: Sequence[Floats],
+        at: Sequence[Floats],
+        more: Sequence[Floats],
+        *,
+        by_row: bool = False,
     ) -> tuple[list[_Slopes], list[Floats]]:
         """Quotients of each fit at a vector, and the losses of some more vectors of it."""
         tried = []
@@ -295,13 +313,15 @@ class Fitting:
             up, down = np.diag(step), -np.diag(step)[: _two_sided(fit, k)]
             tried.append(replace(fit, vector=vector).moved(np.concatenate([np.zeros((1, k)), up, down])))
         every = [np.concatenate(pair) for pair in zip(tried, more, strict=True)]
-        rows = filtered(self.data, [fit.hypotheses(own) for fit, own in zip(fits, every, strict=True)])
-        slopes, losses, first = [], [], 0
+        batches = [fit.hypotheses(own) for fit, own in zip(fits, every, strict=True)]
+        rows = filtered(self.data, batches, [len(own) for own in tried])
+        slopes, losses, first, of_rows = [], [], 0, 0
         for fit, own, others, step in zip(fits, tried, more, steps, strict=True):
             middle, last = first + len(own), first + len(own) + len(others)
-            slopes.append(_quotients(fit, own, rows, slice(first, middle), len(step)))
-            losses.append(fit.penalty(others) - rows.density[middle:last].sum(axis=1))
-            first = last
+            own_rows = slice(of_rows, of_rows + len(own))
+            slopes.append(_quotients(fit, own, rows, own_rows, rows.total[first:middle], len(step), by_row=by_row))
+            losses.append(fit.penalty(others) - rows.total[middle:last])
+            first, of_rows = last, of_rows + len(own)
         return slopes, losses
 
 
@@ -337,29 +357,37 @@ def groups(data: CoordinateData) -> Ints:
     return np.asarray(order * min(_GROUPS_OF_ROWS, len(order)) // len(order))
 
 
-def _quotients(fit: Fit, tried: Floats, rows: Rows, own: slice, k: int) -> _Slopes:
+def _quotients(fit: Fit, tried: Floats, rows: Rows, own: slice, total: Floats, k: int, *, by_row: bool) -> _Slopes:
     two = _two_sided(fit, k)
-    error, log_variance, density = rows.error[own], rows.log_variance[own], rows.density[own]
+    error, variance = rows.error[own], rows.variance[own]
     below = np.concatenate([1 + k + np.arange(two), np.zeros(k - two, dtype=np.int64)])
     at, up = fit.free.at[:k], np.arange(1, k + 1)
     width = tried[up, at] - tried[below, at]
-    per_width = 1.0 / np.where(np.abs(width) > 1e-300, width, 1e-300)[:, None]
-    gradient, of_error, of_variance = (a[1 : k + 1] - a[below] for a in (density, error, log_variance))
-    for quotients in (gradient, of_error, of_variance):
-        quotients *= per_width
-    freedom = fit.freedom
+    per_width = 1.0 / np.where(np.abs(width) > 1e-300, width, 1e-300)
+    freedom, count = fit.freedom, error.shape[1]
+    root = np.sqrt((freedom + 1.0) / (freedom + 3.0) / variance[0])
+    scores = np.empty((k, 2 * count))
+    for values, weight, half in (
+        (error, root, scores[:, :count]),
+        (variance, np.sqrt(0.5 * freedom / (freedom + 3.0)) / variance[0], scores[:, count:]),
+    ):
+        np.subtract(values[1 : k + 1], values[below], out=half)
+        half *= per_width[:, None]
+        half *= weight
+    of_rows = None
+    if by_row:
+        density = rows.density(own)
+        of_rows = (density[1 : k + 1] - density[below]) * per_width[:, None], density[0]
     return _Slopes(
         tried=tried,
-        losses=fit.penalty(tried) - density.sum(axis=1),
-        density=density[0],
-        gradient=gradient,
-        error=of_error,
-        log_variance=of_variance,
-        of_error=(freedom + 1.0) / (freedom + 3.0) * np.exp(-log_variance[0]),
-        of_variance=0.5 * freedom / (freedom + 3.0),
+        losses=fit.penalty(tried) - total,
+        gradient=(total[1 : k + 1] - total[below]) * per_width,
+        scores=scores,
+        root=root,
         innovations=error[0],
-        variance=np.exp(log_variance[0]),
+        variance=variance[0],
         freedom=freedom,
+        of_rows=of_rows,
     )
 
 
@@ -440,16 +468,16 @@ class _Climb:
     def _along(self, slopes: _Slopes) -> Floats:
         """(b, ...) vectors along the step of Fisher scoring, and with noise as large as innovations are."""
         free, k = self.fit.free, self.count
-        hessian = slopes.information() + np.diag(1.0 / free.std[:k] ** 2)
+        hessian = slopes.information + np.diag(1.0 / free.std[:k] ** 2)
         away = (self.fit.vector[free.at[:k]] - free.centre[:k]) / free.std[:k] ** 2
         # Quotients over many standard deviations say little of the slope here.
         self.steps = np.minimum(self.steps, np.maximum(1.0 / np.sqrt(np.diag(hessian)), 1e-7 * free.scale[:k]))
         damped = hessian + np.diag(self._damping * np.diag(hessian) + 1e-8 / free.scale[:k] ** 2)
-        jump = np.linalg.solve(damped, slopes.gradient.sum(axis=1) - away)
+        jump = np.linalg.solve(damped, slopes.gradient - away)
         jumps = np.zeros((len(_LINE) + 2, len(free.at)))
         jumps[: len(_LINE), :k] = _LINE[:, None] * jump
         # All noise as much larger or smaller as the innovations are, and as they would be after the step.
         own, is_std = min(k, free.own), free.own + np.flatnonzero(_is_std(self.fit))
         jumps[-2, is_std] = slopes.spread()
-        jumps[-1, :own], jumps[-1, is_std] = jump[:own], slopes.spread(jump[:own])
+        jumps[-1, :own], jumps[-1, is_std] = jump[:own], slopes.spread(np.asarray(jump[:own]))
         return self.fit.moved(jumps)

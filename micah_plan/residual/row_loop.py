@@ -15,17 +15,22 @@ import numpy as np
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.symbolic.straight_line import Operation
 
-_Function = TypeVar("_Function", bound=Callable[..., None])
+_Function = TypeVar("_Function", bound=Callable[..., Floats | int | None])
 
 FILTER, ONE_STEP, ROLLOUT = range(3)
 # Registers that every program has, and where its own begin.
 PLACE_OF_PART, COMMAND, COMMANDED_PLACE, TIME, ORDER, LOW, HIGH, FREE, SLOPE, OFFSET, STEEPNESS, FIRST_OWN = range(12)
+# Hypotheses x segments that go through the rows together: the processor's cache holds some hundred registers of each.
+_LANES = 256
 # What is known of each hypothesis beside its parameters: variances, freedom of the t distribution, ends beside those of
-# the rows, commands that leave an end.
-WHITE, PROCESS, MOTION, WANDER, FREEDOM, BESIDE_LOW, BESIDE_HIGH, RELEASE_LOW, RELEASE_HIGH = range(9)
-# The state of each hypothesis beside its registers.
+# the rows, commands that leave an end, density of the t distribution of unit scale at 0.
+WHITE, PROCESS, MOTION, WANDER, FREEDOM, BESIDE_LOW, BESIDE_HIGH, RELEASE_LOW, RELEASE_HIGH, PEAK = range(10)
+# The state of each hypothesis beside its registers, and what the row has.
 _WANDERED, _OF_PLACE, _OF_BOTH, _OF_READING, _ERROR, _VARIANCE = range(6)
-_LOW_BEFORE, _HIGH_BEFORE, _AT_LOW, _AT_HIGH, _IS_GONE, _STATES = range(6, 12)
+_LOW_BEFORE, _HIGH_BEFORE, _AT_LOW, _AT_HIGH, _IS_GONE = range(6, 11)
+_READ, _NOISE, _EFFORT, _POWER, _DENSITY, _PRODUCT, _TOTAL, _STATES = range(11, 19)
+# Densities of so many rows are multiplied before the logarithm is taken: each is between 1e-12 and 1e12 per rad or m.
+_MULTIPLIED = 8
 
 
 def _compiled(function: _Function) -> _Function:
@@ -76,7 +81,6 @@ class RowsGiven(NamedTuple):
     effort: Floats
     place: Floats
     noise: Floats
-    is_measured: Booleans
     time: Floats
     order: Floats
     mode: Ints
@@ -93,7 +97,8 @@ class Settings(NamedTuple):
     Attributes:
         kind: `FILTER`, `ONE_STEP` or `ROLLOUT`.
         is_bounded: whether there are ends. is_held: whether something may hold the part there.
-        surely: an error that is surely no noise, where `RowsGiven.noise` is 1.
+        surely: an error that is surely no noise, where `RowsGiven.noise` is 1; unseen: noise of what was not measured.
+        anywhere: density of a row that may lie anywhere in the range.
         stays: correlation of the wandering error. held_variance: share of the variance that an end leaves.
     """
 
@@ -101,13 +106,15 @@ class Settings(NamedTuple):
     is_bounded: bool
     is_held: bool
     surely: float
+    unseen: float
+    anywhere: float
     stays: float
     held_variance: float
 
 
 @_compiled
-def _evaluate(code: Ints, r: Floats, in_mode: Booleans, mode: int) -> None:
-    """Instructions on registers (R, lanes)."""
+def _evaluate(code: Ints, r: Floats, in_mode: Booleans, mode: Ints) -> None:
+    """Instructions on registers (R, lanes), of rows in modes (lanes,)."""
     lanes = r.shape[1]
     for k in range(code.shape[0]):
         operation = code[k, 0]
@@ -161,9 +168,8 @@ def _evaluate(code: Ints, r: Floats, in_mode: Booleans, mode: int) -> None:
             for j in range(lanes):
                 o[j] = a[j] * a[j]
         elif operation == Operation.IN_MODES:
-            value = 1.0 if in_mode[code[k, 2], mode] else 0.0
             for j in range(lanes):
-                o[j] = value
+                o[j] = 1.0 if in_mode[code[k, 2], mode[j]] else 0.0
         else:
             _evaluate_rare(operation, o, a, b)
 
@@ -223,38 +229,61 @@ def _evaluate_rare(operation: int, o: Floats, a: Floats, b: Floats) -> None:
 
 @_compiled
 def _load(r: Floats, constants: Floats, given: Ints, values: Floats) -> None:
-    """Fill the registers of numbers and of parameters (k, B)."""
+    """Fill the registers of numbers and of parameters (k, B), of each hypothesis in all segments."""
     for k in range(constants.shape[0]):
         r[int(constants[k, 0])] = constants[k, 1]
     for k in range(given.shape[0]):
-        r[given[k]] = values[k]
+        for j in range(r.shape[1]):
+            r[given[k], j] = values[k, j % values.shape[1]]
     r[STEEPNESS] = 1.0
 
 
 @_compiled
-def _find_ends(code: Ints, r: Floats, in_mode: Booleans, mode: int, known: Floats, low: float, high: float) -> None:
+def _look_at(rows: RowsGiven, r: Floats, state: Floats, mode: Ints, first: int, hypotheses: int, t: int) -> None:
+    """Fill in what a row of each segment brings along; where a segment has ended, its last once more."""
+    for i in range(r.shape[1] // hypotheses):
+        s = first + i
+        at = min(t, rows.last[s])
+        time, order, place = rows.time[s, at], rows.order[s, at], rows.place[s, at]
+        z, noise, effort, of_mode = rows.z[s, at], rows.noise[s, at], rows.effort[s, at], rows.mode[s, at]
+        for j in range(i * hypotheses, (i + 1) * hypotheses):
+            r[TIME, j], r[ORDER, j], r[COMMANDED_PLACE, j] = time, order, place
+            state[_READ, j], state[_NOISE, j], state[_EFFORT, j], mode[j] = z, noise, effort, of_mode
+            r[COMMAND, j] = rows.moved[min(j - i * hypotheses, rows.moved.shape[0] - 1), s, at]
+
+
+@_compiled
+def _find_ends(
+    code: Ints, in_mode: Booleans, ends: Floats, last: Ints, r: Floats, mode: Ints, known: Floats, first: int, t: int
+) -> None:
     """Ends in a row: those that are given, what is beside them, and what effects make of them."""
-    for j in range(r.shape[1]):
-        r[LOW, j] = low + known[BESIDE_LOW, j]
-        r[HIGH, j] = high + known[BESIDE_HIGH, j]
+    hypotheses = known.shape[1]
+    is_alike = ends.shape[2] == 1
+    for i in range(r.shape[1] // hypotheses):
+        s = 0 if is_alike else first + i
+        at = 0 if is_alike else min(t, last[s])
+        for j in range(hypotheses):
+            r[LOW, i * hypotheses + j] = ends[0, s, at] + known[BESIDE_LOW, j]
+            r[HIGH, i * hypotheses + j] = ends[1, s, at] + known[BESIDE_HIGH, j]
     _evaluate(code, r, in_mode, mode)
     for j in range(r.shape[1]):
         r[HIGH, j] = max(r[HIGH, j], r[LOW, j])
 
 
 @_compiled
-def _begin(r: Floats, state: Floats, known: Floats, z: float, noise: float) -> None:
+def _begin(r: Floats, state: Floats, known: Floats) -> None:
     """Take the first row of a segment as it was measured."""
     for j in range(r.shape[1]):
         low, high, steep = r[LOW, j], r[HIGH, j], r[STEEPNESS, j]
-        place = min(max((z - r[OFFSET, j]) / steep, low), high)
+        place = min(max((state[_READ, j] - r[OFFSET, j]) / steep, low), high)
         r[PLACE_OF_PART, j] = place
         state[_WANDERED, j] = state[_OF_BOTH, j] = state[_IS_GONE, j] = 0.0
-        state[_OF_PLACE, j] = known[WHITE, j] * noise / steep**2
+        state[_OF_PLACE, j] = known[WHITE, j] * state[_NOISE, j] / steep**2
         state[_OF_READING, j] = known[WANDER, j]
         state[_LOW_BEFORE, j], state[_HIGH_BEFORE, j] = low, high
         state[_AT_LOW, j] = 1.0 if place <= low else 0.0
         state[_AT_HIGH, j] = 1.0 if place >= high else 0.0
+        state[_PRODUCT, j] = 1.0
 
 
 @_compiled
@@ -275,15 +304,7 @@ def _hold(r: Floats, state: Floats, known: Floats) -> None:
 
 
 @_compiled
-def _move(
-    r: Floats,
-    state: Floats,
-    known: Floats,
-    effort: float,
-    is_bounded: bool,
-    stays: float,
-    held_variance: float,
-) -> None:
+def _move(r: Floats, state: Floats, known: Floats, is_bounded: bool, stays: float, held_variance: float) -> None:
     """Take the part to where it is free to go, or to what ends its way."""
     for j in range(r.shape[1]):
         free, slope = r[FREE, j], min(max(r[SLOPE, j], -1.0), 1.0)
@@ -293,24 +314,31 @@ def _move(
             free = ended
         state[_OF_BOTH, j] *= slope * stays
         of_place = state[_OF_PLACE, j] * (slope * slope * (1.0 - held_variance) + held_variance)
-        state[_OF_PLACE, j] = of_place + known[PROCESS, j] + known[MOTION, j] * effort
+        state[_OF_PLACE, j] = of_place + known[PROCESS, j] + known[MOTION, j] * state[_EFFORT, j]
         state[_OF_READING, j] = state[_OF_READING, j] * stays**2 + (1.0 - stays**2) * known[WANDER, j]
         state[_WANDERED, j] *= stays
         r[PLACE_OF_PART, j] = free
 
 
 @_compiled
-def _compare(r: Floats, state: Floats, known: Floats, z: float, noise: float) -> None:
-    """Compare with a row."""
-    for j in range(r.shape[1]):
-        steep, of_both = r[STEEPNESS, j], state[_OF_BOTH, j]
-        state[_ERROR, j] = z - r[OFFSET, j] - steep * r[PLACE_OF_PART, j] - state[_WANDERED, j]
-        to_place, to_reading = steep * state[_OF_PLACE, j] + of_both, steep * of_both + state[_OF_READING, j]
-        state[_VARIANCE, j] = steep * to_place + to_reading + known[WHITE, j] * noise
+def _go_on(state: Floats, variance: Floats, first: int, hypotheses: int) -> None:
+    """Know the second row of segments that go on less well."""
+    for j in range(state.shape[1]):
+        state[_OF_PLACE, j] += variance[first + j // hypotheses]
 
 
 @_compiled
-def _let_go(r: Floats, state: Floats, known: Floats, noise: float) -> None:
+def _compare(r: Floats, state: Floats, known: Floats) -> None:
+    """Compare with a row."""
+    for j in range(r.shape[1]):
+        steep, of_both = r[STEEPNESS, j], state[_OF_BOTH, j]
+        state[_ERROR, j] = state[_READ, j] - r[OFFSET, j] - steep * r[PLACE_OF_PART, j] - state[_WANDERED, j]
+        to_place, to_reading = steep * state[_OF_PLACE, j] + of_both, steep * of_both + state[_OF_READING, j]
+        state[_VARIANCE, j] = steep * to_place + to_reading + known[WHITE, j] * state[_NOISE, j]
+
+
+@_compiled
+def _let_go(r: Floats, state: Floats, known: Floats, surely: float) -> None:
     """Find parts that were predicted on the wrong side of being held: measured away from an end, or left behind there.
 
     Whether a part arrived at an end, and whether a command was just enough to leave it, noise decides. What is
@@ -318,7 +346,7 @@ def _let_go(r: Floats, state: Floats, known: Floats, noise: float) -> None:
     """
     for j in range(r.shape[1]):
         state[_IS_GONE, j] = 0.0
-        steep, error = r[STEEPNESS, j], state[_ERROR, j]
+        steep, error, noise = r[STEEPNESS, j], state[_ERROR, j], surely * math.sqrt(state[_NOISE, j])
         for k in range(2):
             side, end, release = (1.0, r[LOW, j], known[RELEASE_LOW, j])
             if k == 1:
@@ -333,7 +361,7 @@ def _let_go(r: Floats, state: Floats, known: Floats, noise: float) -> None:
 
 
 @_compiled
-def _take_in(r: Floats, state: Floats, known: Floats, z: float, noise: float, is_bounded: bool) -> None:
+def _take_in(r: Floats, state: Floats, known: Floats, is_bounded: bool) -> None:
     """Take a measurement in: a far one less."""
     for j in range(r.shape[1]):
         steep, error, variance = r[STEEPNESS, j], state[_ERROR, j], state[_VARIANCE, j]
@@ -347,19 +375,104 @@ def _take_in(r: Floats, state: Floats, known: Floats, z: float, noise: float, is
         state[_WANDERED, j] += to_reading * weight * error
         state[_OF_READING, j] -= to_reading * weight * to_reading
         state[_OF_BOTH, j] = 0.0 if is_gone else of_both
-        state[_OF_PLACE, j] = known[WHITE, j] * noise / steep**2 if is_gone else of_place
-        place = (z - r[OFFSET, j]) / steep if is_gone else place
+        state[_OF_PLACE, j] = known[WHITE, j] * state[_NOISE, j] / steep**2 if is_gone else of_place
+        place = (state[_READ, j] - r[OFFSET, j]) / steep if is_gone else place
         if is_bounded:
             place = min(max(place, r[LOW, j]), r[HIGH, j])
         r[PLACE_OF_PART, j] = place
 
 
 @_compiled
-def _take_as_measured(r: Floats, state: Floats, known: Floats, noise: float) -> None:
-    """Begin the next step where the part was measured."""
+def _take_as_measured(r: Floats, state: Floats, known: Floats, unseen: float) -> None:
+    """Begin the next step where the part was measured, if it was."""
     for j in range(r.shape[1]):
-        r[PLACE_OF_PART, j] += (state[_ERROR, j] + state[_WANDERED, j]) / r[STEEPNESS, j]
-        state[_OF_PLACE, j] = (known[WHITE, j] * noise + known[WANDER, j]) / r[STEEPNESS, j] ** 2
+        if state[_NOISE, j] < unseen:
+            r[PLACE_OF_PART, j] += (state[_ERROR, j] + state[_WANDERED, j]) / r[STEEPNESS, j]
+            variance = known[WHITE, j] * state[_NOISE, j] + known[WANDER, j]
+            state[_OF_PLACE, j] = variance / r[STEEPNESS, j] ** 2
+
+
+@_compiled
+def _find_density(state: Floats, known: Floats, anywhere: float) -> None:
+    """Density of a row: Student's t, whose power is a whole number and a half, or anywhere in the range."""
+    most = 0.0
+    for j in range(state.shape[1]):
+        most = max(most, known[FREEDOM, j])
+        squared = state[_ERROR, j] * state[_ERROR, j]
+        state[_POWER, j] = 1.0 + squared / (state[_VARIANCE, j] * known[FREEDOM, j])
+        state[_DENSITY, j] = np.sqrt(state[_VARIANCE, j] * state[_POWER, j])
+    bit = 1
+    while 2 * bit <= most:
+        for j in range(state.shape[1]):
+            state[_DENSITY, j] *= state[_POWER, j] if (int(known[FREEDOM, j]) // 2) & bit else 1.0
+            state[_POWER, j] *= state[_POWER, j]
+        bit *= 2
+    for j in range(state.shape[1]):
+        state[_DENSITY, j] = known[PEAK, j] / state[_DENSITY, j] + anywhere
+
+
+@_compiled
+def _take_logarithm(state: Floats) -> None:
+    """Add the logarithm of the product of densities."""
+    for j in range(state.shape[1]):
+        state[_TOTAL, j] += math.log(state[_PRODUCT, j])
+        state[_PRODUCT, j] = 1.0
+
+
+@_compiled
+def _multiply(number: Ints, state: Floats, hypotheses: int, first: int, t: int) -> None:
+    """Multiply the densities of a row of each segment that has it."""
+    for i in range(state.shape[1] // hypotheses):
+        if number[first + i, t] >= 0:
+            for j in range(i * hypotheses, (i + 1) * hypotheses):
+                state[_PRODUCT, j] *= state[_DENSITY, j]
+
+
+@_compiled
+def _add_up(total: Floats, state: Floats) -> None:
+    """Add the log densities of all segments to those of the hypotheses."""
+    _take_logarithm(state)
+    for j in range(state.shape[1]):
+        total[j % total.shape[0]] += state[_TOTAL, j]
+
+
+@_compiled
+def _note(state: Floats, error: Floats, variance: Floats) -> None:
+    """Copy error and variance (lanes,) of a row."""
+    for j in range(state.shape[1]):
+        error[j], variance[j] = state[_ERROR, j], state[_VARIANCE, j]
+
+
+@_compiled
+def _write(number: Ints, values: Floats, at: Ints, first: int, into: Floats) -> None:
+    """Write values (T, lanes) of all rows of segments into (..., N)."""
+    hypotheses = at.shape[0]
+    for i in range(values.shape[1] // hypotheses):
+        for j in range(hypotheses):
+            if at[j] >= 0:
+                for t in range(values.shape[0]):
+                    n = number[first + i, t]
+                    if n >= 0:
+                        into[at[j], n] = values[t, i * hypotheses + j]
+
+
+@_compiled
+def _longest(last: Ints, first: int, count: int) -> int:
+    """The last row of the longest of some segments."""
+    longest = 0
+    for s in range(first, first + count):
+        longest = max(longest, last[s])
+    return longest
+
+
+@_compiled
+def _in_all_segments(known: Floats, lanes: int) -> Floats:
+    """(k, lanes) what is known of hypotheses (k, B), in each segment."""
+    own = np.empty((known.shape[0], lanes))
+    for k in range(known.shape[0]):
+        for j in range(lanes):
+            own[k, j] = known[k, j % known.shape[1]]
+    return own
 
 
 @_compiled
@@ -372,51 +485,54 @@ def go_through(
     at: Ints,
     error: Floats,
     variance: Floats,
-) -> None:
-    """Fill some of the errors and their variances (..., N): hypotheses go through the rows side by side.
+) -> Floats:
+    """Log density (B,) of all rows, if the rows are filtered, and some of their errors and variances (..., N), filled.
+
+    Hypotheses go through the rows side by side, and so do some segments.
 
     Args:
-        values: (k, B) of the parameters. known: (9, B) what else is known of the hypotheses: `WHITE` and so on.
-        at: (B,) where each is in the results.
+        values: (k, B) of the parameters. known: (10, B) what else is known of the hypotheses: `WHITE` and so on.
+        at: (B,) where each is in the results; -1: its errors are not wanted.
     """
-    lanes = known.shape[1]
-    in_mode, kind, is_held = rows.in_mode, settings.kind, settings.is_held
-    r, state = np.zeros((programs.registers, lanes)), np.zeros((_STATES, lanes))
-    _load(r, programs.constants, programs.given, values)
-    _evaluate(programs.once, r, in_mode, rows.mode[0, 0])
-    is_shared, ends_are_alike = rows.moved.shape[0] == 1, rows.ends.shape[2] == 1
-    for s in range(rows.z.shape[0]):
-        of_s = 0 if ends_are_alike else s
-        r[TIME], r[ORDER] = rows.time[s, 0], rows.order[s, 0]
-        _find_ends(programs.ends, r, in_mode, rows.mode[s, 0], known, rows.ends[0, of_s, 0], rows.ends[1, of_s, 0])
-        _evaluate(programs.reading, r, in_mode, rows.mode[s, 0])
-        _begin(r, state, known, rows.z[s, 0], rows.noise[s, 0])
-        _evaluate(programs.rest, r, in_mode, rows.mode[s, 0])
-        for t in range(rows.last[s]):
-            mode, now, noise = rows.mode[s, t], rows.z[s, t + 1], rows.noise[s, t + 1]
-            for j in range(lanes):
-                r[COMMAND, j] = rows.moved[0 if is_shared else j, s, t]
-            r[COMMANDED_PLACE] = rows.place[s, t]
-            _evaluate(programs.step, r, in_mode, mode)
-            if not ends_are_alike or programs.ends.shape[0]:
-                of_t = 0 if ends_are_alike else t
-                _find_ends(programs.ends, r, in_mode, mode, known, rows.ends[0, of_s, of_t], rows.ends[1, of_s, of_t])
-            if is_held:
-                _hold(r, state, known)
-            effort = rows.effort[s, t]
-            _move(r, state, known, effort, settings.is_bounded, settings.stays, settings.held_variance)
-            if t == 0 and kind == FILTER:
-                state[_OF_PLACE] += rows.goes_on[s]
-            r[TIME], r[ORDER] = rows.time[s, t + 1], rows.order[s, t + 1]
-            _evaluate(programs.reading, r, in_mode, rows.mode[s, t + 1])
-            _compare(r, state, known, now, noise)
-            n = rows.number[s, t + 1]
-            if n >= 0:
-                for j in range(lanes):
-                    error[at[j], n], variance[at[j], n] = state[_ERROR, j], state[_VARIANCE, j]
-            if is_held and kind != ROLLOUT:
-                _let_go(r, state, known, settings.surely * math.sqrt(noise))
-            if kind == FILTER:
-                _take_in(r, state, known, now, noise, settings.is_bounded)
-            elif kind == ONE_STEP and rows.is_measured[s, t + 1]:
-                _take_as_measured(r, state, known, noise)
+    hypotheses, segments, total = at.shape[0], rows.z.shape[0], np.zeros(at.shape[0])
+    together = max(1, min(_LANES // hypotheses, segments))
+    for first in range(0, segments, together):
+        count = min(together, segments - first)
+        lanes, last = count * hypotheses, _longest(rows.last, first, count)
+        r, state, mode = np.zeros((programs.registers, lanes)), np.zeros((_STATES, lanes)), np.zeros(lanes, np.int64)
+        errors, variances = np.zeros((last + 1, lanes)), np.ones((last + 1, lanes))
+        own = _in_all_segments(known, lanes)
+        _load(r, programs.constants, programs.given, values)
+        _evaluate(programs.once, r, rows.in_mode, mode)
+        _look_at(rows, r, state, mode, first, hypotheses, 0)
+        _find_ends(programs.ends, rows.in_mode, rows.ends, rows.last, r, mode, known, first, 0)
+        _evaluate(programs.reading, r, rows.in_mode, mode)
+        _begin(r, state, own)
+        _evaluate(programs.rest, r, rows.in_mode, mode)
+        for t in range(last):
+            _evaluate(programs.step, r, rows.in_mode, mode)
+            if rows.ends.shape[2] > 1 or programs.ends.shape[0]:
+                _find_ends(programs.ends, rows.in_mode, rows.ends, rows.last, r, mode, known, first, t)
+            if settings.is_held:
+                _hold(r, state, own)
+            _move(r, state, own, settings.is_bounded, settings.stays, settings.held_variance)
+            if t == 0 and settings.kind == FILTER:
+                _go_on(state, rows.goes_on, first, hypotheses)
+            _look_at(rows, r, state, mode, first, hypotheses, t + 1)
+            _evaluate(programs.reading, r, rows.in_mode, mode)
+            _compare(r, state, own)
+            _note(state, errors[t + 1], variances[t + 1])
+            if settings.is_held and settings.kind != ROLLOUT:
+                _let_go(r, state, own, settings.surely)
+            if settings.kind == FILTER:
+                _find_density(state, own, settings.anywhere)
+                _multiply(rows.number, state, hypotheses, first, t + 1)
+                if t % _MULTIPLIED == 0:
+                    _take_logarithm(state)
+                _take_in(r, state, own, settings.is_bounded)
+            elif settings.kind == ONE_STEP:
+                _take_as_measured(r, state, own, settings.unseen)
+        _write(rows.number, errors, at, first, error)
+        _write(rows.number, variances, at, first, variance)
+        _add_up(total, state)
+    return total

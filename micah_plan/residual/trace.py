@@ -179,7 +179,7 @@ def _is_contradicted(held_out: HeldOut, named: Contender) -> bool:
     for run in runs:
         own, others = (data.of_segments(np.flatnonzero(is_of)) for is_of in (data.run == run, data.run != run))
         fits = [Fitting(others).improved([model.fit], TO_THE_END)[0] for model in (named, base)]
-        with_it, without = (float(filtered(own, [fit.hypotheses(fit.vector[None])]).density.sum()) for fit in fits)
+        with_it, without = (float(filtered(own, [fit.hypotheses(fit.vector[None])]).total[0]) for fit in fits)
         if with_it <= without:
             return True
     return False

@@ -160,11 +160,12 @@ class _Reading:
         unused, passing, each = list[int](), 0, list[tuple[int, int, int, int]]()
         for k, (operation, out, a, b) in enumerate(self.each):
             of_a, of_b = register[a], register[b]
-            unused += [register[n] for n in {a, b} if n not in self.lasting and n >= given and last[n] == k]
+            # Not into the registers that it reads: such loops would not be vectorised.
             if not unused:
                 unused.append(first_passing + passing)
                 passing += 1
             register[out] = unused.pop()
+            unused += [register[n] for n in {a, b} if n not in self.lasting and n >= given and last[n] == k]
             each.append((operation, register[out], of_a, of_b))
         each += [(ca.OP_ASSIGN, first_result + k, register[n], register[n]) for k, n in sorted(results)]
         once = [(operation, register[out], register[a], register[b]) for operation, out, a, b in self.once]

@@ -195,10 +195,11 @@ def test_the_loop_does_what_a_filter_by_hand_does(data, names, kind) -> None:
 def test_densities_are_those_of_students_t_or_of_a_row_anywhere(data) -> None:
     batch = drawn(data, (Term(form("gain")),), np.random.default_rng(2), 5)
     rows = filtered(data, [batch])
-    std = np.exp(0.5 * rows.log_variance)
+    std = np.sqrt(rows.variance)
     low, high = data.visited
     density = student_t.pdf(rows.error / std, batch.freedom[:, None]) / std + 1e-3 / (high - low)
-    np.testing.assert_allclose(rows.density, np.log(density), atol=1e-9)
+    np.testing.assert_allclose(rows.density(), np.log(density), atol=1e-9)
+    np.testing.assert_allclose(rows.total, np.log(density).sum(axis=1), rtol=1e-12)
     np.testing.assert_array_equal(rows.error, errors(data, [batch], "filter")[0][:, data.counted])
 
 
@@ -210,7 +211,7 @@ def test_hypotheses_do_not_see_each_other(data) -> None:
     together, first = filtered(data, batches), 0
     for batch in batches:
         alone = filtered(data, [batch])
-        np.testing.assert_array_equal(together.density[first : first + len(batch)], alone.density)
+        np.testing.assert_array_equal(together.density()[first : first + len(batch)], alone.density())
         first += len(batch)
 
 

@@ -50,7 +50,7 @@ def evaluated(line, inputs, parameters):
     for register, value in line.constants:
         r[int(register)] = value
     for code in (line.once, line.each):
-        _evaluate(code, r, np.zeros((0, 1), dtype=bool), 0)
+        _evaluate(code, r, np.zeros((0, 1), dtype=bool), np.zeros(r.shape[1], dtype=np.int64))
     first = line.inputs + line.parameters + line.kept
     return r[first : first + line.results]
 
