@@ -47,7 +47,8 @@ class Programs(NamedTuple):
     """Instructions ((n, 4) each) of what is done when.
 
     Attributes:
-        once: for the parameters. rest: memories of what rests at `PLACE_OF_PART`. ends: `LOW` and `HIGH` of a row.
+        once: for the parameters. rest: memories of what rests at `PLACE_OF_PART`.
+        ends: puts `LOW` and `HIGH` of a row in order, its only instruction if no effect changes them.
         step: `COMMAND`, `FREE` and `SLOPE` from `PLACE_OF_PART`, `COMMAND` and `COMMANDED_PLACE`.
         reading: `OFFSET` and `STEEPNESS`.
         registers: how many there are.
@@ -253,21 +254,15 @@ def _look_at(rows: RowsGiven, r: Floats, state: Floats, mode: Ints, first: int, 
 
 
 @_compiled
-def _find_ends(
-    code: Ints, in_mode: Booleans, ends: Floats, last: Ints, r: Floats, mode: Ints, known: Floats, first: int, t: int
-) -> None:
-    """Ends in a row: those that are given, what is beside them, and what effects make of them."""
-    hypotheses = known.shape[1]
-    is_alike = ends.shape[2] == 1
+def _take_ends(ends: Floats, last: Ints, r: Floats, known: Floats, first: int, t: int) -> None:
+    """Ends in a row: those that are given, and what is beside them."""
+    hypotheses, is_alike = known.shape[1], ends.shape[2] == 1
     for i in range(r.shape[1] // hypotheses):
         s = 0 if is_alike else first + i
         at = 0 if is_alike else min(t, last[s])
         for j in range(hypotheses):
             r[LOW, i * hypotheses + j] = ends[0, s, at] + known[BESIDE_LOW, j]
             r[HIGH, i * hypotheses + j] = ends[1, s, at] + known[BESIDE_HIGH, j]
-    _evaluate(code, r, in_mode, mode)
-    for j in range(r.shape[1]):
-        r[HIGH, j] = max(r[HIGH, j], r[LOW, j])
 
 
 @_compiled
@@ -421,11 +416,13 @@ def _take_logarithm(state: Floats) -> None:
 
 @_compiled
 def _multiply(number: Ints, state: Floats, hypotheses: int, first: int, t: int) -> None:
-    """Multiply the densities of a row of each segment that has it."""
+    """Multiply the densities of a row of each segment that has it; take the logarithm now and then."""
     for i in range(state.shape[1] // hypotheses):
         if number[first + i, t] >= 0:
             for j in range(i * hypotheses, (i + 1) * hypotheses):
                 state[_PRODUCT, j] *= state[_DENSITY, j]
+    if t % _MULTIPLIED == 0:
+        _take_logarithm(state)
 
 
 @_compiled
@@ -505,14 +502,16 @@ def go_through(
         _load(r, programs.constants, programs.given, values)
         _evaluate(programs.once, r, rows.in_mode, mode)
         _look_at(rows, r, state, mode, first, hypotheses, 0)
-        _find_ends(programs.ends, rows.in_mode, rows.ends, rows.last, r, mode, known, first, 0)
+        _take_ends(rows.ends, rows.last, r, known, first, 0)
+        _evaluate(programs.ends, r, rows.in_mode, mode)
         _evaluate(programs.reading, r, rows.in_mode, mode)
         _begin(r, state, own)
         _evaluate(programs.rest, r, rows.in_mode, mode)
         for t in range(last):
             _evaluate(programs.step, r, rows.in_mode, mode)
-            if rows.ends.shape[2] > 1 or programs.ends.shape[0]:
-                _find_ends(programs.ends, rows.in_mode, rows.ends, rows.last, r, mode, known, first, t)
+            if rows.ends.shape[2] > 1 or programs.ends.shape[0] > 1:
+                _take_ends(rows.ends, rows.last, r, known, first, t)
+                _evaluate(programs.ends, r, rows.in_mode, mode)
             if settings.is_held:
                 _hold(r, state, own)
             _move(r, state, own, settings.is_bounded, settings.stays, settings.held_variance)
@@ -527,8 +526,6 @@ def go_through(
             if settings.kind == FILTER:
                 _find_density(state, own, settings.anywhere)
                 _multiply(rows.number, state, hypotheses, first, t + 1)
-                if t % _MULTIPLIED == 0:
-                    _take_logarithm(state)
                 _take_in(r, state, own, settings.is_bounded)
             elif settings.kind == ONE_STEP:
                 _take_as_measured(r, state, own, settings.unseen)

@@ -92,6 +92,7 @@ class _Assembly:
             low, high = self._called(self.ends, stops_line(term.form), (LOW, HIGH), values)
             self._blend(self.ends, LOW, low, acts)
             self._blend(self.ends, HIGH, high, acts)
+        self.ends.append((Operation.FMAX, HIGH, HIGH, LOW))
         self._say_reading()
         once, rest, ends, step, reading = (
             np.array(code, dtype=np.int64).reshape(-1, 4)

@@ -116,6 +116,7 @@ def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrac
         is_contradicted=_is_contradicted(held_out, chosen),
         is_over=_is_over(held_out, final),
         is_longer=final is not nominal and _rolled(held_out, final) > LONGER * _rolled(held_out, nominal),
+        is_noisier=final is not nominal and _stepped(held_out, final) > _stepped(held_out, nominal),
         is_single=_is_single(data),
         is_changing=_is_changing(chosen, left),
         is_passing=is_passing,
@@ -147,6 +148,11 @@ def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrac
 def _rolled(held_out: HeldOut, model: Contender) -> float:
     """Root mean square error of roll-outs of held-out rows [rad or m]."""
     return float(np.sqrt(np.mean(held_out.rollout_errors(model) ** 2)))
+
+
+def _stepped(held_out: HeldOut, model: Contender) -> float:
+    """Root mean square error of single steps of held-out rows [rad or m]."""
+    return float(np.sqrt(np.mean(held_out.errors(model, "one_step")[held_out.data.counted] ** 2)))
 
 
 def _share_left(found: Standings) -> float:

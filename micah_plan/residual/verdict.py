@@ -29,6 +29,7 @@ class Facts:
         is_contradicted: whether one of few runs is predicted no better by effects fitted to the others.
         is_over: whether the last runs are predicted better without the effects.
         is_longer: whether roll-outs of held-out rows get longer with what was found.
+        is_noisier: whether single steps of held-out rows get longer with what was found.
         is_single: whether there is one run of few motions alone, which no other run can confirm.
         is_following: whether innovations certainly follow something, and by more than a trifle.
         is_changing: whether effects began at different times: what changed twice may be changing still.
@@ -46,6 +47,7 @@ class Facts:
     is_contradicted: bool = False
     is_over: bool = False
     is_longer: bool = False
+    is_noisier: bool = False
     is_single: bool = False
     is_changing: bool = False
     is_following: bool = False
@@ -114,6 +116,12 @@ OUTCOMES: tuple[tuple[Outcome, Callable[[Facts], bool]], ...] = (
             "it changed more than once on the way, by steps or little by little, so it may go on changing",
         ),
         lambda f: f.is_changing,
+    ),
+    (
+        Outcome(
+            "noisier", "partly", "single steps get longer with it, so what it leaves is no noise of readings alone"
+        ),
+        lambda f: f.is_noisier,
     ),
     (
         Outcome("not white", "partly", "what is left is no noise, but nothing that helps in roll-outs names it"),

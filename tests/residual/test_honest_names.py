@@ -105,3 +105,19 @@ def test_commands_away_from_an_end_that_do_nothing_are_told(door) -> None:
         moved = plants.runs_of(plant, 12, 60, 2, noise=0.004, goals=(-0.1, 0.7))
         (one,) = examined(door, plants.door_recording(moved)).left
         assert one[1].is_noise is is_noise
+
+
+@pytest.mark.parametrize("seed", [3, 5, 7])
+def test_what_makes_single_steps_longer_is_not_all(door, seed) -> None:
+    """A sway in time looks like a reading that wanders, if places bring the part back: roll-outs alone get shorter."""
+    found = calibrate(door, plants.door_recording(plants.runs_of(plants.swaying, 6, 90, seed)))
+    assert found.verdict == "partly"
+    assert found.traces[0].outcome.name in ("noisier", "not white")
+    assert found.effects[0].is_added
+    assert found.after.rollout < 0.5 * found.before.rollout
+
+
+def test_what_makes_both_shorter_is_all(door) -> None:
+    found = calibrate(door, plants.door_recording(plants.runs_of(plants.loose, 6, 90, 3)))
+    assert found.verdict == "explained"
+    assert found.after.one_step < found.before.one_step
