@@ -93,6 +93,7 @@ GATES: dict[str, Gate] = {
     "ties": Gate(competition, "simplest", _as_they_are, "the plainest of those that are tied"),
     "contradicted": Gate(trace, "_is_contradicted", _always(False), "one of few runs does not contradict it"),
     "over": Gate(trace, "_is_over", _always(False), "the last runs have it still"),
+    "single steps": Gate(trace, "_is_noisier", _always(False), "single steps do not get longer"),
     "single": Gate(trace, "_is_single", _always(False), "one run of few motions confirms nothing"),
     "changing": Gate(trace, "_is_changing", _always(False), "what changes twice may go on"),
     "now or earlier": Gate(trace, "may_remember", _always(False), "this command or earlier ones"),
