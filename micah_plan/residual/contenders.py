@@ -56,9 +56,6 @@ _HEARD, _MOST_HEARD = 0.25, 20.0
 # Logs of the noise's parts over the largest, where readings, motion or what wanders have most of it; fits that try all.
 _SPLITS = ((-0.3, -2.5, -3.0, -2.5), (-2.0, -0.3, -2.0, -2.5), (-2.5, -2.5, -3.0, -0.3))
 RESTARTED, TO_THE_END = 5, 20
-# Rounds of all splits and tails of the nominal model, and how many then go on: of 125 recordings 1 ended more than 0.5
-# nats beside what all of them to the end give.
-_BEGUN_ROUNDS, _GO_ON = 3, 3
 # Logs by which the noise of a start may be less than that of the model that it begins with.
 _QUIETER = (0.0, 1.5, 3.0, 4.5)
 # Rows of a long recording that are searched; models that are then fitted to all, and in how many rounds.
@@ -348,8 +345,7 @@ class Contenders:
         begun = self._fit(Option(self.as_told, start[None]), start)
         splits = [begun, *(_noisy(begun, split) for split in _SPLITS)]
         tried = [replace(fit, freedom=freedom) for fit in splits for freedom in _FREEDOMS]
-        begun_well = sorted(self.screening.improved(tried, _BEGUN_ROUNDS), key=_tailed)[:_GO_ON]
-        best = min(self.screening.improved(begun_well, TO_THE_END), key=_tailed)
+        best = min(self.screening.improved(tried, TO_THE_END, within=self.within(self.screening)), key=_tailed)
         if self.screening is not self.fitting:
             (best,) = self.fitting.improved([best], TO_THE_END)
         self.noise, self.freedom = best.noise, best.freedom
