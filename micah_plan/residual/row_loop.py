@@ -71,8 +71,8 @@ class RowsGiven(NamedTuple):
 
     Attributes:
         effort: squared commands, over their usual size. moved: (1, S, T), or (B, S, T) of each hypothesis: commands.
-        ends: (2, S, T), or (2, 1, 1) if they are always the same. blur: of a reading. goes_on: (S,) variance of the
-            second row beside its own.
+        ends: (2, S, T), or (2, 1, 1) if they are always the same. goes_on: (S,) variance that the second row has
+            beside its own.
         in_mode: (k, modes) in which modes the k sets of modes are. last: (S,) last row that counts.
         number: (S, T) column of the results in which a row is; -1: in none.
     """
