@@ -171,6 +171,10 @@ class EarlierCommands(EffectForm):
         return out, (v, *memory[:2])
 
 
+# One instance, as of the forms of the library: its formula is read once.
+_EARLIER_COMMANDS = EarlierCommands()
+
+
 def _side(ops: Operations, x: Value) -> Value:
     """tanh(3 x)."""
     return 1.0 - 2.0 / (1.0 + ops.exp(ops.minimum(ops.maximum(6.0 * x, -40.0), 40.0)))
@@ -271,4 +275,4 @@ def earlier_commands(data: CoordinateData) -> TermCandidate:
     size = data.command_size
     start = np.array([[size, *(0.0,) * 6, *NEVER_GATED]])
     scale = np.array([0.3, 0.2, 0.2, 0.3, 0.2 * size, 0.2 * size])
-    return TermCandidate(Term(EarlierCommands()), start, tuple(range(1, 7)), scale)
+    return TermCandidate(Term(_EARLIER_COMMANDS), start, tuple(range(1, 7)), scale)

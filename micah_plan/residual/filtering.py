@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +24,20 @@ from micah_plan.arrays import ROUND_OFF, SURE_STDS, Floats, Ints, Scalar
 from micah_plan.automaton.effects.form import EffectForm, Layer
 from micah_plan.residual.candidates import GATES, Model, term_columns
 from micah_plan.residual.coordinate_data import UNSEEN, CoordinateData
-from micah_plan.residual.row_loop import RELEASE_HIGH, RELEASE_LOW, RowsGiven, Settings, go_through
+from micah_plan.residual.row_loop import (
+    FILTER,
+    ONE_STEP,
+    RELEASE_HIGH,
+    RELEASE_LOW,
+    ROLLOUT,
+    RowsGiven,
+    Settings,
+    go_through,
+)
 from micah_plan.residual.step_program import model_program
 
 Kind = Literal["filter", "one_step", "rollout"]
+_KINDS: dict[Kind, int] = {"filter": FILTER, "one_step": ONE_STEP, "rollout": ROLLOUT}
 
 STDS = ("white", "process", "motion", "wander")
 """Stds: of a reading; of what moves the part in a step, always and with a command of the usual size; of a reading's
@@ -191,7 +201,7 @@ def _rows_for(
 
 def _settings(data: CoordinateData, batch: ModelBatch, kind: Kind, known: Floats) -> Settings:
     return Settings(
-        kind=get_args(Kind).index(kind),
+        kind=_KINDS[kind],
         is_bounded=bool(np.isfinite([data.lower, data.upper]).any() or batch.terms("guard")),
         is_held=bool((known[RELEASE_LOW : RELEASE_HIGH + 1] > 0.0).any()),
         surely=SURE_STDS * data.blur,

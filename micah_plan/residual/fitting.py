@@ -136,7 +136,8 @@ class _Slopes:
             information that it has.
         root: (N,) of that information of innovations.
         innovations, variance: (N,) themselves. freedom: of the t distribution.
-        of_rows: (k, N) gradients of the log density of each row, and (N,) that; None: they were not asked for.
+        rows: of all that were tried; own: those of `tried` among them.
+        below: (k,) which of `tried` the quotients are from; per_width: (k,) inverses of how far apart.
     """
 
     tried: Floats
@@ -147,7 +148,15 @@ class _Slopes:
     innovations: Floats
     variance: Floats
     freedom: float
-    of_rows: tuple[Floats, Floats] | None = None
+    rows: Rows
+    own: slice
+    below: Ints
+    per_width: Floats
+
+    def by_row(self) -> tuple[Floats, Floats]:
+        """(k, N) gradients of the log density of each row, and (N,) that."""
+        density = self.rows.density(self.own)
+        return (density[1 : len(self.below) + 1] - density[self.below]) * self.per_width[:, None], density[0]
 
     def spread(self, jump: Floats | None = None) -> float:
         """Log of the root mean square of innovations over their stds, here or after a jump of the first entries."""
@@ -193,16 +202,6 @@ class Fitting:
         sums = np.split(-rows.total, np.cumsum([len(own) for own in vectors])[:-1])
         return [fit.penalty(own) + total for fit, own, total in zip(fits, vectors, sums, strict=True)]
 
-    def rescaled(self, fits: Sequence[Fit]) -> list[Fit]:
-        """With all noise as large as the innovations ask for."""
-        if not fits:
-            return []
-        rows = filtered(self.data, [fit.hypotheses(fit.vector[None]) for fit in fits])
-        return [
-            fit.with_noise(fit.noise[: len(STDS)] + _spread(rows.error[k], rows.variance[k], fit.freedom))
-            for k, fit in enumerate(fits)
-        ]
-
     def started(self, fits: Sequence[Fit]) -> list[Fit]:
         """With their losses."""
         losses = self.losses(fits, [fit.vector[None] for fit in fits])
@@ -236,15 +235,13 @@ class Fitting:
             return []
         none = [fit.vector[None][:0] for fit in fits]
         steps, vectors = [_SLOPE_STEP * fit.free.scale for fit in fits], [fit.vector for fit in fits]
-        slopes, _ = self._slopes(fits, steps, vectors, none, by_row=True)
+        slopes, _ = self._slopes(fits, steps, vectors, none)
         return [self._weighed(fit, of_fit) for fit, of_fit in zip(fits, slopes, strict=True)]
 
     def _weighed(self, fit: Fit, slopes: _Slopes) -> Weighed:
         group = self.group_of_rows
         every = [group == number for number in range(int(self.group.max()) + 1)]
-        if slopes.of_rows is None:
-            raise ValueError("groups of rows need the slopes of each row")
-        gradient, density = slopes.of_rows
+        gradient, density = slopes.by_row()
         information = np.array([slopes.information_of(rows) for rows in every])
         free = fit.free
         hessian = information.sum(axis=0) + np.diag(1.0 / free.std**2)
@@ -303,8 +300,6 @@ class Fitting:
         steps: Sequence[Floats],
         at: Sequence[Floats],
         more: Sequence[Floats],
-        *,
-        by_row: bool = False,
     ) -> tuple[list[_Slopes], list[Floats]]:
         """Quotients of each fit at a vector, and the losses of some more vectors of it."""
         tried = []
@@ -319,7 +314,7 @@ class Fitting:
         for fit, own, others, step in zip(fits, tried, more, steps, strict=True):
             middle, last = first + len(own), first + len(own) + len(others)
             own_rows = slice(of_rows, of_rows + len(own))
-            slopes.append(_quotients(fit, own, rows, own_rows, rows.total[first:middle], len(step), by_row=by_row))
+            slopes.append(_quotients(fit, own, rows, own_rows, rows.total[first:middle], len(step)))
             losses.append(fit.penalty(others) - rows.total[middle:last])
             first, of_rows = last, of_rows + len(own)
         return slopes, losses
@@ -357,7 +352,7 @@ def groups(data: CoordinateData) -> Ints:
     return np.asarray(order * min(_GROUPS_OF_ROWS, len(order)) // len(order))
 
 
-def _quotients(fit: Fit, tried: Floats, rows: Rows, own: slice, total: Floats, k: int, *, by_row: bool) -> _Slopes:
+def _quotients(fit: Fit, tried: Floats, rows: Rows, own: slice, total: Floats, k: int) -> _Slopes:
     two = _two_sided(fit, k)
     error, variance = rows.error[own], rows.variance[own]
     below = np.concatenate([1 + k + np.arange(two), np.zeros(k - two, dtype=np.int64)])
@@ -374,10 +369,6 @@ def _quotients(fit: Fit, tried: Floats, rows: Rows, own: slice, total: Floats, k
         np.subtract(values[1 : k + 1], values[below], out=half)
         half *= per_width[:, None]
         half *= weight
-    of_rows = None
-    if by_row:
-        density = rows.density(own)
-        of_rows = (density[1 : k + 1] - density[below]) * per_width[:, None], density[0]
     return _Slopes(
         tried=tried,
         losses=fit.penalty(tried) - total,
@@ -387,7 +378,10 @@ def _quotients(fit: Fit, tried: Floats, rows: Rows, own: slice, total: Floats, k
         innovations=error[0],
         variance=variance[0],
         freedom=freedom,
-        of_rows=of_rows,
+        rows=rows,
+        own=own,
+        below=below,
+        per_width=per_width,
     )
 
 

@@ -1,6 +1,7 @@
 """The loop over rows, compiled: instructions of a step on many hypotheses at once, and the filter around them.
 
-Numba compiles it when it is first called, and keeps what it compiled beside this file or in the user's cache.
+Numba compiles it when it is first called, and keeps what it compiled beside this file or in the user's cache. What it
+keeps is thrown away when this file changes and not when another does, so that all of it is here.
 """
 
 from __future__ import annotations
@@ -114,7 +115,7 @@ class Settings(NamedTuple):
 
 
 @_compiled
-def _evaluate(code: Ints, r: Floats, in_mode: Booleans, mode: Ints) -> None:
+def evaluate(code: Ints, r: Floats, in_mode: Booleans, mode: Ints) -> None:
     """Instructions on registers (R, lanes), of rows in modes (lanes,)."""
     lanes = r.shape[1]
     for k in range(code.shape[0]):
@@ -500,25 +501,25 @@ def go_through(
         errors, variances = np.zeros((last + 1, lanes)), np.ones((last + 1, lanes))
         own = _in_all_segments(known, lanes)
         _load(r, programs.constants, programs.given, values)
-        _evaluate(programs.once, r, rows.in_mode, mode)
+        evaluate(programs.once, r, rows.in_mode, mode)
         _look_at(rows, r, state, mode, first, hypotheses, 0)
         _take_ends(rows.ends, rows.last, r, known, first, 0)
-        _evaluate(programs.ends, r, rows.in_mode, mode)
-        _evaluate(programs.reading, r, rows.in_mode, mode)
+        evaluate(programs.ends, r, rows.in_mode, mode)
+        evaluate(programs.reading, r, rows.in_mode, mode)
         _begin(r, state, own)
-        _evaluate(programs.rest, r, rows.in_mode, mode)
+        evaluate(programs.rest, r, rows.in_mode, mode)
         for t in range(last):
-            _evaluate(programs.step, r, rows.in_mode, mode)
+            evaluate(programs.step, r, rows.in_mode, mode)
             if rows.ends.shape[2] > 1 or programs.ends.shape[0] > 1:
                 _take_ends(rows.ends, rows.last, r, known, first, t)
-                _evaluate(programs.ends, r, rows.in_mode, mode)
+                evaluate(programs.ends, r, rows.in_mode, mode)
             if settings.is_held:
                 _hold(r, state, own)
             _move(r, state, own, settings.is_bounded, settings.stays, settings.held_variance)
             if t == 0 and settings.kind == FILTER:
                 _go_on(state, rows.goes_on, first, hypotheses)
             _look_at(rows, r, state, mode, first, hypotheses, t + 1)
-            _evaluate(programs.reading, r, rows.in_mode, mode)
+            evaluate(programs.reading, r, rows.in_mode, mode)
             _compare(r, state, own)
             _note(state, errors[t + 1], variances[t + 1])
             if settings.is_held and settings.kind != ROLLOUT:

@@ -8,12 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 
 import numpy as np
 
 from micah_plan.automaton.effects.form import EffectForm, Layer
-from micah_plan.residual.candidates import GATES, Model, Term
+from micah_plan.residual.candidates import GATES, Model, Term, columns, term_columns
 from micah_plan.residual.row_loop import (
     COMMAND,
     COMMANDED_PLACE,
@@ -38,9 +37,7 @@ from micah_plan.symbolic.formula_lines import (
     response_line,
     stops_line,
 )
-from micah_plan.symbolic.straight_line import Operation, StraightLine
-
-_Instruction = tuple[int, int, int, int]
+from micah_plan.symbolic.straight_line import Instruction, Operation, StraightLine, as_code
 
 
 @dataclass(frozen=True)
@@ -71,15 +68,13 @@ class _Assembly:
 
     def __init__(self, model: Model, gated: Sequence[bool]) -> None:
         self.registers = FIRST_OWN
-        self.once, self.constants = list[_Instruction](), list[tuple[int, float]]()
-        self.rest, self.ends, self.step, self.reading = (list[_Instruction]() for _ in range(4))
+        self.once, self.constants = list[Instruction](), list[tuple[int, float]]()
+        self.rest, self.ends, self.step, self.reading = (list[Instruction]() for _ in range(4))
         self.mode_sets = list[tuple[str, ...]]()
-        sizes = [term.size for term in model]
-        firsts = np.concatenate([[0], np.cumsum(sizes)]).astype(int).tolist()
-        self.given = self._own(firsts[-1])
+        self.given = self._own(columns(model))
         self.one, self.zero = self._own(2)
         self.constants += [(self.one, 1.0), (self.zero, 0.0)]
-        values = [self.given[a:b] for a, b in pairwise(firsts)]
+        values = [self.given[own] for own in term_columns(model)]
         self.terms = list(zip(model, values, gated, strict=True))
         self.follows_places = any(term.form.layer == "place" for term in model)
         # How much the command changes with the configuration, where places are told.
@@ -94,16 +89,12 @@ class _Assembly:
             self._blend(self.ends, HIGH, high, acts)
         self.ends.append((Operation.FMAX, HIGH, HIGH, LOW))
         self._say_reading()
-        once, rest, ends, step, reading = (
-            np.array(code, dtype=np.int64).reshape(-1, 4)
-            for code in (self.once, self.rest, self.ends, self.step, self.reading)
-        )
         programs = Programs(
-            once=once,
-            rest=rest,
-            ends=ends,
-            step=step,
-            reading=reading,
+            once=as_code(self.once),
+            rest=as_code(self.rest),
+            ends=as_code(self.ends),
+            step=as_code(self.step),
+            reading=as_code(self.reading),
             registers=self.registers,
             constants=np.array(self.constants, dtype=float).reshape(-1, 2),
             given=np.array(self.given, dtype=np.int64),
@@ -170,7 +161,7 @@ class _Assembly:
         return list(range(first, self.registers))
 
     def _called(
-        self, code: list[_Instruction], line: StraightLine, inputs: Sequence[int], values: Sequence[int]
+        self, code: list[Instruction], line: StraightLine, inputs: Sequence[int], values: Sequence[int]
     ) -> list[int]:
         """Registers of what a formula gives."""
         kept, results, passing = self._own(line.kept), self._own(line.results), self._own(line.passing)
@@ -180,7 +171,7 @@ class _Assembly:
         self.constants += [(at[int(register)], value) for register, value in line.constants.tolist()]
         return results
 
-    def _acts(self, code: list[_Instruction], term: Term, values: Sequence[int], is_gated: bool) -> int | None:
+    def _acts(self, code: list[Instruction], term: Term, values: Sequence[int], is_gated: bool) -> int | None:
         """Register of whether a term acts in a row; None: it always does."""
         parts = []
         if is_gated:
@@ -196,10 +187,10 @@ class _Assembly:
         code += [(Operation.AND, parts[0], parts[0], other) for other in parts[1:]]
         return parts[0] if parts else None
 
-    def _blend(self, code: list[_Instruction], register: int, changed: int, acts: int | None) -> None:
+    def _blend(self, code: list[Instruction], register: int, changed: int, acts: int | None) -> None:
         """Take a changed value where the term acts."""
         code.append(_move(register, changed) if acts is None else (Operation.SELECT, register, acts, changed))
 
 
-def _move(register: int, value: int) -> _Instruction:
+def _move(register: int, value: int) -> Instruction:
     return (Operation.ASSIGN, register, value, value)

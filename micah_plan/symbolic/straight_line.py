@@ -14,8 +14,65 @@ import numpy as np
 
 from micah_plan.arrays import Floats, Ints
 
-Code = Ints
-"""(n, 4) instructions: `Operation`, then the registers of its result and of its two arguments."""
+
+class Operation(IntEnum):
+    """Operations of instructions: CasADi's on scalars, by its names, and two that programs have beside them.
+
+    Their numbers are their own and stay: compiled code that is kept on disk has them in it, and outlives a release of
+    CasADi. `SELECT` leaves its result as it is where the first argument is 0, and else takes the second. `IN_MODES`
+    says whether the row's mode is one of a set of modes, whose number is its first argument.
+    """
+
+    ASSIGN = 0
+    ADD = 1
+    SUB = 2
+    MUL = 3
+    DIV = 4
+    NEG = 5
+    EXP = 6
+    LOG = 7
+    POW = 8
+    CONSTPOW = 9
+    SQRT = 10
+    SQ = 11
+    TWICE = 12
+    SIN = 13
+    COS = 14
+    TAN = 15
+    ASIN = 16
+    ACOS = 17
+    ATAN = 18
+    LT = 19
+    LE = 20
+    EQ = 21
+    NE = 22
+    NOT = 23
+    AND = 24
+    OR = 25
+    FLOOR = 26
+    CEIL = 27
+    FMOD = 28
+    FABS = 29
+    SIGN = 30
+    IF_ELSE_ZERO = 31
+    FMIN = 32
+    FMAX = 33
+    INV = 34
+    SINH = 35
+    COSH = 36
+    TANH = 37
+    ATAN2 = 38
+    SELECT = 39
+    IN_MODES = 40
+
+
+_OF_CASADI = {
+    getattr(ca, f"OP_{operation.name}"): operation
+    for operation in Operation
+    if operation not in (Operation.SELECT, Operation.IN_MODES)
+}
+Instruction = tuple[int, int, int, int]
+"""`Operation`, then the registers of its result and of its two arguments."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,13 +80,13 @@ class StraightLine:
     """Instructions on registers: of the row's inputs, of parameters, of what is kept, of results, and of what passes.
 
     Attributes:
-        once: evaluated once for its parameters. each: evaluated in every row.
+        once: (n, 4) instructions that are evaluated once for the parameters. each: (m, 4), in every row.
         inputs, parameters, kept, results, passing: how many registers of each kind there are, in this order.
         constants: (c, 2) register and value of what is kept and is a number.
     """
 
-    once: Code
-    each: Code
+    once: Ints
+    each: Ints
     inputs: int
     parameters: int
     kept: int
@@ -44,77 +101,23 @@ def straight_line(
     """Instructions for some results (scalars) of a row's inputs and of parameters (symbols).
 
     Raises:
-        NotImplementedError: for a function that is not one of the elementary ones.
+        ValueError: for a function that is none of `Operation`.
     """
     function = ca.Function("line", [*inputs, *parameters], [ca.SX(result) for result in results], {"cse": True})
     return _Reading(function, len(inputs), len(parameters)).read()
 
 
-class Operation(IntEnum):
-    """Operations of instructions: those of CasADi on scalars with its numbers, and two that programs have beside them.
-
-    `SELECT` leaves its result as it is where the first argument is 0, and else takes the second. `IN_MODES` says
-    whether the row's mode is one of a set of modes, whose number is its first argument.
-    """
-
-    ASSIGN = ca.OP_ASSIGN
-    ADD = ca.OP_ADD
-    SUB = ca.OP_SUB
-    MUL = ca.OP_MUL
-    DIV = ca.OP_DIV
-    NEG = ca.OP_NEG
-    EXP = ca.OP_EXP
-    LOG = ca.OP_LOG
-    POW = ca.OP_POW
-    CONSTPOW = ca.OP_CONSTPOW
-    SQRT = ca.OP_SQRT
-    SQ = ca.OP_SQ
-    TWICE = ca.OP_TWICE
-    SIN = ca.OP_SIN
-    COS = ca.OP_COS
-    TAN = ca.OP_TAN
-    ASIN = ca.OP_ASIN
-    ACOS = ca.OP_ACOS
-    ATAN = ca.OP_ATAN
-    LT = ca.OP_LT
-    LE = ca.OP_LE
-    EQ = ca.OP_EQ
-    NE = ca.OP_NE
-    NOT = ca.OP_NOT
-    AND = ca.OP_AND
-    OR = ca.OP_OR
-    FLOOR = ca.OP_FLOOR
-    CEIL = ca.OP_CEIL
-    FMOD = ca.OP_FMOD
-    FABS = ca.OP_FABS
-    SIGN = ca.OP_SIGN
-    IF_ELSE_ZERO = ca.OP_IF_ELSE_ZERO
-    FMIN = ca.OP_FMIN
-    FMAX = ca.OP_FMAX
-    INV = ca.OP_INV
-    SINH = ca.OP_SINH
-    COSH = ca.OP_COSH
-    TANH = ca.OP_TANH
-    ATAN2 = ca.OP_ATAN2
-    SELECT = 200
-    IN_MODES = 201
-
-
-_ELEMENTARY = frozenset(Operation)
-
-
 class _Reading:
     """The way through the instructions of a CasADi function, whose work places are used again and again.
 
-    Values are numbered as they come up: ("input", k), ("kept", k), or ("passing", k), a register that others may use
-    later.
+    Values are numbered as they come up, inputs and parameters first; each gets its register at the end.
     """
 
     def __init__(self, function: ca.Function, inputs: int, parameters: int) -> None:
         self.function, self.inputs, self.parameters = function, inputs, parameters
-        self.once, self.each = list[tuple[int, int, int, int]](), list[tuple[int, int, int, int]]()
+        self.once, self.each = list[Instruction](), list[Instruction]()
         self.constants = list[tuple[int, float]]()
-        # Values by number: of inputs and parameters first. Those of `lasting` do not depend on the row's inputs.
+        # Numbers of values; those of `lasting` do not depend on the row's inputs.
         self.count = inputs + parameters
         self.lasting = set(range(inputs, self.count))
 
@@ -132,13 +135,13 @@ class _Reading:
             elif operation == ca.OP_CONST:
                 at[written[0]] = self._new(lasting=True)
                 self.constants.append((at[written[0]], self.function.instruction_constant(k)))
-            elif operation in _ELEMENTARY:
+            elif operation in _OF_CASADI:
                 a, b = (at[place] for place in (read if len(read) == 2 else [*read, *read]))
                 is_lasting = {a, b} <= self.lasting
                 at[written[0]] = self._new(lasting=is_lasting)
-                (self.once if is_lasting else self.each).append((operation, at[written[0]], a, b))
+                (self.once if is_lasting else self.each).append((_OF_CASADI[operation], at[written[0]], a, b))
             else:
-                raise NotImplementedError(f"CasADi's operation {operation}")
+                raise ValueError(f"instructions have no operation for number {operation} of CasADi")
         return self._placed(given, results)
 
     def _new(self, *, lasting: bool) -> int:
@@ -157,7 +160,7 @@ class _Reading:
         first_passing = first_result + len(results)
         last = {number: k for k, (_, _, a, b) in enumerate(self.each) for number in (a, b)}
         last |= {number: len(self.each) for _, number in results}
-        unused, passing, each = list[int](), 0, list[tuple[int, int, int, int]]()
+        unused, passing, each = list[int](), 0, list[Instruction]()
         for k, (operation, out, a, b) in enumerate(self.each):
             of_a, of_b = register[a], register[b]
             # Not into the registers that it reads: such loops would not be vectorised.
@@ -167,11 +170,11 @@ class _Reading:
             register[out] = unused.pop()
             unused += [register[n] for n in {a, b} if n not in self.lasting and n >= given and last[n] == k]
             each.append((operation, register[out], of_a, of_b))
-        each += [(ca.OP_ASSIGN, first_result + k, register[n], register[n]) for k, n in sorted(results)]
+        each += [(Operation.ASSIGN, first_result + k, register[n], register[n]) for k, n in sorted(results)]
         once = [(operation, register[out], register[a], register[b]) for operation, out, a, b in self.once]
         return StraightLine(
-            once=_code(once),
-            each=_code(each),
+            once=as_code(once),
+            each=as_code(each),
             inputs=self.inputs,
             parameters=self.parameters,
             kept=len(kept),
@@ -181,5 +184,6 @@ class _Reading:
         )
 
 
-def _code(instructions: Sequence[tuple[int, int, int, int]]) -> Code:
+def as_code(instructions: Sequence[Instruction]) -> Ints:
+    """(n, 4) instructions."""
     return np.array(instructions, dtype=np.int64).reshape(-1, 4)

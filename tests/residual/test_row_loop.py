@@ -53,6 +53,7 @@ class Reference:
 
     def ends(self, t):
         given = self.data.told if self.of("sensor") else (self.data.lower, self.data.upper)
+        given = given if self.data.row_ends is None else self.data.row_ends[:, self.s, t]
         low, high = given[0] + self.beside[0], given[1] + self.beside[1]
         for _, term, p, gates in self.of("guard"):
             if self.acts(term, gates, t):
@@ -172,6 +173,16 @@ def drawn(data, model, rng, count):
     return ModelBatch(model, columns, noise, np.where(rng.random(count) < 0.5, 4.0, 60.0))
 
 
+def compared(data, batch, kind):
+    found, spread = errors(data, [batch], kind)
+    for number in range(len(batch)):
+        for s in range(len(data.z)):
+            error, variance = Reference(data, batch, number, s).rows(kind)
+            counted = data.counted[s]
+            np.testing.assert_allclose(found[number, s], error, atol=2e-6)
+            np.testing.assert_allclose(np.log(spread[number, s][counted]), np.log(variance[counted]), atol=2e-3)
+
+
 NAMES = [one.name for one in forms() if one.layer not in ("frame", "geometry") and one.name != "unexplained"]
 MODELS = [(), *((name,) for name in NAMES), ("gain", "delay", "latch"), ("follow", "lag", "spring"), ("gain", "gain")]
 
@@ -182,14 +193,19 @@ def test_the_loop_does_what_a_filter_by_hand_does(data, names, kind) -> None:
     rng = np.random.default_rng(sum(map(ord, "".join(names))))
     modes = [(), (data.modes[0],)]
     model = tuple(Term(form(name), modes[rng.random() < 0.3]) for name in names)
-    batch = drawn(data, model, rng, 6)
-    found, spread = errors(data, [batch], kind)
-    for number in range(len(batch)):
-        for s in range(len(data.z)):
-            error, variance = Reference(data, batch, number, s).rows(kind)
-            counted = data.counted[s]
-            np.testing.assert_allclose(found[number, s], error, atol=2e-6)
-            np.testing.assert_allclose(np.log(spread[number, s][counted]), np.log(variance[counted]), atol=2e-3)
+    compared(data, drawn(data, model, rng, 6), kind)
+
+
+@pytest.mark.parametrize("names", [("gain",), ("limit",), ("follow", "guard_shift")])
+def test_ends_may_be_those_of_each_row(data, names) -> None:
+    """Another coordinate is in the way now and then: the end comes nearer, and goes away again."""
+    rng = np.random.default_rng(9)
+    near = np.where(rng.random(data.z.shape) < 0.2, 0.6, data.upper)
+    other = replace(data, row_ends=np.stack([np.full(data.z.shape, data.lower), near]))
+    batch = drawn(other, tuple(Term(form(name)) for name in names), rng, 4)
+    for kind in ("filter", "one_step", "rollout"):
+        compared(other, batch, kind)
+    assert np.abs(errors(other, [batch], "filter")[0] - errors(data, [batch], "filter")[0]).max() > 0.01
 
 
 def test_densities_are_those_of_students_t_or_of_a_row_anywhere(data) -> None:
