@@ -46,7 +46,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
 # Where each heavy library may be imported, and whether only one file there may.
 IMPORTERS: dict[str, tuple[tuple[str, ...], bool]] = {
     "casadi": (("symbolic.", "planning.nlp", "planning.transcription."), False),
-    "ompl": (("planning.search.roadmap",), True),
+    "ompl": (("planning.search.ompl_library",), True),
     "pinocchio": (("robot.",), False),
     "coal": (("robot.",), False),
     "meshcat": (("view.",), True),

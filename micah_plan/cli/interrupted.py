@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import _thread
 import json
 import sys
+import threading
 from typing import NoReturn
 
 INTERRUPTED = 130
 SENTENCE = "interrupted; no file was left half-written"
+# Long enough for the callback or finaliser that was interrupted to be over [s].
+_AGAIN_AFTER = 0.01
 
 
 def end_interrupted() -> NoReturn:
@@ -16,6 +20,19 @@ def end_interrupted() -> NoReturn:
         print(json.dumps({"error": SENTENCE}))
     print(f"error: {SENTENCE}", file=sys.stderr)
     sys.exit(INTERRUPTED)
+
+
+def interrupt_again(dropped: sys.UnraisableHookArgs) -> None:
+    """Hook for exceptions that Python drops, those in finalisers and callbacks of weak references: Ctrl-C is repeated.
+
+    Imports take their locks away in such callbacks, so that a command that loads its libraries could miss Ctrl-C.
+    """
+    if not issubclass(dropped.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(dropped)
+    elif not sys.is_finalizing():
+        again = threading.Timer(_AGAIN_AFTER, _thread.interrupt_main)
+        again.daemon = True
+        again.start()
 
 
 def is_of_an_interruption(error: BaseException | None) -> bool:

@@ -547,7 +547,9 @@ def notes_on(traces: Sequence[CoordinateTrace]) -> tuple[str, ...]:
             )
         if traced.facts.is_corrected:
             notes.append(f"{name}: the model has a correction without a name already, which no effect has replaced")
-        if traced.left is not None and traced.left.is_more and not traced.facts.smooth:
-            share = percent(traced.left.share, 0)
-            notes.append(f"{name}: the residuals are not white: {share} of their variance follows {traced.left}")
+        if traced.innovation_test is not None and traced.innovation_test.is_more and not traced.facts.smooth:
+            share = percent(traced.innovation_test.share, 0)
+            notes.append(
+                f"{name}: the residuals are not white: {share} of their variance follows {traced.innovation_test}"
+            )
     return tuple(notes)

@@ -69,7 +69,7 @@ class Standings:
 
     Attributes:
         nominal: without effects. chosen: with the best. near: those that do as well as it.
-        singles: models of one effect. left: corrections that are still worth it on top of the chosen; best first.
+        singles: models of one effect. remaining: corrections that are worth it on top of the chosen; best first.
         loose: corrections of the nominal model.
     """
 
@@ -77,7 +77,7 @@ class Standings:
     chosen: Contender
     near: tuple[Contender, ...]
     singles: tuple[Contender, ...]
-    left: tuple[Contender, ...]
+    remaining: tuple[Contender, ...]
     loose: tuple[Contender, ...]
 
 
@@ -94,17 +94,17 @@ class Competition(Contenders):
         later = self._later(singles, library)
         loose = self.corrected([nominal])
         every = [*singles, *later]
-        able = [one for one in every if self.is_worth(one, nominal) and self.is_real(one, nominal)]
+        able = [model for model in every if self.is_worth(model, nominal) and self.is_real(model, nominal)]
         progress(f"{data.coordinate}: pairs", 0.5)
         pairs = self._pairs(able, library) if able else []
         chosen, near, rivals = nominal, tuple[Contender, ...](), [nominal]
         for is_place in (False, True):
             # Displacements are the plainer meaning: places must be clearly likelier, or are tied.
-            kind = [one for one in able if (FOLLOW in one.names) == is_place]
-            if kind:
-                alone, near_alone = simplest(kind)
-                own = [pair for pair in pairs if (FOLLOW in pair.names) == is_place]
-                best, near_best = self._with_a_second(alone, near_alone, every, own)
+            same_kind = [model for model in able if (FOLLOW in model.names) == is_place]
+            if same_kind:
+                alone, near_alone = simplest(same_kind)
+                of_kind = [pair for pair in pairs if (FOLLOW in pair.names) == is_place]
+                best, near_best = self._with_a_second(alone, near_alone, every, of_kind)
                 if self._is_ahead(best, chosen, is_place):
                     chosen, near, rivals = best, near_best, [best, alone]
                 elif best.evidence > chosen.evidence - self.least:
@@ -113,13 +113,15 @@ class Competition(Contenders):
         chosen, passing = self._changed(chosen, every, library)
         if chosen is nominal and not passing:
             least = nominal.evidence + _UNCONFIRMED * self.least
-            likelier = [one for one in best_first(every) if one.evidence > least]
-            passing = [one for one in likelier if self.is_real(one, nominal)][:1]
+            likelier = [model for model in best_first(every) if model.evidence > least]
+            passing = [model for model in likelier if self.is_real(model, nominal)][:1]
         near = near if chosen is rivals[0] else (chosen,)
         progress(f"{data.coordinate}: what remains", 0.8)
-        of = {id(one): one for one in (chosen, *rivals) if one is not nominal}.values()
-        left = (*passing, *self._worth([*loose, *self.corrected(list(of))], chosen))
-        return Standings(nominal, chosen, near, tuple(every), left, tuple(loose))
+        corrected = self.corrected(
+            list({id(model): model for model in (chosen, *rivals) if model is not nominal}.values())
+        )
+        remaining = (*passing, *self._worth([*loose, *corrected], chosen))
+        return Standings(nominal, chosen, near, tuple(every), remaining, tuple(loose))
 
     def _is_ahead(self, best: Contender, chosen: Contender, is_place: bool) -> bool:
         """Whether a model takes the place of the one chosen so far: of places, if it is clearly likelier."""
@@ -133,12 +135,13 @@ class Competition(Contenders):
     ) -> tuple[Contender, tuple[Contender, ...]]:
         """The best model of two effects, if it is likelier than those of one; what ties with it."""
         best_of: dict[str, Contender] = {}
-        for one in every:
-            best_of[one.names[-1]] = max(best_of.get(one.names[-1], one), one, key=lambda own: own.evidence)
+        for model in every:
+            name = model.names[-1]
+            best_of[name] = max(best_of.get(name, model), model, key=_evidence)
         nominal, good = self.nominal, []
         for pair in pairs:
-            own = [best_of[name] for name in pair.names if name in best_of]
-            under = max(own, key=lambda model: model.evidence, default=nominal)
+            halves = [best_of[name] for name in pair.names if name in best_of]
+            under = max(halves, key=_evidence, default=nominal)
             if self.is_worth(pair, under) and self.is_real(pair, nominal):
                 good.append(pair)
         chosen = alone
@@ -155,13 +158,13 @@ class Competition(Contenders):
         for _ in range(_MOST_CHANGES):
             heads = [chosen]
             if FOLLOW in chosen.names:
-                displaced = [one for one in best_first(every) if FOLLOW not in one.names][:_HEADS]
-                heads = [one for one in displaced if self.is_real(one, self.nominal)][:_RIVALS]
+                displaced = [model for model in best_first(every) if FOLLOW not in model.names][:_HEADS]
+                heads = [model for model in displaced if self.is_real(model, self.nominal)][:_RIVALS]
             least = chosen.evidence + self.least
-            again = [one for one in best_first(self._again(heads, library)) if one.evidence > least]
+            again = [model for model in best_first(self._again(heads, library)) if model.evidence > least]
             if not again:
                 return chosen, []
-            head = next(one for one in heads if one.names == again[0].names[:-1])
+            head = next(model for model in heads if model.names == again[0].names[:-1])
             if not self.is_worth(again[0], head) or not self.is_real(again[0], self.nominal):
                 return head, [again[0]]
             chosen = self._pruned(again[0])
@@ -169,8 +172,7 @@ class Competition(Contenders):
 
     def _worth(self, corrected: Sequence[Contender], base: Contender) -> tuple[Contender, ...]:
         """Corrections that are worth it, best first."""
-        left = [one for one in corrected if self.is_worth(one, base, TIE)]
-        return tuple(sorted(left, key=lambda one: -one.evidence))
+        return tuple(best_first([model for model in corrected if self.is_worth(model, base, TIE)]))
 
     def _library(self) -> list[TermCandidate]:
         """What may be added: responses to places where commands may be some, and what these do not contain."""
@@ -195,12 +197,14 @@ class Competition(Contenders):
         present = [name for k, name in enumerate(self.data.modes) if np.mean(rows == k) > _COMMON]
         if len(present) < 2:
             return []
-        best = [one for one in best_first(singles) if one.parts[-1].term.form.layer not in ("guard", "place", "frame")]
-        tried = {one.names: one for one in reversed(best[:_HEADS])}.values()
+        best = [
+            model for model in best_first(singles) if model.parts[-1].term.form.layer not in ("guard", "place", "frame")
+        ]
+        tried = {model.names: model for model in reversed(best[:_HEADS])}.values()
         return self.fitted(
             [
-                self._single(replace(one.parts[-1], term=Term(one.parts[-1].term.form, (mode,))))
-                for one in tried
+                self._single(replace(model.parts[-1], term=Term(model.parts[-1].term.form, (mode,))))
+                for model in tried
                 for mode in present
             ],
             most=3 * len(present),
@@ -209,12 +213,15 @@ class Competition(Contenders):
     def _later(self, singles: Sequence[Contender], library: Sequence[TermCandidate]) -> list[Contender]:
         """The best effects and the plainest, from some row on, where that is likelier than that they act always."""
         ranked = best_first(singles)
-        tried = [*ranked[:3], *(one for one in ranked if one.names[-1] in _LINE_LIKE)]
-        able = {one.names: one for one in reversed(tried) if _may_begin(one.parts[-1])}
-        of = list(able.values())
-        later = [*self._begins(of), *self._begins(of, in_each_run=True), *self._again([self.nominal], library)]
-        at = {one.names: max(self.nominal.evidence, one.evidence) for one in of}
-        return [one for one in later if one.evidence > at.get(one.names, self.nominal.evidence) + self.least]
+        tried = [*ranked[:3], *(model for model in ranked if model.names[-1] in _LINE_LIKE)]
+        able = {model.names: model for model in reversed(tried) if _may_begin(model.parts[-1])}
+        always_there = list(able.values())
+        later = [*self._begins(always_there), *self._begins(always_there, in_each_run=True)]
+        later += self._again([self.nominal], library)
+        of_names = {model.names: max(self.nominal.evidence, model.evidence) for model in always_there}
+        return [
+            model for model in later if model.evidence > of_names.get(model.names, self.nominal.evidence) + self.least
+        ]
 
     def _again(self, heads: Sequence[Contender], library: Sequence[TermCandidate]) -> list[Contender]:
         """Models with an effect that came on top at some row: what is so once may change."""
@@ -248,34 +255,37 @@ class Competition(Contenders):
         stride = max(len(at) // _PROFILE, 1)
         first, last = (at[int(share * (len(at) - 1))] for share in (_EARLIEST, 1.0 - _EARLIEST))
         rows = [np.unique([*at[stride::stride], *firsts[1:][:_PROFILE]])] * len(fits)
-        rows = [own[(own >= first) & (own <= last)] for own in rows]
+        rows = [places[(places >= first) & (places <= last)] for places in rows]
         if not len(rows[0]):
             return []
         for turn in range(_TURNS):
             # Where about it began, some rows of a long recording tell.
             fitting = self.screening if turn < _COARSE_TURNS else self.fitting
-            vectors = [np.repeat(fit.vector[None], len(own), axis=0) for fit, own in zip(fits, rows, strict=True)]
-            for tried, gate, own in zip(vectors, gates, rows, strict=True):
-                tried[:, gate] = own
+            vectors = [np.repeat(fit.vector[None], len(places), axis=0) for fit, places in zip(fits, rows, strict=True)]
+            for tried, gate, places in zip(vectors, gates, rows, strict=True):
+                tried[:, gate] = places
             losses = fitting.losses(fits, vectors)
-            best = [int(np.argmin(loss - bonus * np.isin(own, firsts))) for loss, own in zip(losses, rows, strict=True)]
-            begun = [replace(fit, vector=tried[k]) for fit, tried, k in zip(fits, vectors, best, strict=True)]
+            likeliest = [
+                int(np.argmin(loss - bonus * np.isin(places, firsts)))
+                for loss, places in zip(losses, rows, strict=True)
+            ]
+            begun = [replace(fit, vector=tried[k]) for fit, tried, k in zip(fits, vectors, likeliest, strict=True)]
             fits = fitting.improved(begun, 3, within=self.within(fitting))
-            rows = [_near(float(own[k]), at, firsts, stride) for own, k in zip(rows, best, strict=True)]
-            rows = [own[(own >= first) & (own <= last)] for own in rows]
+            rows = [_near(float(places[k]), at, firsts, stride) for places, k in zip(rows, likeliest, strict=True)]
+            rows = [places[(places >= first) & (places <= last)] for places in rows]
             stride = max(stride // 4, 1)
         weighed = self.fitting.weighed(fits)
-        return [self._contender(one.parts, own) for one, own in zip(contenders, weighed, strict=True)]
+        return [self._contender(begun.parts, fit) for begun, fit in zip(contenders, weighed, strict=True)]
 
     def _starts_of_runs(self) -> tuple[Floats, Floats]:
         """Places in the recording of all steps that count, and of the first of each run; both sorted."""
         order, starts = self.data.order, self.data.counted_starts
         runs = (starts & (self.data.run == run)[:, None] for run in np.unique(self.data.run))
-        return np.sort(order[starts]), np.sort([order[own].min() for own in runs if own.any()])
+        return np.sort(order[starts]), np.sort([order[counted].min() for counted in runs if counted.any()])
 
     def _pairs(self, able: Sequence[Contender], library: Sequence[TermCandidate]) -> list[Contender]:
         displaced, places = (
-            [one for one in best_first(able) if (FOLLOW in one.names) == kind] for kind in (False, True)
+            [model for model in best_first(able) if (FOLLOW in model.names) == kind] for kind in (False, True)
         )
         heads = [*displaced[:_HEADS], *places[: _RIVALS if displaced else _HEADS]]
         options = [
@@ -302,17 +312,17 @@ class Competition(Contenders):
             rests = [(*before, *after)] if len(parts) > 1 else []
             rests += [(*before, always(part), *after)] if begins_later(part) else []
             rests += [(*before, plain, *after) for plain in self._special_cases(part)]
-            options += [Option(rest, np.hstack([other.starts for other in rest])) for rest in rests]
+            options += [Option(rest, np.hstack([each.starts for each in rest])) for rest in rests]
         simpler = [
-            one
-            for one in self.fitted(options, first=0)
-            if one.evidence > contender.evidence - self._odds(one, contender)
+            model
+            for model in self.fitted(options, first=0)
+            if model.evidence > contender.evidence - self._odds(model, contender)
         ]
         return self._pruned(best_first(simpler)[0]) if simpler else contender
 
     def _special_cases(self, part: TermCandidate) -> list[TermCandidate]:
         """What an effect is if its parameters are alike."""
-        plain = next((own for own in candidates(self.data) if own.name == SPECIAL_CASES.get(part.name)), None)
+        plain = next((each for each in candidates(self.data) if each.name == SPECIAL_CASES.get(part.name)), None)
         if plain is None:
             return []
         starts = plain.starts[:1].copy()
@@ -364,7 +374,7 @@ def _before(head: Contender, part: TermCandidate) -> list[Option]:
     if not last or {last[0].term.form.layer, part.term.form.layer} != {"command"}:
         return []
     others, count = head.parts[:-1], len(part.starts)
-    before, behind = ([np.repeat(own.starts, count, axis=0) for own in parts] for parts in (others, last))
+    before, behind = ([np.repeat(each.starts, count, axis=0) for each in parts] for parts in (others, last))
     return [Option((*others, part, *last), np.hstack([*before, part.starts, *behind]), head)]
 
 
@@ -377,11 +387,11 @@ def _with_share(head: Contender, part: TermCandidate, library: Sequence[TermCand
     if FOLLOW not in head.names or part.term.form.layer != "command":
         return []
     k = head.names.index(FOLLOW)
-    begun = [own.starts for own in library if own.name == FOLLOW and own.free == head.parts[k].free]
+    begun = [each.starts for each in library if each.name == FOLLOW and each.free == head.parts[k].free]
     if not begun:
         return []
     starts = np.repeat(begun[0], len(part.starts), axis=0)
-    parts = [np.repeat(own.starts, len(starts), axis=0) for own in head.parts]
+    parts = [np.repeat(each.starts, len(starts), axis=0) for each in head.parts]
     parts[k] = starts
     return [Option((*head.parts, part), np.hstack([*parts, np.tile(part.starts, (len(begun[0]), 1))]), head)]
 
@@ -400,8 +410,12 @@ def are_compatible(head: Contender, part: TermCandidate) -> bool:
 
 def simplest(contenders: Sequence[Contender]) -> tuple[Contender, tuple[Contender, ...]]:
     """The likeliest, and all within a tie of it; in its place the plainest as good, or a special case that is tied."""
-    best = max(contenders, key=lambda one: one.evidence)
-    near = tuple(one for one in contenders if one.evidence > best.evidence - TIE)
-    plain = [one for one in near if not any(other.is_special_case_of(one) for other in near)]
-    most = max(one.evidence for one in plain)
-    return min((one for one in plain if one.evidence > most - NO_MENTION), key=lambda one: one.rank), near
+    best = max(contenders, key=_evidence)
+    near = tuple(model for model in contenders if model.evidence > best.evidence - TIE)
+    plain = [model for model in near if not any(special.is_special_case_of(model) for special in near)]
+    most = max(model.evidence for model in plain)
+    return min((model for model in plain if model.evidence > most - NO_MENTION), key=lambda model: model.rank), near
+
+
+def _evidence(model: Contender) -> float:
+    return model.evidence

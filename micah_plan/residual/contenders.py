@@ -112,7 +112,7 @@ class Contender:
     @property
     def rank(self) -> tuple[int, int, int, bool]:
         """Plainest first: parameters, effects, ranks of the forms, and these in the order of the library."""
-        size, order = sum(len(part.free) for part in self.parts), [own.name for own in forms()]
+        size, order = sum(len(part.free) for part in self.parts), [each.name for each in forms()]
         at = [order.index(name) if name in order else -1 for name in self.names]
         ranks = sum(part.term.form.complexity_rank for part in self.parts)
         return size, len(self.parts), ranks, at != sorted(at)
@@ -127,8 +127,9 @@ class Contender:
             return False
         if sorted(self.names) == sorted(other.names) and self.rank[:3] == other.rank[:3]:
             return self.fit.loss < other.fit.loss + NO_MENTION
-        pairs = zip(self.names, other.names, strict=True)
-        return self.names != other.names and all(own in (name, SPECIAL_CASES.get(name)) for own, name in pairs)
+        return self.names != other.names and all(
+            name in (general, SPECIAL_CASES.get(general)) for name, general in zip(self.names, other.names, strict=True)
+        )
 
 
 def _is_gated(part: TermCandidate) -> bool:
@@ -161,10 +162,10 @@ class Contenders:
 
     def __init__(self, data: CoordinateData) -> None:
         self.data = data
-        given = [effect for effect in data.effects if not is_as_commanded(effect)]
-        self.given: Model = tuple(Term(form(effect.name), effect.modes) for effect in given)
-        self._given = np.array([v for effect in given for v in (*effect.values, *gates_of(effect, data))])
-        self.as_told = (at_commanded_places(),) if len(given) < len(data.effects) else ()
+        effects = [effect for effect in data.effects if not is_as_commanded(effect)]
+        self.given: Model = tuple(Term(form(effect.name), effect.modes) for effect in effects)
+        self._given = np.array([v for effect in effects for v in (*effect.values, *gates_of(effect, data))])
+        self.as_told = (at_commanded_places(),) if len(effects) < len(data.effects) else ()
         self.has_places = any(term.form.layer == "place" for term in self.given)
         self.least = max(_LEAST, EVIDENCE_PER_ROW * int(data.counted.sum()))
         # Places that are relative to what was believed contain no measurement: nothing blurs them.
@@ -206,7 +207,7 @@ class Contenders:
         first, odds = columns(self.given), 0.0
         for part in parts:
             loose = 1.0 if part.name in (UNNAMED, MEMORY) else _LOOSE
-            own = start[first - columns(self.given) :][: part.term.size]
+            of_part = start[first - columns(self.given) :][: part.term.size]
             for column, large in zip(part.free, part.scale, strict=True):
                 parameter = part.term.form.parameters[column]
                 bounds = part.bounds.get(column, (-np.inf, np.inf))
@@ -214,7 +215,7 @@ class Contenders:
                 scale.append(float(large))
                 low.append(max(parameter.lower, bounds[0]))
                 high.append(min(parameter.upper, bounds[1]))
-                centre.append(float(own[column]) if parameter.neutral is None else parameter.neutral)
+                centre.append(float(of_part[column]) if parameter.neutral is None else parameter.neutral)
                 std.append(loose * float(large))
             first += part.term.size
             odds += self.odds_of_places if part.name == FOLLOW else 0.0
@@ -234,7 +235,7 @@ class Contenders:
             high=np.array(high),
             centre=np.array(centre),
             std=np.array(std),
-            own=count,
+            of_model=count,
             odds=odds,
         )
         return Fit(model, np.concatenate([self._given, start, noise]), free, freedom)
@@ -245,13 +246,13 @@ class Contenders:
         Ends are as uncertain as a measurement: those of a model were measured once.
         """
         of_noise = zip(self._blur + _NOISE_CENTRE, _NOISE_STD, strict=True)
-        found = [(k, float(centre), float(std), 0.5) for k, (centre, std) in enumerate(of_noise)]
+        entries = [(k, float(centre), float(std), 0.5) for k, (centre, std) in enumerate(of_noise)]
         low, high = self.data.visited
         near = _NEAR_AN_END * (high - low)
         reading = min(float(np.exp(self._blur)), _BESIDE * (high - low))
         for k, is_visited in ((_LOW, low < self.data.lower + near), (_HIGH, high > self.data.upper - near)):
-            found += [(k, 0.0, reading, reading)] if is_visited else []
-        return found
+            entries += [(k, 0.0, reading, reading)] if is_visited else []
+        return entries
 
     def _contender(self, parts: Sequence[TermCandidate], weighed: Weighed) -> Contender:
         fitted, at = [], columns(self.given)
@@ -293,7 +294,9 @@ class Contenders:
             begun, ready = pairs, searched.improved([fit for _, fit in pairs], first, is_noise_free=False)
             pairs = _best_of_each(zip((option for option, _ in pairs), ready, strict=True), most)
             ended = [(option, fit) for (option, _), fit in zip(begun, ready, strict=True)]
-            rest = [[fit for own, fit in ended if own is option and fit is not best] for option, best in pairs]
+            rest = [
+                [fit for of_option, fit in ended if of_option is option and fit is not best] for option, best in pairs
+            ]
         again = set(sorted(range(len(pairs)), key=lambda k: pairs[k][1].loss)[:restarted])
         if restarted:
             again |= {k for k, (option, _) in enumerate(pairs) if _is_first_of_places(option)}
@@ -308,7 +311,7 @@ class Contenders:
             ready = self.fitting.improved([fit for _, fit in chosen], _ON_ALL_ROUNDS, within=self.within(self.fitting))
             chosen = [(option, fit) for (option, _), fit in zip(chosen, ready, strict=True)]
         weighed = self.fitting.weighed([fit for _, fit in chosen])
-        return [self._contender(option.parts, own) for (option, _), own in zip(chosen, weighed, strict=True)]
+        return [self._contender(option.parts, fit) for (option, _), fit in zip(chosen, weighed, strict=True)]
 
     def _from_other_noise(
         self, searched: Fitting, fits: Sequence[Fit], rest: Sequence[Sequence[Fit]], again: Collection[int], rounds: int
@@ -431,7 +434,7 @@ def _best_of_each(pairs: Iterable[tuple[Option, Fit]], most: int | None) -> list
     of_base = dict[int, list[tuple[Option, Fit]]]()
     for option, fit in sorted(best.values(), key=lambda pair: pair[1].loss):
         of_base.setdefault(id(option.base), []).append((option, fit))
-    return [pair for own in of_base.values() for pair in own[:most]]
+    return [pair for ranked in of_base.values() for pair in ranked[:most]]
 
 
 def _noisy(fit: Fit, split: Sequence[float]) -> Fit:
@@ -446,7 +449,7 @@ def _tailed(fit: Fit) -> float:
 
 def best_first(contenders: Sequence[Contender]) -> list[Contender]:
     """In the order of their evidence."""
-    return sorted(contenders, key=lambda one: -one.evidence)
+    return sorted(contenders, key=lambda model: -model.evidence)
 
 
 def is_borne_out(gains: Floats, by_each: Sequence[Floats] = ()) -> bool:
@@ -458,12 +461,12 @@ def is_borne_out(gains: Floats, by_each: Sequence[Floats] = ()) -> bool:
     if gains.sum() <= _CHANCE or gains.sum() - gains.max() <= 0.0:
         return False
     # What one run alone shows makes the noise of all smaller, which is no evidence from the others.
-    return all(bool(own.sum() - own.max() > TIE) for own in by_each)
+    return all(bool(losses.sum() - losses.max() > TIE) for losses in by_each)
 
 
 def on_top(head: Contender, part: TermCandidate) -> Option:
     """A model with one effect more."""
-    before = (np.repeat(own.starts, len(part.starts), axis=0) for own in head.parts)
+    before = (np.repeat(each.starts, len(part.starts), axis=0) for each in head.parts)
     return Option((*head.parts, part), np.hstack([*before, part.starts]), head)
 
 

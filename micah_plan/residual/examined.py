@@ -70,16 +70,16 @@ class Examined:
         return (*self.geometry, *self.estimator_bias)
 
     @cached_property
-    def left(self) -> tuple[tuple[HeldOut, ResidualTest | None], ...]:
+    def innovation_tests(self) -> tuple[tuple[HeldOut, ResidualTest | None], ...]:
         """What the innovations of each coordinate follow; None where rows are too few."""
-        return tuple((model, model.left_by(model.nominal)) for model in self.models)
+        return tuple((model, model.innovation_test(model.nominal)) for model in self.models)
 
     @property
     def is_noise(self) -> bool | None:
         """Whether the model leaves noise alone; None where that cannot be told without looking for effects."""
         if self.direct or self.off_joint_error:
             return False
-        tests = [test for _, test in self.left]
+        tests = [test for _, test in self.innovation_tests]
         if any(test is not None and test.is_more for test in tests):
             return False
         return True if tests and all(test is not None and test.is_noise for test in tests) else None

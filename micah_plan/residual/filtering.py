@@ -168,14 +168,14 @@ def _gone_through(
     # All hypotheses of a model share its instructions.
     for (model, gated), own in alike.items():
         batch, program = _joined([batches[k] for k in own]), model_program(model, gated)
-        known = _known(data, batch)
+        per_hypothesis = _per_hypothesis(data, batch)
         of = np.concatenate([np.arange(first[k], first[k] + sizes[k]) for k in own])
         total[of] = go_through(
             program.programs,
             _rows_for(data, rows, batch, program.mode_sets),
-            _settings(data, batch, kind, known),
+            _settings(data, batch, kind, per_hypothesis),
             batch.values.T.copy(),
-            known,
+            per_hypothesis,
             at[of],
             error,
             variance,
@@ -199,11 +199,11 @@ def _rows_for(
     )
 
 
-def _settings(data: CoordinateData, batch: ModelBatch, kind: Kind, known: Floats) -> Settings:
+def _settings(data: CoordinateData, batch: ModelBatch, kind: Kind, per_hypothesis: Floats) -> Settings:
     return Settings(
         kind=_KINDS[kind],
         is_bounded=bool(np.isfinite([data.lower, data.upper]).any() or batch.terms("guard")),
-        is_held=bool((known[RELEASE_LOW : RELEASE_HIGH + 1] > 0.0).any()),
+        is_held=bool((per_hypothesis[RELEASE_LOW : RELEASE_HIGH + 1] > 0.0).any()),
         surely=SURE_STDS * data.blur,
         unseen=UNSEEN,
         anywhere=_anywhere(data),
@@ -246,8 +246,8 @@ def _joined(batches: Sequence[ModelBatch]) -> ModelBatch:
     return ModelBatch(batches[0].model, values, noise, freedom)
 
 
-def _known(data: CoordinateData, batch: ModelBatch) -> Floats:
-    """(10, B) what is known of hypotheses beside their parameters, in the order of `row_loop.WHITE` and so on."""
+def _per_hypothesis(data: CoordinateData, batch: ModelBatch) -> Floats:
+    """(10, B) noise and ends of each hypothesis, in the order of `row_loop.WHITE` and so on."""
     release = np.repeat(np.array(data.release)[:, None], len(batch), axis=1)
     for form, p in batch.terms("guard"):
         needed = form.release(list(p))

@@ -50,7 +50,7 @@ class Free:
     Attributes:
         at: columns of the values with the noise behind them.
         scale: what is large. low, high: bounds. centre, std: of a normal prior.
-        own: how many are of the model.
+        of_model: how many are of the model.
         odds: log odds against the model beforehand [nats].
     """
 
@@ -60,7 +60,7 @@ class Free:
     high: Floats
     centre: Floats
     std: Floats
-    own: int
+    of_model: int
     odds: float = 0.0
 
 
@@ -92,8 +92,8 @@ class Fit:
 
     def without(self, number: int) -> Fit:
         """The same without one of the stds of `filtering.NOISE`; the white noise begins with both."""
-        first, own = len(self.vector) - len(NOISE), self.free.own
-        vector, kept = self.vector.copy(), np.delete(np.arange(len(self.free.at)), own + number)
+        first, first_of_noise = len(self.vector) - len(NOISE), self.free.of_model
+        vector, kept = self.vector.copy(), np.delete(np.arange(len(self.free.at)), first_of_noise + number)
         vector[first] = 0.5 * np.logaddexp(2.0 * vector[first], 2.0 * vector[first + number])
         vector[first + number] = -np.inf
         free = {name: getattr(self.free, name)[kept] for name in ("at", "scale", "low", "high", "centre", "std")}
@@ -101,9 +101,9 @@ class Fit:
 
     def with_noise(self, logs: Floats) -> Fit:
         """The same with other stds of `filtering.STDS` [logs], within their bounds."""
-        own, first = slice(self.free.own, self.free.own + len(STDS)), len(self.vector) - len(NOISE)
+        entries, first = slice(self.free.of_model, self.free.of_model + len(STDS)), len(self.vector) - len(NOISE)
         vector = self.vector.copy()
-        vector[first : first + len(STDS)] = np.clip(logs, self.free.low[own], self.free.high[own])
+        vector[first : first + len(STDS)] = np.clip(logs, self.free.low[entries], self.free.high[entries])
         return replace(self, vector=vector, loss=np.inf)
 
     def hypotheses(self, vectors: Floats) -> ModelBatch:
@@ -136,7 +136,7 @@ class _Slopes:
             information that it has.
         root: (N,) of that information of innovations.
         innovations, variance: (N,) themselves. freedom: of the t distribution.
-        rows: of all that were tried; own: those of `tried` among them.
+        rows: of all that were tried; at: those of `tried` among them.
         below: (k,) which of `tried` the quotients are from; per_width: (k,) inverses of how far apart.
     """
 
@@ -149,13 +149,13 @@ class _Slopes:
     variance: Floats
     freedom: float
     rows: Rows
-    own: slice
+    at: slice
     below: Ints
     per_width: Floats
 
     def by_row(self) -> tuple[Floats, Floats]:
         """(k, N) gradients of the log density of each row, and (N,) that."""
-        density = self.rows.density(self.own)
+        density = self.rows.density(self.at)
         return (density[1 : len(self.below) + 1] - density[self.below]) * self.per_width[:, None], density[0]
 
     def spread(self, jump: Floats | None = None) -> float:
@@ -197,10 +197,10 @@ class Fitting:
         """Losses of some vectors (b, ...) of each fit."""
         if not fits:
             return []
-        batches = [fit.hypotheses(own) for fit, own in zip(fits, vectors, strict=True)]
+        batches = [fit.hypotheses(tried) for fit, tried in zip(fits, vectors, strict=True)]
         rows = filtered(self.data, batches, [0] * len(fits))
-        sums = np.split(-rows.total, np.cumsum([len(own) for own in vectors])[:-1])
-        return [fit.penalty(own) + total for fit, own, total in zip(fits, vectors, sums, strict=True)]
+        sums = np.split(-rows.total, np.cumsum([len(tried) for tried in vectors])[:-1])
+        return [fit.penalty(tried) + total for fit, tried, total in zip(fits, vectors, sums, strict=True)]
 
     def started(self, fits: Sequence[Fit]) -> list[Fit]:
         """With their losses."""
@@ -215,18 +215,20 @@ class Fitting:
         Args:
             within: a fit that would stay so far behind the best if all its rounds were like its last is left [nats].
         """
-        climbs = [_Climb(fit, len(fit.free.at) if is_noise_free else fit.free.own) for fit in fits]
+        climbs = [_Climb(fit, len(fit.free.at) if is_noise_free else fit.free.of_model) for fit in fits]
         live = [climb for climb in climbs if climb.count and rounds]
-        for left in range(rounds, -1, -1):
+        for further in range(rounds, -1, -1):
             if not live:
                 break
             asked = [climb.asked() for climb in live]
             slopes, losses = self._slopes(
                 [climb.fit for climb in live], [climb.steps for climb in live], asked, [climb.line for climb in live]
             )
-            live = [climb for climb, own, line in zip(live, slopes, losses, strict=True) if climb.goes_on(own, line)]
+            live = [
+                climb for climb, slope, line in zip(live, slopes, losses, strict=True) if climb.goes_on(slope, line)
+            ]
             best = min(climb.fit.loss for climb in climbs)
-            live = [climb for climb in live if climb.fit.loss - min(left, _FORESEEN) * climb.gain < best + within]
+            live = [climb for climb in live if climb.fit.loss - min(further, _FORESEEN) * climb.gain < best + within]
         return [climb.fit for climb in climbs]
 
     def weighed(self, fits: Sequence[Fit]) -> list[Weighed]:
@@ -278,9 +280,9 @@ class Fitting:
         density = rows.density()
         sums = np.stack([density[:, self.group_of_rows == g].sum(axis=1) for g in range(count)], axis=1)
         sums = np.concatenate([sums, np.repeat(weighed.density[None], count, axis=0)]).reshape(3, count, count)
-        own = np.arange(count)
-        rest = sums.sum(axis=2) - sums[:, own, own] - fit.penalty(tried).reshape(3, count)
-        return np.asarray(tried.reshape(3, count, -1)[rest.argmax(axis=0), own])
+        each = np.arange(count)
+        rest = sums.sum(axis=2) - sums[:, each, each] - fit.penalty(tried).reshape(3, count)
+        return np.asarray(tried.reshape(3, count, -1)[rest.argmax(axis=0), each])
 
     def held_out(self, weighed: Weighed, without: int | None = None) -> Floats:
         """(N,) log density of each row by the parameters of the other groups [nats].
@@ -291,8 +293,8 @@ class Fitting:
         vectors = self.without_each(weighed).copy()
         if without is not None:
             vectors[:, without] = np.inf
-        rows, own = filtered(self.data, [weighed.fit.hypotheses(vectors)]), self.group_of_rows
-        return np.asarray(rows.density()[own, np.arange(len(own))])
+        rows, group = filtered(self.data, [weighed.fit.hypotheses(vectors)]), self.group_of_rows
+        return np.asarray(rows.density()[group, np.arange(len(group))])
 
     def _slopes(
         self,
@@ -308,21 +310,21 @@ class Fitting:
             up, down = np.diag(step), -np.diag(step)[: _two_sided(fit, k)]
             tried.append(replace(fit, vector=vector).moved(np.concatenate([np.zeros((1, k)), up, down])))
         every = [np.concatenate(pair) for pair in zip(tried, more, strict=True)]
-        batches = [fit.hypotheses(own) for fit, own in zip(fits, every, strict=True)]
-        rows = filtered(self.data, batches, [len(own) for own in tried])
+        batches = [fit.hypotheses(around) for fit, around in zip(fits, every, strict=True)]
+        rows = filtered(self.data, batches, [len(around) for around in tried])
         slopes, losses, first, of_rows = [], [], 0, 0
-        for fit, own, others, step in zip(fits, tried, more, steps, strict=True):
-            middle, last = first + len(own), first + len(own) + len(others)
-            own_rows = slice(of_rows, of_rows + len(own))
-            slopes.append(_quotients(fit, own, rows, own_rows, rows.total[first:middle], len(step)))
-            losses.append(fit.penalty(others) - rows.total[middle:last])
-            first, of_rows = last, of_rows + len(own)
+        for fit, around, beside, step in zip(fits, tried, more, steps, strict=True):
+            middle, last = first + len(around), first + len(around) + len(beside)
+            at_rows = slice(of_rows, of_rows + len(around))
+            slopes.append(_quotients(fit, around, rows, at_rows, rows.total[first:middle], len(step)))
+            losses.append(fit.penalty(beside) - rows.total[middle:last])
+            first, of_rows = last, of_rows + len(around)
         return slopes, losses
 
 
 def _two_sided(fit: Fit, k: int) -> int:
     """How many of the first k quotients are two-sided."""
-    return min(fit.free.own, k) if fit.free.own < _MANY else 0
+    return min(fit.free.of_model, k) if fit.free.of_model < _MANY else 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -352,9 +354,9 @@ def groups(data: CoordinateData) -> Ints:
     return np.asarray(order * min(_GROUPS_OF_ROWS, len(order)) // len(order))
 
 
-def _quotients(fit: Fit, tried: Floats, rows: Rows, own: slice, total: Floats, k: int) -> _Slopes:
+def _quotients(fit: Fit, tried: Floats, rows: Rows, at_rows: slice, total: Floats, k: int) -> _Slopes:
     two = _two_sided(fit, k)
-    error, variance = rows.error[own], rows.variance[own]
+    error, variance = rows.error[at_rows], rows.variance[at_rows]
     below = np.concatenate([1 + k + np.arange(two), np.zeros(k - two, dtype=np.int64)])
     at, up = fit.free.at[:k], np.arange(1, k + 1)
     width = tried[up, at] - tried[below, at]
@@ -379,7 +381,7 @@ def _quotients(fit: Fit, tried: Floats, rows: Rows, own: slice, total: Floats, k
         variance=variance[0],
         freedom=freedom,
         rows=rows,
-        own=own,
+        at=at_rows,
         below=below,
         per_width=per_width,
     )
@@ -394,7 +396,7 @@ def _spread(error: Floats, variance: Floats, freedom: float) -> float:
 
 def _is_std(fit: Fit) -> Booleans:
     """(m,) which of the free entries of the noise are logs of stds."""
-    return np.asarray(fit.free.at[fit.free.own :] < len(fit.vector) - len(NOISE) + len(STDS))
+    return np.asarray(fit.free.at[fit.free.of_model :] < len(fit.vector) - len(NOISE) + len(STDS))
 
 
 class _Climb:
@@ -471,7 +473,7 @@ class _Climb:
         jumps = np.zeros((len(_LINE) + 2, len(free.at)))
         jumps[: len(_LINE), :k] = _LINE[:, None] * jump
         # All noise as much larger or smaller as the innovations are, and as they would be after the step.
-        own, is_std = min(k, free.own), free.own + np.flatnonzero(_is_std(self.fit))
+        of_model, is_std = min(k, free.of_model), free.of_model + np.flatnonzero(_is_std(self.fit))
         jumps[-2, is_std] = slopes.spread()
-        jumps[-1, :own], jumps[-1, is_std] = jump[:own], slopes.spread(np.asarray(jump[:own]))
+        jumps[-1, :of_model], jumps[-1, is_std] = jump[:of_model], slopes.spread(np.asarray(jump[:of_model]))
         return self.fit.moved(jumps)

@@ -38,7 +38,7 @@ class HeldOut:
         self.competition = Competition(data)
         self.data, self.nominal = self.competition.data, self.competition.nominal
         self._errors: dict[tuple[Contender, Kind], tuple[Floats, Floats]] = {}
-        self._left: dict[Contender, ResidualTest | None] = {}
+        self._innovation_tests: dict[Contender, ResidualTest | None] = {}
 
     def errors(self, model: Contender, kind: Kind) -> Floats:
         """(S, T) measured minus predicted [rad or m], each segment by parameters fitted without its group."""
@@ -74,8 +74,8 @@ class HeldOut:
 
         Never more than what is left: of few rows, tails that only might be heavy would say so.
         """
-        left = float(np.sqrt(np.mean(self.errors(model, "one_step")[self.data.counted] ** 2)))
-        return min(_floor(model, self.data, "one_step"), left)
+        unpredicted = float(np.sqrt(np.mean(self.errors(model, "one_step")[self.data.counted] ** 2)))
+        return min(_floor(model, self.data, "one_step"), unpredicted)
 
     def rollout_floor(self, model: Contender) -> float:
         """Root mean square of a roll-out's error that noise alone would leave, if this model were true.
@@ -89,23 +89,26 @@ class HeldOut:
         nominal, starts = self.nominal, self.data.counted_starts
         step, rolled = self.noise_floor(nominal), self.rollout_floor(nominal)
         one_step = earlier_rows(self.errors(nominal, "one_step"), -1)[starts][:, None]
-        left, test = self.left_by(nominal), whiteness_test(one_step, replace(self._circumstances, errors=None))
-        if left is None or not left.is_more or test is None:
+        innovations, steps = (
+            self.innovation_test(nominal),
+            whiteness_test(one_step, replace(self._circumstances, errors=None)),
+        )
+        if innovations is None or not innovations.is_more or steps is None:
             return step, rolled
-        return float(test.floor[0]), float(test.floor[0]) * rolled / step
+        return float(steps.floor[0]), float(steps.floor[0]) * rolled / step
 
     def correlations_of(self, model: Contender) -> tuple[tuple[str, ...], Floats]:
         """Names of the fitted parameters (k) of a model, and the correlation (k, k) of their errors."""
-        own = model.fit.free.own
+        count = model.fit.free.of_model
         labels = [f"{part.name}, later" if begins_later(part) else part.name for part in model.parts]
         names = [
             f"{part.term.form.parameters[j].name} of {label}"
             for part, label in zip(model.parts, labels, strict=True)
             for j in part.free
         ]
-        if not own:
+        if not count:
             return (), np.zeros((0, 0))
-        covariance = np.linalg.inv(model.weighed.hessian)[:own, :own]
+        covariance = np.linalg.inv(model.weighed.hessian)[:count, :count]
         std = np.sqrt(np.diag(covariance))
         return tuple(names), np.asarray(covariance / np.outer(std, std))
 
@@ -122,7 +125,7 @@ class HeldOut:
         where densities jump); Barndorff-Nielsen and Cox, Inference and Asymptotics, 1994, ch. 4 (profile likelihood).
         """
         share = independent_share(self._correlations(model)[0][0])
-        return np.array([self._interval(model, j, share) for j in range(model.fit.free.own)]).reshape(-1, 3)
+        return np.array([self._interval(model, j, share) for j in range(model.fit.free.of_model)]).reshape(-1, 3)
 
     def _interval(self, model: Contender, j: int, share: float) -> Floats:
         fit, free = model.fit, model.fit.free
@@ -177,11 +180,11 @@ class HeldOut:
             findings.append((product / count / mean_square if count and mean_square > 0 else 0.0, count))
         return findings
 
-    def left_by(self, model: Contender) -> ResidualTest | None:
+    def innovation_test(self, model: Contender) -> ResidualTest | None:
         """What the innovations follow: commands, places, time, and innovations before them."""
-        if model not in self._left:
-            self._left[model] = self._left_by(model)
-        return self._left[model]
+        if model not in self._innovation_tests:
+            self._innovation_tests[model] = self._innovation_test(model)
+        return self._innovation_tests[model]
 
     @cached_property
     def _circumstances(self) -> Circumstances:
@@ -206,13 +209,13 @@ class HeldOut:
         error, variance = (values[0] for values in errors(self.data, [fit.hypotheses(fit.vector[None])], "filter"))
         return error, np.asarray(np.sqrt(variance / np.mean(variance[self.data.counted])))
 
-    def _left_by(self, model: Contender) -> ResidualTest | None:
+    def _innovation_test(self, model: Contender) -> ResidualTest | None:
         """The less certain of two tests: an error that wanders is noise, and may hide what is missing."""
         wandering = self.errors(model, "filter"), self.spread(model)
         size = float(np.sqrt(np.mean(self._predicted(model, "filter")[1][self.data.counted])))
         tests = [self._tested(*innovations, size) for innovations in (self.innovations(model), wandering)]
-        known = [test for test in tests if test is not None]
-        return max(known, key=lambda test: min(test.probability, test.least), default=None)
+        decided = [test for test in tests if test is not None]
+        return max(decided, key=lambda test: min(test.probability, test.least), default=None)
 
     def _tested(self, error: Floats, spread: Floats, size: float) -> ResidualTest | None:
         """The test of innovations, whose std a model has as `size`: where they are less, so is what they follow."""
@@ -222,8 +225,8 @@ class HeldOut:
         past[:, :LAGS] = 0.0
         under = replace(self._circumstances, errors=past[starts], spread=earlier_rows(spread, -1)[starts])
         test = whiteness_test(earlier_rows(innovations, -1)[starts][:, None], under)
-        left = float(np.mean(innovations[self.data.counted] ** 2))
-        return test and replace(test, share=test.share * min(left / size**2, 1.0))
+        mean_square = float(np.mean(innovations[self.data.counted] ** 2))
+        return test and replace(test, share=test.share * min(mean_square / size**2, 1.0))
 
 
 def _floor(model: Contender, data: CoordinateData, kind: Kind) -> float:

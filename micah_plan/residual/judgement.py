@@ -80,7 +80,10 @@ def judge(automaton: HybridAutomaton, recording: Recording, runs: Sequence[RunPr
     sentence = _sentence(examination, () if examination.is_noise else _faulty(automaton, runs))
     sentence = f"{note_on_late_actions(examination.late)}. {sentence}" if examination.late else sentence
     follows = tuple(
-        (model.data.coordinate, *follow) for model, test in examination.left if test for follow in test.follows
+        (model.data.coordinate, *follow)
+        for model, test in examination.innovation_tests
+        if test
+        for follow in test.follows
     )
     return Judgement(one_step, rollout, examination.is_noise, sentence, follows, correlation, changes)
 
@@ -99,7 +102,9 @@ def _sentence(examination: Examined, faulty: Sequence[FaultyRun]) -> str:
     if examination.is_noise:
         return "errors look like noise: this recording shows nothing that the model lacks"
     sentences = [
-        f"those of {model.data.coordinate} follow {test}" for model, test in examination.left if test and test.is_more
+        f"those of {model.data.coordinate} follow {test}"
+        for model, test in examination.innovation_tests
+        if test and test.is_more
     ]
     said = [f"errors are not noise: {'; '.join(sentences)}"] if sentences else []
     said += map(str, (*examination.off_joint_error, *faulty))

@@ -119,17 +119,17 @@ class _Rival:
 
     @classmethod
     def of(cls, data: CoordinateData, model: Contender) -> _Rival:
-        own = model.fit.free.own
-        rival = cls(" and ".join(model.names) or "nothing", model.fit, np.diag(1.0 / model.fit.free.std[:own] ** 2))
-        slopes = rival.errors(data)[1].reshape(own, data.z.size)
+        count = model.fit.free.of_model
+        rival = cls(" and ".join(model.names) or "nothing", model.fit, np.diag(1.0 / model.fit.free.std[:count] ** 2))
+        slopes = rival.errors(data)[1].reshape(count, data.z.size)
         return replace(rival, information=rival.information + slopes @ slopes.T)
 
     def errors(self, data: CoordinateData) -> tuple[Floats, Floats]:
         """(S, T) innovations over their std, and (k, S, T) how they change with the free parameters."""
         fit, free = self.fit, self.fit.free
-        steps = _DIFFERENCE * free.scale[: free.own]
-        steps = np.where(fit.vector[free.at[: free.own]] + steps <= free.high[: free.own], steps, -steps)
-        vectors = fit.moved(np.vstack([np.zeros(free.own), np.diag(steps)]))
+        steps = _DIFFERENCE * free.scale[: free.of_model]
+        steps = np.where(fit.vector[free.at[: free.of_model]] + steps <= free.high[: free.of_model], steps, -steps)
+        vectors = fit.moved(np.vstack([np.zeros(free.of_model), np.diag(steps)]))
         error, variance = errors(data, [fit.hypotheses(vectors)], "filter")
         error = error / np.sqrt(variance[0])
         return error[0], np.asarray((error[1:] - error[0]) / steps[:, None, None])

@@ -41,7 +41,7 @@ class ResidualTest:
 
     Attributes:
         floor: (d,) std of the noise, in the residuals' units.
-        left: (N, d) what the regression leaves.
+        remainder: (N, d) what the regression leaves.
         probability: that noise alone gave as much that the regression explains.
         follows: (what, probability if it were noise) of each group of functions that explains more than those before.
         share: of the variance that the regression explains, beyond what noise would give, 0 to 1.
@@ -49,7 +49,7 @@ class ResidualTest:
     """
 
     floor: Floats
-    left: Floats
+    remainder: Floats
     probability: float
     follows: tuple[tuple[str, float], ...]
     share: float = 0.0
@@ -106,17 +106,17 @@ def whiteness_test(residual: Floats, under: Circumstances) -> ResidualTest | Non
     if freedom < 1 or not (size > ROUND_OFF).any():
         return ResidualTest(size, residual, 1.0, ())
     explained, nothing = (directions.T @ scaled) ** 2, (scaled**2).sum(axis=0)
-    left = nothing - explained.sum(axis=0)
+    remainder = nothing - explained.sum(axis=0)
     tests = []
     for k, name in enumerate(names):
         # Each group on top of those before it: the plainest that explains something is named.
         of_this_group = explained[of_group == k]
-        tests.append((name, _chance(of_this_group.sum(axis=0), left, len(of_this_group), freedom)))
-    chance = _chance(nothing - left, left, rows - freedom, freedom)
+        tests.append((name, _chance(of_this_group.sum(axis=0), remainder, len(of_this_group), freedom)))
+    chance = _chance(nothing - remainder, remainder, rows - freedom, freedom)
     kept = residual - directions @ (directions.T @ residual)
     floor = np.sqrt((kept**2).sum(axis=0) / freedom)
     sure = tuple(test for test in tests if test[1] < UNLIKELY)
-    share = 1.0 - float((left / freedom).sum()) / max(float(nothing.sum()) / rows, ROUND_OFF**2)
+    share = 1.0 - float((remainder / freedom).sum()) / max(float(nothing.sum()) / rows, ROUND_OFF**2)
     least = min(1.0, len(tests) * min(test[1] for test in tests))
     return ResidualTest(np.asarray(floor), np.asarray(kept), chance, sure, min(max(share, 0.0), 1.0), least)
 

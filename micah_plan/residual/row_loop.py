@@ -23,7 +23,7 @@ FILTER, ONE_STEP, ROLLOUT = range(3)
 PLACE_OF_PART, COMMAND, COMMANDED_PLACE, TIME, ORDER, LOW, HIGH, FREE, SLOPE, OFFSET, STEEPNESS, FIRST_OWN = range(12)
 # Hypotheses x segments that go through the rows together: the processor's cache holds some hundred registers of each.
 _LANES = 256
-# What is known of each hypothesis beside its parameters: variances, freedom of the t distribution, ends beside those of
+# Noise and ends of each hypothesis: variances, freedom of the t distribution, ends beside those of
 # the rows, commands that leave an end, density of the t distribution of unit scale at 0.
 WHITE, PROCESS, MOTION, WANDER, FREEDOM, BESIDE_LOW, BESIDE_HIGH, RELEASE_LOW, RELEASE_HIGH, PEAK = range(10)
 # The state of each hypothesis beside its registers, and what the row has.
@@ -54,7 +54,7 @@ class Programs(NamedTuple):
         reading: `OFFSET` and `STEEPNESS`.
         registers: how many there are.
         constants: (c, 2) register and value.
-        given: (k,) registers of the parameters.
+        parameters: (k,) registers of them.
     """
 
     once: Ints
@@ -64,7 +64,7 @@ class Programs(NamedTuple):
     reading: Ints
     registers: int
     constants: Floats
-    given: Ints
+    parameters: Ints
 
 
 class RowsGiven(NamedTuple):
@@ -230,13 +230,13 @@ def _evaluate_rare(operation: int, o: Floats, a: Floats, b: Floats) -> None:
 
 
 @_compiled
-def _load(r: Floats, constants: Floats, given: Ints, values: Floats) -> None:
+def _load(r: Floats, constants: Floats, parameters: Ints, values: Floats) -> None:
     """Fill the registers of numbers and of parameters (k, B), of each hypothesis in all segments."""
     for k in range(constants.shape[0]):
         r[int(constants[k, 0])] = constants[k, 1]
-    for k in range(given.shape[0]):
+    for k in range(parameters.shape[0]):
         for j in range(r.shape[1]):
-            r[given[k], j] = values[k, j % values.shape[1]]
+            r[parameters[k], j] = values[k, j % values.shape[1]]
     r[STEEPNESS] = 1.0
 
 
@@ -255,27 +255,27 @@ def _look_at(rows: RowsGiven, r: Floats, state: Floats, mode: Ints, first: int, 
 
 
 @_compiled
-def _take_ends(ends: Floats, last: Ints, r: Floats, known: Floats, first: int, t: int) -> None:
+def _take_ends(ends: Floats, last: Ints, r: Floats, per_hypothesis: Floats, first: int, t: int) -> None:
     """Ends in a row: those that are given, and what is beside them."""
-    hypotheses, is_alike = known.shape[1], ends.shape[2] == 1
+    hypotheses, is_alike = per_hypothesis.shape[1], ends.shape[2] == 1
     for i in range(r.shape[1] // hypotheses):
         s = 0 if is_alike else first + i
         at = 0 if is_alike else min(t, last[s])
         for j in range(hypotheses):
-            r[LOW, i * hypotheses + j] = ends[0, s, at] + known[BESIDE_LOW, j]
-            r[HIGH, i * hypotheses + j] = ends[1, s, at] + known[BESIDE_HIGH, j]
+            r[LOW, i * hypotheses + j] = ends[0, s, at] + per_hypothesis[BESIDE_LOW, j]
+            r[HIGH, i * hypotheses + j] = ends[1, s, at] + per_hypothesis[BESIDE_HIGH, j]
 
 
 @_compiled
-def _begin(r: Floats, state: Floats, known: Floats) -> None:
+def _begin(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
     """Take the first row of a segment as it was measured."""
     for j in range(r.shape[1]):
         low, high, steep = r[LOW, j], r[HIGH, j], r[STEEPNESS, j]
         place = min(max((state[_READ, j] - r[OFFSET, j]) / steep, low), high)
         r[PLACE_OF_PART, j] = place
         state[_WANDERED, j] = state[_OF_BOTH, j] = state[_IS_GONE, j] = 0.0
-        state[_OF_PLACE, j] = known[WHITE, j] * state[_NOISE, j] / steep**2
-        state[_OF_READING, j] = known[WANDER, j]
+        state[_OF_PLACE, j] = per_hypothesis[WHITE, j] * state[_NOISE, j] / steep**2
+        state[_OF_READING, j] = per_hypothesis[WANDER, j]
         state[_LOW_BEFORE, j], state[_HIGH_BEFORE, j] = low, high
         state[_AT_LOW, j] = 1.0 if place <= low else 0.0
         state[_AT_HIGH, j] = 1.0 if place >= high else 0.0
@@ -283,24 +283,26 @@ def _begin(r: Floats, state: Floats, known: Floats) -> None:
 
 
 @_compiled
-def _hold(r: Floats, state: Floats, known: Floats) -> None:
+def _hold(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
     """Hold the part at its lower or upper end: until a command releases it, or the end is gone."""
     for j in range(r.shape[1]):
         low, high, v = r[LOW, j], r[HIGH, j], r[COMMAND, j]
         free = min(max(r[FREE, j], low), high)
-        at_low = state[_AT_LOW, j] != 0.0 and v <= known[RELEASE_LOW, j] and low == state[_LOW_BEFORE, j]
-        at_high = state[_AT_HIGH, j] != 0.0 and -v <= known[RELEASE_HIGH, j] and high == state[_HIGH_BEFORE, j]
+        at_low = state[_AT_LOW, j] != 0.0 and v <= per_hypothesis[RELEASE_LOW, j] and low == state[_LOW_BEFORE, j]
+        at_high = state[_AT_HIGH, j] != 0.0 and -v <= per_hypothesis[RELEASE_HIGH, j] and high == state[_HIGH_BEFORE, j]
         state[_LOW_BEFORE, j], state[_HIGH_BEFORE, j] = low, high
         state[_AT_LOW, j] = 1.0 if at_low or free <= low else 0.0
         state[_AT_HIGH, j] = 1.0 if at_high or free >= high else 0.0
-        if at_high and known[RELEASE_HIGH, j] > 0.0:
+        if at_high and per_hypothesis[RELEASE_HIGH, j] > 0.0:
             r[FREE, j], r[SLOPE, j] = high, 0.0
-        elif at_low and known[RELEASE_LOW, j] > 0.0:
+        elif at_low and per_hypothesis[RELEASE_LOW, j] > 0.0:
             r[FREE, j], r[SLOPE, j] = low, 0.0
 
 
 @_compiled
-def _move(r: Floats, state: Floats, known: Floats, is_bounded: bool, stays: float, held_variance: float) -> None:
+def _move(
+    r: Floats, state: Floats, per_hypothesis: Floats, is_bounded: bool, stays: float, held_variance: float
+) -> None:
     """Take the part to where it is free to go, or to what ends its way."""
     for j in range(r.shape[1]):
         free, slope = r[FREE, j], min(max(r[SLOPE, j], -1.0), 1.0)
@@ -310,8 +312,8 @@ def _move(r: Floats, state: Floats, known: Floats, is_bounded: bool, stays: floa
             free = ended
         state[_OF_BOTH, j] *= slope * stays
         of_place = state[_OF_PLACE, j] * (slope * slope * (1.0 - held_variance) + held_variance)
-        state[_OF_PLACE, j] = of_place + known[PROCESS, j] + known[MOTION, j] * state[_EFFORT, j]
-        state[_OF_READING, j] = state[_OF_READING, j] * stays**2 + (1.0 - stays**2) * known[WANDER, j]
+        state[_OF_PLACE, j] = of_place + per_hypothesis[PROCESS, j] + per_hypothesis[MOTION, j] * state[_EFFORT, j]
+        state[_OF_READING, j] = state[_OF_READING, j] * stays**2 + (1.0 - stays**2) * per_hypothesis[WANDER, j]
         state[_WANDERED, j] *= stays
         r[PLACE_OF_PART, j] = free
 
@@ -324,17 +326,17 @@ def _go_on(state: Floats, variance: Floats, first: int, hypotheses: int) -> None
 
 
 @_compiled
-def _compare(r: Floats, state: Floats, known: Floats) -> None:
+def _compare(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
     """Compare with a row."""
     for j in range(r.shape[1]):
         steep, of_both = r[STEEPNESS, j], state[_OF_BOTH, j]
         state[_ERROR, j] = state[_READ, j] - r[OFFSET, j] - steep * r[PLACE_OF_PART, j] - state[_WANDERED, j]
         to_place, to_reading = steep * state[_OF_PLACE, j] + of_both, steep * of_both + state[_OF_READING, j]
-        state[_VARIANCE, j] = steep * to_place + to_reading + known[WHITE, j] * state[_NOISE, j]
+        state[_VARIANCE, j] = steep * to_place + to_reading + per_hypothesis[WHITE, j] * state[_NOISE, j]
 
 
 @_compiled
-def _let_go(r: Floats, state: Floats, known: Floats, surely: float) -> None:
+def _let_go(r: Floats, state: Floats, per_hypothesis: Floats, surely: float) -> None:
     """Find parts that were predicted on the wrong side of being held: measured away from an end, or left behind there.
 
     Whether a part arrived at an end, and whether a command was just enough to leave it, noise decides. What is
@@ -344,9 +346,9 @@ def _let_go(r: Floats, state: Floats, known: Floats, surely: float) -> None:
         state[_IS_GONE, j] = 0.0
         steep, error, noise = r[STEEPNESS, j], state[_ERROR, j], surely * math.sqrt(state[_NOISE, j])
         for k in range(2):
-            side, end, release = (1.0, r[LOW, j], known[RELEASE_LOW, j])
+            side, end, release = (1.0, r[LOW, j], per_hypothesis[RELEASE_LOW, j])
             if k == 1:
-                side, end, release = (-1.0, r[HIGH, j], known[RELEASE_HIGH, j])
+                side, end, release = (-1.0, r[HIGH, j], per_hypothesis[RELEASE_HIGH, j])
             if release > 0.0:
                 is_at = state[_AT_LOW + k, j] != 0.0
                 away = side * (r[PLACE_OF_PART, j] + error / steep - end)
@@ -357,13 +359,13 @@ def _let_go(r: Floats, state: Floats, known: Floats, surely: float) -> None:
 
 
 @_compiled
-def _take_in(r: Floats, state: Floats, known: Floats, is_bounded: bool) -> None:
+def _take_in(r: Floats, state: Floats, per_hypothesis: Floats, is_bounded: bool) -> None:
     """Take a measurement in: a far one less."""
     for j in range(r.shape[1]):
         steep, error, variance = r[STEEPNESS, j], state[_ERROR, j], state[_VARIANCE, j]
         of_both, is_gone = state[_OF_BOTH, j], state[_IS_GONE, j] != 0.0
         to_place, to_reading = steep * state[_OF_PLACE, j] + of_both, steep * of_both + state[_OF_READING, j]
-        freedom = known[FREEDOM, j]
+        freedom = per_hypothesis[FREEDOM, j]
         weight = min((freedom + 1.0) / (error * error / variance + freedom), 1.0) / variance
         place = r[PLACE_OF_PART, j] + to_place * weight * error
         of_place = state[_OF_PLACE, j] - to_place * weight * to_place
@@ -371,7 +373,7 @@ def _take_in(r: Floats, state: Floats, known: Floats, is_bounded: bool) -> None:
         state[_WANDERED, j] += to_reading * weight * error
         state[_OF_READING, j] -= to_reading * weight * to_reading
         state[_OF_BOTH, j] = 0.0 if is_gone else of_both
-        state[_OF_PLACE, j] = known[WHITE, j] * state[_NOISE, j] / steep**2 if is_gone else of_place
+        state[_OF_PLACE, j] = per_hypothesis[WHITE, j] * state[_NOISE, j] / steep**2 if is_gone else of_place
         place = (state[_READ, j] - r[OFFSET, j]) / steep if is_gone else place
         if is_bounded:
             place = min(max(place, r[LOW, j]), r[HIGH, j])
@@ -379,32 +381,32 @@ def _take_in(r: Floats, state: Floats, known: Floats, is_bounded: bool) -> None:
 
 
 @_compiled
-def _take_as_measured(r: Floats, state: Floats, known: Floats, unseen: float) -> None:
+def _take_as_measured(r: Floats, state: Floats, per_hypothesis: Floats, unseen: float) -> None:
     """Begin the next step where the part was measured, if it was."""
     for j in range(r.shape[1]):
         if state[_NOISE, j] < unseen:
             r[PLACE_OF_PART, j] += (state[_ERROR, j] + state[_WANDERED, j]) / r[STEEPNESS, j]
-            variance = known[WHITE, j] * state[_NOISE, j] + known[WANDER, j]
+            variance = per_hypothesis[WHITE, j] * state[_NOISE, j] + per_hypothesis[WANDER, j]
             state[_OF_PLACE, j] = variance / r[STEEPNESS, j] ** 2
 
 
 @_compiled
-def _find_density(state: Floats, known: Floats, anywhere: float) -> None:
+def _find_density(state: Floats, per_hypothesis: Floats, anywhere: float) -> None:
     """Density of a row: Student's t, whose power is a whole number and a half, or anywhere in the range."""
     most = 0.0
     for j in range(state.shape[1]):
-        most = max(most, known[FREEDOM, j])
+        most = max(most, per_hypothesis[FREEDOM, j])
         squared = state[_ERROR, j] * state[_ERROR, j]
-        state[_POWER, j] = 1.0 + squared / (state[_VARIANCE, j] * known[FREEDOM, j])
+        state[_POWER, j] = 1.0 + squared / (state[_VARIANCE, j] * per_hypothesis[FREEDOM, j])
         state[_DENSITY, j] = np.sqrt(state[_VARIANCE, j] * state[_POWER, j])
     bit = 1
     while 2 * bit <= most:
         for j in range(state.shape[1]):
-            state[_DENSITY, j] *= state[_POWER, j] if (int(known[FREEDOM, j]) // 2) & bit else 1.0
+            state[_DENSITY, j] *= state[_POWER, j] if (int(per_hypothesis[FREEDOM, j]) // 2) & bit else 1.0
             state[_POWER, j] *= state[_POWER, j]
         bit *= 2
     for j in range(state.shape[1]):
-        state[_DENSITY, j] = known[PEAK, j] / state[_DENSITY, j] + anywhere
+        state[_DENSITY, j] = per_hypothesis[PEAK, j] / state[_DENSITY, j] + anywhere
 
 
 @_compiled
@@ -464,12 +466,12 @@ def _longest(last: Ints, first: int, count: int) -> int:
 
 
 @_compiled
-def _in_all_segments(known: Floats, lanes: int) -> Floats:
-    """(k, lanes) what is known of hypotheses (k, B), in each segment."""
-    own = np.empty((known.shape[0], lanes))
-    for k in range(known.shape[0]):
+def _in_all_segments(per_hypothesis: Floats, lanes: int) -> Floats:
+    """(k, lanes) values of hypotheses (k, B), in each segment."""
+    own = np.empty((per_hypothesis.shape[0], lanes))
+    for k in range(per_hypothesis.shape[0]):
         for j in range(lanes):
-            own[k, j] = known[k, j % known.shape[1]]
+            own[k, j] = per_hypothesis[k, j % per_hypothesis.shape[1]]
     return own
 
 
@@ -479,7 +481,7 @@ def go_through(
     rows: RowsGiven,
     settings: Settings,
     values: Floats,
-    known: Floats,
+    per_hypothesis: Floats,
     at: Ints,
     error: Floats,
     variance: Floats,
@@ -489,7 +491,7 @@ def go_through(
     Hypotheses go through the rows side by side, and so do some segments.
 
     Args:
-        values: (k, B) of the parameters. known: (10, B) what else is known of the hypotheses: `WHITE` and so on.
+        values: (k, B) of the parameters. per_hypothesis: (10, B) noise and ends: `WHITE` and so on.
         at: (B,) where each is in the results; -1: its errors are not wanted.
     """
     hypotheses, segments, total = at.shape[0], rows.z.shape[0], np.zeros(at.shape[0])
@@ -499,11 +501,11 @@ def go_through(
         lanes, last = count * hypotheses, _longest(rows.last, first, count)
         r, state, mode = np.zeros((programs.registers, lanes)), np.zeros((_STATES, lanes)), np.zeros(lanes, np.int64)
         errors, variances = np.zeros((last + 1, lanes)), np.ones((last + 1, lanes))
-        own = _in_all_segments(known, lanes)
-        _load(r, programs.constants, programs.given, values)
+        own = _in_all_segments(per_hypothesis, lanes)
+        _load(r, programs.constants, programs.parameters, values)
         evaluate(programs.once, r, rows.in_mode, mode)
         _look_at(rows, r, state, mode, first, hypotheses, 0)
-        _take_ends(rows.ends, rows.last, r, known, first, 0)
+        _take_ends(rows.ends, rows.last, r, per_hypothesis, first, 0)
         evaluate(programs.ends, r, rows.in_mode, mode)
         evaluate(programs.reading, r, rows.in_mode, mode)
         _begin(r, state, own)
@@ -511,7 +513,7 @@ def go_through(
         for t in range(last):
             evaluate(programs.step, r, rows.in_mode, mode)
             if rows.ends.shape[2] > 1 or programs.ends.shape[0] > 1:
-                _take_ends(rows.ends, rows.last, r, known, first, t)
+                _take_ends(rows.ends, rows.last, r, per_hypothesis, first, t)
                 evaluate(programs.ends, r, rows.in_mode, mode)
             if settings.is_held:
                 _hold(r, state, own)

@@ -71,10 +71,10 @@ class _Assembly:
         self.once, self.constants = list[Instruction](), list[tuple[int, float]]()
         self.rest, self.ends, self.step, self.reading = (list[Instruction]() for _ in range(4))
         self.mode_sets = list[tuple[str, ...]]()
-        self.given = self._own(columns(model))
+        self.parameters = self._own(columns(model))
         self.one, self.zero = self._own(2)
         self.constants += [(self.one, 1.0), (self.zero, 0.0)]
-        values = [self.given[own] for own in term_columns(model)]
+        values = [self.parameters[entries] for entries in term_columns(model)]
         self.terms = list(zip(model, values, gated, strict=True))
         self.follows_places = any(term.form.layer == "place" for term in model)
         # How much the command changes with the configuration, where places are told.
@@ -97,7 +97,7 @@ class _Assembly:
             reading=as_code(self.reading),
             registers=self.registers,
             constants=np.array(self.constants, dtype=float).reshape(-1, 2),
-            given=np.array(self.given, dtype=np.int64),
+            parameters=np.array(self.parameters, dtype=np.int64),
         )
         return ModelProgram(programs, tuple(self.mode_sets))
 

@@ -64,7 +64,7 @@ class CoordinateTrace:
             among them as ``unexplained``.
         facts, outcome: what is known, and what is concluded from it.
         whiteness: largest autocorrelation of the innovations that remain, and how probable it were if they were white.
-        left: what the innovations that remain follow; None where rows are too few.
+        innovation_test: what the innovations that remain follow; None where rows are too few.
         floor, rollout_floor: errors of one step and of roll-outs that noise alone would leave [rad or m].
         missing_modes: that the automaton lacks; a correction without a name is in their place (or see `calibrate`).
         closest: names of the effects that came closest, where a correction without a name predicts better.
@@ -81,7 +81,7 @@ class CoordinateTrace:
     facts: Facts
     outcome: Outcome
     whiteness: tuple[float, float]
-    left: ResidualTest | None
+    innovation_test: ResidualTest | None
     floor: float
     rollout_floor: float
     missing_modes: tuple[MissingMode, ...] = ()
@@ -99,16 +99,16 @@ class CoordinateTrace:
 def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrace:
     """Find what a coordinate's model lacks."""
     data, nominal = held_out.data, held_out.nominal
-    found = held_out.competition.search(progress or _silent)
-    modes = _modes(held_out, found) if found.left else ()
-    share = _share_left(found)
-    closest = found.chosen.names if found.chosen is not nominal and share > UNEXPLAINED and not modes else ()
+    standings = held_out.competition.search(progress or _silent)
+    modes = _modes(held_out, standings) if standings.remaining else ()
+    share = _share_left(standings)
+    closest = standings.chosen.names if standings.chosen is not nominal and share > UNEXPLAINED and not modes else ()
     # Effects that act everywhere only imitate what a mode of its own, or something without a name, does.
-    chosen = nominal if modes or closest else found.chosen
-    findings = () if chosen is nominal else _findings(held_out, found)
-    final = _final(held_out, found, chosen)
-    left = held_out.left_by(chosen)
-    is_passing = any(one.names[-1] not in (UNNAMED, MEMORY) for one in found.left)
+    chosen = nominal if modes or closest else standings.chosen
+    findings = () if chosen is nominal else _findings(held_out, standings)
+    final = _final(held_out, standings, chosen)
+    innovation_test = held_out.innovation_test(chosen)
+    is_passing = any(model.names[-1] not in (UNNAMED, MEMORY) for model in standings.remaining)
     facts = Facts(
         effects=len(findings),
         modes=len(modes),
@@ -118,13 +118,13 @@ def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrac
         is_longer=final is not nominal and _rolled(held_out, final) > LONGER * _rolled(held_out, nominal),
         is_noisier=_is_noisier(held_out, final),
         is_single=_is_single(data),
-        is_changing=_is_changing(chosen, left),
+        is_changing=_is_changing(chosen, innovation_test),
         is_passing=is_passing,
-        is_following=left is not None and left.is_more,
+        is_following=innovation_test is not None and innovation_test.is_more,
         smooth=0.0 if modes else share,
         is_corrected=any(effect.name == UNNAMED for effect in data.effects),
     )
-    alternatives = tuple(best_first(found.singles)[:_MOST_ALTERNATIVES])
+    alternatives = tuple(best_first(standings.singles)[:_MOST_ALTERNATIVES])
     return CoordinateTrace(
         data=data,
         held_out=held_out,
@@ -132,12 +132,12 @@ def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrac
         chosen=chosen,
         final=nominal if facts.is_kept_out else final,
         findings=tuple(replace(finding, is_added=not facts.is_kept_out) for finding in findings),
-        ranking=_ranking(nominal, [*found.singles, *found.loose]),
+        ranking=_ranking(nominal, [*standings.singles, *standings.loose]),
         missing_modes=modes,
         facts=facts,
         outcome=outcome_of(facts),
         whiteness=held_out.whiteness(chosen),
-        left=left,
+        innovation_test=innovation_test,
         floor=held_out.noise_floor(final),
         rollout_floor=held_out.rollout_floor(final),
         closest=closest,
@@ -153,28 +153,28 @@ def _rolled(held_out: HeldOut, model: Contender) -> float:
 def _is_noisier(held_out: HeldOut, model: Contender) -> bool:
     """Whether single steps of held-out rows get longer with a model: what it leaves is no noise of readings alone."""
     sizes = [
-        float(np.mean(held_out.errors(one, "one_step")[held_out.data.counted] ** 2))
-        for one in (model, held_out.nominal)
+        float(np.mean(held_out.errors(model, "one_step")[held_out.data.counted] ** 2))
+        for model in (model, held_out.nominal)
     ]
     return sizes[0] > sizes[1]
 
 
-def _share_left(found: Standings) -> float:
+def _share_left(standings: Standings) -> float:
     """Share of the evidence against the nominal model that the chosen effects leave to corrections, 0 to 1."""
-    corrected = [one for one in found.left if one.names[-1] in (UNNAMED, MEMORY)]
+    corrected = [model for model in standings.remaining if model.names[-1] in (UNNAMED, MEMORY)]
     if not corrected:
         return 0.0
-    best = corrected[0].evidence - found.nominal.evidence
-    gained = found.chosen.evidence - found.nominal.evidence
+    best = corrected[0].evidence - standings.nominal.evidence
+    gained = standings.chosen.evidence - standings.nominal.evidence
     return float(np.clip(1.0 - gained / best, 0.0, 1.0)) if best > 0 else 0.0
 
 
-def _final(held_out: HeldOut, found: Standings, chosen: Contender) -> Contender:
+def _final(held_out: HeldOut, standings: Standings, chosen: Contender) -> Contender:
     """The chosen model with the best correction that can be written, if roll-outs do not get longer by it."""
-    able = [one for one in found.left if one.names and one.names[-1] == UNNAMED]
-    able = [one for one in able if one.names[:-1] == chosen.names]
+    able = [model for model in standings.remaining if model.names and model.names[-1] == UNNAMED]
+    able = [model for model in able if model.names[:-1] == chosen.names]
     is_real = held_out.competition.is_real
-    return next((one for one in able if is_real(one, chosen)), chosen)
+    return next((model for model in able if is_real(model, chosen)), chosen)
 
 
 def _is_contradicted(held_out: HeldOut, named: Contender) -> bool:
@@ -187,9 +187,9 @@ def _is_contradicted(held_out: HeldOut, named: Contender) -> bool:
     if named is base or not 1 < len(runs) < ENOUGH_INDEPENDENT:
         return False
     for run in runs:
-        own, others = (data.of_segments(np.flatnonzero(is_of)) for is_of in (data.run == run, data.run != run))
-        fits = [Fitting(others).improved([model.fit], TO_THE_END)[0] for model in (named, base)]
-        with_it, without = (float(filtered(own, [fit.hypotheses(fit.vector[None])]).total[0]) for fit in fits)
+        held, rest = (data.of_segments(np.flatnonzero(is_of)) for is_of in (data.run == run, data.run != run))
+        fits = [Fitting(rest).improved([model.fit], TO_THE_END)[0] for model in (named, base)]
+        with_it, without = (float(filtered(held, [fit.hypotheses(fit.vector[None])]).total[0]) for fit in fits)
         if with_it <= without:
             return True
     return False
@@ -212,10 +212,12 @@ def _is_over(held_out: HeldOut, named: Contender) -> bool:
     return with_it - without < -LEAST_EVIDENCE
 
 
-def _is_changing(chosen: Contender, left: ResidualTest | None) -> bool:
+def _is_changing(chosen: Contender, innovation_test: ResidualTest | None) -> bool:
     """Whether what began goes on changing: effects began at several times, or one did and time tells more than that."""
     begun = {gate for part in chosen.parts if np.isfinite(gate := float(part.starts[0, -GATES]))}
-    return len(begun) > 1 or (len(begun) == 1 and left is not None and "time" in (what for what, _ in left.follows))
+    return len(begun) > 1 or (
+        len(begun) == 1 and innovation_test is not None and "time" in (what for what, _ in innovation_test.follows)
+    )
 
 
 def _is_single(data: CoordinateData) -> bool:
@@ -243,13 +245,18 @@ def _ranking(nominal: Contender, models: Sequence[Contender]) -> tuple[tuple[str
     return tuple(sorted(best.values(), key=lambda row: -row[1]))
 
 
-def _modes(held_out: HeldOut, found: Standings) -> tuple[MissingMode, ...]:
+def _modes(held_out: HeldOut, standings: Standings) -> tuple[MissingMode, ...]:
     """Modes that the automaton lacks, if other models predict no better: all, where one run is unlike the others."""
-    nominal = found.nominal
-    others = (found.chosen, *found.left[:1], *found.loose, *best_first(found.singles)[:_MOST_ALTERNATIVES])
+    nominal = standings.nominal
+    rivals = (
+        standings.chosen,
+        *standings.remaining[:1],
+        *standings.loose,
+        *best_first(standings.singles)[:_MOST_ALTERNATIVES],
+    )
     # Corrections by a smooth function are asked by their evidence, once the mode is in the model (`calibrate`).
-    rivals = [held_out.errors(model, "filter") for model in others if model.names and model.names[-1] != UNNAMED]
-    return missing_modes(held_out.data, *held_out.innovations(nominal), held_out.competition.fitting.group, rivals)
+    errors = [held_out.errors(model, "filter") for model in rivals if model.names and model.names[-1] != UNNAMED]
+    return missing_modes(held_out.data, *held_out.innovations(nominal), held_out.competition.fitting.group, errors)
 
 
 def may_remember(data: CoordinateData, finding: CoordinateFinding) -> bool:
@@ -269,43 +276,43 @@ def _silent(message: str, fraction: float) -> None:
     del message, fraction
 
 
-def _findings(held_out: HeldOut, found: Standings) -> tuple[CoordinateFinding, ...]:
-    chosen, data = found.chosen, held_out.data
-    told = len(held_out.nominal.parts) if FOLLOW not in chosen.names[:1] or len(chosen.parts[0].free) == 0 else 0
+def _findings(held_out: HeldOut, standings: Standings) -> tuple[CoordinateFinding, ...]:
+    chosen, data = standings.chosen, held_out.data
+    declared = len(held_out.nominal.parts) if FOLLOW not in chosen.names[:1] or len(chosen.parts[0].free) == 0 else 0
     intervals = held_out.intervals(chosen)
     findings, column = [], 0
     for number, part in enumerate(chosen.parts):
-        own = intervals[column : column + len(part.free)]
+        interval_rows = intervals[column : column + len(part.free)]
         column += len(part.free)
-        if number < told:
+        if number < declared:
             continue
         values, free = part.starts.copy(), list(part.free)
         interval = np.repeat(part.starts.T, 2, axis=1)
-        interval[free] = own[:, [0, 2]]
+        interval[free] = interval_rows[:, [0, 2]]
         if len(free) == 1:  # medians of several, each with the others following, belong to no one fit
-            values[0, free] = own[:, 1]
-        others = tuple(other for other in chosen.parts if other is not part)
+            values[0, free] = interval_rows[:, 1]
+        others = tuple(each for each in chosen.parts if each is not part)
         without = held_out.competition.of_parts(others)
-        tied = _tied(found, number)
+        tied = _tied(standings, number)
         is_always = not part.term.modes and not begins_later(part)
         # What would do the same as a tied one was not tried, but is tied as well.
-        alike = [name for model in found.near for name in indistinguishable(model.parts[-1], data)] if tied else []
+        alike = [name for model in standings.near for name in indistinguishable(model.parts[-1], data)] if tied else []
         same = indistinguishable(part, data) if is_always else ()
         names = tuple(dict.fromkeys(name for name in (*tied, *alike, *same) if name != part.name))
         findings.append(CoordinateFinding(replace(part, starts=values), interval, chosen.evidence - without, names))
     return tuple(sorted(findings, key=lambda finding: -finding.evidence))
 
 
-def _tied(found: Standings, number: int) -> list[str]:
+def _tied(standings: Standings, number: int) -> list[str]:
     """Effects in place of one of the chosen, with all others the same, that make the recording as likely."""
-    chosen = found.chosen
-    others = sorted(name for k, name in enumerate(chosen.names) if k != number)
+    chosen = standings.chosen
+    unchanged = sorted(name for k, name in enumerate(chosen.names) if k != number)
     tied = []
-    for model in found.near:
+    for model in standings.near:
         names = sorted(model.names)
         if len(names) == len(chosen.names):
             rest = list(names)
-            for name in others:
+            for name in unchanged:
                 if name in rest:
                     rest.remove(name)
             if len(rest) == 1 and rest[0] != chosen.names[number]:

@@ -120,3 +120,54 @@ def test_a_signal_at_twenty_moments_leaves_nothing_half_done(name, prepared, rep
     for i in range(20):
         number = SIGNALS[i % len(SIGNALS)]
         interrupted(COMMANDS[name], prepared, repository, tmp_path / str(i), float(rng.uniform(0.05, 2.5)), number)
+
+
+LOADED = """
+import signal
+import micah_plan.planning.search
+signal.signal(signal.SIGALRM, signal.default_int_handler)
+signal.setitimer(signal.ITIMER_REAL, {after})
+try:
+    import micah_plan.planning.search.ompl_library
+except KeyboardInterrupt:
+    print("interrupted")
+signal.setitimer(signal.ITIMER_REAL, 0.0)
+import micah_plan.planning.search.ompl_library
+"""
+
+
+def test_a_signal_while_ompl_is_loaded_is_handled_when_it_is() -> None:
+    ends = [
+        subprocess.run([sys.executable, "-c", LOADED.format(after=after)], capture_output=True, text=True, check=False)
+        for after in np.linspace(0.005, 0.06, 8)
+    ]
+    assert [(end.returncode, end.stderr) for end in ends] == [(0, "")] * len(ends)
+    assert any(end.stdout == "interrupted\n" for end in ends)
+
+
+DROPPED = """
+import sys
+import time
+from micah_plan.cli.interrupted import interrupt_again
+sys.unraisablehook = interrupt_again
+
+class Interrupted:
+    def __del__(self):
+        raise {error}
+
+Interrupted()
+try:
+    time.sleep(0.5)
+    print("nothing")
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+@pytest.mark.parametrize(("error", "printed"), [("KeyboardInterrupt", "interrupted"), ("ValueError", "nothing")])
+def test_an_interruption_that_python_drops_comes_again(error, printed) -> None:
+    end = subprocess.run(
+        [sys.executable, "-c", DROPPED.format(error=error)], capture_output=True, text=True, check=True
+    )
+    assert end.stdout == f"{printed}\n"
+    assert ("Traceback" in end.stderr) == (error == "ValueError")

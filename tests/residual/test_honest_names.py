@@ -103,7 +103,7 @@ def test_commands_away_from_an_end_that_do_nothing_are_told(door) -> None:
 
     for plant, is_noise in ((clinging, False), (plants.honest, True)):
         moved = plants.runs_of(plant, 12, 60, 2, noise=0.004, goals=(-0.1, 0.7))
-        (one,) = examined(door, plants.door_recording(moved)).left
+        (one,) = examined(door, plants.door_recording(moved)).innovation_tests
         assert one[1].is_noise is is_noise
 
 

@@ -15,9 +15,6 @@ from itertools import permutations
 from typing import Any
 
 import numpy as np
-from ompl import base as ob
-from ompl import geometric as og
-from ompl import util as ou
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -27,6 +24,9 @@ from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.planning.limits import Limits, holding_inputs, room_for_motion
 from micah_plan.planning.path_constraints import admitted
 from micah_plan.planning.search.leaves import Leaves
+from micah_plan.planning.search.ompl_library import base as ob
+from micah_plan.planning.search.ompl_library import geometric as og
+from micah_plan.planning.search.ompl_library import util as ou
 from micah_plan.planning.zero_time_transitions import ZeroTimeEdge
 from micah_plan.task.problem import Problem
 from micah_plan.task.settings import NEVER, Deadline
