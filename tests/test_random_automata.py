@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from reference_step import step
+from reference.hybrid_step import step
 from shell import exit_code
 
 from micah_plan.automaton.effects.add import with_effect

@@ -31,7 +31,13 @@ from micah_plan.residual.calibration import Calibration, FoundEffect, pose_sizes
 from micah_plan.residual.candidates import GATES, TermCandidate
 from micah_plan.residual.compared_runs import dated, sections
 from micah_plan.residual.coordinate_data import MOST_ROWS, CoordinateData, coordinate_data_of
-from micah_plan.residual.earlier_effects import estimated_effects, evidence_of, replaces, without_estimated
+from micah_plan.residual.earlier_effects import (
+    estimated_effects,
+    evidence_of,
+    replaces,
+    settles_a_tie,
+    without_estimated,
+)
 from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.faulty_runs import faulty_runs
 from micah_plan.residual.geometry import DirectFinding, systematic_transverse_error, transverse_rms
@@ -75,7 +81,8 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
 def _revised(kept: Calibration, progress: Progress | None) -> Calibration:
     """The calibration with other effects in place of those of an earlier one, if they are likelier together.
 
-    Fewer effects need not be likelier to be kept; as many must be ahead by as much as an effect more must be.
+    Fewer effects need not be likelier to be kept; as many must be ahead by as much as an effect more must be. Of two
+    that the earlier recording left tied, the one that is likelier now is.
     """
     automaton = kept.nominal
     earlier = estimated_effects(automaton)
@@ -84,10 +91,12 @@ def _revised(kept: Calibration, progress: Progress | None) -> Calibration:
     anew = _calibrated(without_estimated(automaton), kept.recording, progress)
     gain = evidence_of([one.final for one in anew.traces]) - evidence_of([one.final for one in kept.traces])
     is_simpler = len(anew.automaton.effects) < len(kept.automaton.effects)
-    if gain <= (-TIE if is_simpler else kept.least):
+    found = [effect.effect for effect in anew.effects if effect.is_added]
+    needed = -TIE if is_simpler else 0.0 if settles_a_tie(found, earlier) else kept.least
+    if gain <= needed:
         return kept
     names = ", ".join(f"{effect.name} of {effect.coordinate}" for effect in earlier)
-    if not replaces([effect.effect for effect in anew.effects if effect.is_added], earlier):
+    if not replaces(found, earlier):
         note = (
             f"this recording is likelier without {names}, which an earlier calibration added; calibrate the model "
             "without it on all recordings together"

@@ -56,6 +56,8 @@ _HEARD, _MOST_HEARD = 0.25, 20.0
 # Logs of the noise's parts over the largest, where readings, motion or what wanders have most of it; fits that try all.
 _SPLITS = ((-0.3, -2.5, -3.0, -2.5), (-2.0, -0.3, -2.0, -2.5), (-2.5, -2.5, -3.0, -0.3))
 RESTARTED, TO_THE_END = 5, 20
+# How often at most a fit goes on from where one parameter is elsewhere, and from how many such places.
+_PROBED, _BESIDE_KEPT = 5, 8
 # Logs by which the noise of a start may be less than that of the model that it begins with.
 _QUIETER = (0.0, 1.5, 3.0, 4.5)
 # Rows of a long recording that are searched; models that are then fitted to all, and in how many rounds.
@@ -336,9 +338,20 @@ class Contenders:
         return [best[k] for k in range(len(fits))]
 
     def polished(self, contender: Contender) -> Contender:
-        """The same model, fitted to the end, with tails as heavy as suits it."""
+        """The same model, fitted to the end, with tails as heavy as suits it.
+
+        Thresholds and delays make steps and kinks in the density that no slope tells of, and the noise covers what a
+        threshold that is a little off leaves. So the fit goes on from where one parameter is elsewhere, and from other
+        noise, until nothing is likelier.
+        """
         tried = [replace(contender.fit, freedom=freedom) for freedom in _FREEDOMS]
         best = min(self.screening.improved(tried, TO_THE_END), key=_tailed)
+        for _ in range(_PROBED):
+            beside = [*self.screening.beside(best, _BESIDE_KEPT), *(_noisy(best, split) for split in _SPLITS)]
+            further = min(self.screening.improved(beside, TO_THE_END), key=_tailed)
+            if _tailed(further) > _tailed(best) - NO_MENTION:
+                break
+            best = further
         if self.screening is not self.fitting:
             (best,) = self.fitting.improved([best], TO_THE_END)
         return self._contender(contender.parts, self.fitting.weighed([best])[0])

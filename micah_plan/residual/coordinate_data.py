@@ -54,6 +54,10 @@ _REPEATED, _OF_A_COUNT = 2.0, 0.5 / math.sqrt(12.0)
 _ALIKE = 0.95
 
 
+# Stds of a measurement within which a command is to mean the same, and steps in which it may be heard.
+_UNCLEAR, _HEARD_FOR = 2.0, 3
+
+
 @dataclass(frozen=True, eq=False)
 class CoordinateData:
     """One coordinate over S segments of up to T rows, short ones padded.
@@ -267,13 +271,11 @@ def _coordinate_data(
     measuring: tuple[int, int],
     kept: list[_Piece],
 ) -> CoordinateData:
-    link, i = measuring
-    total = sum(len(track.time) for track in tracks)
+    (link, i), total = measuring, sum(len(track.time) for track in tracks)
     shape = (len(kept), max(piece.end - piece.first for piece in kept))
     z, u, place, time, order = (np.zeros(shape) for _ in range(5))
-    noise = np.ones(shape)
+    noise, mode, counted = np.ones(shape), np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
     ends = np.zeros((2, *shape)) if automaton.n > 1 else None
-    mode, counted = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
     vectors = len(automaton.links) == 1 and all(track.action is not None for track in tracks)
     action = np.zeros((*shape, 3))
     moving, path = next(mode for mode in automaton.modes if mode.driven[i]), link_motions(automaton)[link]
@@ -297,6 +299,8 @@ def _coordinate_data(
             counted[s, 1:count] &= ~own.leaves_open(z[s, :count], u[s, :count])[:-1]
         if vectors and track.action is not None:
             action[s, : min(count, len(track.action) - first)] = track.action[first:end, link]
+            asked = in_base_frame(automaton, i, track.action[rows, link])
+            counted[s, :count] &= ~_is_unclear(path, z[s, :count], asked, rows_measured[piece.track].stds[rows, i])
     return CoordinateData(
         coordinate=automaton.coordinates[i].name,
         index=i,
@@ -327,6 +331,22 @@ def _relative(variance: Floats, counted: Booleans) -> Floats:
     mean = float(np.mean(variance[counted])) if counted.any() else 0.0
     relative = variance / mean if mean > 0 else np.ones_like(variance)
     return np.where(np.isfinite(variance), relative, UNSEEN)
+
+
+def _is_unclear(path: LinkMotion, z: Floats, action: Floats, std: Floats) -> Booleans:
+    """(T,) steps in which a command may be heard of which noise of that std (T,) decides what it means.
+
+    Where a slide becomes an arc the displacements of actions (up to T, 3) from configurations (T,) are m before it, and
+    rad behind it.
+    """
+    is_unclear = np.zeros(len(z), dtype=bool)
+    if len(path.joints) == 1:
+        return is_unclear
+    k, action = len(action), np.nan_to_num(action)
+    before, after = (path.commanded(z[:k] + side * std[:k], action) for side in (-_UNCLEAR, _UNCLEAR))
+    for row in np.flatnonzero(np.abs(after - before) > std[:k]):
+        is_unclear[row + 1 : row + 1 + _HEARD_FOR] = True
+    return is_unclear
 
 
 def _aimed(automaton: HybridAutomaton, i: int, path: LinkMotion, z: Floats, action: Floats) -> Floats:

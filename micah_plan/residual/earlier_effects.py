@@ -34,6 +34,15 @@ def replaces(found: Sequence[Effect], earlier: Sequence[Effect]) -> bool:
     return all(any(_may_be(new, old) for new in found) for old in earlier)
 
 
+def settles_a_tie(found: Sequence[Effect], earlier: Sequence[Effect]) -> bool:
+    """Whether an effect that an earlier recording left tied with another is that other one, and no longer tied."""
+    return any(
+        new.name in old.tied and old.name not in new.tied and new.coordinate == old.coordinate
+        for old in earlier
+        for new in found
+    )
+
+
 def _may_be(new: Effect, old: Effect) -> bool:
     same = {old.name, *old.tied} & {new.name, *new.tied}
     return bool(same) and new.coordinate == old.coordinate

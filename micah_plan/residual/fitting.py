@@ -37,6 +37,8 @@ _FAILED, _DONE = 0.02, 0.1
 _MOST_FAILURES = 2
 # Gains of later rounds together, over that of the last: steps of Fisher scoring get shorter.
 _FORESEEN = 5.0
+# Where a parameter is looked for beside where a climb ended, in shares of what is large for it.
+_ELSEWHERE = np.concatenate([side * 0.5 ** np.arange(1, 10) for side in (1.0, -1.0)])
 ENOUGH_INDEPENDENT = 5
 """Runs, or motions of the only run, from which on what rows show is evidence."""
 # Groups of runs, or of rows of few runs, that are held out.
@@ -206,6 +208,14 @@ class Fitting:
         """With their losses."""
         losses = self.losses(fits, [fit.vector[None] for fit in fits])
         return [replace(fit, loss=float(loss[0])) for fit, loss in zip(fits, losses, strict=True)]
+
+    def beside(self, fit: Fit, count: int) -> list[Fit]:
+        """The likeliest fits with one parameter of the model elsewhere, from near to far."""
+        k = fit.free.of_model
+        jumps = (_ELSEWHERE[:, None, None] * np.diag(fit.free.scale[:k])).reshape(-1, k)
+        vectors = fit.moved(jumps)
+        (losses,) = self.losses([fit], [vectors])
+        return [replace(fit, vector=vectors[i]) for i in np.argsort(losses, kind="stable")[:count]]
 
     def improved(
         self, fits: Sequence[Fit], rounds: int, *, is_noise_free: bool = True, within: float = np.inf

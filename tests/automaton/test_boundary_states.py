@@ -9,7 +9,7 @@ import pytest
 from automaton_examples import cabinet, detent, door, guard, plain, two_rails
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from reference_step import step
+from reference.hybrid_step import step
 
 from micah_plan.automaton.augmented import (
     boundaries_of_pins,

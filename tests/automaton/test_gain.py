@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from reference_step import step
+from reference.hybrid_step import step
 from scipy.spatial.transform import Rotation
 from uncertain_joints import LEVER, NAMES, POSE, known_to, swinging, unsure_door
 

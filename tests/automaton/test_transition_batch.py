@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from reference_step import step
+from reference.hybrid_step import step
 
 from micah_plan.automaton.augmented import threshold_stds, with_boundaries
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import reference_step
 from automaton_examples import cabinet, chain, detent, naive
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reference import hybrid_step
 
 from micah_plan.automaton.build import build_automaton
 from micah_plan.automaton.graph import KinematicEdge, KinematicGraph
@@ -186,7 +186,7 @@ def test_10_000_random_steps_are_those_of_the_reference() -> None:
             mode = automaton.modes[int(rng.integers(len(automaton.modes)))].name
             x, pushed = rng.choice(PLACES, automaton.n), rng.choice([0.0, 0.01], automaton.n)
             u = rng.choice([0.0, 0.5, -0.5, 1.0, -1.0], automaton.m)
-            ours, theirs = step(automaton, mode, x, u, pushed), reference_step.step(automaton, mode, x, u, pushed)
+            ours, theirs = step(automaton, mode, x, u, pushed), hybrid_step.step(automaton, mode, x, u, pushed)
             assert (ours.mode, ours.complete) == (theirs.mode, theirs.complete)
             assert [one.edge for one in ours.events] == [one.edge for one in theirs.events]
             assert ours.x == pytest.approx(theirs.x, abs=1e-9)

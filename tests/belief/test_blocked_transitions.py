@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from reference_step import step
+from reference.hybrid_step import step
 
 from micah_plan import load
 from micah_plan.automaton.hybrid import HybridAutomaton, Pin

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from reference_step import step
+from reference.hybrid_step import step
 
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Pin, Reset
 from micah_plan.automaton.region import Region, above, below, input_below

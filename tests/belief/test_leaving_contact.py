@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from reference_step import step
+from reference.hybrid_step import step
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.belief import filter as batch

@@ -90,7 +90,8 @@ def interrupted(words: str, prepared: Path, repository: Path, place: Path, after
     time.sleep(after)
     process.send_signal(number)
     _, errors = process.communicate(timeout=120)
-    assert "Traceback" not in errors, errors
+    # Until the package is loaded that handles it, Ctrl-C ends Python as it ends any script.
+    assert "Traceback" not in errors or "micah_plan/cli/" not in errors, errors
     # Before Python itself can be told, a signal ends it as the system has it. And what is interrupted within `exec` of
     # a string, as where a dataclass is made, ends by SIGINT (CPython's `unhandled_keyboard_interrupt`): 130 in a shell.
     assert process.returncode in (0, INTERRUPTED, -number, -signal.SIGINT), errors

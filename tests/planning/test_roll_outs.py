@@ -15,7 +15,7 @@ from planning_examples import (
     planar_problem,
     with_settings,
 )
-from reference_step import step
+from reference.hybrid_step import step
 
 from micah_plan.automaton.augmented import threshold_stds, with_boundaries
 from micah_plan.automaton.hybrid import HybridAutomaton, Light, Noise, Reset

@@ -176,7 +176,7 @@ def test_a_threshold_that_few_rows_reach_gets_no_wrong_name(door, runs, seed) ->
         assert found.verdict in ("explained", "partly")
         assert found.effects[0].effect.name in ("guard_shift", "limit")
     else:
-        assert found.verdict in ("none", "unexplained")
+        assert found.verdict in ("none", "partly", "unexplained")
         assert found.verdict == "unexplained" or found.automaton == door
 
 

@@ -55,8 +55,13 @@ def test_what_the_model_has_already_is_not_found_again(door, plant) -> None:
     once = calibrate(door, run_of(plant, 3))
     again = calibrate(once.automaton, run_of(plant, 4))
     assert once.effects
-    assert again.verdict == "none"
-    assert again.automaton == once.automaton
+    if again.verdict == "none":
+        assert again.automaton == once.automaton
+    else:  # the same, or what it was tied with, by numbers that the second recording tells better
+        names = {name for one in once.effects for name in (one.effect.name, *one.tied)}
+        assert {one.effect.name for one in again.effects} <= names
+        assert len(again.automaton.effects) == len(once.automaton.effects)
+        assert "was estimated anew" in again.notes[0]
     # And "before" is what the model that was given leaves, not what it left before it learned of the effect.
     assert again.before.one_step < 1.3 * once.after.one_step
 
@@ -93,10 +98,9 @@ def test_what_came_later_is_found_beside_it(door) -> None:
 
 
 @pytest.mark.evidence
-def test_a_correction_without_a_name_stays_without_one(door) -> None:
+def test_what_has_no_name_is_not_explained_by_a_second_recording(door) -> None:
     once = calibrate(door, run_of(plants.rippled, 3))
     assert once.verdict in ("partly", "unexplained")
     again = calibrate(once.automaton, run_of(plants.rippled, 4))
-    assert again.verdict == "unexplained"
-    assert again.effects == ()
-    assert any("without a name already" in note for note in again.notes)
+    assert again.verdict in ("partly", "unexplained")
+    assert any("residuals are not white" in note for note in again.notes)

@@ -34,7 +34,7 @@ def to_and_fro(plant, seed):
 
 
 def test_play_that_was_taken_for_a_delay_is_play_once_a_recording_shows_it(door, tmp_path) -> None:
-    once = calibrate(door, runs_one_way(plants.loose, 1))
+    once = calibrate(door, runs_one_way(plants.loose, 4))
     (found,) = once.effects
     assert {found.effect.name, *found.tied} == {"delay", "backlash"}
     dump_model(once.automaton, tmp_path / "once.yaml")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import planted_effects as plants
 import pytest
-from reference_step import step
+from reference.hybrid_step import step
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.build import build_automaton
