@@ -41,6 +41,10 @@ Robot = Annotated[
     typer.Option(metavar="NAME", help="Whose joints the file has: URDF, MJCF or a robot's name; poses are its tool's."),
 ]
 Tool = Annotated[str | None, typer.Option(metavar="FRAME", help="Of the robot, the frame that moves with the part.")]
+JointRanges = Annotated[
+    str | None,
+    typer.Option(metavar="FILE", help="Of a log in percent of the joints' ranges: LeRobot's calibration.json."),
+]
 Commands = Annotated[
     Literal["displacement", "position", "velocity"] | None,
     typer.Option(help="What actions mean: a displacement, the way to a commanded position, or a velocity [m/s]."),
@@ -65,6 +69,7 @@ class Said:
     frame: str | None = None
     robot: str | None = None
     tool: str | None = None
+    joint_ranges: str | None = None
     commands: Literal["displacement", "position", "velocity"] | None = None
     positions_only: bool = False
 
@@ -92,6 +97,7 @@ class Said:
             frame=self.frame,
             robot=self.robot,
             tool=self.tool,
+            joint_ranges=self.joint_ranges,
             commands=self.commands,
             positions_only=self.positions_only or None,
         )

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -36,6 +36,7 @@ from micah_plan.cli.conventions import (
     Columns,
     Commands,
     Frame,
+    JointRanges,
     Order,
     PartName,
     PositionsOnly,
@@ -76,6 +77,7 @@ def convert(
     frame: Frame = None,
     robot: Robot = None,
     tool: Tool = None,
+    joint_ranges: JointRanges = None,
     part: Annotated[str | None, typer.Option(help="Of a recording, the part to write; default: all.")] = None,
     run: Annotated[int | None, typer.Option(help="Of a recording, the run to write; default: all.")] = None,
     poses_only: Annotated[
@@ -103,6 +105,7 @@ def convert(
     from micah_plan.exchange.convert import targets
 
     check_outputs((source,), (Output("the target", target, targets(source)),))
+    said = Said(columns, units, rate, up, quaternion, name, topic, frame, robot, tool, joint_ranges, commands)
     kind, notes = converted(
         source,
         target,
@@ -111,9 +114,7 @@ def convert(
         poses_only=poses_only,
         density=density,
         packages=_packages(package or ()),
-        conventions=Said(
-            columns, units, rate, up, quaternion, name, topic, frame, robot, tool, commands, positions_only
-        ).conventions(),
+        conventions=replace(said, positions_only=positions_only).conventions(),
     )
     print_warnings(notes)
     summary = {"kind": kind, "notes": list(notes), "file": str(target), "bytes": target.stat().st_size}

@@ -28,6 +28,7 @@ from micah_plan.cli.conventions import (
     Columns,
     Commands,
     Frame,
+    JointRanges,
     Order,
     PartName,
     PositionsOnly,
@@ -71,6 +72,7 @@ def learn(
     frame: Frame = None,
     robot: Robot = None,
     tool: Tool = None,
+    joint_ranges: JointRanges = None,
     commands: Commands = None,
     positions_only: PositionsOnly = False,
     list_topics: Annotated[bool, typer.Option("--list-topics", help="Only say what a ROS log has.")] = False,
@@ -89,7 +91,9 @@ def learn(
         raise typer.Exit
     if output is None:
         raise InputError("missing option '-o' / '--output'", remedy="see micah-plan learn --help")
-    said = Said(columns, units, rate, up, quaternion, name, topic, frame, robot, tool, commands, positions_only)
+    said = Said(
+        columns, units, rate, up, quaternion, name, topic, frame, robot, tool, joint_ranges, commands, positions_only
+    )
     from micah_plan.api.learning import learn as learned
     from micah_plan.documents.model import model_text
     from micah_plan.documents.parts import load_parts

@@ -54,6 +54,11 @@ class ConventionsDocument(Document):
         None,
     )
     tool: str | None = doc("Frame of the robot that moves with the part.", None)
+    joint_ranges: str | None = doc(
+        "File of the calibrated ranges in percent of which the joints are logged, relative to this file: LeRobot's "
+        "calibration.json.",
+        None,
+    )
     frame: str | None = doc("Of a ROS log, in which the poses are wanted; default: that in which they are given.", None)
 
 
@@ -67,9 +72,12 @@ def load_conventions(path: str | Path) -> Conventions:
     meanings = validated(located, ConventionsDocument).meanings(located, {})
     with located_in(path):
         meant = Conventions(**meanings | {"topics": tuple(meanings["topics"])})
+    beside = Path(path).parent
+    if meant.joint_ranges is not None:
+        meant = replace(meant, joint_ranges=str(beside / meant.joint_ranges))
     if meant.robot is None or is_name(meant.robot):
         return meant
-    return replace(meant, robot=str(Path(path).parent / meant.robot))
+    return replace(meant, robot=str(beside / meant.robot))
 
 
 def conventions_beside(path: str | Path) -> Conventions | None:

@@ -37,11 +37,13 @@ def _loaded(path: str | Path, minimum_rows: int, meant: Conventions | None) -> R
     if meant is None or meant.robot is None or meant.tool is None:
         return read_recording(path, minimum_rows=minimum_rows, conventions=meant)
     from micah_plan.robot.joint_log import arm_of, tool_recording
+    from micah_plan.robot.joint_ranges import load_joint_ranges
 
     arm = arm_of(meant.robot, meant.tool)
+    ranges = {} if meant.joint_ranges is None else load_joint_ranges(meant.joint_ranges)
     columns, notes = read_columns(path, meant.topics)
     with located_in(path):
-        recording = tool_recording(columns, arm, meant)
+        recording = tool_recording(columns, arm, meant, ranges)
         return checked_recording(replace(recording, notes=(*notes, *recording.notes)), minimum_rows=minimum_rows)
 
 
@@ -49,6 +51,8 @@ def _of_points(path: str | Path, meant: Conventions) -> Recording:
     """Poses of the bodies that points are on; the command track says more of them."""
     tracks = load_points(path, unit=meant.length)
     with located_in(path):
-        meant.require_open(("columns", "topics", "frame", "robot", "tool"), "tracks of points have no such thing")
+        meant.require_open(
+            ("columns", "topics", "frame", "robot", "tool", "joint_ranges"), "tracks of points have no such thing"
+        )
         found = track_points(tracks, tracks.rate_or(meant.rate))
         return as_recorded(found.recording, replace(meant, length=None, rate=None, time=None))

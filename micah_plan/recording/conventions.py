@@ -63,6 +63,8 @@ class Conventions:
         robot: whose joints the file has, a URDF or MJCF file, or the name of an installed robot; the poses are then
             those of its tool in the frame of its base.
         tool: the frame of the robot that moves with the part.
+        joint_ranges: file of the calibrated ranges in percent of which the joints are logged: LeRobot's
+            ``calibration.json``.
         commands: what ``ax,ay,az`` are: a displacement, the way to a commanded position, or a velocity [m/s].
         positions_only: leave orientations out, as where a hand turns on what it holds.
     """
@@ -79,6 +81,7 @@ class Conventions:
     frame: str | None = None
     robot: str | None = None
     tool: str | None = None
+    joint_ranges: str | None = None
     commands: CommandKind | None = None
     positions_only: bool | None = None
 
@@ -104,6 +107,9 @@ class Conventions:
         if (self.robot is None) != (self.tool is None):
             problem = "a robot and its tool are given together"
             raise InputError(problem, remedy="e.g. --robot panda --tool panda_hand")
+        if self.joint_ranges is not None and (self.robot is None or self.angle is not None):
+            problem = "the ranges of joints are those of a robot, and joints in percent of them have no unit"
+            raise InputError(problem, remedy="give --robot and --tool, and no unit of angles")
         for group in (ROTATION_VECTOR, FIXED_ANGLES, TARGETS):
             if 0 < len(self.columns.keys() & set(group)) < len(group):
                 raise InputError(f"columns: expected all of {','.join(group)}", remedy="name the others as well")

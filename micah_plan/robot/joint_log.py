@@ -18,6 +18,7 @@ from micah_plan.recording.commands import with_commands
 from micah_plan.recording.conventions import ANGLES, LENGTHS, Conventions, source_of
 from micah_plan.recording.value import Recording
 from micah_plan.robot.arm import Arm
+from micah_plan.robot.joint_ranges import JointRange
 from micah_plan.robot.load_arm import describe_robot, load_arm
 from micah_plan.task.robot_description import is_name, named_robots
 
@@ -43,7 +44,9 @@ def arm_of(robot: str, tool: str) -> Arm:
     return load_arm(describe_robot(robots[robot], tool))
 
 
-def tool_recording(columns: Mapping[str, Any], arm: Arm, meant: Conventions) -> Recording:
+def tool_recording(
+    columns: Mapping[str, Any], arm: Arm, meant: Conventions, ranges: Mapping[str, JointRange] | None = None
+) -> Recording:
     """The rows of a log of joints, as the poses of the arm's tool in the frame of its base.
 
     Where the log has targets of all joints too, the action of a row is the way from the measured place of the tool to
@@ -55,16 +58,17 @@ def tool_recording(columns: Mapping[str, Any], arm: Arm, meant: Conventions) -> 
             with ``action.``.
         arm: whose joints these are.
         meant: names of columns, units of angles and of joints that slide, times, rate, and the name of the part.
+        ranges: by joint, in percent of which it is logged; None: joints are logged as angles and lengths.
 
     Raises:
         InputError: if a joint has no column, several, or values that it cannot have.
     """
-    q = _positions("joint", columns, arm, meant)
+    q = _positions("joint", columns, arm, meant, ranges or {})
     if q is None:
         raise InputError("no joint of the robot has a column", remedy=_named(arm, columns))
     poses = _poses(arm, q)
     table = dict(zip((*POSITION, *QUATERNION), poses.T, strict=True))
-    targets = _positions("target", columns, arm, meant)
+    targets = _positions("target", columns, arm, meant, ranges or {})
     uncommanded = 0
     if targets is not None:
         way = (_poses(arm, targets) - poses)[:, :3]
@@ -101,8 +105,12 @@ def _poses(arm: Arm, q: Floats) -> Floats:
     return found
 
 
-def _positions(kind: str, columns: Mapping[str, Any], arm: Arm, meant: Conventions) -> Floats | None:
+def _positions(
+    kind: str, columns: Mapping[str, Any], arm: Arm, meant: Conventions, ranges: Mapping[str, JointRange]
+) -> Floats | None:
     """(n, joints) positions or targets [rad or m], NaN where they are not known; None where no joint has any.
+
+    A joint whose column has a factor or an offset of its own is read by these, whatever its range is.
 
     Raises:
         InputError: if only some have, or a column has no numbers.
@@ -122,11 +130,25 @@ def _positions(kind: str, columns: Mapping[str, Any], arm: Arm, meant: Conventio
         values = columns[name]
         if isinstance(values, tuple) or not np.isfinite(values).any():
             raise InputError(f"expected numbers in the column {shown(name)}", remedy="name another column")
-        found[joint] = units[unit] * source.values(np.asarray(values, dtype=float))
+        numbers = source.values(np.asarray(values, dtype=float))
+        if ranges and source.is_plain:
+            found[joint] = _in_range(joint, unit, numbers, ranges)
+        else:
+            found[joint] = units[unit] * numbers
     missing = [joint for joint in arm.joints if joint not in found]
     if found and missing and kind == "joint":
         raise InputError(f"the joint {shown(missing[0])} has no column", remedy=_named(arm, columns))
     return None if missing else np.stack([found[joint] for joint in arm.joints], axis=1)
+
+
+def _in_range(joint: str, unit: str, percent: Floats, ranges: Mapping[str, JointRange]) -> Floats:
+    """Angles [rad] of a joint that is logged in percent of its range."""
+    if joint not in ranges:
+        raise InputError(f"the joint {shown(joint)} has no range in the calibration", remedy=choices(joint, ranges))
+    if unit != "rad":
+        problem = f"the joint {shown(joint)} slides, and a range of counts is one of turns"
+        raise InputError(problem, remedy=f'give its metres per percent: --columns "joint {joint}=0.001*NAME"')
+    return ranges[joint].angles(percent)
 
 
 def _column(kind: str, joint: str, columns: Mapping[str, Any]) -> str | None:
@@ -170,8 +192,7 @@ def _beyond_limits(arm: Arm, q: Floats) -> Sequence[str]:
         units = "; are these degrees? then say so: --units deg"
         if largest <= _NORMALISED:
             units += (
-                "; or LeRobot's -100 to 100 of the calibrated range? then give each its factor, half of "
-                f'(range_max - range_min) 2 pi / 4096 / 100 of calibration.json: --columns "joint {arm.joints[0]}='
-                'FACTOR*NAME"'
+                "; or LeRobot's -100 to 100 of the calibrated range? then give the arm's file of them: "
+                "--joint-ranges calibration.json"
             )
     return (f"{count(len(wrong), 'joint')} of the robot, first {shown(wrong[0])}, go beyond their limits{units}",)

@@ -17,6 +17,7 @@ from micah_plan import InputError, Recording, learn, load
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.read import read_columns
 from micah_plan.robot.joint_log import arm_of, tool_recording
+from micah_plan.robot.joint_ranges import JointRange
 
 ARM = Path(__file__).resolve().parents[2] / "models" / "robots" / "arm7.urdf"
 ROBOT = {"robot": str(ARM), "tool": "tool"}
@@ -282,3 +283,92 @@ def test_robots_that_there_are_not() -> None:
         arm_of("pandda", "panda_hand")
     with pytest.raises(InputError, match="tool"):
         arm_of(str(ARM), "no_such_frame")
+
+
+# -- joints in percent of their calibrated ranges
+
+LOW, HIGH = 700, 3300
+
+
+def ranges(arm: Any, **changed: Any) -> dict[str, Any]:
+    """As LeRobot writes them: the second motor is mounted the other way round."""
+    found = {
+        joint: {"id": i + 1, "drive_mode": int(i == 1), "homing_offset": -40, "range_min": LOW, "range_max": HIGH}
+        for i, joint in enumerate(arm.joints)
+    }
+    return found | changed
+
+
+def percent(arm: Any, prefix: str = "observation.state.") -> dict[str, Any]:
+    per_radian = 200.0 * 4096 / (2 * np.pi * (HIGH - LOW))
+    q, targets = opened()
+    signs = np.where(np.arange(7) == 1, -1.0, 1.0)
+    found = {f"{prefix}{joint}.pos": per_radian * signs[i] * q[:, i] for i, joint in enumerate(arm.joints)}
+    return found | {f"action.{joint}.pos": per_radian * signs[i] * targets[:, i] for i, joint in enumerate(arm.joints)}
+
+
+def calibrated(folder: Path, found: Any) -> dict[str, Any]:
+    file = folder / "calibration.json"
+    file.write_text(found if isinstance(found, str) else json.dumps(found))
+    return ROBOT | {"joint_ranges": str(file)}
+
+
+def test_percent_of_calibrated_ranges_are_angles(arm, tmp_path) -> None:
+    log = csv(tmp_path / "log.csv", percent(arm))
+    loaded = load(log, rate=50.0, **calibrated(tmp_path, ranges(arm)))
+    is_the_door(loaded, arm)
+    q, targets = opened()
+    assert_allclose(loaded.position, arm.poses(q).translation, atol=1e-9)
+    way = arm.poses(targets).translation - arm.poses(q).translation
+    assert_allclose(loaded.action[:-1], way[:-1], atol=1e-9)
+    assert not [note for note in loaded.notes if "limits" in note]
+
+
+def test_the_file_beside_a_log_names_the_ranges_relative_to_itself(arm, tmp_path) -> None:
+    calibrated(tmp_path, ranges(arm))
+    log = csv(tmp_path / "log.csv", percent(arm))
+    (tmp_path / "log.conventions.yaml").write_text(
+        f"format: micah-plan/conventions/1\nrate: 50\nrobot: {ARM}\ntool: tool\njoint_ranges: calibration.json\n"
+    )
+    is_the_door(load(log), arm)
+
+
+def test_a_formula_of_a_joint_goes_before_its_range(arm, tmp_path) -> None:
+    table = percent(arm)
+    name, others = f"observation.state.{arm.joints[0]}.pos", {f"action.{joint}.pos" for joint in arm.joints}
+    table = {key: values for key, values in table.items() if key not in others}
+    table[name] = 2.0 * opened()[0][:, 0] + 0.5
+    columns = {f"joint {arm.joints[0]}": f"0.5*({name}-0.5)"}
+    loaded = load(csv(tmp_path / "log.csv", table), rate=50.0, columns=columns, **calibrated(tmp_path, ranges(arm)))
+    is_the_door(loaded, arm)
+
+
+def test_a_gripper_is_logged_from_its_end() -> None:
+    angles = JointRange(1000, 2024, is_one_sided=True).angles(np.array([0.0, 50.0, 100.0]))
+    assert_allclose(angles, [0.0, np.pi / 4, np.pi / 2])
+    turned = JointRange(1000, 2024, is_one_sided=True, is_reversed=True).angles(np.array([0.0, 100.0]))
+    assert_allclose(turned, [np.pi / 2, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        ("[1, 2", "expected JSON"),
+        ([], "expected the ranges of motors by their names"),
+        ({"arm": 3}, "key 'arm.range_min'"),
+        ({"a1": {"range_min": 5, "range_max": 5}}, "expected a range_max above range_min 5, found 5"),
+        ({"a1": {"range_min": 1.5, "range_max": 5}}, "expected a whole number, found '1.5'"),
+        ({"a1": {"range_min": 0, "range_max": 4095}}, "has no range in the calibration"),
+    ],
+)
+def test_what_is_no_calibration_is_refused(arm, tmp_path, found, expected) -> None:
+    with pytest.raises(InputError, match=expected):
+        load(csv(tmp_path / "log.csv", percent(arm)), rate=50.0, **calibrated(tmp_path, found))
+
+
+def test_degrees_are_no_percent(arm, tmp_path) -> None:
+    log = csv(tmp_path / "log.csv", table(arm, factor=180.0 / np.pi * 2.0))
+    with pytest.raises(InputError, match="if these are degrees, give --units deg in place of --joint-ranges"):
+        load(log, rate=50.0, **calibrated(tmp_path, ranges(arm)))
+    with pytest.raises(InputError, match="no unit of angles"):
+        load(log, rate=50.0, angle="deg", **calibrated(tmp_path, ranges(arm)))
