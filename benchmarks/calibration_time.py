@@ -4,7 +4,7 @@
 
 A door with runs of a hand that goes to and fro: as modelled, with a gain, with play, and with a ripple that no effect
 has. Seconds are CPU of `calibrate` in a process that has calibrated before: what Numba compiles or loads at first is
-the row above the table.
+the row above the table. The last rows are `predict` of the door with a gain: the errors, and whether they are noise.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import revolute
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.judgement import judge
+from micah_plan.residual.prediction import predict_recording
 
 Floats = NDArray[np.float64]
 Plant = Callable[[float, float, float], tuple[float, float]]
@@ -97,13 +99,27 @@ def main() -> None:
     for name, plant in PLANTS.items():
         cells = []
         for rows in given.rows:
-            runs = 12 if rows < 10_000 else 40
-            log = recording(plant, runs, rows // runs, given.seed)
+            log = recording(plant, _runs(rows), rows // _runs(rows), given.seed)
             begin = process_time()
             found = calibrate(model(), log)
             names = ", ".join(one.effect.name for one in found.effects) or "nothing"
             cells.append(f"{process_time() - begin:.1f} s ({found.verdict}: {names})")
         print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
+    errors, verdicts = [], []
+    for rows in given.rows:
+        log = recording(PLANTS["a gain"], _runs(rows), rows // _runs(rows), given.seed)
+        begin = process_time()
+        predicted = predict_recording(model(), log)
+        errors.append(f"{process_time() - begin:.2f} s")
+        begin = process_time()
+        is_noise = judge(model(), log, predicted).is_noise
+        verdicts.append(f"{process_time() - begin:.2f} s (noise: {is_noise})")
+    for name, cells in (("predict: errors", errors), ("predict: its verdict", verdicts)):
+        print(f"| {name} | " + " | ".join(cells) + " |")
+
+
+def _runs(rows: int) -> int:
+    return 12 if rows < 10_000 else 40
 
 
 if __name__ == "__main__":
