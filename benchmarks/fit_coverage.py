@@ -133,7 +133,7 @@ def trial(case: Case, seed: int) -> tuple[FittedJoint, float]:
     begin = process_time()
     # The parameters of a kind are asked for, not which kind it is.
     settings = LearnSettings(kinds=(case.kind,))
-    fitted = fit_joint(guess, position, quaternion, time, np.ones(case.rows), rng, settings)
+    fitted = fit_joint(guess, position, quaternion, time, np.ones(case.rows), settings)
     return fitted, process_time() - begin
 
 

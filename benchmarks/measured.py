@@ -50,7 +50,7 @@ def model_of(name: str, recording: Recording) -> HybridAutomaton:
     middle = place[0] + np.cross((0.0, 0.0, 1.0), along)
     guess = prismatic(along, place[0]) if name in SLIDES else revolute((0.0, 0.0, 1.0), middle, place[0])
     time, settings = np.arange(count, dtype=float), LearnSettings(draws=200)
-    fitted = fit_joint(guess, place, None, time, np.ones(count), np.random.default_rng(0), settings)
+    fitted = fit_joint(guess, place, None, time, np.ones(count), settings)
     c = inverse(fitted.joint, place)
     wide = MARGIN * float(np.ptp(c))
     low, high = float(c.min()) - wide, float(c.max()) + wide

@@ -83,14 +83,8 @@ def _believed(original: Any) -> Any:
     return lambda joint, stds, rows, used, _trusting: original(joint, stds, rows, used, True)
 
 
-def _undrawn(original: Any) -> Any:
-    return lambda guess, rows, used, rng, _draws: original(guess, rows, used, rng, 0)
-
-
 MECHANISMS: Mapping[str, Mechanism] = {
-    "random starts of the last fit": Mechanism(final_fit, "_best_start", _undrawn),
     "outliers of the last fit": Mechanism(final_fit, "_believed", _believed),
-    "strays": Mechanism(final_fit, "_strays", _returns(False)),
     "hinge or screw by all poses": Mechanism(final_fit, "_hinge_or_screw", _returns(None)),
     "the fast wander": Mechanism(noise_fit, "_FAST_SHARES", lambda _: np.array([0.0])),
     "correlated channels": Mechanism(noise_fit, "correlated", _independent),

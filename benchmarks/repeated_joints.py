@@ -89,7 +89,7 @@ def fitted(guess: Joint, recording: Recording, rows: np.ndarray) -> Joint | None
         return None
     quaternion = None if recording.quaternion is None else recording.quaternion[rows]
     position, time = recording.position[rows], recording.time[rows]
-    joint = fit_joint(guess, position, quaternion, time, np.ones(len(rows)), np.random.default_rng(0)).joint
+    joint = fit_joint(guess, position, quaternion, time, np.ones(len(rows))).joint
     return joint if joint.covariance is not None else None
 
 

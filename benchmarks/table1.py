@@ -1,6 +1,6 @@
-"""The paper's Table I in simulation, the paper's numbers beside ours, and the measured demonstrations over many seeds.
+"""The paper's Table I in simulation, the paper's numbers beside ours, and the measured demonstrations.
 
-    python -m benchmarks table1 [--demonstrations 20] [--seeds 20] [--verbose] [--json FILE]
+    python -m benchmarks table1 [--demonstrations 20] [--simulated-only] [--verbose] [--json FILE]
                                 [--object microwave] [--handling "no actions"] [--method act-champ] [--epsilon 0.05]
 
 Six cases: a microwave and a drawer; with grasp, with periods of no actions, and without grasp. Every demonstration is
@@ -12,7 +12,7 @@ and, under structure, in how many demonstrations the data tell which rests are n
 in the others a method can be right by convention only.
 
 Measured demonstrations are read from ../shared/data/demonstrations (or $MICAH_DATA/demonstrations) where present;
-`--seeds 0` leaves them out.
+`--simulated-only` leaves them out.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def run_case(
         best = limits(truth, epsilon, np.random.default_rng(seed))
         for method in methods:
             begin = time.process_time()
-            graph = learn_graph(truth.recording, method=method, seed=seed)
+            graph = learn_graph(truth.recording, method=method)
             seconds = time.process_time() - begin
             trial = Trial(seed, score(graph.edges[0], truth, epsilon), best, seconds)
             trials[method].append(trial)
@@ -157,21 +157,19 @@ def joint_in_words(segment: Segment) -> str:
     return text if joint.kind == "prismatic" else f"{text} radius {radius(joint):.3f} m"
 
 
-def print_measured(files: list[Path], seeds: int) -> None:
+def print_measured(files: list[Path]) -> None:
     """A row per measured demonstration and method."""
-    print(f"{'file':<28}{'method':<11}{'kinds (how often)':<44}{'changepoints':<16}first seed")
+    print(f"{'file':<28}{'method':<11}{'kinds':<44}{'changepoints':<16}joints")
     for path in files:
         recording = read_recording(path)
         for method in METHODS:
             if method == "act-champ" and not recording.has_actions:
                 continue
-            results = [learn_graph(recording, method=method, seed=seed).edges[0].segments for seed in range(seeds)]
-            kinds = Counter(" > ".join(s.joint.kind for s in segments) for segments in results)
-            rows = Counter(str([s.start for s in segments[1:]]) for segments in results)
-            found = ", ".join(f"{name} ({count}/{seeds})" for name, count in kinds.most_common())
-            where = ", ".join(row for row, _ in rows.most_common(2))
-            joints = "; ".join(map(joint_in_words, results[0]))
-            print(f"{path.stem:<28}{method:<11}{found:<44}{where:<16}{joints}", flush=True)
+            segments = learn_graph(recording, method=method).edges[0].segments
+            kinds = " > ".join(segment.joint.kind for segment in segments)
+            rows = str([segment.start for segment in segments[1:]])
+            joints = "; ".join(map(joint_in_words, segments))
+            print(f"{path.stem:<28}{method:<11}{kinds:<44}{rows:<16}{joints}", flush=True)
 
 
 def main() -> None:
@@ -180,7 +178,7 @@ def main() -> None:
     parser.add_argument("--object", choices=OBJECTS, action="append", help="only this one")
     parser.add_argument("--handling", choices=HANDLINGS, action="append", help="only this one")
     parser.add_argument("--method", choices=METHODS, action="append", help="only this one")
-    parser.add_argument("--seeds", type=int, default=20, help="per measured demonstration; 0: leave them out")
+    parser.add_argument("--simulated-only", action="store_true", help="leave the measured demonstrations out")
     parser.add_argument("--epsilon", type=float, default=EPSILON, help="largest error of what is correct [rad and m]")
     add_json(parser)
     parser.add_argument("--verbose", action="store_true", help="a line per trial")
@@ -197,10 +195,10 @@ def main() -> None:
             cases += found
     save_json([asdict(case) for case in cases], options.json)
     files = sorted((DATA / "demonstrations").glob("*.csv"))
-    if options.seeds > 0 and files:
-        print(f"\nmeasured demonstrations, {options.seeds} seeds")
-        print_measured(files, options.seeds)
-    elif options.seeds > 0:
+    if files and not options.simulated_only:
+        print("\nmeasured demonstrations")
+        print_measured(files)
+    elif not options.simulated_only:
         print(f"\nmeasured demonstrations are not at {DATA}; set MICAH_DATA to where they are")
 
 

@@ -1,6 +1,7 @@
 """Pictures of the docs that show commands and pages, made anew: `python docs/make_pictures.py [site]`.
 
-With the folder of the built docs (`mkdocs build --site-dir site`) their start page is pictured too. Needs Chromium.
+With the folder of the built docs (`mkdocs build --site-dir site`) their start page is pictured too. Needs Chromium, and
+the extra `browser` for the moving one.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ COMMANDS = (
     "learn examples/demonstrations/microwave.csv -o {out}/microwave.yaml --figure {images}/microwave_segments.png",
     "solve problems/microwave_close.yaml -o {out}/microwave_close.json --html {out}/microwave_close.html",
     "solve problems/stapler_on_books.yaml -o {out}/stapler_on_books.json --html {out}/stapler_on_books.html",
+    "show {out}/stapler_on_books.json --video {images}/stapler_on_books.webp --size 560x350 --fps 6 --speed 1.2",
     "learn examples/demonstrations/drawer.csv --parts models/parts/drawer.yaml -o {out}/drawer.yaml",
     "solve problems/drawer_open.yaml --model {out}/drawer.yaml -o {out}/plan.json",
     "execute {out}/plan.json --plant examples/worn_drawer.py:WornDrawer --trials 8 -o {out}/runs.csv",

@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import generate_reference
+import make_gallery
 import pytest
 import write_outputs
 from extras import requires
@@ -291,3 +292,11 @@ def test_the_page_on_learning_names_every_setting() -> None:
     assert {name for row in rows for name in re.findall(r"`(\w+)`", row)} == {
         item.name for item in fields(LearnSettings)
     }
+
+
+def test_the_gallery_has_every_problem_with_its_picture_and_task(repository: Path) -> None:
+    page = (repository / "docs" / "gallery.md").read_text(encoding="utf-8")
+    pictures = {path.stem for path in (repository / "docs" / "images" / "gallery").iterdir()}
+    assert pictures == set(make_gallery.names())
+    for name in make_gallery.names():
+        assert f"images/gallery/{name}.webp)\n\n{make_gallery.task(name)}\n" in page

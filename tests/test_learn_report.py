@@ -277,9 +277,9 @@ def test_a_narrow_terminal_loses_no_number() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        (["draws"], "--set: expected NAME=VALUE, each once, found 'draws'"),
-        (["draws=3", "draws=4"], "--set: expected NAME=VALUE, each once, found 'draws=4'"),
-        (["draws=2.5"], "--set: expected a whole number for draws, found '2.5'"),
+        (["resolution"], "--set: expected NAME=VALUE, each once, found 'resolution'"),
+        (["resolution=3", "resolution=4"], "--set: expected NAME=VALUE, each once, found 'resolution=4'"),
+        (["resolution=2.5"], "--set: expected a whole number for resolution, found '2.5'"),
         (["rest=none"], "--set: expected a number for rest, found 'none'"),
         (["paths=perhaps"], "--set: expected true or false for paths, found 'perhaps'"),
         (["drawz=3"], "learn: unknown setting 'drawz'"),
@@ -294,7 +294,14 @@ def test_settings_that_are_none(settings: list[str], message: str) -> None:
 
 
 def test_settings_of_learning_by_name() -> None:
-    given = ["kinds=rigid, screw", "paths=False", "draws=7", "rest=0.1", "likelihood_power=none", "mean_length=2e0"]
-    expected = LearnSettings(kinds=("rigid", "screw"), paths=False, draws=7, rest=0.1, mean_length=2.0)
+    given = [
+        "kinds=rigid, screw",
+        "paths=False",
+        "resolution=7",
+        "rest=0.1",
+        "likelihood_power=none",
+        "mean_length=2e0",
+    ]
+    expected = LearnSettings(kinds=("rigid", "screw"), paths=False, resolution=7, rest=0.1, mean_length=2.0)
     assert report._settings(given) == expected
     assert report._settings([]) == LearnSettings()

@@ -55,7 +55,7 @@ class LearningResult(Result):
         reason: why there is no automaton and what to do; empty if there is one.
         warnings: what looks like a mistake in the recording (units, order of columns), or too little, one line each.
         base: what poses are relative to: the part that was taken for the base, else "base".
-        seed: of everything random.
+        seed: what was given; learning draws nothing.
     """
 
     recording: Recording
@@ -145,7 +145,7 @@ def learn(
     Args:
         recording: a path, a recording, or executed runs, of at least `learning.settings.FEWEST_ROWS` rows per run.
         method: ``"act-champ"`` uses the actions, ``"champ"`` the poses alone.
-        seed: of MLESAC and of the resampling; the same seed gives the same result.
+        seed: noted in the result, as of every command; learning draws nothing, so the same rows give the same model.
         parts: shapes and handles of the parts, for drawing and physics: a path or values.
         settings: None: the defaults, which are meant for every recording.
         base: a tracked part on which the object stands, as a door on a cart that is pushed: the model is in its frame,
@@ -188,7 +188,7 @@ def _learned(
     begin = time.perf_counter()
     if base is not None:
         recording = relative_to(recording, base)
-    graph = learn_graph(recording, method=method, settings=settings, seed=seed, progress=progress)
+    graph = learn_graph(recording, method=method, settings=settings, progress=progress)
     provenance = {"recording": recording.digest(), "method": method, "seed": str(seed), "micah_plan": __version__}
     if base is not None:
         provenance["frame"] = f"part {base}"

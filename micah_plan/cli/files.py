@@ -48,6 +48,7 @@ from micah_plan.cli.conventions import (
     Units,
     Up,
 )
+from micah_plan.cli.user_code import Code, load_code
 from micah_plan.errors import InputError, shown
 from micah_plan.files import PLAN, Output, check_outputs
 from micah_plan.quantities import count, duration
@@ -243,11 +244,13 @@ _LONGEST_LINE = 200
 
 def check(
     files: Annotated[list[Path], typer.Argument(help="Models, parts, problems, sweeps, plans and recordings.")],
+    code: Code = None,
     as_json: JsonFlag = False,
 ) -> None:
     """List what is wrong with files, one line per fault, without solving; exit code 2 if one cannot be used."""
     from micah_plan.checking import check_file
 
+    load_code(code)
     with progress_bar(as_json) as progress:
         checks = []
         for i, file in enumerate(files):

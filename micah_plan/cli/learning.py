@@ -40,6 +40,7 @@ from micah_plan.cli.conventions import (
     Units,
     Up,
 )
+from micah_plan.cli.user_code import Code, load_code
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import FIGURE, MODEL, PAGE, Output, check_outputs
 from micah_plan.task.plants import DEFAULT_PLANT
@@ -82,7 +83,7 @@ def learn(
     ] = None,
     figure: Annotated[Path | None, typer.Option(help="Write the segmented track as PNG.")] = None,
     html: Annotated[Path | None, typer.Option(help="Write the segmented track as a page.")] = None,
-    seed: Seed = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Accepted as by other commands: learning draws nothing.")] = 0,
     as_json: JsonFlag = False,
 ) -> None:
     """Learn a hybrid automaton from a recording and save it as YAML; exit code 1 if no single joint fits some rows."""
@@ -217,6 +218,7 @@ def predict(
     ] = False,
     commands: Commands = None,
     html: Annotated[Path | None, typer.Option(help="Write measured against predicted motion as a page.")] = None,
+    code: Code = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Compare measured motion with one-step and roll-out predictions, and their errors with the noise in the data.
@@ -225,6 +227,7 @@ def predict(
     """
     from micah_plan.api.calibration import predict as predicted
 
+    load_code(code)
     check_outputs((model, recording), (Output("--html", html, PAGE),))
     with progress_bar(as_json) as progress:
         result = predicted(model, recording, actions_as_learned=as_learned, commands=commands, progress=progress)
@@ -246,6 +249,7 @@ def calibrate(
         Path | None, typer.Option(help="Write the experiment that tells apart what stays open, if motion can.")
     ] = None,
     commands: Commands = None,
+    code: Code = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Find what a model lacks and write the improved model; exit code 1 if a deviation has no name."""
@@ -256,6 +260,7 @@ def calibrate(
     from micah_plan.residual.next_experiment import next_experiment
 
     outputs = Output("-o", output, MODEL), Output("--html", html, PAGE), Output("--experiment", experiment, MODEL)
+    load_code(code)
     check_outputs((*files_named_by(model), *recordings), outputs)
     automaton = load_model(model)
     with progress_bar(as_json) as progress:

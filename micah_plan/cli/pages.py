@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 import typer
 
 from micah_plan.cli.console import JsonFlag, print_files, print_lines, print_summary, progress_bar, title_of
+from micah_plan.cli.user_code import Code, load_code
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import PAGE, Output, check_outputs, replace_files
 from micah_plan.view.video import PICTURE, VIDEO, Filming
@@ -38,6 +39,7 @@ def show(
         bool, typer.Option("--live", help="Serve the page to this machine's browsers until Ctrl-C.")
     ] = False,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of --live; 0: any free one.")] = 0,
+    code: Code = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Write a page, a picture or a video of a recording, a model, a problem, a plan (with its runs), or serve the page.
@@ -53,6 +55,7 @@ def show(
         "--picture": (picture, PICTURE),
         "--scene": (scene, PAGE),
     }
+    load_code(code)
     files = {option: path for option, (path, _) in wanted.items() if path is not None}
     if not files and not live:
         raise InputError("no output is named", remedy="name a file with -o, or serve the page with --live")

@@ -10,13 +10,11 @@ problem, sweep or plan can have code loaded.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -36,6 +34,7 @@ from micah_plan.cli.console import (
     title_of,
     write_and_print,
 )
+from micah_plan.cli.user_code import Code, load_code, module_in
 from micah_plan.errors import InputError, MicahError, shown
 from micah_plan.files import FIGURE, PAGE, PLAN, RUNS, Output, check_outputs
 from micah_plan.quantities import LARGEST
@@ -55,6 +54,7 @@ def solve(
     ] = None,
     html: Annotated[Path | None, typer.Option(help="Write the plan as a page.")] = None,
     figure: Annotated[Path | None, typer.Option(help="Write the belief trajectory as PNG.")] = None,
+    code: Code = None,
     seed: Seed = 0,
     as_json: JsonFlag = False,
 ) -> None:
@@ -64,6 +64,7 @@ def solve(
 
     outputs = [Output("-o", output, PLAN), Output("--html", html, PAGE), Output("--figure", figure, FIGURE)]
     outputs += [Output("the times of -o", timings_path(output), PLAN)] if output.suffix else []
+    load_code(code)
     check_outputs((problem, model), outputs)  # which end otherwise than what a problem names
     check_timings(output)
     with progress_bar(as_json) as progress:
@@ -78,12 +79,14 @@ def solve(
 
 def explain(
     plan: Annotated[Path, typer.Argument(help="Plan (JSON) that `solve` wrote, with any outcome.")],
+    code: Code = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Explain a plan: level, mode sequence, knot, constraint, amount, remedy; exit code 1 if it failed."""
     from micah_plan.documents.plan import load_plan
     from micah_plan.planning.findings import explain as explanation_of
 
+    load_code(code)
     stored = load_plan(plan)
     explanation = explanation_of(stored.problem, stored.plan)
     print_summary(as_json, asdict(explanation), lambda: print_lines(explanation.lines))
@@ -111,6 +114,7 @@ def execute(
         bool,
         typer.Option("--anyway", help="Also a plan that is not verified, in simulation, to see how it fails."),
     ] = False,
+    code: Code = None,
     seed: Seed = 0,
     as_json: JsonFlag = False,
 ) -> None:
@@ -127,6 +131,7 @@ def execute(
     from micah_plan.recording.read import recording_bytes
 
     outputs = Output("-o", output, RUNS), Output("--figure", figure, FIGURE), Output("--html", html, PAGE)
+    load_code(code)
     check_outputs((plan,), outputs)
     if kind_of(plan) == "experiment":
         others = {"--replan-every": replan_every, "--figure": figure, "--html": html, "--start": start}
@@ -235,25 +240,8 @@ def named_plant(text: str) -> str | PlantMaker:
 
 
 def _in_file(file: Path, name: str) -> PlantMaker:
-    from micah_plan.execution.checked_plant import error_in_user_code
-
-    source = str(file)
-    if not file.is_file():
-        raise InputError("the file does not exist", source=file, remedy="give --plant as FILE.py:CLASS")
-    path = str(file.resolve())
-    spec = spec_from_file_location(f"_plant_{file.stem}", path)
-    if spec is None or spec.loader is None:
-        raise InputError("expected a Python file", source=file, remedy="give --plant as FILE.py:CLASS")
-    module = module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look there
-    sys.path.append(str(Path(path).parent))  # what lies beside the file can be imported, and hides nothing
-    try:
-        spec.loader.exec_module(module)
-    except MicahError:
-        raise
-    except (Exception, SystemExit) as error:
-        raise error_in_user_code(error, path, "loading it") from error
-    return _maker(getattr(module, name, None), name, source)
+    module = module_in(file, "give --plant as FILE.py:CLASS")
+    return _maker(getattr(module, name, None), name, str(file))
 
 
 def _registered(point: EntryPoint) -> PlantMaker:

@@ -51,7 +51,6 @@ def learn_graph(
     recording: Recording,
     method: Method = "act-champ",
     settings: LearnSettings | None = None,
-    seed: int = 0,
     progress: Progress | None = None,
 ) -> KinematicGraph:
     """Segment a recording and fit the joints of its segments.
@@ -65,7 +64,6 @@ def learn_graph(
         recording: at least `settings.FEWEST_ROWS` rows per part and run, positions or full poses.
         method: Act-CHAMP predicts motion from the actions; CHAMP is the same without their columns.
         settings: None: the defaults, which are meant for every recording.
-        seed: of MLESAC and of the resampling; the same seed gives the same result.
         progress: called with a message and the fraction done.
 
     Raises:
@@ -81,7 +79,7 @@ def learn_graph(
         chosen, counted = _in_common(recording, chosen)
     if method == "champ":
         recording = replace(recording, action=None)
-    graph = learn_tree(recording, lambda pair: learn_edge(pair, chosen, seed, counted), progress)
+    graph = learn_tree(recording, lambda pair: learn_edge(pair, chosen, counted), progress)
     return _widened(graph, recording)
 
 
@@ -125,9 +123,7 @@ def _in_common(recording: Recording, settings: LearnSettings) -> tuple[LearnSett
     return replace(settings, likelihood_power=float(np.mean(trusts))), counted
 
 
-def learn_edge(
-    recording: Recording, settings: LearnSettings, seed: int, counted: Counted | None = None
-) -> KinematicEdge:
+def learn_edge(recording: Recording, settings: LearnSettings, counted: Counted | None = None) -> KinematicEdge:
     """How the only part of a recording moves in the frame that its poses are given in, all runs on one coordinate.
 
     Args:
@@ -137,23 +133,22 @@ def learn_edge(
     tracks = [part_track(recording, run, part) for run in recording.runs]
     lengths = [len(track) for track in tracks]
     if len(tracks) > 1 and max(lengths) < settings.resolution / 2 and sum(lengths) <= settings.resolution * MOST_SWEEPS:
-        return _edge_of_short_runs(recording, tracks, settings, seed)
+        return _edge_of_short_runs(recording, tracks, settings)
     segments: list[Segment] = []
     reference: Joint | None = None
     edges: list[EdgeCertainty | None] = []
-    for i, (run, track) in enumerate(zip(recording.runs, tracks, strict=True)):
-        rng = np.random.default_rng([seed, i])
+    for run, track in zip(recording.runs, tracks, strict=True):
         inlier = find_inliers(track)
         # A tree compares the evidence of pairs: it is that of all rows at once then.
         if settings.sweeps is None and is_long(track, inlier):
-            learner = OnlineLearner(settings, seed=seed, part=part, run=run)
+            learner = OnlineLearner(settings, part=part, run=run)
             learner.take(track)
             of_run, sure_of_edge, noise = list(learner.segments()), learner.edge().certainty, learner.noise
         else:
             times = (counted or {}).get((part, run))
             is_counted = inlier if times is None else inlier & np.isin(track.time, times)
             enough = is_counted.sum() >= FEWEST_ROWS  # of a pair that is seldom seen together
-            learned, sure_of_edge = _learned(track, settings, rng, inlier, is_counted if enough else inlier)
+            learned, sure_of_edge = _learned(track, settings, inlier, is_counted if enough else inlier)
             of_run, noise = _segments(learned, run), learned.noise
         mover = max((segment for segment in of_run if segment.joint.moves), key=_rows, default=None)
         if reference is not None:
@@ -168,19 +163,16 @@ def learn_edge(
 def _learned(
     track: PartTrack,
     settings: LearnSettings,
-    rng: np.random.Generator,
     inlier: Booleans | None = None,
     counted: Booleans | None = None,
 ) -> tuple[LearnedRun, EdgeCertainty]:
     """What one track tells, and how sure that is of all of its segments."""
-    learned, channel = learn_acted_run(track, settings, rng, inlier, counted)
+    learned, channel = learn_acted_run(track, settings, inlier, counted)
     counts = tuple(float(p) for p in learned.posterior.counts)
     return learned, EdgeCertainty(learned.posterior.log_evidence, (counts,), channel, learned.trace)
 
 
-def _edge_of_short_runs(
-    recording: Recording, tracks: list[PartTrack], settings: LearnSettings, seed: int
-) -> KinematicEdge:
+def _edge_of_short_runs(recording: Recording, tracks: list[PartTrack], settings: LearnSettings) -> KinematicEdge:
     """The edge of runs that show little one by one; their numbers of changepoints are not told apart."""
     together = one_after_another(tracks)
     # Every row is a step, and segments are as long as those of one run.
@@ -189,7 +181,7 @@ def _edge_of_short_runs(
         run_settings = replace(run_settings, mean_length=0.5 * together.duration / len(tracks))
     # Where a run of few rows begins, a motion cannot be told from an outlier.
     every = np.ones(len(together), dtype=bool)
-    learned, sure_of_edge = _learned(together, run_settings, np.random.default_rng([seed, 0]), every)
+    learned, sure_of_edge = _learned(together, run_settings, every)
     lengths = [len(track) for track in tracks]
     cut = cut_into_runs(learned.pieces, learned.certainties, lengths)
 

@@ -47,7 +47,6 @@ class OnlineLearner:
     Args:
         settings: None: the defaults.
         method: Act-CHAMP predicts motion from the actions, CHAMP does not look at them.
-        seed: the same seed and rows give the same segments, however the rows are pushed.
         part, run: names of what is learned.
     """
 
@@ -55,14 +54,13 @@ class OnlineLearner:
         self,
         settings: LearnSettings | None = None,
         method: Method = "act-champ",
-        seed: int = 0,
         *,
         part: str = DEFAULT_PART,
         run: int = 0,
     ) -> None:
         if method not in METHODS:
             raise InputError(f"method must be among {METHODS}. Got {shown(method)}")
-        self.settings, self.method, self.seed = settings or LearnSettings(), method, seed
+        self.settings, self.method = settings or LearnSettings(), method
         self.part, self.run = part, run
         self._window = RowWindow()
         self._rows, self._next_look, self._windows = 0, _FIRST_LOOK, 0
@@ -204,8 +202,7 @@ class OnlineLearner:
         if not self._acts or self.method == "champ":
             rows = WindowRows(replace(rows.track, action=None), rows.last)
         if self._entry is None:
-            rng = np.random.default_rng([self.seed, self.run])
-            run, self._channel = learn_acted_run(rows.track, self.settings, rng)
+            run, self._channel = learn_acted_run(rows.track, self.settings)
             self._delay = 0.0 if run.track is rows.track or self._channel is None else self._channel.delay
             window = LearnedWindow(run, run.pieces, (), rows.last)
         else:
@@ -213,7 +210,7 @@ class OnlineLearner:
             # No joint that is known becomes a curve.
             curved = self.settings.paths and any(joint.kind == "path" for joint in self._entry.known)
             settings = replace(self.settings, paths=curved)
-            run = learn_run(track, settings, np.random.default_rng([self.seed, self.run, self._windows]))
+            run = learn_run(track, settings)
             window = self._entry.continued_by(run, rows.last, self.settings)
         self._latest = self._rows, window
         return window

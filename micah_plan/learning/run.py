@@ -89,7 +89,6 @@ class SegmentedRun:
 def learn_run(
     track: PartTrack,
     settings: LearnSettings,
-    rng: np.random.Generator,
     inlier: Booleans | None = None,
 ) -> LearnedRun:
     """Segment a track and fit the joints of its segments to all of their rows.
@@ -97,7 +96,7 @@ def learn_run(
     Args:
         inlier: (n,) rows that are no outliers; None: to be found.
     """
-    return with_joints(segment_run(track, settings, inlier), settings, rng)
+    return with_joints(segment_run(track, settings, inlier), settings)
 
 
 def segment_run(
@@ -123,7 +122,7 @@ def segment_run(
     return SegmentedRun(track, inlier, steps, segmented, posterior)
 
 
-def with_joints(segmented_run: SegmentedRun, settings: LearnSettings, rng: np.random.Generator) -> LearnedRun:
+def with_joints(segmented_run: SegmentedRun, settings: LearnSettings) -> LearnedRun:
     """The run with joints fitted to all rows of its segments, and how sure they are."""
     track, inlier, posterior = segmented_run.track, segmented_run.inlier, segmented_run.posterior
     noise = segmented_run.segmented.noise.of_rows(segmented_run.steps.size)
@@ -131,7 +130,7 @@ def with_joints(segmented_run: SegmentedRun, settings: LearnSettings, rng: np.ra
 
     def fitted_to(answer: Segmented) -> tuple[list[FittedPiece], list[RowPosterior | None]]:
         pieces = answer.segmentation.pieces
-        return fitted_pieces(pieces, answer, segmented_run.steps, track, inlier, settings, rng)
+        return fitted_pieces(pieces, answer, segmented_run.steps, track, inlier, settings)
 
     fitted, places = fitted_to(segmented)
     fit = assess_joints(segmented, fitted, track, inlier, noise, settings)
@@ -177,7 +176,6 @@ def fitted_pieces(
     track: PartTrack,
     inlier: Booleans,
     settings: LearnSettings,
-    rng: np.random.Generator,
 ) -> tuple[list[FittedPiece], list[RowPosterior | None]]:
     """Pieces of steps as pieces of rows, with joints fitted to them, and where each may start."""
     refined: list[RefinedChangepoint] = []
@@ -187,7 +185,7 @@ def fitted_pieces(
     starts = [0, *(refined.row for refined in refined)]
     ends = [*(start - 1 for start in starts[1:]), len(track) - 1]
     spans = list(zip(starts, ends, strict=True))
-    joints = _joints(pieces, spans, segmented, track, inlier, settings, rng)
+    joints = _joints(pieces, spans, segmented, track, inlier, settings)
     gain = segmented.table.motion.gain
     fitted = [
         FittedPiece(
@@ -234,9 +232,8 @@ def _joints(
     track: PartTrack,
     inlier: Booleans,
     settings: LearnSettings,
-    rng: np.random.Generator,
 ) -> dict[int, tuple[Joint, LackOfFit]]:
-    """Joints by hypothesis, each fitted to all rows of all pieces that share it: MLESAC from the one that won.
+    """Joints by hypothesis, each fitted to all rows of all pieces that share it, from the one that won.
 
     Beside them what the rows say against them.
     """
@@ -251,7 +248,6 @@ def _joints(
             None if track.quaternion is None else track.quaternion[rows],
             track.time[rows],
             inlier[rows].astype(float),
-            rng,
             settings,
         )
         fits[hypothesis] = fitted.joint, fitted.lack_of_fit
@@ -307,7 +303,6 @@ _STEP_SHARE = 0.5  # of a step of the segmentation; a shorter delay changes noth
 def learn_acted_run(
     track: PartTrack,
     settings: LearnSettings,
-    rng: np.random.Generator,
     inlier: Booleans | None = None,
     counted: Booleans | None = None,
 ) -> tuple[LearnedRun, ActionChannel | None]:
@@ -315,7 +310,6 @@ def learn_acted_run(
 
     Args:
         track: with or without actions.
-        rng: for MLESAC.
         inlier: (n,) rows that are no outliers; None: to be found.
         counted: (n,) rows that steps may be means of; None: those that are no outliers.
 
@@ -324,7 +318,7 @@ def learn_acted_run(
         actions or they say nothing.
     """
     segmented_run = segment_run(track, settings, inlier, counted=counted)
-    learned = with_joints(segmented_run, settings, rng)
+    learned = with_joints(segmented_run, settings)
     channel = _channel(learned, track)
     if channel is None:
         return learned, None
@@ -335,7 +329,7 @@ def learn_acted_run(
         start = replace(segmented_run, segmented=learned.segmented)
         again = segment_run(delayed, settings, learned.inlier, start)
         if again.posterior.log_evidence > learned.posterior.log_evidence + _DECISIVE:
-            moved = with_joints(again, settings, rng)
+            moved = with_joints(again, settings)
             return moved, _channel(moved, track) or channel
     return learned, channel
 

@@ -31,7 +31,6 @@ class LearnSettings:
             rarer.
         rest: prior probability that a part on a moving joint rests in a step, where actions do not tell.
         outlier_weight: w of the outlier prior p(γ) ∝ exp(-w γ).
-        draws: minimal sets that MLESAC tries per fit.
         window: most rows of a window, where a long run or rows that still come in are learned.
         resolution: steps to which rows are averaged while the part moves once through its range; changepoints are
             then found again to the row, and joints are fitted to all rows.
@@ -53,7 +52,6 @@ class LearnSettings:
     length_shape: float = 2.0
     rest: float = 0.2
     outlier_weight: float = 10.0
-    draws: int = 24
     window: int = 4096
     resolution: int = 64
     sweeps: float | None = None

@@ -172,7 +172,7 @@ def path_terms(
 
 def _function(name: str) -> PathFunction:
     if name not in _FUNCTIONS:
-        remedy = f"register it with micah_plan.task.path.path_function, or choose one of {', '.join(_FUNCTIONS)}"
+        remedy = f"give the file that registers it, --code FILE.py, or choose one of {', '.join(_FUNCTIONS)}"
         raise InputError(f"unknown path constraint {shown(name)}", remedy=remedy)
     return _FUNCTIONS[name]
 

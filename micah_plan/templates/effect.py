@@ -1,7 +1,8 @@
 """An effect of your own: a bearing that drags the more, the faster the part is moved.
 
 Run it as it is: `python effect.py` checks the form, and shows a drawer with and without it. To have it in
-calibration, predictions and plans, import this file before you call any of `micah_plan`: `register` does the rest.
+calibration, predictions and plans, give commands this file (`micah-plan calibrate ... --code effect.py`), or import it
+before you call any of `micah_plan`: `register` does the rest.
 """
 
 from __future__ import annotations
@@ -35,13 +36,15 @@ class SpeedDrag(EffectForm):
         return v / (1.0 + p[0] * ops.abs(v))
 
 
+FORM = register(SpeedDrag())
+
+
 def main() -> None:
     """Check the form and show what it does to the drawer in model.yaml."""
-    form = register(SpeedDrag())
-    check_form(form)
-    print(f"{form.name} conforms")
+    check_form(FORM)
+    print(f"{FORM.name} conforms")
     plain = load_model("model.yaml")
-    dragged = with_effect(plain, Effect(form.name, "drawer", (("drag", 10.0),)))
+    dragged = with_effect(plain, Effect(FORM.name, "drawer", (("drag", 10.0),)))
     commands = np.full((5, 1), 0.04)
     for name, automaton in (("without", plain), ("with", dragged)):
         path = simulate(automaton, "slides", np.array([0.05]), commands)

@@ -269,7 +269,7 @@ def test_the_package_has_functions_whatever_was_imported_before() -> None:
     code = (
         "import micah_plan.learning.settings, micah_plan.api.planning; from micah_plan import learn; "
         "import micah_plan; assert callable(learn) and micah_plan.learn is learn; "
-        "from micah_plan.learning.settings import LearnSettings; print(LearnSettings().draws, *dir(micah_plan))"
+        "from micah_plan.learning.settings import LearnSettings; print(LearnSettings().resolution, *dir(micah_plan))"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert sorted(said[1:]) == sorted(micah_plan.__all__)

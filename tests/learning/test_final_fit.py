@@ -54,7 +54,7 @@ def fitted(
 ) -> FittedJoint:
     n = len(position)
     given = np.ones(n) if weight is None else weight
-    return fit_joint(guess, position, quaternion, np.arange(n) / RATE, given, np.random.default_rng(3))
+    return fit_joint(guess, position, quaternion, np.arange(n) / RATE, given)
 
 
 def stds_of(joint: Joint) -> np.ndarray:
@@ -204,8 +204,8 @@ def test_units_of_time_and_signs_of_quaternions_do_not_matter(kind: str) -> None
     position, quaternion = rows_of(kind, 60, seed=6)
     weight, time = np.ones(60), np.cumsum(np.random.default_rng(1).uniform(0.5, 1.5, 60))
     signs = np.random.default_rng(2).choice([-1.0, 1.0], (60, 1))
-    one = fit_joint(guessed(kind), position, quaternion, time, weight, np.random.default_rng(0))
-    two = fit_joint(guessed(kind), position, signs * quaternion, 1e3 * time, weight, np.random.default_rng(0))
+    one = fit_joint(guessed(kind), position, quaternion, time, weight)
+    two = fit_joint(guessed(kind), position, signs * quaternion, 1e3 * time, weight)
     np.testing.assert_allclose(two.joint.position, one.joint.position, atol=1e-8)
     np.testing.assert_allclose(two.joint.axis, one.joint.axis, atol=1e-8)
     np.testing.assert_allclose(stds_of(two.joint), stds_of(one.joint), rtol=1e-5)
@@ -215,11 +215,11 @@ def test_the_same_seed_gives_the_same_joint_and_the_order_of_rows_none_other() -
     position, quaternion = rows_of("revolute", 60, outliers=0.1)
     time = np.arange(60) / RATE
     guess = guessed("revolute")
-    one = fit_joint(guess, position, quaternion, time, np.ones(60), np.random.default_rng(0))
-    two = fit_joint(guess, position, quaternion, time, np.ones(60), np.random.default_rng(0))
+    one = fit_joint(guess, position, quaternion, time, np.ones(60))
+    two = fit_joint(guess, position, quaternion, time, np.ones(60))
     assert one.joint == two.joint
     order = np.roll(np.arange(60), 25)
-    three = fit_joint(guess, position[order], quaternion[order], time[order], np.ones(60), np.random.default_rng(0))
+    three = fit_joint(guess, position[order], quaternion[order], time[order], np.ones(60))
     np.testing.assert_allclose(three.joint.center, one.joint.center, atol=1e-6)
     np.testing.assert_allclose(three.inlier, one.inlier[order], atol=1e-3)
 
@@ -293,7 +293,7 @@ def test_pauses_between_segments_forget_the_wander() -> None:
         wander[:, i] = kept * wander[:, i - 1] + np.sqrt(1 - kept**2) * wander[:, i]
     position = np.array(truth.position) + wander.reshape(180, 3) + 0.0005 * rng.standard_normal((180, 3))
     time = np.arange(180) / RATE + 100.0 * np.repeat(np.arange(12), 15)
-    fit = fit_joint(rigid(truth.position), position, None, time, np.ones(180), rng)
+    fit = fit_joint(rigid(truth.position), position, None, time, np.ones(180))
     # The mean of 12 visits, each of 4 mm with the correlation of its rows: 0.98 mm; white noise would say 0.3 mm.
     row = np.arange(15)
     expected = 0.004 * np.sqrt(np.exp(-np.abs(row[:, None] - row) / 15).mean() / 12)

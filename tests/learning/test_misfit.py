@@ -43,7 +43,7 @@ def tilts_and_radii(misfit: float, noise: float, settings: LearnSettings, trials
     for trial in range(trials):
         rng = np.random.default_rng([5, trial])
         position, quaternion = seen(joint, misfit, noise, rng)
-        fit = fit_joint(joint, position, quaternion, np.arange(ROWS) / 18, np.ones(ROWS), rng, settings).joint
+        fit = fit_joint(joint, position, quaternion, np.arange(ROWS) / 18, np.ones(ROWS), settings).joint
         assert fit.covariance is not None
         tilt = np.cross(fit.axis, joint.axis)
         std = np.sqrt(np.diag(fit.covariance.matrix))
@@ -117,7 +117,7 @@ def test_the_origin_tells_the_same_radius_wherever_it_is_counted_from() -> None:
     """The covariance of a shifted joint's radius is that of the joint: a circle has one radius."""
     joint, rng = JOINTS["revolute"], np.random.default_rng(2)
     position, quaternion = seen(joint, 0.0, 0.001, rng)
-    fit = fit_joint(joint, position, quaternion, np.arange(ROWS) / 18, np.ones(ROWS), rng).joint
+    fit = fit_joint(joint, position, quaternion, np.arange(ROWS) / 18, np.ones(ROWS)).joint
     for c in (-0.7, 0.5, 1.4):
         assert radius_std(shifted(fit, c)) == pytest.approx(radius_std(fit), rel=1e-6)
     assert radius_std(shifted(shifted(fit, 0.8), -0.8)) == pytest.approx(radius_std(fit), rel=1e-6)

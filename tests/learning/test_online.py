@@ -50,7 +50,7 @@ def opened_and_held(cycles: int, moving: int, held: int) -> Recording:
 
 
 def learned(recording: Recording, chunk: int, method: str = "champ", settings: LearnSettings = SMALL) -> OnlineLearner:
-    learner = OnlineLearner(settings, method, seed=3)  # type: ignore[arg-type]
+    learner = OnlineLearner(settings, method)  # type: ignore[arg-type]
     for start in range(0, len(recording), chunk):
         rows = slice(start, start + chunk)
         quaternion = None if recording.quaternion is None else recording.quaternion[rows]

@@ -24,7 +24,10 @@ def form(name: str) -> EffectForm:
         InputError: if there is none; the message lists the names.
     """
     if name not in _FORMS:
-        raise InputError(f"unknown effect {shown(name)}", remedy=f"choose one of {', '.join(_FORMS)}")
+        raise InputError(
+            f"unknown effect {shown(name)}",
+            remedy=f"choose one of {', '.join(_FORMS)}; of your own, give --code FILE.py",
+        )
     return _FORMS[name]
 
 

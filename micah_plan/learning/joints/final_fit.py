@@ -1,13 +1,8 @@
 """The last fit of a joint, to all rows of its segments: robust, of maximum likelihood, with an honest covariance.
 
-MLESAC finds the rows to believe (random minimal sets, the closed form and the guess compete under a mixture with
-outliers); generalized least squares on SE(3) under the noise that they leave finds the joint. Whether a hinge
-advances as it turns is told here, by all rows: a wander of the tracker that is assumed hides a thread of a millimetre.
-
-**Minimal samples.** Joints through the fewest rows that fix one, many at once: the random starts of a robust fit
-(MLESAC).
-
-Two poses fix any of the motions, for their relative displacement is one screw (Chasles); three positions fix a circle.
+A mixture with outliers finds the rows to believe, beginning with the likelier of the guess and the closed form;
+generalized least squares on SE(3) under the noise that they leave finds the joint. Whether a hinge advances as it turns
+is told here, by all rows: a wander of the tracker that is assumed hides a thread of a millimetre.
 
 **The mixture.** The mixture of MLESAC over many hypotheses at once: inliers of a spread to be found, and uniform
 outliers.
@@ -22,26 +17,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.arrays import EQUAL, ROUND_OFF, TINY, Floats
+from micah_plan.arrays import Floats
 from micah_plan.automaton.graph import Deviation
-from micah_plan.automaton.joint import IDENTITY, KINDS, Joint, JointKind, twisting
+from micah_plan.automaton.joint import KINDS, Joint, JointKind, twisting
 from micah_plan.automaton.kinematics import ROTATION_LENGTH, reversed_direction, shifted
 from micah_plan.learning.joints.helix_fit import fit_helix
 from micah_plan.learning.joints.joint_arrays import (
-    JointArrays,
     arrays_of,
     compare_arrays,
     concatenated_joints,
-    conjugate,
-    rotation_vector,
-    times,
 )
 from micah_plan.learning.joints.likelihood import (
     JointFit,
     fit_likelihood,
     parameter_covariance,
     pitch_log_odds,
-    seen_with,
 )
 from micah_plan.learning.joints.linear_fits import linear_fits
 from micah_plan.learning.joints.parametrization import seen_by
@@ -60,7 +50,6 @@ _TELLING_ROWS = 256  # of a hinge that may be a screw
 _VOTES = 3  # times the fewest rows of a joint; with fewer rows none is doubted
 _ROUNDS = 2  # of noise and joint in turn
 _ROUGH = 0.05  # nats
-_FAR = 4.0  # stds that better weights may move an axis by
 
 
 @dataclass(frozen=True)
@@ -108,7 +97,6 @@ def fit_joint(
     quaternion: Floats | None,
     time: Floats,
     weight: Floats,
-    rng: np.random.Generator,
     settings: LearnSettings | None = None,
 ) -> FittedJoint:
     """The joint of the guess's kind that makes the rows most likely, or the screw that a hinge turns out to be.
@@ -120,8 +108,7 @@ def fit_joint(
         position, quaternion: (n, 3) [m] and (n, 4) scalar last, of any sign; quaternion None if not measured.
         time: (n,) [s] of the rows, in any order; pauses between segments are welcome.
         weight: (n,) probability that a row can be trusted at all; rows of 0.5 or less are not looked at.
-        rng: draws the minimal sets; the same seed gives the same joint.
-        settings: number of minimal sets, prior of outliers, size of a joint's misfit; None: the defaults.
+        settings: prior of outliers, size of a joint's misfit; None: the defaults.
     """
     settings = settings or LearnSettings()
     rows = _Rows(position, _units(quaternion), weight, settings.outlier_weight)
@@ -132,7 +119,7 @@ def fit_joint(
     used = used[np.argsort(time[used], kind="stable")]
     # So few rows cannot outvote one another: any that a joint is drawn through would be its only inliers.
     trusting = len(used) < _VOTES * need
-    start, stds = _best_start(guess, rows, used, rng, 0 if trusting else settings.draws)
+    start, stds = _best_start(guess, rows, used)
     believed = _believed(start, stds, rows, used, trusting)
     if believed is None:
         return rows.judged(start)
@@ -201,27 +188,9 @@ def _refined(
     noise: NoiseVariances,
     posterior: ErrorPosterior,
 ) -> Joint:
-    """The likeliest joint, with its covariance; or the one before, if the likelihood leads astray."""
+    """The likeliest joint under the noise that was found, with its covariance."""
     fit = fit_likelihood(before, position, quaternion, noise)
-    joint = replace(fit.joint, covariance=parameter_covariance(fit, noise, posterior))
-    if _strays(joint, before):
-        fit = seen_with(before, position, quaternion, noise)
-        joint = replace(before, covariance=parameter_covariance(fit, noise, posterior))
-    return joint
-
-
-def _strays(joint: Joint, before: Joint) -> bool:
-    """Whether an axis is further from where equal weights put it than its covariance lets it be.
-
-    Where one direction is much noisier than the others, a free configuration along it explains that noise, and the
-    motion passes for wander: a likelihood that knows one noise for all directions then has another, false optimum.
-    """
-    if not joint.moves or joint.covariance is None:
-        return False
-    if not joint.turns:
-        return True  # weights change little there, and only positions tell the axis
-    turned = float(np.arccos(min(1.0, abs(float(np.dot(joint.axis, before.axis))))))
-    return turned > _FAR * float(np.sqrt(joint.covariance.matrix[0][0] + joint.covariance.matrix[1][1]))
+    return replace(fit.joint, covariance=parameter_covariance(fit, noise, posterior))
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,15 +230,12 @@ class _Rows:
         return _fitted(bare, self.mixture(joint, (1.0, ROTATION_LENGTH)), self.quaternion is not None)
 
 
-def _best_start(
-    guess: Joint, rows: _Rows, used: NDArray[np.int64], rng: np.random.Generator, draws: int
-) -> tuple[Joint, tuple[float, float]]:
-    """The likeliest of the guess, the closed form and the joints through minimal sets, on some of the rows."""
+def _best_start(guess: Joint, rows: _Rows, used: NDArray[np.int64]) -> tuple[Joint, tuple[float, float]]:
+    """The likeliest of the guess and the closed form, on some of the rows."""
     sample = used[np.linspace(0, len(used) - 1, min(len(used), _STARTING_ROWS)).round().astype(int)]
     p, q = rows.of(sample)
     linear, fixed = linear_fits([guess.kind], np.ones((1, len(sample)), dtype=bool), p, q)
-    drawn = joints_through(guess.kind, p, q, rng, draws)
-    starts = concatenated_joints([arrays_of([guess, _carried(guess, p, q)]), drawn, linear.take(np.flatnonzero(fixed))])
+    starts = concatenated_joints([arrays_of([guess, _carried(guess, p, q)]), linear.take(np.flatnonzero(fixed))])
     error = compare_arrays(starts, p, q, ROTATION_LENGTH).error
     squares = [(error[:, -3:] ** 2).sum(axis=1)]
     if q is not None:
@@ -343,67 +309,10 @@ def _units(quaternion: Floats | None) -> Floats | None:
     return np.asarray(quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True))
 
 
-def joints_through(
-    kind: JointKind, position: Floats, quaternion: Floats | None, rng: np.random.Generator, draws: int
-) -> JointArrays:
-    """Joints through `draws` random minimal sets of rows (n, 3), (n, 4); fewer where sets fix none."""
-    need = minimal_rows(kind, quaternion is not None)
-    if draws <= 0 or len(position) < need:
-        return arrays_of([])
-    chosen = np.sort(np.argsort(rng.random((draws, len(position))), axis=1)[:, :need], axis=1)
-    p = position[chosen]
-    first = np.broadcast_to(np.array(IDENTITY), (draws, 4)) if quaternion is None else quaternion[chosen[:, 0]]
-    axis, center, pitch = np.zeros((draws, 3)), np.zeros((draws, 3)), np.zeros(draws)
-    fixed = np.ones(draws, dtype=bool)
-    if KINDS[kind].moves and not KINDS[kind].turns:
-        axis, fixed = _lines(p)
-    elif KINDS[kind].turns and quaternion is None:
-        axis, center, fixed = _circles(p)
-    elif KINDS[kind].turns and quaternion is not None:
-        axis, point, climbed, fixed = _screws(p, quaternion[chosen])
-        center = point + np.sum((p[:, 0] - point) * axis, axis=1, keepdims=True) * axis
-        pitch = climbed if KINDS[kind].climbs else pitch
-    candidates = JointArrays((kind,) * draws, axis, center, p[:, 0], first, pitch)
-    return candidates.take(np.flatnonzero(fixed & np.isfinite(center).all(axis=1)))
-
-
 def minimal_rows(kind: JointKind, has_orientation: bool) -> int:
     """How many rows fix a joint: 1 pose for rigid, 2 poses else; 3 positions for a circle."""
     freedom = KINDS[kind]
     return 3 if freedom.turns and not has_orientation else 2 if freedom.moves else 1
-
-
-def _lines(p: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Directions from one position to another (m, 2, 3)."""
-    step = p[:, 1] - p[:, 0]
-    length = np.linalg.norm(step, axis=1)
-    fixed = length > ROUND_OFF
-    return step / np.where(fixed, length, 1.0)[:, None], fixed
-
-
-def _screws(p: Floats, q: Floats) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
-    """Axes, points on them and pitches of the displacements between two poses (m, 2, 3), (m, 2, 4)."""
-    turn = rotation_vector(times(q[:, 1], conjugate(q[:, 0])))
-    angle = np.linalg.norm(turn, axis=1)
-    fixed = angle > EQUAL
-    angle = np.where(fixed, angle, 1.0)
-    axis = turn / angle[:, None]
-    step = p[:, 1] - p[:, 0]
-    slide = np.sum(step * axis, axis=1)
-    across = step - slide[:, None] * axis
-    point = p[:, 0] + 0.5 * (across + np.cross(axis, across) / np.tan(angle / 2)[:, None])
-    return axis, point, slide / angle, fixed
-
-
-def _circles(p: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Normals and centres of the circles through three positions (m, 3, 3)."""
-    u, v = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
-    normal = np.cross(u, v)
-    uu, vv, area = np.sum(u * u, axis=1), np.sum(v * v, axis=1), np.sum(normal * normal, axis=1)
-    fixed = area > TINY * np.maximum(uu * vv, 1e-300)
-    area = np.where(fixed, area, 1.0)
-    to_center = np.cross(uu[:, None] * v - vv[:, None] * u, normal) / (2 * area)[:, None]
-    return normal / np.sqrt(area)[:, None], p[:, 0] + to_center, fixed
 
 
 _STEPS = 6  # of expectation maximisation

@@ -263,8 +263,9 @@ def _searched(able: Mapping[str, tuple[str, ...]], pairs: _Pairs) -> tuple[dict[
     while parents not in visited and len(visited) < _MOST_ROUNDS:
         visited.append(parents)
         weights = _weights(able, parents, pairs)
-        # The tree that the poses were found along, valued with these poses.
-        weight = sum(weights[parent, child][0] for child, parent in parents.items() if (parent, child) in weights)
+        # The tree that the poses were found along, valued with these poses; with them an edge of it may be none.
+        arcs = [(parent, child) for child, parent in parents.items()]
+        weight = sum(weights[arc][0] for arc in arcs) if weights.keys() >= set(arcs) else -np.inf
         if weight > best_weight:
             best, best_weight = parents, weight
             probability = _share({arc: pair[0] for arc, pair in weights.items()}, parents)
