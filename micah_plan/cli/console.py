@@ -54,13 +54,19 @@ class Interrupted(MicahError):  # noqa: N818 - it is no mistake
 
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
-    """Progress of long work: called with a message and the fraction done; shown on a terminal unless quiet."""
+    """Progress of long work: called with a message and the fraction done; shown on a terminal unless quiet.
+
+    With the time that has passed and, once it can be told, about how much is left.
+    """
     if quiet or not err.is_terminal:
         yield lambda *_: None
         return
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
+    from micah_plan.cli.time_left import TimeLeft
+
+    described = TextColumn("{task.description}", markup=False)
+    columns = (SpinnerColumn(), described, BarColumn(), TimeElapsedColumn(), TimeLeft())
     with Progress(*columns, console=err, transient=True) as bars:
         task = bars.add_task("starting", total=1.0)
         yield lambda message, fraction: bars.update(task, description=printable(message), completed=fraction)
