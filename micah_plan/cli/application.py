@@ -15,7 +15,7 @@ import typer
 from micah_plan import __version__
 from micah_plan.cli.console import BAD_INPUT, NO_RESULT, OUR_BUG, Interrupted, err, out
 from micah_plan.cli.files import check, convert, demo, diff, doctor, error_keys, new, schema
-from micah_plan.cli.interrupted import INTERRUPTED, SENTENCE, is_of_an_interruption
+from micah_plan.cli.interrupted import INTERRUPTED, SENTENCE, asks_for_json, is_of_an_interruption
 from micah_plan.cli.learning import calibrate, explore, learn, predict
 from micah_plan.cli.pages import show
 from micah_plan.cli.planning import execute, explain, solve
@@ -130,7 +130,7 @@ def _fail(error: MicahError | str, code: int) -> NoReturn:
 
 def _say(error: MicahError | str) -> None:
     text = " ".join(str(error).split())
-    if "--json" in sys.argv:
+    if asks_for_json():
         faults = (
             [error_keys(problem) for problem in error.each()] if isinstance(error, InputError) else [{"message": text}]
         )

@@ -14,9 +14,14 @@ SENTENCE = "interrupted; no file was left half-written"
 _AGAIN_AFTER = 0.01
 
 
+def asks_for_json() -> bool:
+    """Whether the command line has `--json`: known before it is parsed, and where it cannot be."""
+    return "--json" in sys.argv
+
+
 def end_interrupted() -> NoReturn:
     """End this process as every interrupted command ends: with one line and the exit code."""
-    if "--json" in sys.argv:
+    if asks_for_json():
         print(json.dumps({"error": SENTENCE}))
     print(f"error: {SENTENCE}", file=sys.stderr)
     sys.exit(INTERRUPTED)

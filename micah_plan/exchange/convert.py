@@ -46,6 +46,7 @@ TARGETS = {
 }
 """What a file may be converted to, by its ending."""
 _MODELS = (".yaml", ".yml")
+_USD = (".usd", ".usda", ".usdc", ".usdz")
 _GOAL = """\
 Goal of a control_msgs/action/FollowJointTrajectory; CONTROLLER is such as /joint_trajectory_controller:
   ros2 action send_goal CONTROLLER/follow_joint_trajectory control_msgs/action/FollowJointTrajectory "$(cat FILE)"
@@ -65,6 +66,9 @@ def targets(path: str | Path) -> tuple[str, ...]:
         InputError: if there are none.
     """
     suffix = Path(path).suffix.lower() or (".mcap" if is_log(path) else "")
+    if suffix in _USD:
+        remedy = "export the object as URDF or MJCF, as the simulators that write USD can"
+        raise InputError("a USD file is not read", source=path, remedy=remedy)
     if suffix not in TARGETS:
         remedy = f"give a recording ({', '.join(READABLE)}), plan (.json), model (.yaml), .urdf, .sdf or .xml (MuJoCo)"
         raise InputError(f"nothing can be made of a {shown(suffix)} file", source=path, remedy=remedy)

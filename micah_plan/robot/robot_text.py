@@ -137,7 +137,7 @@ def _mimic(mimic: Element, joints: Mapping[str, Element]) -> Mimic:
     return Mimic(name, multiplier, offset)
 
 
-def _error(element: Element, problem: str, remedy: str = "correct the URDF") -> InputError:
+def _error(element: Element, problem: str, remedy: str = "correct the file") -> InputError:
     return element.error(problem, remedy)
 
 

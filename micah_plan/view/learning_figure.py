@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -159,7 +160,8 @@ def _panel(figure: Figure, left: float, bottom: float, width: float, height: flo
 
 
 def _space(figure: Figure, left: float, bottom: float, width: float, height: float) -> Any:
-    axes = _axes(figure, left, bottom, width, height, projection="3d")
+    with rc_context({"grid.color": GRID, "grid.linewidth": 0.5}):  # its axes take these when they are made, or never
+        axes = _axes(figure, left, bottom, width, height, projection="3d")
     axes.patch.set_alpha(0.0)
     return axes
 
@@ -240,7 +242,6 @@ def _finish(space: Any, points: Floats, motion: Floats, frame: str) -> None:
         axis.labelpad = 3.0 if name == "z" else 3.0 + 6.0 * float(length / half.max())
         axis.pane.set_facecolor("white")
         axis.pane.set_edgecolor(GRID)
-        axis._axinfo["grid"].update(color=GRID, linewidth=0.5)
         # As many ticks as a side of this length has room for.
         most = max(2, round(4.4 * float(length / half.max())))
         axis.set_major_locator(MaxNLocator(nbins=most, steps=[1, 2, 5, 10], min_n_ticks=1))
