@@ -26,7 +26,7 @@ from unseen_kinds import KINDS
 from unseen_plants import Answer, answered, rolled
 
 from micah_plan.recording.read import read_recording
-from micah_plan.residual import calibrate, candidates, competition, contenders, trace
+from micah_plan.residual import calibrate, candidates, competition, contenders, coordinate_data, trace
 
 Instead = Callable[..., Any]
 """What stands in the place of a gate: given the original and its arguments."""
@@ -79,6 +79,10 @@ def _as_they_are(original: Instead, found: Any) -> tuple[Any, tuple[Any, ...]]:
     return best, (best,)
 
 
+def _all_clear(original: Instead, *arguments: Any) -> Any:
+    return np.zeros_like(original(*arguments))
+
+
 GATES: dict[str, Gate] = {
     "evidence": Gate(contenders, "_LEAST", 0.0, "an effect adds 6 nats, since two dozen compete"),
     "bounds": Gate(contenders, "_AT_BOUND", -1.0, "a parameter at its bound is something else"),
@@ -93,6 +97,7 @@ GATES: dict[str, Gate] = {
     "ties": Gate(competition, "simplest", _as_they_are, "the plainest of those that are tied"),
     "contradicted": Gate(trace, "_is_contradicted", _always(False), "one of few runs does not contradict it"),
     "over": Gate(trace, "_is_over", _always(False), "the last runs have it still"),
+    "unclear commands": Gate(coordinate_data, "_is_unclear", _all_clear, "steps that noise decides about do not count"),
     "single steps": Gate(trace, "_is_noisier", _always(False), "single steps do not get longer"),
     "single": Gate(trace, "_is_single", _always(False), "one run of few motions confirms nothing"),
     "changing": Gate(trace, "_is_changing", _always(False), "what changes twice may go on"),

@@ -64,7 +64,10 @@ def test_a_path_function_of_ones_own_is_planned_with_checked_executed_and_shown(
 
 def test_without_the_file_the_message_names_the_option(folder) -> None:
     line = one_line(run(folder, "solve", "problem.yaml", "-o", "none.json"))
-    assert "unknown path constraint 'gently'; give the file that registers it, --code FILE.py" in line
+    assert (
+        "unknown path constraint 'gently'; register it with path_function, in a file that commands are given with --code"
+        in line
+    )
     assert run(folder, "check", "problem.yaml").returncode == 2
 
 
@@ -113,4 +116,4 @@ def test_an_effect_of_ones_own_is_calibrated_and_read_again(folder, repository) 
     effect = f"effects:\n  - name: {name}\n    coordinate: drawer\n    parameters: {{drag: 2.0}}\n"
     (folder / "dragged.yaml").write_text(model.replace("parts:\n", effect + "parts:\n", 1))
     assert run(folder, "check", "dragged.yaml", *code).returncode == 0
-    assert "--code FILE.py" in one_line(run(folder, "predict", "dragged.yaml", "open.csv"))
+    assert "given with --code" in one_line(run(folder, "predict", "dragged.yaml", "open.csv"))

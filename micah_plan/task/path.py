@@ -172,7 +172,10 @@ def path_terms(
 
 def _function(name: str) -> PathFunction:
     if name not in _FUNCTIONS:
-        remedy = f"give the file that registers it, --code FILE.py, or choose one of {', '.join(_FUNCTIONS)}"
+        names = ", ".join(_FUNCTIONS)
+        remedy = (
+            f"register it with path_function, in a file that commands are given with --code, or choose one of {names}"
+        )
         raise InputError(f"unknown path constraint {shown(name)}", remedy=remedy)
     return _FUNCTIONS[name]
 

@@ -26,7 +26,7 @@ def form(name: str) -> EffectForm:
     if name not in _FORMS:
         raise InputError(
             f"unknown effect {shown(name)}",
-            remedy=f"choose one of {', '.join(_FORMS)}; of your own, give --code FILE.py",
+            remedy=f"choose one of {', '.join(_FORMS)}; one of your own is registered in a file that commands are given with --code",
         )
     return _FORMS[name]
 
