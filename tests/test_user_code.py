@@ -64,10 +64,8 @@ def test_a_path_function_of_ones_own_is_planned_with_checked_executed_and_shown(
 
 def test_without_the_file_the_message_names_the_option(folder) -> None:
     line = one_line(run(folder, "solve", "problem.yaml", "-o", "none.json"))
-    assert (
-        "unknown path constraint 'gently'; register it with path_function, in a file that commands are given with --code"
-        in line
-    )
+    assert "unknown path constraint 'gently'; register it" in line
+    assert "given with --code" in line
     assert run(folder, "check", "problem.yaml").returncode == 2
 
 

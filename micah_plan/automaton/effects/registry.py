@@ -24,10 +24,10 @@ def form(name: str) -> EffectForm:
         InputError: if there is none; the message lists the names.
     """
     if name not in _FORMS:
-        raise InputError(
-            f"unknown effect {shown(name)}",
-            remedy=f"choose one of {', '.join(_FORMS)}; one of your own is registered in a file that commands are given with --code",
+        remedy = (
+            f"choose one of {', '.join(_FORMS)}; one of your own stands in a file that commands are given with --code"
         )
+        raise InputError(f"unknown effect {shown(name)}", remedy=remedy)
     return _FORMS[name]
 
 
