@@ -29,7 +29,6 @@ from micah_plan.automaton.joint import prismatic, revolute
 from micah_plan.automaton.kinematics import inverse
 from micah_plan.automaton.tracks import tracks
 from micah_plan.learning.joints.final_fit import fit_joint
-from micah_plan.learning.settings import LearnSettings
 from micah_plan.recording.read import read_recording
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
@@ -49,8 +48,8 @@ def model_of(name: str, recording: Recording) -> HybridAutomaton:
     along = place[-1] - place[0]
     middle = place[0] + np.cross((0.0, 0.0, 1.0), along)
     guess = prismatic(along, place[0]) if name in SLIDES else revolute((0.0, 0.0, 1.0), middle, place[0])
-    time, settings = np.arange(count, dtype=float), LearnSettings(draws=200)
-    fitted = fit_joint(guess, place, None, time, np.ones(count), settings)
+    time = np.arange(count, dtype=float)
+    fitted = fit_joint(guess, place, None, time, np.ones(count))
     c = inverse(fitted.joint, place)
     wide = MARGIN * float(np.ptp(c))
     low, high = float(c.min()) - wide, float(c.max()) + wide

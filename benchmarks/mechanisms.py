@@ -85,6 +85,7 @@ def _believed(original: Any) -> Any:
 
 MECHANISMS: Mapping[str, Mechanism] = {
     "outliers of the last fit": Mechanism(final_fit, "_believed", _believed),
+    "strays": Mechanism(final_fit, "_strays", _returns(False)),
     "hinge or screw by all poses": Mechanism(final_fit, "_hinge_or_screw", _returns(None)),
     "the fast wander": Mechanism(noise_fit, "_FAST_SHARES", lambda _: np.array([0.0])),
     "correlated channels": Mechanism(noise_fit, "correlated", _independent),

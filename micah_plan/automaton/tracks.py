@@ -136,10 +136,10 @@ class _Seen:
         """
         rows = {name: [recording.index(run=run, part=name) for run in recording.runs] for name in names}
         for run, *by_part in zip(recording.runs, *(rows[name] for name in names), strict=True):
-            for name, own in zip(names, by_part, strict=True):
-                if not len(own):
+            for name, of_part in zip(names, by_part, strict=True):
+                if not len(of_part):
                     recording.select(run=run, part=name)  # says that there are none
-                if not np.array_equal(recording.time[own], recording.time[by_part[0]]):
+                if not np.array_equal(recording.time[of_part], recording.time[by_part[0]]):
                     raise InputError(
                         f"run {run}: part {shown(name)} was not measured at the same times as part {shown(names[0])}",
                         where="column 't'",
@@ -149,19 +149,21 @@ class _Seen:
         runs = tuple((run, slice(a, b)) for run, (a, b) in zip(recording.runs, pairwise(edges), strict=True))
         named = {name: recording.rows(np.concatenate(rows[name])) for name in names}
         relative, position, quaternion = _relative_poses(automaton, named)
-        turned = [None if quaternion is None else quaternion[own] for _, own in runs]
+        turned = [None if quaternion is None else quaternion[of_run] for _, of_run in runs]
         by_run = zip(runs, turned, strict=True)
-        x = np.concatenate([configurations(automaton, position[own], q) for (_, own), q in by_run])
+        x = np.concatenate([configurations(automaton, position[of_run], q) for (_, of_run), q in by_run])
         return cls(runs, tuple(named[name] for name in names), relative, position, quaternion, x)
 
 
 def _tracks(automaton: HybridAutomaton, seen: _Seen, *, is_outside: bool) -> tuple[Track, ...]:
     time = seen.by_link[0].time
-    since = np.concatenate([time[own] - time[own][:1] for _, own in seen.runs])
+    since = np.concatenate([time[rows] - time[rows][:1] for _, rows in seen.runs])
     believed = _believed(automaton, seen)
     # Of a run that tells nothing of beliefs the sensor's own readings were measured.
-    told = [believed is not None and bool(np.isfinite(believed[own]).any()) for _, own in seen.runs]
-    outside = np.repeat([is_outside and by_run for by_run in told], [own.stop - own.start for _, own in seen.runs])
+    tells_beliefs = [believed is not None and bool(np.isfinite(believed[rows]).any()) for _, rows in seen.runs]
+    outside = np.repeat(
+        [is_outside and by_run for by_run in tells_beliefs], [rows.stop - rows.start for _, rows in seen.runs]
+    )
     x = np.where(outside[:, None], seen.x, read_by_sensors(automaton, seen.x, since))
     if believed is not None and is_outside:
         believed = read_by_sensors(automaton, believed, since)
@@ -172,24 +174,24 @@ def _tracks(automaton: HybridAutomaton, seen: _Seen, *, is_outside: bool) -> tup
     return tuple(
         Track(
             run=run,
-            time=time[own],
-            position=seen.position[own],
-            quaternion=None if seen.quaternion is None else seen.quaternion[own],
-            x=x[own],
-            u=None if u is None else u[own][:-1],
-            is_measured=np.all([_is_measured(part, own) for part in seen.by_link], axis=0),
-            action=None if actions is None else actions[own][:-1],
-            believed=believed[own] if believed is not None and is_told else None,
+            time=time[rows],
+            position=seen.position[rows],
+            quaternion=None if seen.quaternion is None else seen.quaternion[rows],
+            x=x[rows],
+            u=None if u is None else u[rows][:-1],
+            is_measured=np.all([_is_measured(part, rows) for part in seen.by_link], axis=0),
+            action=None if actions is None else actions[rows][:-1],
+            believed=believed[rows] if believed is not None and is_told else None,
             is_outside=is_outside and is_told,
         )
-        for (run, own), is_told in zip(seen.runs, told, strict=True)
+        for (run, rows), is_told in zip(seen.runs, tells_beliefs, strict=True)
     )
 
 
-def _is_measured(part: Recording, own: slice) -> Booleans:
+def _is_measured(part: Recording, rows: slice) -> Booleans:
     """(T,) rows of a run that are measurements of its motion."""
-    quaternion, action = (None if column is None else column[own] for column in (part.quaternion, part.action))
-    return continuity(part.time[own], part.position[own], quaternion, action).is_measured
+    quaternion, action = (None if column is None else column[rows] for column in (part.quaternion, part.action))
+    return continuity(part.time[rows], part.position[rows], quaternion, action).is_measured
 
 
 def _relative_poses(
@@ -236,10 +238,10 @@ def read_by_sensors(automaton: HybridAutomaton, x: Floats, since: Floats) -> Flo
 
 def _relative(parts: dict[str, Recording], link: Link) -> Recording:
     """The rows of a link's child with poses in its parent's frame instead of the base frame, without actions."""
-    own = parts[link.child] if link.child in parts else next(iter(parts.values()))
+    child = parts[link.child] if link.child in parts else next(iter(parts.values()))
     parent = parts.get(link.parent)
     if parent is None:
-        return own
+        return child
     if parent.quaternion is None:
         raise InputError(
             f"part {shown(link.child)} moves with {shown(link.parent)}, whose orientation was not measured",
@@ -247,11 +249,11 @@ def _relative(parts: dict[str, Recording], link: Link) -> Recording:
             remedy="record the orientation of every part that carries another",
         )
     frame = parent.poses().inv()
-    pose = frame * own.poses()
+    pose = frame * child.poses()
     return replace(
-        own,
+        child,
         position=pose.translation,
-        quaternion=None if own.quaternion is None else pose.rotation.as_quat(),
+        quaternion=None if child.quaternion is None else pose.rotation.as_quat(),
         action=None,
     )
 

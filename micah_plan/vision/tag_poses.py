@@ -90,27 +90,27 @@ def placed_corners(layout: TagLayout, frames: Sequence[Corners], camera: Camera)
     placed = {}
     for part in layout.parts:
         tags = layout.of(part)
-        known = {number: corners_of(tag) for number, tag in tags.items() if tag.position is not None}
-        if not known:
+        corners = {number: corners_of(tag) for number, tag in tags.items() if tag.position is not None}
+        if not corners:
             first = next(iter(tags))
-            known[first] = corners_of(tags[first])
+            corners[first] = corners_of(tags[first])
         for _ in tags:
             for number, tag in tags.items():
-                if number not in known:
-                    pose = _between(known, number, tag, frames, camera)
+                if number not in corners:
+                    pose = _between(corners, number, tag, frames, camera)
                     if pose is not None:
-                        known[number] = corners_of(tag, pose)
-        placed[part] = known
+                        corners[number] = corners_of(tag, pose)
+        placed[part] = corners
     return placed
 
 
 def _between(
-    known: Mapping[int, Floats], number: int, tag: PlacedTag, frames: Sequence[Corners], camera: Camera
+    placed: Mapping[int, Floats], number: int, tag: PlacedTag, frames: Sequence[Corners], camera: Camera
 ) -> Pose | None:
     """The pose of a tag beside those that are placed; None if no frame shows both."""
     alone, turns, places = PlacedTag(tag.part, tag.size), [], []
     for frame in frames:
-        first, second = sighting(known, frame, camera), sighting({number: corners_of(alone)}, frame, camera)
+        first, second = sighting(placed, frame, camera), sighting({number: corners_of(alone)}, frame, camera)
         if first is None or second is None:
             continue
         base = min(first.poses, key=lambda pose: pose.misfit)
@@ -147,22 +147,22 @@ def _poses(points: Floats, pixels: Floats, camera: Camera) -> tuple[Pose, ...]:
     is_flat = spread[2] < 1e-6 * max(spread[0], 1e-9)
     # A solver for planes wants them at z = 0.
     frame = axes if np.linalg.det(axes) > 0 else axes * np.array([[1.0], [1.0], [-1.0]])
-    own = (points - middle) @ frame.T if is_flat else points
+    in_plane = (points - middle) @ frame.T if is_flat else points
     way = cv2.SOLVEPNP_IPPE if is_flat else cv2.SOLVEPNP_SQPNP
     try:
-        _, turns, shifts, _ = cv2.solvePnPGeneric(own, pixels, camera.matrix, camera.distortion, flags=way)
+        _, turns, shifts, _ = cv2.solvePnPGeneric(in_plane, pixels, camera.matrix, camera.distortion, flags=way)
     except cv2.error:
         return ()
-    found = []
+    poses = []
     for turn, shift in zip(turns, shifts, strict=True):
-        matrix, position = _refined(own, pixels, np.asarray(cv2.Rodrigues(turn)[0]), np.ravel(shift), camera)
+        matrix, position = _refined(in_plane, pixels, np.asarray(cv2.Rodrigues(turn)[0]), np.ravel(shift), camera)
         if is_flat:
             matrix = matrix @ frame
             position = position - matrix @ middle
         misfit = float((_missed(points, pixels, matrix, position, camera) ** 2).sum())
         if (points @ matrix.T + position)[:, 2].min() > 0.0 and np.isfinite(misfit):
-            found.append(Pose(matrix, position, np.zeros((6, 6)), misfit))
-    return tuple(found)
+            poses.append(Pose(matrix, position, np.zeros((6, 6)), misfit))
+    return tuple(poses)
 
 
 def _refined(points: Floats, pixels: Floats, turn: Floats, position: Floats, camera: Camera) -> tuple[Floats, Floats]:
@@ -171,9 +171,9 @@ def _refined(points: Floats, pixels: Floats, turn: Floats, position: Floats, cam
     at = np.concatenate([np.ravel(cv2.Rodrigues(turn)[0]), position])
 
     def look(at: Floats) -> tuple[float, Floats, Floats]:
-        seen, slopes = cv2.projectPoints(points, at[:3], at[3:], camera.matrix, camera.distortion)
-        left = (pixels - seen[:, 0]).ravel()
-        return float(left @ left), slopes[:, :6].T @ slopes[:, :6], slopes[:, :6].T @ left
+        projected, slopes = cv2.projectPoints(points, at[:3], at[3:], camera.matrix, camera.distortion)
+        missed = (pixels - projected[:, 0]).ravel()
+        return float(missed @ missed), slopes[:, :6].T @ slopes[:, :6], slopes[:, :6].T @ missed
 
     cost, information, pull = look(at)
     damped = 1e-4
@@ -194,13 +194,13 @@ def _refined(points: Floats, pixels: Floats, turn: Floats, position: Floats, cam
 def _missed(points: Floats, pixels: Floats, turn: Floats, position: Floats, camera: Camera) -> Floats:
     cv2 = opencv()
     rotated = cv2.Rodrigues(turn)[0]
-    seen = cv2.projectPoints(points, rotated, position, camera.matrix, camera.distortion)[0]
-    return np.asarray(seen[:, 0] - pixels)
+    projected = cv2.projectPoints(points, rotated, position, camera.matrix, camera.distortion)[0]
+    return np.asarray(projected[:, 0] - pixels)
 
 
 def corner_noise(sightings: Sequence[Sighting]) -> float:
     """Std of a corner [px], from what the best poses leave of it."""
-    shares = [one.misfit / max(2 * len(one.points) - 6, 1) for one in sightings]
+    shares = [sighting.misfit / max(2 * len(sighting.points) - 6, 1) for sighting in sightings]
     return max(float(np.sqrt(np.median(shares) / _MEDIAN_OF_SQUARES)), _FINEST) if shares else _FINEST
 
 
@@ -208,23 +208,23 @@ def chosen_poses(
     sightings: Sequence[Sighting | None], times: Floats, noise: float, camera: Camera
 ) -> list[Pose | None]:
     """The pose of a part in each frame, by the likeliest sequence, with its covariance; None where it is not seen."""
-    at = [(k, one) for k, one in enumerate(sightings) if one is not None]
+    at = [(k, now) for k, now in enumerate(sightings) if now is not None]
     chosen: list[Pose | None] = [None] * len(sightings)
     cost, back, before = np.zeros(0), list[Floats](), at[:1]
-    for k, one in at:
-        own = np.array([pose.misfit for pose in one.poses]) / (2.0 * noise**2)
+    for k, now in at:
+        costs = np.array([pose.misfit for pose in now.poses]) / (2.0 * noise**2)
         if len(cost):
-            (earlier, other), reach = before[0], _JITTER
+            (earlier, last), reach = before[0], _JITTER
             reach += _TURNS * float(times[k] - times[earlier])
-            turned = np.array([[_angle(a.turn, b.turn) / reach for a in other.poses] for b in one.poses])
+            turned = np.array([[_angle(a.turn, b.turn) / reach for a in last.poses] for b in now.poses])
             total = np.minimum(0.5 * turned**2, _MOST_COST) + cost
             back.append(total.argmin(axis=1))
-            own = own + total.min(axis=1)
-        cost, before = own, [(k, one)]
+            costs = costs + total.min(axis=1)
+        cost, before = costs, [(k, now)]
     number = int(cost.argmin()) if len(cost) else 0
     for j in range(len(at) - 1, -1, -1):
-        k, one = at[j]
-        chosen[k] = _with_covariance(one.poses[number], one.points, noise, camera)
+        k, now = at[j]
+        chosen[k] = _with_covariance(now.poses[number], now.points, noise, camera)
         number = int(back[j - 1][number]) if j else number
     return chosen
 
@@ -232,9 +232,9 @@ def chosen_poses(
 def _with_covariance(pose: Pose, points: Floats, noise: float, camera: Camera) -> Pose:
     """The pose with what its corners leave uncertain (Fisher information of the projection)."""
     arms = points @ pose.turn.T
-    seen = arms + pose.position
+    corners = arms + pose.position
     rows = np.zeros((2 * len(points), 6))
-    for k, ((x, y, z), arm) in enumerate(zip(seen, arms, strict=True)):
+    for k, ((x, y, z), arm) in enumerate(zip(corners, arms, strict=True)):
         fx, fy = camera.matrix[0, 0], camera.matrix[1, 1]
         project = np.array([[fx / z, 0.0, -fx * x / z**2], [0.0, fy / z, -fy * y / z**2]])
         rows[2 * k : 2 * k + 2] = project @ np.hstack([np.eye(3), -_cross(arm)])
@@ -244,15 +244,19 @@ def _with_covariance(pose: Pose, points: Floats, noise: float, camera: Camera) -
 
 def pooled(poses: Sequence[Pose | None], sightings: Sequence[Sighting | None], camera: Camera) -> Pose | None:
     """One pose of a part that does not move before the camera; None if it moves, or the camera does."""
-    able = [(pose, one) for pose, one in zip(poses, sightings, strict=True) if pose is not None and one is not None]
+    able = [
+        (pose, sighting)
+        for pose, sighting in zip(poses, sightings, strict=True)
+        if pose is not None and sighting is not None
+    ]
     if len(able) < 2:
         return None
-    points = np.concatenate([one.points for _, one in able])
-    pixels = np.concatenate([one.pixels for _, one in able])
-    start, _ = min(able, key=lambda own: own[0].misfit)
+    points = np.concatenate([sighting.points for _, sighting in able])
+    pixels = np.concatenate([sighting.pixels for _, sighting in able])
+    start, _ = min(able, key=lambda pair: pair[0].misfit)
     matrix, position = _refined(points, pixels, start.turn, start.position, camera)
     missed = _missed(points, pixels, matrix, position, camera)
-    noise = corner_noise([one for _, one in able])
+    noise = corner_noise([sighting for _, sighting in able])
     if float(np.sqrt(np.median(np.sum(missed**2, axis=1)) / _MEDIAN_OF_TWO)) > _FIXED * noise:
         return None
     alone = Pose(matrix, position, np.zeros((6, 6)))

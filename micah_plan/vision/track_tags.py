@@ -137,17 +137,17 @@ def track_tags(
     used, notes_on_camera = _camera(camera, size, layout, frames)
     placed = placed_corners(layout, frames, used)
     sightings = {part: [sighting(placed[part], frame, used) for frame in frames] for part in layout.parts}
-    noise = corner_noise([one for own in sightings.values() for one in own if one is not None])
-    poses = {part: chosen_poses(own, times, noise, used) for part, own in sightings.items()}
+    noise = corner_noise([each for of_part in sightings.values() for each in of_part if each is not None])
+    poses = {part: chosen_poses(of_part, times, noise, used) for part, of_part in sightings.items()}
     still = pooled(poses[base], sightings[base], used)
-    seen: list[Pose | None] = list(poses[base]) if still is None else [still] * len(frames)
-    of_base = poses[base] = [None if pose is None else _upright(pose, layout.up) for pose in seen]
+    as_seen: list[Pose | None] = list(poses[base]) if still is None else [still] * len(frames)
+    of_base = poses[base] = [None if pose is None else _upright(pose, layout.up) for pose in as_seen]
     relative = {part: _beside(poses[part], of_base) for part in layout.parts if part != base}
-    together = {part: sum(pose is not None for pose in own) for part, own in relative.items()}
+    together = {part: sum(pose is not None for pose in of_part) for part, of_part in relative.items()}
     if not any(together.values()):
         remedy = f"keep the tags of {shown(base)} and of the part in the picture, or name another --base"
         raise InputError(f"no part is seen together with {shown(base)}", source=video, remedy=remedy)
-    stds = {part: _stds(own) for part, own in relative.items() if together[part]}
+    stds = {part: _stds(of_part) for part, of_part in relative.items() if together[part]}
     notes = (
         *notes_on_camera,
         *_notes_on_tags(layout, frames, placed, sightings),
@@ -194,11 +194,11 @@ def _detected(
 ) -> tuple[Floats, list[Corners], tuple[int, int]]:
     find, times, frames, size = detector(layout.family), list[float](), list[Corners](), (0, 0)
     for time, grey in grey_frames(video, rate):
-        own = (int(grey.shape[1]), int(grey.shape[0]))
-        if frames and own != size:
-            problem = f"expected pictures of {size[0]}x{size[1]}, found one of {own[0]}x{own[1]}"
+        shape = (int(grey.shape[1]), int(grey.shape[0]))
+        if frames and shape != size:
+            problem = f"expected pictures of {size[0]}x{size[1]}, found one of {shape[0]}x{shape[1]}"
             raise InputError(problem, source=video, remedy="put pictures of one camera into a folder")
-        size = own
+        size = shape
         times.append(time)
         frames.append(find(grey))
         if progress is not None and len(frames) % 30 == 0:
@@ -223,13 +223,13 @@ def _of_size(camera: Camera, size: tuple[int, int]) -> Camera:
 
 
 def _check_seen(video: str | Path, layout: TagLayout, frames: Sequence[Corners], base: str) -> None:
-    seen = {number for frame in frames for number in frame}
-    if not seen:
+    numbers = {number for frame in frames for number in frame}
+    if not numbers:
         remedy = "check the family, more light, larger tags with a white border, less blur"
         problem = f"in none of {count(len(frames), 'frame')} is a tag of the family {layout.family} with a given number"
         raise InputError(problem, source=video, remedy=remedy)
-    if not seen & set(layout.of(base)):
-        remedy = f"choose another --base, or check the numbers: seen were {', '.join(map(str, sorted(seen)))}"
+    if not numbers & set(layout.of(base)):
+        remedy = f"choose another --base, or check the numbers: seen were {', '.join(map(str, sorted(numbers)))}"
         raise InputError(f"no tag of the base {shown(base)} is ever seen", source=video, remedy=remedy)
 
 
@@ -237,18 +237,18 @@ def _camera(
     camera: Camera | None, size: tuple[int, int], layout: TagLayout, frames: Sequence[Corners]
 ) -> tuple[Camera, list[str]]:
     """The camera that is used, and what to know of it."""
-    given = guessed_camera(*size) if camera is None else _of_size(camera, size)
-    found = _focal_length(given, layout, frames)
-    focal, off = found.matrix[0, 0], 2.0 * found.uncertainty
+    of_file = guessed_camera(*size) if camera is None else _of_size(camera, size)
+    of_tags = _focal_length(of_file, layout, frames)
+    focal, off = of_tags.matrix[0, 0], 2.0 * of_tags.uncertainty
     if camera is None:
-        return found, [
+        return of_tags, [
             f"no camera file: f = {focal:.0f} px from the tags; lengths may be off by {percent(min(off, 1.0), 0)}, "
             "and more where the lens bends straight lines"
         ]
-    if abs(float(np.log(focal / given.matrix[0, 0]))) < _DOUBTED * found.uncertainty:
-        return given, []
-    return given, [
-        f"the camera file says f = {given.matrix[0, 0]:.0f} px, but squares are square at {focal:.0f} ± "
+    if abs(float(np.log(focal / of_file.matrix[0, 0]))) < _DOUBTED * of_tags.uncertainty:
+        return of_file, []
+    return of_file, [
+        f"the camera file says f = {of_file.matrix[0, 0]:.0f} px, but squares are square at {focal:.0f} ± "
         f"{focal * off:.0f} px: is it of this camera, its zoom and this size of pictures?"
     ]
 
@@ -256,17 +256,17 @@ def _camera(
 def _focal_length(camera: Camera, layout: TagLayout, frames: Sequence[Corners]) -> Camera:
     """The camera with the focal length that makes squares square, and its uncertainty."""
     able = [frame for frame in frames if frame]
-    some = [able[k] for k in np.unique(np.linspace(0, len(able) - 1, _FOCAL_FRAMES).astype(int))]
+    chosen = [able[k] for k in np.unique(np.linspace(0, len(able) - 1, _FOCAL_FRAMES).astype(int))]
     largest = max(camera.size or (1, 1))
-    alone = [(number, {number: frame[number]}) for frame in some for number in sorted(frame)]
+    alone = [(number, {number: frame[number]}) for frame in chosen for number in sorted(frame)]
 
     def misfit(log_focal: float) -> float:
         tried = camera.with_focal_length(float(np.exp(log_focal)))
         squares = ({number: corners_of(layout.tags[number])} for number, _ in alone)
-        found = (sighting(square, frame, tried) for square, (_, frame) in zip(squares, alone, strict=True))
-        left = np.array([one.misfit for one in found if one is not None])
-        scale = max(float(np.median(left)), 1e-6)
-        return float((scale * np.log1p(left / scale)).sum()) if len(left) else np.inf
+        sightings = (sighting(square, frame, tried) for square, (_, frame) in zip(squares, alone, strict=True))
+        misfits = np.array([each.misfit for each in sightings if each is not None])
+        scale = max(float(np.median(misfits)), 1e-6)
+        return float((scale * np.log1p(misfits / scale)).sum()) if len(misfits) else np.inf
 
     low, high = (float(np.log(share * largest)) for share in _FOCAL_RANGE)
     grid = np.linspace(low, high, 25)
@@ -307,8 +307,8 @@ def _shared_error(
         return SharedError(np.zeros((6, 6)), _SHARED * np.mean(every, axis=0), camera.uncertainty)
     base = next(pose for pose in of_base if pose is not None)
     along = np.kron(np.eye(2), base.turn.T)
-    own = np.mean([pose.covariance for pose in of_part if pose is not None], axis=0)
-    return SharedError(along @ base.covariance @ along.T, _SHARED * along @ own @ along.T, camera.uncertainty)
+    mean = np.mean([pose.covariance for pose in of_part if pose is not None], axis=0)
+    return SharedError(along @ base.covariance @ along.T, _SHARED * along @ mean @ along.T, camera.uncertainty)
 
 
 def _with_lens(
@@ -348,16 +348,16 @@ def _seen_beside(
     both = sighting(tags, frame, camera), sighting(of_base, frame, camera)
     if both[0] is None or both[1] is None:
         return None
-    own, base = (min(one.poses, key=lambda pose: pose.misfit) for one in both if one is not None)
-    return own.seen_from(_upright(base, up))
+    part, base = (min(each.poses, key=lambda pose: pose.misfit) for each in both if each is not None)
+    return part.seen_from(_upright(base, up))
 
 
 def _recording(times: Floats, relative: Mapping[str, Sequence[Pose | None]], notes: tuple[str, ...]) -> Recording:
     rows = [
         (times[k], part, pose)
         for k in range(len(times))
-        for part, own in relative.items()
-        if (pose := own[k]) is not None
+        for part, poses in relative.items()
+        if (pose := poses[k]) is not None
     ]
     return Recording(
         time=np.array([time for time, _, _ in rows]) - times[0],

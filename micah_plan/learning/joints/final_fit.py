@@ -32,6 +32,7 @@ from micah_plan.learning.joints.likelihood import (
     fit_likelihood,
     parameter_covariance,
     pitch_log_odds,
+    seen_with,
 )
 from micah_plan.learning.joints.linear_fits import linear_fits
 from micah_plan.learning.joints.parametrization import seen_by
@@ -50,6 +51,7 @@ _TELLING_ROWS = 256  # of a hinge that may be a screw
 _VOTES = 3  # times the fewest rows of a joint; with fewer rows none is doubted
 _ROUNDS = 2  # of noise and joint in turn
 _ROUGH = 0.05  # nats
+_FAR = 4.0  # stds that better weights may move an axis by
 
 
 @dataclass(frozen=True)
@@ -188,9 +190,27 @@ def _refined(
     noise: NoiseVariances,
     posterior: ErrorPosterior,
 ) -> Joint:
-    """The likeliest joint under the noise that was found, with its covariance."""
+    """The likeliest joint, with its covariance; or the one before, if the likelihood leads astray."""
     fit = fit_likelihood(before, position, quaternion, noise)
-    return replace(fit.joint, covariance=parameter_covariance(fit, noise, posterior))
+    joint = replace(fit.joint, covariance=parameter_covariance(fit, noise, posterior))
+    if _strays(joint, before):
+        fit = seen_with(before, position, quaternion, noise)
+        joint = replace(before, covariance=parameter_covariance(fit, noise, posterior))
+    return joint
+
+
+def _strays(joint: Joint, before: Joint) -> bool:
+    """Whether an axis is further from where equal weights put it than its covariance lets it be.
+
+    Where one direction is much noisier than the others, a free configuration along it explains that noise, and the
+    motion passes for wander: a likelihood that knows one noise for all directions then has another, false optimum.
+    """
+    if not joint.moves or joint.covariance is None:
+        return False
+    if not joint.turns:
+        return True  # weights change little there, and only positions tell the axis
+    turned = float(np.arccos(min(1.0, abs(float(np.dot(joint.axis, before.axis))))))
+    return turned > _FAR * float(np.sqrt(joint.covariance.matrix[0][0] + joint.covariance.matrix[1][1]))
 
 
 @dataclass(frozen=True, eq=False)
