@@ -5,16 +5,15 @@ line, before any work, and so are outputs of a wrong kind or that would overwrit
 """
 
 import os
-import sys
 
-from micah_plan.cli.interrupted import end_interrupted, interrupt_again, is_of_an_interruption
+from micah_plan.cli.interrupted import end_interrupted, is_of_an_interruption, repeat_dropped_interruptions
 
 __all__ = ["main"]
 
 
 def main() -> None:
     """Entry point of `micah-plan`. Ctrl-C is answered with one line from here on, also while libraries are loaded."""
-    sys.unraisablehook = interrupt_again
+    repeat_dropped_interruptions()
     # Plugins of pydantic are looked for in the metadata of all installed packages, and none has a say in these files.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     # Matrices are small here: threads of the linear algebra only wait for each other.

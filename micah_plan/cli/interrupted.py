@@ -27,17 +27,22 @@ def end_interrupted() -> NoReturn:
     sys.exit(INTERRUPTED)
 
 
-def interrupt_again(dropped: sys.UnraisableHookArgs) -> None:
-    """Hook for exceptions that Python drops, those in finalisers and callbacks of weak references: Ctrl-C is repeated.
+def repeat_dropped_interruptions() -> None:
+    """Repeat a Ctrl-C that Python drops, as it does with exceptions in finalisers and callbacks of weak references.
 
     Imports take their locks away in such callbacks, so that a command that loads its libraries could miss Ctrl-C.
     """
-    if not issubclass(dropped.exc_type, KeyboardInterrupt):
-        sys.__unraisablehook__(dropped)
-    elif not sys.is_finalizing():
-        again = threading.Timer(_AGAIN_AFTER, _thread.interrupt_main)
-        again.daemon = True
-        again.start()
+    before = sys.unraisablehook
+
+    def repeated(dropped: sys.UnraisableHookArgs) -> None:
+        if not issubclass(dropped.exc_type, KeyboardInterrupt):
+            before(dropped)
+        elif not sys.is_finalizing():
+            again = threading.Timer(_AGAIN_AFTER, _thread.interrupt_main)
+            again.daemon = True
+            again.start()
+
+    sys.unraisablehook = repeated
 
 
 def is_of_an_interruption(error: BaseException | None) -> bool:

@@ -147,10 +147,9 @@ def test_a_signal_while_ompl_is_loaded_is_handled_when_it_is() -> None:
 
 
 DROPPED = """
-import sys
 import time
-from micah_plan.cli.interrupted import interrupt_again
-sys.unraisablehook = interrupt_again
+from micah_plan.cli.interrupted import repeat_dropped_interruptions
+repeat_dropped_interruptions()
 
 class Interrupted:
     def __del__(self):
