@@ -103,6 +103,14 @@ class MissingDependencyError(MicahError):
         return cls(f"{problem}: {pip_install(extra)}")
 
 
+TAKE_CODE = ("solve", "explain", "execute", "predict", "calibrate", "check", "show")
+"""Commands that load a user's Python file."""
+OF_YOUR_OWN = (
+    f"one of your own is registered in a file that {', '.join(TAKE_CODE[:-1])} and {TAKE_CODE[-1]} take as --code"
+)
+"""Remedy for a name of an effect or path function that nothing registered."""
+
+
 def pip_install(extra: str) -> str:
     """The command that installs what an extra brings, from wherever micah_plan was installed: it names the libraries.
 

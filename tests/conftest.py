@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
 from pathlib import Path
 
 # Before NumPy is loaded: as the commands, tests run on a core each. Set it to another number to try others.
@@ -13,8 +12,6 @@ import pytest
 from extras import skip_without
 from hypothesis import HealthCheck, settings
 
-# Inputs of a sweep that the gate runs; the quick suite runs the first, `make evidence` all.
-SLOW_OF_A_SWEEP = 5
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 # No test measures the machine, and one commit gives one result: no time limits, the same examples every time.
@@ -27,14 +24,14 @@ settings.load_profile("gate")
 
 @pytest.hookimpl(tryfirst=True)  # before -m chooses by the marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    swept = Counter[tuple[object, ...]]()
+    swept = set[tuple[object, ...]]()
     for item in items:
         if item.get_closest_marker("sweep") is None:
             continue
         function = (item.path, item.parent and item.parent.nodeid, getattr(item, "originalname", item.name))
-        if swept[function] and item.get_closest_marker("evidence") is None:
-            item.add_marker(pytest.mark.slow if swept[function] < SLOW_OF_A_SWEEP else pytest.mark.evidence)
-        swept[function] += 1
+        if function in swept and item.get_closest_marker("evidence") is None:
+            item.add_marker(pytest.mark.slow)
+        swept.add(function)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -7,6 +7,10 @@ import subprocess
 import sys
 
 import pytest
+from typer.testing import CliRunner
+
+from micah_plan.cli.application import COMMANDS, app
+from micah_plan.errors import OF_YOUR_OWN, TAKE_CODE
 
 GENTLE = '''
 from micah_plan.task.path import Require, path_function
@@ -46,6 +50,12 @@ def one_line(done):
     return line
 
 
+def test_the_commands_that_messages_name_take_code_and_no_others() -> None:
+    names = [command.__name__ for command in COMMANDS]
+    helps = {name: CliRunner().invoke(app, [name, "--help"]).stdout for name in names}
+    assert {name for name in names if "--code" in helps[name]} == set(TAKE_CODE)
+
+
 def test_a_path_function_of_ones_own_is_planned_with_checked_executed_and_shown(folder) -> None:
     code = ("--code", "gentle.py")
     solved = run(folder, "solve", "problem.yaml", "-o", "plan.json", *code, "--json")
@@ -64,8 +74,8 @@ def test_a_path_function_of_ones_own_is_planned_with_checked_executed_and_shown(
 
 def test_without_the_file_the_message_names_the_option(folder) -> None:
     line = one_line(run(folder, "solve", "problem.yaml", "-o", "none.json"))
-    assert "unknown path constraint 'gently'; register it" in line
-    assert "given with --code" in line
+    assert "unknown path constraint 'gently'; choose one of stay_above" in line
+    assert OF_YOUR_OWN in line
     assert run(folder, "check", "problem.yaml").returncode == 2
 
 
@@ -114,4 +124,4 @@ def test_an_effect_of_ones_own_is_calibrated_and_read_again(folder, repository) 
     effect = f"effects:\n  - name: {name}\n    coordinate: drawer\n    parameters: {{drag: 2.0}}\n"
     (folder / "dragged.yaml").write_text(model.replace("parts:\n", effect + "parts:\n", 1))
     assert run(folder, "check", "dragged.yaml", *code).returncode == 0
-    assert "given with --code" in one_line(run(folder, "predict", "dragged.yaml", "open.csv"))
+    assert OF_YOUR_OWN in one_line(run(folder, "predict", "dragged.yaml", "open.csv"))

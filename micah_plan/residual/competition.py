@@ -54,7 +54,7 @@ _PROFILE = 32
 _TURNS, _COARSE_TURNS = 4, 2
 # Shares of the rows before which, and after which, nothing can be said to have begun.
 _EARLIEST = 0.03
-# Models that are tied, of which the best are fitted to the end.
+# Of models that are tied, so many of the best are fitted to the end, and the simplest.
 _POLISHED = 4
 _LINE_LIKE = ("gain", "bias", "dead_zone")
 # Where a change that nothing told of may have been: shares of the recording.
@@ -106,7 +106,7 @@ class Competition(Contenders):
             if same_kind:
                 alone, near_alone = simplest(same_kind)
                 of_kind = [pair for pair in pairs if (FOLLOW in pair.names) == is_place]
-                best, near_best = self._with_a_second(near_alone, every, of_kind)
+                best, near_best = self._with_a_second(alone, near_alone, every, of_kind)
                 if self._is_ahead(best, chosen, is_place):
                     chosen, near, rivals = best, near_best, [best, alone]
                 elif best.evidence > chosen.evidence - self.least:
@@ -133,7 +133,7 @@ class Competition(Contenders):
         return best.evidence > chosen.evidence + (self.least if chosen is not self.nominal else 0.0)
 
     def _with_a_second(
-        self, near: tuple[Contender, ...], every: Sequence[Contender], pairs: Sequence[Contender]
+        self, alone: Contender, near: tuple[Contender, ...], every: Sequence[Contender], pairs: Sequence[Contender]
     ) -> tuple[Contender, tuple[Contender, ...]]:
         """The best model of two effects, if it is likelier than those of one; what ties with it."""
         best_of: dict[str, Contender] = {}
@@ -146,16 +146,16 @@ class Competition(Contenders):
             under = max(halves, key=_evidence, default=nominal)
             if self.is_worth(pair, under) and self.is_real(pair, nominal):
                 good.append(pair)
-        chosen, near = self._polished(near)
+        chosen, near = self._polished(alone, near)
         if good:
-            best, near_best = self._polished(simplest(good)[1])
+            best, near_best = self._polished(*simplest(good))
             if best.evidence - chosen.evidence > self.least:
                 chosen, near = best, near_best
         return self._pruned(chosen), near
 
-    def _polished(self, near: Sequence[Contender]) -> tuple[Contender, tuple[Contender, ...]]:
-        """The simplest of models that are tied, and what is tied with it, once all of them are fitted to the end."""
-        return simplest([self.polished(model) for model in best_first(near)[:_POLISHED]])
+    def _polished(self, simple: Contender, near: Sequence[Contender]) -> tuple[Contender, tuple[Contender, ...]]:
+        """The simplest of models that are tied, and what is tied with it, once they are fitted to the end."""
+        return simplest([self.polished(model) for model in dict.fromkeys((simple, *best_first(near)[:_POLISHED]))])
 
     def _changed(
         self, chosen: Contender, every: Sequence[Contender], library: Sequence[TermCandidate]
@@ -281,7 +281,7 @@ class Competition(Contenders):
             rows = [places[(places >= first) & (places <= last)] for places in rows]
             stride = max(stride // 4, 1)
         weighed = self.fitting.weighed(fits)
-        return [self._contender(begun.parts, fit) for begun, fit in zip(contenders, weighed, strict=True)]
+        return [self._contender(contender.parts, fit) for contender, fit in zip(contenders, weighed, strict=True)]
 
     def _starts_of_runs(self) -> tuple[Floats, Floats]:
         """Places in the recording of all steps that count, and of the first of each run; both sorted."""

@@ -273,11 +273,10 @@ def _coordinate_data(
 ) -> CoordinateData:
     (link, i), total = measuring, sum(len(track.time) for track in tracks)
     shape = (len(kept), max(piece.end - piece.first for piece in kept))
-    z, u, place, time, order = (np.zeros(shape) for _ in range(5))
+    z, u, place, time, order, action = (*(np.zeros(shape) for _ in range(5)), np.zeros((*shape, 3)))
     noise, mode, counted = np.ones(shape), np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
     ends = np.zeros((2, *shape)) if automaton.n > 1 else None
     vectors = len(automaton.links) == 1 and all(track.action is not None for track in tracks)
-    action = np.zeros((*shape, 3))
     moving, path = next(mode for mode in automaton.modes if mode.driven[i]), link_motions(automaton)[link]
     for s, piece in enumerate(kept):
         track, first, start, end = tracks[piece.track], piece.first, piece.start, piece.end
@@ -288,7 +287,8 @@ def _coordinate_data(
         if track.u is not None:
             u[s, :count] = np.vstack([track.u, 0 * track.u[:1]])[rows] @ moving.B[i]
         place[s, :count], place[s, count:] = track.origin[rows, i], z[s, -1]
-        place[s] += u[s] if track.action is None else _aimed(automaton, i, path, z[s], track.action[rows, link])
+        asked = None if track.action is None else in_base_frame(automaton, i, track.action[rows, link])
+        place[s] += u[s] if asked is None else _aimed(path, z[s], asked)
         time[s, :count] = track.time[rows] - track.time[0]
         order[s, :count] = piece.order + np.arange(first, end) / total
         # Where a sensor sees nothing there is nothing to compare with.
@@ -297,10 +297,10 @@ def _coordinate_data(
             own = row_ends(automaton, track.x[rows], mode[s, :count], i)
             ends[0, s, :count], ends[1, s, :count] = own.low, own.high
             counted[s, 1:count] &= ~own.leaves_open(z[s, :count], u[s, :count])[:-1]
+        if asked is not None:
+            counted[s, :count] &= ~_is_unclear(path, z[s, :count], asked, rows_measured[piece.track].stds[rows, i])
         if vectors and track.action is not None:
             action[s, : min(count, len(track.action) - first)] = track.action[first:end, link]
-            asked = in_base_frame(automaton, i, track.action[rows, link])
-            counted[s, :count] &= ~_is_unclear(path, z[s, :count], asked, rows_measured[piece.track].stds[rows, i])
     return CoordinateData(
         coordinate=automaton.coordinates[i].name,
         index=i,
@@ -349,11 +349,11 @@ def _is_unclear(path: LinkMotion, z: Floats, action: Floats, std: Floats) -> Boo
     return is_unclear
 
 
-def _aimed(automaton: HybridAutomaton, i: int, path: LinkMotion, z: Floats, action: Floats) -> Floats:
+def _aimed(path: LinkMotion, z: Floats, action: Floats) -> Floats:
     """(T,) by how much actions (up to T, 3) lead on from configurations (T,) if they mean places."""
-    own, disturbance = in_base_frame(automaton, i, action), np.zeros_like(z)
-    disturbance[: len(own)] = path.aimed(z[: len(own)], np.nan_to_num(own))
-    return disturbance
+    displacement, k = np.zeros_like(z), len(action)
+    displacement[:k] = path.aimed(z[:k], np.nan_to_num(action))
+    return displacement
 
 
 def _on_motion(automaton: HybridAutomaton, coordinate: str) -> tuple[Effect, ...]:

@@ -210,7 +210,7 @@ class Fitting:
         return [replace(fit, loss=float(loss[0])) for fit, loss in zip(fits, losses, strict=True)]
 
     def beside(self, fit: Fit, count: int) -> list[Fit]:
-        """The likeliest fits with one parameter of the model elsewhere, from near to far."""
+        """The likeliest so many of the fits with one parameter of the model elsewhere, near or far."""
         k = fit.free.of_model
         jumps = (_ELSEWHERE[:, None, None] * np.diag(fit.free.scale[:k])).reshape(-1, k)
         vectors = fit.moved(jumps)

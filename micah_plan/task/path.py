@@ -24,7 +24,7 @@ import numpy as np
 
 from micah_plan.automaton.effects.form import Operations, Value
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.errors import InputError, MicahError, shown
+from micah_plan.errors import OF_YOUR_OWN, InputError, MicahError, shown
 
 Argument = float | str
 
@@ -172,10 +172,7 @@ def path_terms(
 
 def _function(name: str) -> PathFunction:
     if name not in _FUNCTIONS:
-        names = ", ".join(_FUNCTIONS)
-        remedy = (
-            f"register it with path_function, in a file that commands are given with --code, or choose one of {names}"
-        )
+        remedy = f"choose one of {', '.join(_FUNCTIONS)}; {OF_YOUR_OWN}"
         raise InputError(f"unknown path constraint {shown(name)}", remedy=remedy)
     return _FUNCTIONS[name]
 

@@ -49,7 +49,9 @@ def test_a_plan_file_has_the_constraints_of_its_problem(tmp_path: Path) -> None:
     stored = load_plan(tmp_path / "plan.json")
     assert stored.problem.constraints == problem.constraints == (PathConstraint("gentle", (("largest", 0.05),)),)
     remove_path_function("gentle")  # as in a process that has not imported the function: the file brings none along
-    with pytest.raises(InputError, match=r"key 'problem\.path\.0': unknown path constraint 'gentle'; register it"):
+    with pytest.raises(
+        InputError, match=r"key 'problem\.path\.0': unknown path constraint 'gentle'; choose one of stay_above"
+    ):
         load_plan(tmp_path / "plan.json")
     with pytest.raises(InputError, match="unknown path constraint 'gentle'"):
         plan_text(stored.plan, problem)

@@ -350,7 +350,7 @@ def test_mistakes_in_a_function_are_said_before_anything_is_planned(function, me
 def test_names_and_arguments_must_fit() -> None:
     automaton = door_problem(0.2, 1.0).automaton
     for constraint, message in (
-        (PathConstraint("never_heard_of"), "unknown path constraint 'never_heard_of'; register it"),
+        (PathConstraint("never_heard_of"), "unknown path constraint 'never_heard_of'; choose one of stay_above"),
         (PathConstraint("creep"), "path constraint 'creep' takes largest. Got none"),
         (PathConstraint("creep", (("largest", 0.1), ("other", 0.1))), "takes largest. Got largest, other"),
         (PathConstraint("creep", (("largest", float("nan")),)), "arguments must be finite"),

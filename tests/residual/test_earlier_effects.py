@@ -47,6 +47,25 @@ def test_play_that_was_taken_for_a_delay_is_play_once_a_recording_shows_it(door,
     assert "from an earlier calibration, was estimated anew" in again.notes[0]
 
 
+@pytest.mark.slow
+def test_of_two_that_were_tied_the_one_that_the_next_recording_tells_is_written(door) -> None:
+    once = calibrate(door, to_and_fro(plants.sprung, 3))
+    (found,) = once.effects
+    assert (found.effect.name, found.tied) == ("gravity", ("spring",))
+    again = calibrate(once.automaton, to_and_fro(plants.sprung, 4))
+    assert [effect.name for effect in again.automaton.effects] == ["spring"]
+    assert "was estimated anew" in again.notes[0]
+
+
+@pytest.mark.slow
+def test_of_two_that_stay_tied_the_written_one_is_kept(door) -> None:
+    once = calibrate(door, to_and_fro(plants.sprung, 5))
+    assert [(one.effect.name, one.tied) for one in once.effects] == [("gravity", ("spring",))]
+    again = calibrate(once.automaton, to_and_fro(plants.sprung, 6))
+    assert again.verdict == "none"
+    assert again.automaton == once.automaton
+
+
 def test_a_delay_that_is_one_stays_one(door) -> None:
     again = calibrate(with_effect(door, DELAY), to_and_fro(plants.late, 101))
     (effect,) = again.automaton.effects

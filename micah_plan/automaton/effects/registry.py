@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from micah_plan.automaton.effects import commands, ends, forces, geometry, memories, sensors
 from micah_plan.automaton.effects.form import EffectForm
-from micah_plan.errors import InputError, shown
+from micah_plan.errors import OF_YOUR_OWN, InputError, shown
 
 # In the order of lists and reports: of the command, the joint, ends and guards, geometry, the sensor.
 _LIBRARY: tuple[EffectForm, ...] = (
@@ -24,9 +24,7 @@ def form(name: str) -> EffectForm:
         InputError: if there is none; the message lists the names.
     """
     if name not in _FORMS:
-        remedy = (
-            f"choose one of {', '.join(_FORMS)}; one of your own stands in a file that commands are given with --code"
-        )
+        remedy = f"choose one of {', '.join(_FORMS)}; {OF_YOUR_OWN}"
         raise InputError(f"unknown effect {shown(name)}", remedy=remedy)
     return _FORMS[name]
 
