@@ -20,6 +20,7 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.automaton.check import preceding
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Part, Primitive
+from micah_plan.automaton.joint import radius
 from micah_plan.automaton.motion_of_joints import turns_and_translations
 from micah_plan.quantities import FARTHEST_M, quantity
 
@@ -105,6 +106,11 @@ def _distances(automaton: HybridAutomaton) -> Iterator[Amount]:
         for link, joint in zip(automaton.links, mode.joints, strict=True):
             place = f"modes.{mode.name}.joints.{link.child}"
             yield Amount(place, length(joint.position), "m", FARTHEST_M)
+            yield Amount(f"{place}: radius", radius(joint), "m", FARTHEST_M)
+    for i, coordinate in enumerate(automaton.coordinates):
+        whole = whole_range(automaton, i)
+        if coordinate.unit == "m" and math.isfinite(whole):
+            yield Amount(f"coordinates.{coordinate.name}: range", whole, "m", FARTHEST_M)
 
 
 def _of_actions(automaton: HybridAutomaton) -> Iterator[Amount]:

@@ -41,6 +41,7 @@ from micah_plan.learning.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.learning.track import PartTrack, bends, extent, find_inliers, part_track, std_of_bends
 from micah_plan.quantities import Progress, quantity
 from micah_plan.recording.shared_error import shared_error_of
+from micah_plan.recording.symmetry import settled
 from micah_plan.recording.value import Recording
 
 # Times [s] of the rows that steps are means of, by part and run.
@@ -74,6 +75,7 @@ def learn_graph(
     if len(recording) == 0:
         raise InputError("recording has no rows", remedy="record the motion of at least one part")
     chosen = settings or LearnSettings()
+    recording = settled(recording)
     counted: Counted = {}
     if len(recording.parts) > 1:
         chosen, counted = _in_common(recording, chosen)

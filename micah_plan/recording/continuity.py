@@ -76,7 +76,7 @@ def continuity(time: Floats, position: Floats, quaternion: Floats | None, action
         time: (n,) [s]; position: (n, 3) [m]; quaternion: (n, 4) unit, scalar last, or None.
         action: (n, 3) commanded displacement to the next row [m], in any frame, NaN or 0 where there is none; or None.
     """
-    repeats = repeated_readings(position, quaternion)
+    repeats = repeated_readings(position, quaternion, action)
     fresh = np.flatnonzero(~repeats)
     if len(fresh) < _FEWEST:
         return Continuity(~repeats, repeats, (), ())

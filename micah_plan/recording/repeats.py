@@ -8,9 +8,17 @@ the part rests. What is equal to the bit is lost only if it is improbable under 
 The first term compares the grid on which values lie with the white noise of the other rows. The second looks at the
 first new reading after a repeat: if readings were lost, it makes up for all the rows in between at the speed beside
 them; if the part was at rest, it is a step like the others, or the beginning of one.
+
+A tracker that is slower than the log leaves no steps of one row to compare with. It has a clock instead:
+
+    log odds = -log P(equal | read anew) + sum over new readings of log p(rows since the last | clock) / p(... | rests)
+
+where rests end at any time, and a clock ticks every so many rows, a few ticks of which may show nothing new.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import bdtrc
@@ -29,13 +37,18 @@ _FREEDOM = 3.0
 """Of the steps' Student-t distribution: speeds change now and then by much more than usual."""
 _USUAL = 0.9
 """Quantile at which changes of speed are cut before their root mean square is taken."""
+_SEVERAL = 1.5
+"""Rows of one wait that ask for a motion: between one and two."""
+_OFF_BEAT = 0.05
+"""Share of the readings of a slow tracker that come at any time: a tick that was late, or seen a row too early."""
 
 
-def repeated_readings(position: Floats, quaternion: Floats | None) -> Booleans:
+def repeated_readings(position: Floats, quaternion: Floats | None, action: Floats | None = None) -> Booleans:
     """(n,) rows that are the reading of the row before, not a new one that happens to be equal.
 
     Args:
         position: (n, 3) [m]; quaternion: (n, 4) unit, or None.
+        action: (n, 3) commanded displacement to the next row [m], NaN or 0 where there is none; or None.
     """
     vectors = [position] if quaternion is None else [position, quaternion]
     none = np.zeros(len(position), dtype=bool)
@@ -44,10 +57,65 @@ def repeated_readings(position: Floats, quaternion: Floats | None) -> Booleans:
     if not same.any() or len(same) - same.sum() < _FEWEST:
         return none
     chance = float(np.prod([_chance_of_equal(vector[~same]) for vector in vectors]))
-    if chance > _MIRACLE:
+    waits = _Waits.of(same)
+    if waits.are_long:
+        odds = waits.log_odds_of_clock() if action is None or waits.ask_all_along(action) else -np.inf
+    elif chance > _MIRACLE:
         return none
-    odds = -np.log(max(chance, VANISHING)) + np.mean([_log_odds_of_steps(vector, same) for vector in vectors])
-    return same if odds > -np.log(_MIRACLE) else none
+    else:
+        odds = float(np.mean([_log_odds_of_steps(vector, same) for vector in vectors]))
+    return same if odds - np.log(max(chance, VANISHING)) > -np.log(_MIRACLE) else none
+
+
+@dataclass(frozen=True, eq=False)
+class _Waits:
+    """From each new reading to the next.
+
+    Attributes:
+        first: (m,) their first rows. rows: (m,) how many rows each lasts. usual: a short one of them.
+    """
+
+    first: Ints
+    rows: Ints
+    usual: int
+
+    @classmethod
+    def of(cls, same: Booleans) -> _Waits:
+        """Of rows (n,) that are equal to the one before."""
+        new = np.flatnonzero(~same)
+        rows = np.diff(new)
+        # Longer ones are rests, and a few shorter ones are off the beat.
+        return cls(new[:-1], rows, int(np.quantile(rows, 0.25, method="lower")))
+
+    @property
+    def are_long(self) -> bool:
+        """Whether hardly any two rows that follow one another are both new."""
+        return self.usual > 1
+
+    def ask_all_along(self, action: Floats) -> bool:
+        """Whether actions (n, 3) ask for motion in several rows of each wait.
+
+        A part that is told to go now and then, and is there at once, rests by a clock as well.
+        """
+        asks = np.linalg.norm(np.nan_to_num(action), axis=1)[: self.first[-1] + self.rows[-1]]
+        if not asks.any():
+            return True
+        squared, squares = np.add.reduceat(asks, self.first) ** 2, np.add.reduceat(asks**2, self.first)
+        # How many rows of a wait ask for as much as if they asked alike (Kish, "Survey Sampling", 1965).
+        return bool(squared.sum() > _SEVERAL * squares.sum())
+
+    def log_odds_of_clock(self) -> float:
+        """Log odds that a tracker with a clock reads the part now and then, rather than that it rests [nats]."""
+        mean, period = float(self.rows.mean()), float(self.rows[np.abs(self.rows - self.usual) <= 1].mean())
+        rest = (1.0 - 1.0 / mean) ** (self.rows - 1.0) / mean
+        ticks = np.maximum(np.round(self.rows / period), 1.0)
+        shows = min(1.0, period / mean)
+        # A whole number of ticks ends in one of two rows.
+        before = np.floor(ticks * period)
+        past = ticks * period - before
+        ends = np.where(self.rows == before, 1.0 - past, np.where(self.rows == before + 1, past, 0.0))
+        clock = _OFF_BEAT * rest + (1.0 - _OFF_BEAT) * ends * shows * (1.0 - shows) ** (ticks - 1.0)
+        return float(np.sum(np.log(clock / rest)))
 
 
 def _log_odds_of_steps(vector: Floats, same: Booleans) -> float:

@@ -45,6 +45,7 @@ from micah_plan.quantities import FARTHEST_M, count, percent, quantity
 from micah_plan.recording.checks import QUATERNION
 from micah_plan.recording.continuity import FLOORS, Continuity, apart, continuity_of, stretches
 from micah_plan.recording.conventions import TIMES
+from micah_plan.recording.symmetry import ReadTurned, turned_back
 from micah_plan.recording.turned_grip import TurnedGrip, turned_grip
 from micah_plan.recording.value import Recording
 
@@ -321,6 +322,7 @@ _Stray = tuple[_Track, int, int]
 
 def breaks(recording: Recording) -> tuple[str, ...]:
     """One line for each piece of a track that is no measurement of its motion, and for each jump that is left."""
+    recording, turned = turned_back(recording)
     every: list[str] = []
     for run in recording.runs:
         tracks = []
@@ -333,8 +335,20 @@ def breaks(recording: Recording) -> tuple[str, ...]:
             line for track in tracks for line in (*_noise_lines(track), *_repeat_lines(track), *_jump_lines(track))
         ]
         lines += _stray_lines(tracks)
+        lines += [_turned_line(recording, each) for each in turned if each.run == run]
         every += [f"run {run}: {line}" if len(recording.runs) > 1 else line for line in lines]
     return tuple(every)
+
+
+def _turned_line(recording: Recording, turned: ReadTurned) -> str:
+    """Rows in which a part was taken for what it looks the same as."""
+    share, first = 360 // turned.symmetry.fold, int(turned.rows[0])
+    return (
+        f"part '{turned.part}' is read turned by {'' if turned.symmetry.fold == 2 else 'multiples of '}{share}° in "
+        f"{count(len(turned.rows), 'row')}, the first is row {first} (t = {recording.time[first]:.4g} s), though its "
+        "place goes on: an object that looks the same when turned so? These orientations are turned back; if the part "
+        "did turn, read its positions only: --positions-only"
+    )
 
 
 def _noise_lines(track: _Track) -> list[str]:

@@ -133,6 +133,19 @@ def test_a_part_that_jumps_from_mode_to_mode_is_suspected() -> None:
     assert back.startswith("transition rigid -> revolute: part door jumps by 5")
 
 
+@pytest.mark.parametrize(("size", "is_told"), [(0.4, False), (40.0, False), (400.0, True)])
+def test_a_door_of_400_m_is_suspected(size: float, is_told: bool) -> None:
+    """Lengths in millimetres about an axis through the origin of the handle's frame, and a slide of as many metres."""
+    swing, held = (replace(mode.joints[0], center=(-size, 0.0, 0.0), position=(0.0, 0.0, 0.0)) for mode in door().modes)
+    modes = (replace(mode, joints=(joint,)) for mode, joint in zip(door().modes, (swing, held), strict=True))
+    lines = suspicions_of_automaton(replace(door(), modes=tuple(modes)))
+    assert any("revolute.joints.door: radius: 400 m is farther than a room" in line for line in lines) == is_told
+    slide = plain({"a": ONE}, [])
+    mode = replace(slide.modes[0], invariant=guard(([1], [0], 0.0), ([-1], [0], -size)))
+    lines = suspicions_of_automaton(replace(slide, coordinates=(Coordinate("drawer", "m"),), modes=(mode,)))
+    assert any("coordinates.drawer: range: 400 m" in line for line in lines) == is_told
+
+
 def test_a_number_of_one_step_that_is_larger_than_the_range_is_suspected() -> None:
     def drifting(by: float) -> HybridAutomaton:
         return replace(door(), effects=(Effect("bias", "door", (("bias", by),), modes=("revolute",)),))

@@ -1,0 +1,202 @@
+"""Orientations of an object that looks the same when it is turned: readings of one and the same pose, told as one.
+
+A tracker of a box, a cup or a handle may read it turned by half a turn from one row to the next, and back. Its place
+goes on, so the part did not turn; the tracker took it for its likeness. Whatever the symmetry, such a jump is a turn in
+the part's own frame by the same share of a whole turn about the same axis, each time. A part that really turned so far
+between two rows would hardly do so by 1/2, 1/3, 1/4 or 1/6 of a turn within the noise, there and back.
+
+The turn of a jump is read from straight lines through the rows before and after it, and all jumps of a track together
+tell the axis; an axis of the part's frame is taken for exact if it is within the noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from micah_plan.arrays import Floats, Ints
+from micah_plan.recording.value import Recording
+
+_LEAST_TURN = 0.3
+"""Smallest jump [rad]: no symmetry that matters is finer."""
+_FASTER = 4.0
+"""Times as far as nearly all other steps, of orientation: a jump; of position: no continued way."""
+_NEARLY_ALL = 0.75
+_ROWS_BESIDE = 10
+"""Rows on each side that tell where a jump began and ended."""
+_SURELY = 4.0
+"""Standard errors within which a turn or an axis is the one that it is compared with."""
+_FINEST = 1e-5
+"""Error of a turn [rad] that digits leave in any file."""
+_BY_CHANCE = 0.05
+"""Of a turn of a symmetry: nearer to it are a tenth of all turns about its axis, so that noise alone shows none."""
+_FOLDS = (2, 3, 4, 6)
+_FEWEST = 8
+"""Rows: fewer show no usual speed."""
+_FEWEST_JUMPS = 3
+"""There, back and there again, for turns of less than a half: a part may really turn by a quarter, once."""
+
+
+@dataclass(frozen=True, eq=False)
+class Symmetry:
+    """A turn after which an object looks as before.
+
+    Attributes:
+        fold: it is 1/fold of a whole turn. axis: (3,) unit, about it, in the part's frame.
+    """
+
+    fold: int
+    axis: Floats
+
+    def taken_back(self, quaternion: Floats, turns: Ints) -> Floats:
+        """(n, 4) orientations without so many turns (n,) each."""
+        angle = -2.0 * np.pi / self.fold * turns
+        back = Rotation.from_quat(quaternion) * Rotation.from_rotvec(angle[:, None] * self.axis)
+        return np.where((turns == 0)[:, None], quaternion, back.as_quat())
+
+
+@dataclass(frozen=True, eq=False)
+class ReadTurned:
+    """Rows of the recording, of one part in one run, in which it was read turned, though it looks the same."""
+
+    part: str
+    run: int
+    symmetry: Symmetry
+    rows: Ints
+
+
+def settled(recording: Recording) -> Recording:
+    """A recording in which each part is read as most rows of its first run are, whatever it looks the same as."""
+    return turned_back(recording)[0]
+
+
+def turned_back(recording: Recording) -> tuple[Recording, tuple[ReadTurned, ...]]:
+    """The same, and which rows were read otherwise."""
+    if recording.quaternion is None or not np.isfinite(recording.quaternion).all():
+        return recording, ()
+    quaternion, found = recording.quaternion.copy(), list[ReadTurned]()
+    for part in recording.parts:
+        before = np.zeros(0, dtype=np.int64)
+        for run in recording.runs:
+            rows = recording.index(run=run, part=part)
+            within = likenesses(recording.position[rows], quaternion[rows])
+            if within is not None:
+                quaternion[rows] = within[0].taken_back(quaternion[rows], within[1])
+            between = _between(recording.position, quaternion, before, rows)
+            if between is not None:
+                quaternion[rows] = between[0].taken_back(quaternion[rows], np.full(len(rows), between[1]))
+            is_turned = (quaternion[rows] != recording.quaternion[rows]).any(axis=1)
+            symmetry = next((each[0] for each in (between, within) if each is not None), None)
+            if symmetry is not None:
+                found.append(ReadTurned(part, run, symmetry, rows[is_turned]))
+            before = np.concatenate([before, rows])
+    return (replace(recording, quaternion=quaternion), tuple(found)) if found else (recording, ())
+
+
+def likenesses(position: Floats, quaternion: Floats) -> tuple[Symmetry, Ints] | None:
+    """An object's symmetry, and by how many of its turns (n,) rows are from how most are read; None if all are alike.
+
+    Args:
+        position: (n, 3) [m], of one part in one run; quaternion: (n, 4) unit, scalar last.
+    """
+    if len(position) < _FEWEST:
+        return None
+    turned = Rotation.from_quat(quaternion)
+    angle = (turned[:-1].inv() * turned[1:]).magnitude()
+    is_small = angle < _LEAST_TURN
+    if is_small.all() or is_small.sum() < _FEWEST:
+        return None
+    way = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    usual = float(np.quantile(angle[is_small], _NEARLY_ALL))
+    goes_on = way <= _FASTER * np.quantile(way, _NEARLY_ALL)
+    jumps = np.flatnonzero(~is_small & (angle > _FASTER * usual) & goes_on) + 1
+    if not len(jumps):
+        return None
+    edges = np.array([0, *jumps, len(position)])
+    found = _in_common(*_turns_of_jumps(turned, edges, usual))
+    if found is None:
+        return None
+    symmetry, by = found
+    turns = np.repeat(np.concatenate([[0], np.cumsum(by)]) % symmetry.fold, np.diff(edges))
+    most = int(np.argmax(np.bincount(turns, minlength=symmetry.fold)))
+    return symmetry, (turns - most) % symmetry.fold
+
+
+def _between(position: Floats, quaternion: Floats, before: Ints, rows: Ints) -> tuple[Symmetry, int] | None:
+    """By which turns the rows of a run were read otherwise than those before where both were closest; None if not."""
+    if len(before) < _FEWEST or len(rows) < _FEWEST:
+        return None
+    away, nearest = KDTree(position[before]).query(position[rows])
+    closest = np.argsort(away, kind="stable")[:_ROWS_BESIDE]
+    there, here = (Rotation.from_quat(quaternion[of]) for of in (before[nearest[closest]], rows[closest]))
+    turned = there.inv() * here
+    mean = turned.mean()
+    error = float(np.sqrt(np.mean((mean.inv() * turned).magnitude() ** 2)))
+    if mean.magnitude() < _LEAST_TURN:
+        return None
+    found = _in_common(mean.as_rotvec()[None], np.array([max(error, _FINEST)]))
+    return None if found is None else (found[0], int(found[1][0]) % found[0].fold)
+
+
+def _turns_of_jumps(turned: Rotation, edges: Ints, usual: float) -> tuple[Floats, Floats]:
+    """(j, 3) rotation vectors of the jumps at the inner edges, in the part's frame, and (j,) their errors [rad].
+
+    Args:
+        usual: what nearly all other steps stay below [rad].
+    """
+    ends = [
+        (_at_edge(turned, int(a), int(b), at_end=True), _at_edge(turned, int(b), int(c), at_end=False))
+        for a, b, c in zip(edges[:-2], edges[1:-1], edges[2:], strict=True)
+    ]
+    turns = [(before.inv() * after).as_rotvec() for (before, _), (after, _) in ends]
+    errors = np.array([(before, after) for (_, before), (_, after) in ends])
+    # Short pieces tell neither noise nor motion: both are in the usual step.
+    errors = np.where(np.isfinite(errors), errors, usual)
+    return np.array(turns), np.maximum(np.sqrt((errors**2).sum(axis=1)), _FINEST)
+
+
+def _at_edge(turned: Rotation, first: int, last: int, *, at_end: bool) -> tuple[Rotation, float]:
+    """Orientation half a row beyond an end of the rows first to last - 1, and the standard error of that [rad]."""
+    if at_end:
+        rows, edge = np.arange(max(first, last - _ROWS_BESIDE), last), last - 0.5
+    else:
+        rows, edge = np.arange(first, min(last, first + _ROWS_BESIDE)), first - 0.5
+    reference = turned[int(rows[-1 if at_end else 0])]
+    if len(rows) < 4:
+        return reference, np.inf
+    away = (reference.inv() * turned[rows]).as_rotvec()
+    design = np.stack([np.ones(len(rows)), rows - edge], axis=1)
+    fitted, *_ = np.linalg.lstsq(design, away, rcond=None)
+    variance = float(((away - design @ fitted) ** 2).sum()) / (len(rows) - 2)
+    error = float(np.sqrt(variance * np.linalg.inv(design.T @ design)[0, 0]))
+    return reference * Rotation.from_rotvec(fitted[0]), error
+
+
+def _in_common(turns: Floats, errors: Floats) -> tuple[Symmetry, Ints] | None:
+    """The symmetry of all jumps (j, 3) [rad], with errors (j,), and how many of its turns each is; None without one."""
+    angle = np.linalg.norm(turns, axis=1)
+    axes = turns / angle[:, None]
+    axis = np.linalg.eigh((axes / errors[:, None] ** 2).T @ axes)[1][:, -1]
+    side = np.sign(axes @ axis)
+    off = np.arccos(np.clip(np.abs(axes @ axis), 0.0, 1.0)) * angle
+    for fold in _FOLDS:
+        step = 2.0 * np.pi / fold
+        by = np.round(side * angle / step).astype(np.int64)
+        near = np.minimum(_SURELY * errors, _BY_CHANCE * step)
+        if (by % fold == 0).any() or (np.hypot(side * angle - by * step, off) > near).any():
+            continue
+        if len(turns) < _FEWEST_JUMPS and (2 * by % fold).any():
+            return None
+        error = 1.0 / np.sqrt((1.0 / errors**2).sum()) / np.sin(0.5 * step)
+        return Symmetry(fold, _exact(axis, error)), by
+    return None
+
+
+def _exact(axis: Floats, error: float) -> Floats:
+    """The axis of the part's frame that is within the error [rad] of one; else that one."""
+    along = int(np.argmax(np.abs(axis)))
+    exact = np.sign(axis[along]) * np.eye(3)[along]
+    return exact if np.arccos(np.clip(exact @ axis, -1.0, 1.0)) < _SURELY * error else axis
