@@ -23,7 +23,7 @@ from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.graph import BASE, ActionChannel, EdgeCertainty, KinematicEdge, RowPosterior, Segment
 from micah_plan.automaton.joint import Joint
 from micah_plan.errors import InputError, shown
-from micah_plan.learning.actions.channel import with_delayed_actions
+from micah_plan.learning.actions.command_path import with_delayed_actions
 from micah_plan.learning.run import LearnedRun, learn_acted_run, learn_run
 from micah_plan.learning.segmenting.noise import MeasurementNoise
 from micah_plan.learning.segmenting.steps import is_long

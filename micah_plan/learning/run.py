@@ -18,7 +18,8 @@ import numpy as np
 from micah_plan.arrays import Booleans
 from micah_plan.automaton.graph import CHANNEL_NAMES, ActionChannel, EvidenceTrace, RowPosterior, SegmentCertainty
 from micah_plan.automaton.joint import Joint, JointKind
-from micah_plan.learning.actions.channel import estimate_channel, with_delayed_actions
+from micah_plan.learning.actions.channel import estimate_channel
+from micah_plan.learning.actions.command_path import with_delayed_actions
 from micah_plan.learning.goodness_of_fit import assess_joints, no_single_joint_of
 from micah_plan.learning.joints.final_fit import LackOfFit, fit_joint
 from micah_plan.learning.joints.joint_arrays import compare_all

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.graph import BASE
 from micah_plan.errors import InputError, shown
+from micah_plan.learning.dead_band import without_dead_band
 from micah_plan.learning.settings import FEWEST_ROWS
 from micah_plan.recording.continuity import continuity
 from micah_plan.recording.value import Recording
@@ -134,7 +135,7 @@ def measured_track(recording: Recording, rows: Ints, index: Ints, where: str) ->
     action = None if recording.action is None else recording.action[index]
     is_given = np.zeros(len(index), dtype=bool) if action is None else np.asarray(np.isfinite(action).all(axis=1))
     if action is not None and is_given.any():
-        action = np.where(is_given[:, None], action, 0.0)
+        action = without_dead_band(position, quaternion, np.where(is_given[:, None], action, 0.0))
         if quaternion is not None:
             action = Rotation.from_quat(quaternion).inv().apply(action)
     else:

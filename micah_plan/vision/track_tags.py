@@ -42,6 +42,8 @@ _FOCAL_FRAMES, _FOCAL_RANGE = 25, (0.35, 6.0)
 _DOUBTED = 3.0
 # Distortion k1 of a lens that nobody calibrated, one std.
 _BENT = 0.06
+# Times the std of one turn that what such a lens turns directions by is told.
+_MATTERS = 2.0
 # What a lens moves one pose by beyond all others is a flip of its tag [m, rad].
 _FLIPPED = 0.01
 # Std of a focal length, as a share of it, where the camera's axis need not meet the middle of the picture.
@@ -155,9 +157,11 @@ def track_tags(
         *_notes_on_base(base, of_base if still is None else of_base[:1]),
     )
     errors = {part: _shared_error(relative[part], of_base, poses[part], still is not None, used) for part in stds}
-    if camera is None:
-        bent = replace(used, distortion=np.array([_BENT, 0.0, 0.0, 0.0]))
-        errors = {part: _with_lens(errors[part], part, base, placed, frames, (used, bent), layout.up) for part in stds}
+    if camera is None or not np.any(used.distortion):
+        both = used, replace(used, distortion=np.array([_BENT, 0.0, 0.0, 0.0]))
+        with_lens = {part: _with_lens(errors[part], part, base, placed, frames, both, layout.up) for part in stds}
+        notes = (*notes, *(_notes_on_lens(errors, with_lens, stds) if camera is not None else ()))
+        errors = with_lens if camera is None else errors
     recording = with_shared_errors(_recording(times, relative, notes), errors)
     footage = Footage(video, rate, layout, used, times - times[0], frames, poses, of_base)
     return Tracked(recording, footage, noise, still is not None, base, stds, notes)
@@ -309,6 +313,20 @@ def _shared_error(
     along = np.kron(np.eye(2), base.turn.T)
     mean = np.mean([pose.covariance for pose in of_part if pose is not None], axis=0)
     return SharedError(along @ base.covariance @ along.T, _SHARED * along @ mean @ along.T, camera.uncertainty)
+
+
+def _notes_on_lens(
+    errors: Mapping[str, SharedError], with_lens: Mapping[str, SharedError], stds: Mapping[str, tuple[float, float]]
+) -> list[str]:
+    """What a camera file without distortion may hide: pictures that were rectified look like those of a pinhole."""
+    turned = {part: float(np.sqrt(np.trace((with_lens[part].frame - errors[part].frame)[3:, 3:]))) for part in stds}
+    worst = max(turned, key=lambda part: turned[part])
+    if turned[worst] < _MATTERS * stds[worst][1]:
+        return []
+    return [
+        "the camera file says that its lens bends no lines: if these pictures were not rectified, directions may be "
+        f"off by {quantity(turned[worst], 'rad', digits=2, degrees=False)}; calibrate it with --camera-from"
+    ]
 
 
 def _with_lens(

@@ -6,19 +6,14 @@ import numpy as np
 import pytest
 from planted_channel import CASES, Case, believed_angle, planted
 from scipy.spatial.transform import Rotation
-from true_channel import misses
+from true_channel import TrueChannel, misses
 
 from micah_plan.automaton.joint import prismatic, revolute, rigid
 from micah_plan.automaton.kinematics import forward, inverse_jacobian
-from micah_plan.learning.actions.channel import (
-    command_of,
-    configuration_steps,
-    estimate_channel,
-    fit_noise,
-    step_noise_of,
-    with_delayed_actions,
-)
+from micah_plan.learning.actions.channel import estimate_channel
 from micah_plan.learning.actions.channel_search import Quadratic, climb, integrate
+from micah_plan.learning.actions.command_path import command_of, with_delayed_actions
+from micah_plan.learning.actions.configuration_steps import configuration_steps, fit_noise, step_noise_of
 from micah_plan.learning.joints.joint_arrays import rotation_matrix, rotation_quaternion, times
 from micah_plan.learning.track import PartTrack
 
@@ -249,6 +244,36 @@ def test_delayed_actions_move_the_command_in_time():
     remaining = estimated(truth, with_delayed_actions(truth.track, found.delay))
     assert abs(remaining.delay) < 0.05
     assert remaining.gain == pytest.approx(found.gain, rel=0.1)
+
+
+def served(kind, lag, rng, rows=200, count=5e-4):
+    """A servo of first order on a goal at drawn speeds, read by an encoder; actions are the steps of the goal."""
+    joint = prismatic((0, 1, 0), (0, 0, 0)) if kind == "prismatic" else revolute((0, 0, 1), (-0.3, 0.0, 0.0), (0, 0, 0))
+    goal = np.interp(np.arange(rows), np.linspace(0, rows, 8), np.concatenate([[0.0], rng.uniform(0.0, 1.0, 7)]))
+    c = np.zeros(rows)
+    for k in range(1, rows):
+        c[k] = c[k - 1] + (goal[k - 1] - c[k - 1]) * (1.0 - np.exp(-1.0 / lag))
+    poses, meant = forward(joint, count * np.round(c / count)), forward(joint, goal)
+    action = np.diff(meant.translation, axis=0, append=meant.translation[-1:])
+    action = poses.rotation.inv().apply(action)
+    return joint, PartTrack(np.arange(rows), 0.1 * np.arange(rows), poses.translation, poses.rotation.as_quat(), action)
+
+
+@pytest.mark.parametrize("kind", ["prismatic", "revolute"])
+@pytest.mark.parametrize("lag", [3.0, 6.0])
+def test_the_lag_of_a_servo_is_a_delay_and_no_other_frame(kind, lag):
+    missed = []
+    for seed in range(5):
+        joint, track = served(kind, lag, np.random.default_rng(seed))
+        found = estimate_channel(joint, [(0, len(track) - 1)], track, 2e-4)
+        # On average a step is made so many rows later: the mean of a geometric distribution.
+        truth = TrueChannel(joint, Rotation.identity(), 1.0, 0.1 / (1.0 - np.exp(-1.0 / lag)))
+        errors = misses(truth, found)
+        missed.append([errors["angle error"], errors["gain error"], errors["delay error"]])
+    frame, gain, delay = np.median(missed, axis=0)
+    assert frame < 0.2
+    assert gain < 0.05
+    assert delay < 0.02
 
 
 def covered(trials):

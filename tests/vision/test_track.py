@@ -92,6 +92,16 @@ def test_a_drawer_and_no_camera_file(videos) -> None:
     )
 
 
+def test_a_camera_file_of_a_pinhole_for_a_lens_that_bends_is_told(tmp_path) -> None:
+    """The marker is near the edge of the picture, where a cheap lens bends most."""
+    rendered.film(tmp_path / "bent.mp4", rendered.door(), rendered.shutting, seconds=2.0, bent=rendered.BENT)
+    plain = track(tmp_path / "bent.mp4", DOOR, camera=CAMERA)
+    (line,) = (note for note in plain.warnings if "bends no lines" in note)
+    assert "--camera-from" in line
+    right = track(tmp_path / "bent.mp4", DOOR, camera=replace(CAMERA, distortion=rendered.BENT))
+    assert not any("bends no lines" in note for note in right.warnings)
+
+
 def test_the_command_writes_what_learn_reads(videos, tmp_path) -> None:
     tags = tmp_path / "tags.yaml"
     tags.write_text("format: micah-plan/tags/1\ntags:\n  0: {part: base, size: 0.06}\n  1: {part: door, size: 0.06}\n")

@@ -1,0 +1,69 @@
+"""Actions that a servo is too coarse to follow: asked for, and no sign of a stop.
+
+A servo that an encoder reads rests some counts beside its goal, and what is commanded there (the goal less the pose) is
+asked for in vain for as long as it rests. That is not what a stop does, which withstands larger actions than those that
+moved the part elsewhere. So where readings repeat to the last digit, the model of a dead band,
+
+    p(moved | action) = p0 if |action| <= D, p1 otherwise,   p0 ~ Beta(1/2, 19/2), p1 ~ Beta(1/2, 1/2),
+
+competes with one probability for all actions, and actions within the likeliest D are left out. D is at most some
+counts, of which the smallest step of the part tells the size: a part that is only pushed gently is stopped.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import betaln
+
+from micah_plan.arrays import Booleans, Floats
+
+_FEWEST = 12
+"""Rows at rest though something is asked for."""
+_MOST_COUNTS = 3.5
+"""A dead band is no wider: controllers are tuned to rest within two or three counts."""
+_COARSE = 0.3
+"""Of a usual step, a count: if all steps are one count, a slow hand cannot be told from a coarse one."""
+_AHEAD = 3.0
+"""Nats: what a dead band must be ahead by."""
+_IDLE, _ALIVE = (0.5, 9.5), (0.5, 0.5)
+
+
+def without_dead_band(position: Floats, quaternion: Floats | None, action: Floats) -> Floats:
+    """Actions (n, 3) without those within the dead band of what moves the part; 0 there.
+
+    Args:
+        position: (n, 3) [m]; quaternion: (n, 4) unit, or None; action: commanded displacements to the next row [m].
+    """
+    asked = np.linalg.norm(action[:-1], axis=1)
+    vectors = [position] if quaternion is None else [position, quaternion]
+    moves = np.any([(vector[1:] != vector[:-1]).any(axis=1) for vector in vectors], axis=0)
+    asks = asked > 0.0
+    if (asks & ~moves).sum() < _FEWEST or not (asks & moves).any():
+        return action
+    steps = np.linalg.norm(np.diff(position, axis=0), axis=1)[moves]
+    count = float(steps.min())
+    if count > _COARSE * float(np.median(steps)):
+        return action
+    widest = _dead_band(asked[asks], moves[asks], _MOST_COUNTS * count)
+    return np.where(np.append(asked <= widest, False)[:, None], 0.0, action)
+
+
+def _dead_band(asked: Floats, moves: Booleans, most: float) -> float:
+    """The likeliest width of a dead band, by rows (n,) that are asked so much, and move or not; 0 if there is none."""
+    order = np.argsort(asked, kind="stable")
+    asked, moves = asked[order], moves[order]
+    within = np.arange(1.0, len(asked) + 1)
+    moved = np.cumsum(moves, dtype=np.float64)
+    last = np.append(asked[1:] > asked[:-1], True) & (asked <= most)
+    if not last.any():
+        return 0.0
+    density = _log_density(moved, within, _IDLE) + _log_density(moved[-1] - moved, len(asked) - within, _ALIVE)
+    density = np.where(last, density, -np.inf)
+    best = int(np.argmax(density))
+    alone = float(_log_density(moved[-1:], within[-1:], _ALIVE)[0])
+    return float(asked[best]) if density[best] - np.log(len(asked)) > alone + _AHEAD else 0.0
+
+
+def _log_density(moved: Floats, rows: Floats, prior: tuple[float, float]) -> Floats:
+    """Of so many rows that move among some, whatever the probability is [nats]."""
+    return np.asarray(betaln(moved + prior[0], rows - moved + prior[1]) - betaln(*prior))
