@@ -79,16 +79,25 @@ def save(value: Any, path: str | Path) -> None:
         raise InputError(f"there is no file for a {type(value).__name__}", remedy="give a recording, model or result")
 
 
-def show(value: Any, path: str | Path | None = None) -> Page:
+def show(value: Any, path: str | Path | None = None, *, before: Any = None) -> Page:
     """The page of a recording, a model, a problem or a result: opened in the browser, or within a notebook.
 
     Args:
         value: what to show.
         path: where to write the page, and nothing is opened; None: a temporary file.
+        before: runs before a change, as a result or a recording, to show beside those that `execute` returned.
 
     Raises:
-        InputError: if there is no page of such a value.
+        InputError: if there is no page of such a value, or there are no runs to compare.
     """
+    if before is not None:
+        from micah_plan.api.planning import RunsResult
+
+        earlier = before.recording if isinstance(before, RunsResult) else before
+        if not isinstance(value, RunsResult) or not isinstance(earlier, Recording):
+            problem = f"expected runs before and after, found a {type(before).__name__} and a {type(value).__name__}"
+            raise InputError(problem, where="before", remedy="give what execute returned, or the recording of its runs")
+        return Page(value.page(before=earlier)).opened(path)
     if isinstance(value, Result):
         return value.show(path)
     if isinstance(value, Recording):

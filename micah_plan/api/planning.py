@@ -327,11 +327,18 @@ class RunsResult(Result):
 
         return belief_figure(self.planned.problem, self.planned.plan, self.recording)
 
-    def page(self, title: str = "") -> str:
-        """The runs beside the plan in 3-D, where they left it and why they failed."""
+    def page(self, title: str = "", *, before: Recording | None = None) -> str:
+        """The runs beside the plan in 3-D, where they left it and why they failed.
+
+        Args:
+            before: runs of the same plan before a change, shown beside these; all are judged by their last rows then.
+        """
         from micah_plan.view.plan_page import plan_page
 
         plan, problem, failures = self.planned.plan, self.planned.problem, dict(self.failures)
+        if before is not None:
+            both = {"before": before, "after": self.recording}
+            return plan_page(plan, problem, title=title or self.title, executed=both)
         return plan_page(plan, problem, title=title or self.title, executed=self.recording, failures=failures)
 
     def save(self, path: str | Path) -> None:

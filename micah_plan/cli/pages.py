@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
-from contextlib import nullcontext, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -16,13 +16,19 @@ from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import PAGE, Output, check_outputs, replace_files
 from micah_plan.view.video import PICTURE, VIDEO, Filming
 
+if TYPE_CHECKING:
+    from micah_plan.recording.value import Recording
+
+MOST_RECORDINGS = 2
+"""Of runs beside a plan: before and after."""
 View = Literal["whole", "motion", "object", "front", "side", "top"]
 
 
 def show(
     file: Annotated[Path, typer.Argument(help="A recording, a model, a problem, a plan, or a folder.")],
     runs: Annotated[
-        Path | None, typer.Argument(help="Executed runs of the plan (a recording), to show beside it.")
+        list[Path] | None,
+        typer.Argument(help="Executed runs of the plan (a recording), to show beside it; two: before, after."),
     ] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Page to write.")] = None,
     video: Annotated[
@@ -59,9 +65,9 @@ def show(
     files = {option: path for option, (path, _) in wanted.items() if path is not None}
     if not files and not live:
         raise InputError("no output is named", remedy="name a file with -o, or serve the page with --live")
-    if runs is not None and (file.is_dir() or _kind_of(file) != "plan"):
-        raise InputError("only a plan is shown with runs", source=file, remedy="name the plan first, then its runs")
-    check_outputs((file, runs), [Output(option, *where) for option, where in wanted.items()])
+    runs = runs or []
+    _check_runs(file, runs)
+    check_outputs((file, *runs), [Output(option, *where) for option, where in wanted.items()])
     if file.is_dir():
         _show_folder(file, files, live, as_json)
         return
@@ -77,6 +83,15 @@ def show(
         print_summary(as_json, summary, lambda: print_files(files.values()))
         return
     _serve(current, port, summary, list(files.values()), as_json)
+
+
+def _check_runs(file: Path, runs: Sequence[Path]) -> None:
+    """Raise an InputError if runs stand beside something that is no plan, or are too many."""
+    if runs and (file.is_dir() or _kind_of(file) != "plan"):
+        raise InputError("only a plan is shown with runs", source=file, remedy="name the plan first, then its runs")
+    if len(runs) > MOST_RECORDINGS:
+        problem = f"expected the runs before and after a change, found {len(runs)} recordings"
+        raise InputError(problem, source=runs[MOST_RECORDINGS], remedy="name at most two")
 
 
 def _serve(
@@ -148,7 +163,16 @@ def _kind_of(file: Path) -> str:
     return str(kind) if kind in ("plan", "problem", "recording") else "model"
 
 
-def _page_of(file: Path, runs: Path | None, progress: Callable[[str, float], None]) -> str:
+def _by_file_name(runs: Sequence[Path]) -> dict[str, Recording]:
+    """Recordings of runs by the names of their files; by their paths where these are alike."""
+    from micah_plan.exchange.load import load_recording
+
+    names = [path.name for path in runs]
+    names = names if len(set(names)) == len(names) else [str(path) for path in runs]
+    return {name: load_recording(path) for name, path in zip(names, runs, strict=True)}
+
+
+def _page_of(file: Path, runs: Sequence[Path], progress: Callable[[str, float], None]) -> str:
     from micah_plan.api.learning import is_long_enough, learn
     from micah_plan.exchange.load import load_recording
 
@@ -168,9 +192,8 @@ def _page_of(file: Path, runs: Path | None, progress: Callable[[str, float], Non
         from micah_plan.view.plan_page import plan_page
 
         stored = load_plan(file)
-        executed = None if runs is None else load_recording(runs)
-        with nullcontext() if runs is None else located_in(runs):
-            return plan_page(stored.plan, stored.problem, title=title_of(file), executed=executed)
+        executed = _by_file_name(runs) if runs else None
+        return plan_page(stored.plan, stored.problem, title=title_of(file), executed=executed)
     from micah_plan.view.recording_page import recording_page
 
     recording = load_recording(file)

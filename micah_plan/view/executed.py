@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -24,7 +24,7 @@ from micah_plan.view.drawing import draw_shapes, link_shapes, shown_links
 from micah_plan.view.learned import capital
 from micah_plan.view.motion import step_times, times_of_steps
 from micah_plan.view.page import LegendEntry, RunEntry, Status
-from micah_plan.view.palette import EXECUTED
+from micah_plan.view.palette import EXECUTED, EXECUTED_BEFORE
 from micah_plan.view.placement import handle_in_part
 from micah_plan.view.scene import DrawnScene, slug
 from micah_plan.view.solids import beads
@@ -45,6 +45,9 @@ class ExecutedRun:
         reached: whether it ended in the goal.
         ending: how it ended, in one sentence.
         leaving: where it left the plan, in one sentence; empty if it never did.
+        recording: what its recording is called, where runs of two are compared; else empty.
+        number: of all runs on the page, by which its curves are known.
+        color: of its ghost and its curves.
     """
 
     run: int
@@ -55,11 +58,19 @@ class ExecutedRun:
     reached: bool
     ending: str
     leaving: str
+    recording: str = ""
+    number: int = 0
+    color: str = EXECUTED
+
+    @property
+    def name(self) -> str:
+        """Its number, with its recording where there are two."""
+        return f"{self.recording}, run {self.run}" if self.recording else f"run {self.run}"
 
     @property
     def label(self) -> str:
-        """Its number and how it ended."""
-        return f"run {self.run}, {'reached the goal' if self.reached else 'missed the goal'}"
+        """Which it is and how it ended."""
+        return f"{self.name}, {'reached the goal' if self.reached else 'missed the goal'}"
 
     @property
     def words(self) -> tuple[str, ...]:
@@ -100,6 +111,17 @@ def executed_runs(
             )
         )
     return tuple(values)
+
+
+def runs_of_recordings(recordings: Mapping[str, Sequence[ExecutedRun]]) -> tuple[ExecutedRun, ...]:
+    """Runs of several recordings, by what these are called, as one page shows them; the last in the usual colour."""
+    last, is_one = list(recordings)[-1], len(recordings) == 1
+    every = [
+        replace(run, recording="" if is_one else name, color=EXECUTED if name == last else EXECUTED_BEFORE)
+        for name, runs in recordings.items()
+        for run in runs
+    ]
+    return tuple(replace(run, number=k) for k, run in enumerate(every))
 
 
 def run_configurations(problem: Problem, recording: Recording, tracks_read: tuple[Track, ...] = ()) -> list[Floats]:
@@ -203,8 +225,15 @@ _LAYER = "runs"
 
 
 def first_runs(runs: Sequence[ExecutedRun]) -> list[ExecutedRun]:
-    """The runs that a page shows: those that failed, then those that left the plan, then the others."""
-    return sorted(runs, key=lambda run: (run.reached, not run.leaving, run.run))[:_MOST_GHOSTS]
+    """The runs that a page shows, of each recording as many: those that failed, those that left the plan, others."""
+    names = list(dict.fromkeys(run.recording for run in runs))
+    return [
+        run
+        for name in names
+        for run in sorted(
+            (run for run in runs if run.recording == name), key=lambda run: (run.reached, not run.leaving, run.run)
+        )[: _MOST_GHOSTS // len(names)]
+    ]
 
 
 def draw_runs(
@@ -213,18 +242,18 @@ def draw_runs(
     """A ghost of every run along the plan's clock, with beads where its handle was; the entries of the list."""
     entries = []
     for order, run in enumerate(runs):
-        layer = f"{_LAYER}/{order}_run"
+        layer = f"{_layer(run)}/{order}_run"
         rows = evenly(len(run.x), MOST_KEYFRAMES)
         clock = times_of_steps(trajectory, rows.astype(float))
         for number, link in shown_links(automaton):
             poses = run.poses[link.child]
             path = f"{layer}/{slug(link.child, number)}"
-            draw_shapes(scene, path, link_shapes(automaton, number), color=EXECUTED, opacity=0.42)
+            draw_shapes(scene, path, link_shapes(automaton, number), color=run.color, opacity=0.42)
             scene.animate(path, clock, poses[rows])
             track = np.asarray(poses.apply(handle_in_part(automaton, link.child)))
-            scene.mesh(f"{layer}/track/{number}", beads(track[rows], 0.012 * size), EXECUTED)
+            scene.mesh(f"{layer}/track/{number}", beads(track[rows], 0.012 * size), run.color)
         entries.append(
-            RunEntry(run.label, run.words, layer, run.run, _readouts(automaton, run, clock.tolist(), rows.tolist()))
+            RunEntry(run.label, run.words, layer, run.number, _readouts(automaton, run, clock.tolist(), rows.tolist()))
         )
     return entries
 
@@ -240,24 +269,36 @@ def _readouts(
             f"{c.name} = {quantity(float(value), c.unit, degrees=False)} executed"
             for c, value in zip(automaton.coordinates, run.x[row], strict=True)
         ]
-        lines.append((time, (f"run {run.run} after {quantity(float(run.seconds[row]), 's')}{mode}", *values)))
+        lines.append((time, (f"{run.name} after {quantity(float(run.seconds[row]), 's')}{mode}", *values)))
     return tuple(lines)
 
 
-def runs_legend() -> list[LegendEntry]:
+def runs_legend(runs: Sequence[ExecutedRun]) -> list[LegendEntry]:
     """What ghosts and beads are."""
-    return [LegendEntry(EXECUTED, "executed: the object as it was measured, and where its handle was", _LAYER)]
+    what = "the object as it was measured, and where its handle was"
+    kinds = dict.fromkeys((run.color, run.recording or "executed", _layer(run)) for run in runs)
+    return [LegendEntry(color, f"{name}: {what}", layer) for color, name, layer in kinds]
+
+
+def _layer(run: ExecutedRun) -> str:
+    """Of the scene, with all runs of the same recording."""
+    when = "before" if run.color == EXECUTED_BEFORE else "after"
+    return f"{_LAYER}/{when}" if run.recording else _LAYER
 
 
 def runs_badge(runs: Sequence[ExecutedRun]) -> tuple[str, Status]:
-    """How many runs reached the goal."""
-    reached = sum(run.reached for run in runs)
-    status: Status = "good" if reached == len(runs) else "fair" if reached else "bad"
-    return f"{reached} of {count(len(runs), 'run')} reached the goal", status
+    """How many runs reached the goal, of each recording; the colour is that of the last one."""
+    said = list[str]()
+    status: Status = "bad"
+    for name in dict.fromkeys(run.recording for run in runs):
+        own = [run.reached for run in runs if run.recording == name]
+        status = "good" if all(own) else "fair" if any(own) else "bad"
+        said.append(f"{name}: " * bool(name) + f"{sum(own)} of {count(len(own), 'run')}")
+    return f"{', '.join(said)} reached the goal", status
 
 
 def runs_details(runs: Sequence[ExecutedRun]) -> list[tuple[str, list[str]]]:
     """Every run with its ending, for the panel."""
-    shown = min(len(runs), _MOST_GHOSTS)
+    shown = len(first_runs(runs))
     title = f"All {len(runs)} runs" + (f" ({shown} are drawn, those that failed first)" if shown < len(runs) else "")
-    return [(title, [f"Run {run.run}: {' '.join(run.words)}" for run in runs])]
+    return [(title, [f"{capital(run.name)}: {' '.join(run.words)}" for run in runs])]

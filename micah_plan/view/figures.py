@@ -41,7 +41,7 @@ from micah_plan.view.chart import (
 from micah_plan.view.executed import run_configurations
 from micah_plan.view.palette import BELIEF, EXECUTED, GOAL, GRID, GUARD, INK, MUTED, mode_colors
 from micah_plan.view.placement import thresholds
-from micah_plan.view.plan_charts import belief_chart
+from micah_plan.view.plan_charts import DrawnRun, belief_chart
 
 _DPI = 150
 # The view holds every mean and the ellipses that are not larger than this many times the median one. It is not much
@@ -170,7 +170,7 @@ def belief_figure(problem: Problem, plan: Plan, runs: Recording | None = None) -
         )
     automaton, trajectory = problem.automaton, plan.trajectory.of_first(problem.automaton.n)
     executed = [] if runs is None else run_configurations(problem, runs)
-    chart = belief_chart(problem, trajectory, list(enumerate(executed)), spreads=False)
+    chart = belief_chart(problem, trajectory, [DrawnRun(k, x) for k, x in enumerate(executed)], spreads=False)
     if not is_plane(automaton):
         return chart_figure([chart])
     figure = empty_figure((14.0, 7.2), layout="constrained")

@@ -151,6 +151,7 @@ class ScenePage:
         details: (heading, lines) folded away at first.
         legend, timeline: see their types.
         hidden: layers that are switched off at first.
+        shows_all_runs: whether all runs are shown at first, and not the first of them.
         charts: shown in a column of their own, below the panel where the window is narrow.
         runs: to choose from; the first is shown at first.
         pictures: (time on the player [s], JPEG) of what a camera saw, shown beside the scene.
@@ -168,6 +169,7 @@ class ScenePage:
     legend: Sequence[LegendEntry] = ()
     timeline: Timeline = field(default_factory=Timeline)
     hidden: Sequence[str] = ()
+    shows_all_runs: bool = False
     charts: Sequence[Block] = ()
     runs: Sequence[RunEntry] = ()
     pictures: Sequence[tuple[float, bytes]] = ()

@@ -25,6 +25,8 @@ NO_SINGLE_JOINT = "#F0C808"
 
 BELIEF = BLUE
 EXECUTED = ORANGE
+EXECUTED_BEFORE = PINK
+"""Runs that others are compared with."""
 GOAL = GREEN
 INK = "#1F2933"
 MUTED = "#7B8794"

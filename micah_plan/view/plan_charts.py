@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,11 +23,25 @@ _MEAN, _SPREAD = 96.0, 44.0
 MOST_COORDINATES = 12
 _NARROW = 0.15  # of the axis; names of narrower stretches in a row end together where the last one ends
 
-Runs = Sequence[tuple[int, Floats]]
-"""Numbers of executed runs, and their configurations (T, n), true or measured."""
+
+@dataclass(frozen=True, eq=False)
+class DrawnRun:
+    """An executed run as charts draw it.
+
+    Attributes:
+        number: by which its curves and its entry on the page belong together.
+        x: (T, n) configurations, true or measured [rad or m].
+        recording: what its recording is called, where there are several; empty: it is the only one.
+        color: of its curves.
+    """
+
+    number: int
+    x: Floats
+    recording: str = ""
+    color: str = EXECUTED
 
 
-def plan_charts(plan: Plan, problem: Problem, runs: Runs = ()) -> list[Block]:
+def plan_charts(plan: Plan, problem: Problem, runs: Sequence[DrawnRun] = ()) -> list[Block]:
     """The belief over the steps, with executed runs on top, and the arm's manipulability and clearance where there is
     one; none without plan.
     """
@@ -48,8 +63,9 @@ def plan_charts(plan: Plan, problem: Problem, runs: Runs = ()) -> list[Block]:
     )
     left_out = problem.automaton.n - MOST_COORDINATES
     words = (legend,) if left_out <= 0 else (legend, f"{count(left_out, 'more coordinate')} not shown.")
+    names = [name for name in dict.fromkeys(run.recording for run in runs) if name]
     if runs:
-        words = (*words, "Orange: executed.")
+        words = (*words, f"Pink: {names[0]}. Orange: {names[1]}." if len(names) > 1 else "Orange: executed.")
     title = "Belief and executed runs" if runs else "Belief"
     blocks = [Block(title, words, belief_chart(problem, trajectory, runs), keyframes=keyframes)]
     if plan.arm is not None:
@@ -62,7 +78,9 @@ def step_label(problem: Problem) -> str:
     return f"step, of {quantity(parameters_of(problem).control_period, 's')} each"
 
 
-def belief_chart(problem: Problem, trajectory: Trajectory, runs: Runs = (), *, spreads: bool = True) -> Chart:
+def belief_chart(
+    problem: Problem, trajectory: Trajectory, runs: Sequence[DrawnRun] = (), *, spreads: bool = True
+) -> Chart:
     """Mean and margin of every coordinate over the steps, with goal, guards and executed runs.
 
     Args:
@@ -75,18 +93,23 @@ def belief_chart(problem: Problem, trajectory: Trajectory, runs: Runs = (), *, s
     shown = problem.automaton.coordinates[:MOST_COORDINATES]
     steps, stds = step_times(trajectory).astype(np.float64), np.sqrt((trajectory.factors**2).sum(axis=2))
     margin = f"± {plain(problem.settings.sigmas)} σ (confidence {percent(problem.settings.confidence)})"
-    executed = f"executed ({count(len(runs), 'run')})" if len(runs) > 1 else "executed"
+    counts = Counter(run.recording for run in runs)
+    labels = {
+        name: (name or "executed") + (f" ({count(number, 'run')})" if number > 1 else "")
+        for name, number in counts.items()
+    }
     for i, coordinate in enumerate(shown):
         mean, std = trajectory.means[:, i], stds[:, i]
         lower, upper = mean - problem.settings.sigmas * std, mean + problem.settings.sigmas * std
         goals = [(value - tol, value + tol) for index, value, tol in problem.goal.target if index == i]
-        low, high = widened([lower, upper, *(end for goal in goals for end in goal), *(x[:, i] for _, x in runs)])
+        low, high = widened([lower, upper, *(end for goal in goals for end in goal), *(run.x[:, i] for run in runs)])
         marks: list[Mark] = [Range(*goal, GOAL, "goal") for goal in goals]
         marks += [Level(at, label="guard") for at in guards_of(problem.automaton, i) if low < at < high]
         marks.append(Area(steps, lower, upper, color=BELIEF, label=f"belief, {margin}"))
         marks.append(Curve(steps, mean, color=BELIEF))
-        for run, x in runs:
-            marks.append(Curve(np.arange(len(x), dtype=float), x[:, i], "run", EXECUTED, executed, run))
+        for run in runs:
+            at, label = np.arange(len(run.x), dtype=float), labels[run.recording]
+            marks.append(Curve(at, run.x[:, i], "run", run.color, label, run.number))
         panels.append(Panel(f"{coordinate.name}\n[{coordinate.unit}]", low, high, _MEAN, tuple(marks)))
         if spreads:
             line = Curve(steps, std, color=BELIEF)
@@ -94,9 +117,9 @@ def belief_chart(problem: Problem, trajectory: Trajectory, runs: Runs = (), *, s
     return _over_steps(problem, trajectory, panels, _last(trajectory, runs), "belief")
 
 
-def _last(trajectory: Trajectory, runs: Runs) -> float:
+def _last(trajectory: Trajectory, runs: Sequence[DrawnRun]) -> float:
     """The last step of the plan or of a run."""
-    return max([float(step_times(trajectory)[-1]), 1.0, *(len(x) - 1.0 for _, x in runs)])
+    return max([float(step_times(trajectory)[-1]), 1.0, *(len(run.x) - 1.0 for run in runs)])
 
 
 def _over_steps(

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from scipy.special import chdtri
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import COLLIDED
-from micah_plan.errors import InputError
+from micah_plan.errors import InputError, located_in
 from micah_plan.execution.mujoco.parameters import parameters_of
 from micah_plan.quantities import count, percent, percent_interval, plain, quantity, with_spread
 from micah_plan.recording.value import Recording
@@ -35,6 +36,7 @@ from micah_plan.view.executed import (
     runs_badge,
     runs_details,
     runs_legend,
+    runs_of_recordings,
 )
 from micah_plan.view.model_page import draw_ground_and_frame, draw_mode_joints, draw_object, ground_legend
 from micah_plan.view.motion import (
@@ -52,7 +54,7 @@ from micah_plan.view.motion import (
 from micah_plan.view.page import Band, LegendEntry, ScenePage, Status, Timeline, render_scene
 from micah_plan.view.palette import BELIEF, GOAL, INK, MUTED, START, mode_colors
 from micah_plan.view.placement import chain_coordinates
-from micah_plan.view.plan_charts import plan_charts
+from micah_plan.view.plan_charts import DrawnRun, plan_charts
 from micah_plan.view.release import ReleaseMotion, goal_poses, joined_keyframes, release_facts, release_motion_of
 from micah_plan.view.scene import DrawnScene, slug, transforms
 from micah_plan.view.solids import Mesh, straightened, tube
@@ -71,7 +73,7 @@ def plan_page(
     problem: Problem,
     *,
     title: str = "Plan",
-    executed: Recording | None = None,
+    executed: Recording | Mapping[str, Recording] | None = None,
     failures: Mapping[int, str] | None = None,
 ) -> str:
     """The page as HTML text; of a plan without trajectory it says so, with the reason, and shows start and goal.
@@ -79,7 +81,7 @@ def plan_page(
     Args:
         plan, problem: what is planned.
         title: of the page.
-        executed: runs of the plan, which are shown beside it.
+        executed: runs of the plan, which are shown beside it; or those of several recordings, by what these are called.
         failures: why runs failed, by run, as execution said it; None: success is judged by their last rows.
 
     Raises:
@@ -149,6 +151,7 @@ def _drawn(plan: Plan, problem: Problem, runs: tuple[ExecutedRun, ...], said: _S
         draw_arm(scene, problem, plan.arm, knot_times(plan.trajectory), keys.times, after)
     draw_bodies(scene, problem.scene)
     listed = draw_runs(scene, automaton, plan.trajectory, first_runs(runs), size) if plan.trajectory else []
+    drawn = [DrawnRun(run.number, run.x, run.recording, run.color) for run in runs]
     spacing = draw_ground_and_frame(scene, size)
     parts = [link.child for _, link in shown_links(automaton)]
     points = np.concatenate([handle_path(automaton, frames, part) for frames in (keys, goal) for part in parts])
@@ -156,12 +159,13 @@ def _drawn(plan: Plan, problem: Problem, runs: tuple[ExecutedRun, ...], said: _S
         **vars(said),
         camera=camera(scene, points, body_boxes(problem.scene)),
         chips=[(name, mode_colors(automaton).get(name, INK)) for name in plan.mode_sequence],
-        legend=[*(runs_legend() if runs else []), *_legend(plan, problem, size, spacing)],
+        legend=[*(runs_legend(runs) if runs else []), *_legend(plan, problem, size, spacing)],
         details=[*(runs_details(runs) if runs else []), *_details(plan, problem)],
         timeline=_timeline(plan.trajectory, problem, runs, after) if plan.trajectory else Timeline(),
         hidden=["spread"],
-        charts=plan_charts(plan, pre_release_problem(problem), [(run.run, run.x) for run in runs]),
+        charts=plan_charts(plan, pre_release_problem(problem), drawn),
         runs=listed,
+        shows_all_runs=len({run.recording for run in runs}) > 1,
     )
     return render_scene(page, scene)
 
@@ -178,13 +182,22 @@ def _whole(problem: Problem, keys: Keyframes, after: ReleaseMotion | None) -> tu
 
 
 def _executed(
-    plan: Plan, problem: Problem, executed: Recording | None, failures: Mapping[int, str] | None
+    plan: Plan,
+    problem: Problem,
+    executed: Recording | Mapping[str, Recording] | None,
+    failures: Mapping[int, str] | None,
 ) -> tuple[ExecutedRun, ...]:
     if executed is None:
         return ()
     if plan.trajectory is None:
         raise InputError("the plan has no trajectory that runs could follow", remedy="show it without runs")
-    return executed_runs(pre_release_problem(problem), plan.trajectory, executed, failures)
+    recordings = {"": executed} if isinstance(executed, Recording) else executed
+    done, trajectory = pre_release_problem(problem), plan.trajectory
+    runs = dict[str, tuple[ExecutedRun, ...]]()
+    for name, one in recordings.items():
+        with located_in(name) if name else nullcontext():
+            runs[name] = executed_runs(done, trajectory, one, failures)
+    return runs_of_recordings(runs)
 
 
 def _start_mode(problem: Problem) -> str:

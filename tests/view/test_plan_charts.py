@@ -11,7 +11,7 @@ from micah_plan.task.plan import ArmTrajectory, Plan
 from micah_plan.view.chart import Area, Curve, Level, Range, Span, Words
 from micah_plan.view.motion import knot_times, mode_stretches, shown_duration, step_times
 from micah_plan.view.page import Block
-from micah_plan.view.plan_charts import plan_charts
+from micah_plan.view.plan_charts import DrawnRun, plan_charts
 
 CONFIDENCE = 0.9
 
@@ -91,7 +91,7 @@ def test_a_plan_that_never_leaves_its_place_is_drawn() -> None:
 
 def test_a_run_has_its_number_and_makes_its_panel_high_enough() -> None:
     run = np.linspace(0.0, 3.0, 30)[:, None]
-    (block,) = plan_charts(solved(), problem(confidence=CONFIDENCE), [(7, run)])
+    (block,) = plan_charts(solved(), problem(confidence=CONFIDENCE), [DrawnRun(7, run)])
     curve = next(mark for mark in marks(block.chart, Curve, 0) if mark.look == "run")
     assert curve.run == 7
     np.testing.assert_array_equal(curve.y, run[:, 0])

@@ -13,7 +13,7 @@ import pytest
 from extras import skip_without
 from view_objects import problem, solved
 
-from micah_plan import execute, predict, solve
+from micah_plan import execute, predict, show, solve
 from micah_plan.api.planning import PlanningResult, RunsResult
 from micah_plan.errors import InputError
 from micah_plan.task.plan import Plan
@@ -74,6 +74,38 @@ def test_without_the_word_of_execution_success_is_judged_by_the_last_row(good: R
     assert any(missed), "friction of 60 N m keeps the door from its frame"
     assert [not run.reached for run in runs] == missed
     assert ["from its target (tolerance 0.03 rad" in run.ending for run in runs] == missed
+
+
+def test_two_recordings_stand_beside_each_other(planned: PlanningResult, good: RunsResult, tmp_path: Path) -> None:
+    """Before and after a change: colours, counts and names of both; all runs are shown at first."""
+    before = good.recording.select(run=good.recording.runs[:3][0])
+    later = good.recording.rows(np.isin(good.recording.run, good.recording.runs[:2]))
+    broken_off = before.rows(np.arange(3))
+    page = plan_page(planned.plan, planned.problem, executed={"before.csv": broken_off, "after.csv": later})
+    data = data_of(page)
+    labels = re.findall(r"<option[^>]*>([^<]*)</option>", page)[:3]
+    assert labels[0] == "before.csv, run 0, missed the goal"
+    assert sorted(labels[1:]) == [f"after.csv, run {k}, reached the goal" for k in (0, 1)]
+    assert '<option value="all" selected>' in page
+    assert "before.csv: 0 of 1 run, after.csv: 2 of 2 runs reached the goal" in page
+    assert "Pink: before.csv. Orange: after.csv." in page
+    assert len({run["drawn"] for run in data["runs"]}) == 3
+    shown = show(good, tmp_path / "page.html", before=broken_off)
+    assert "before: 0 of 1 run, after:" in (tmp_path / "page.html").read_text()
+    assert str(shown)
+    with pytest.raises(InputError, match="what execute returned"):
+        show(good, tmp_path / "page.html", before=planned)
+    alone = plan_page(planned.plan, planned.problem, executed={"after.csv": later})
+    assert "2 of 2 runs reached the goal" in alone
+    assert "after.csv" not in alone
+    assert "selected>all runs" not in alone
+
+
+def test_runs_of_another_object_are_refused_by_their_name(planned: PlanningResult, good: RunsResult) -> None:
+    other = replace(good.recording, part=("lid",) * len(good.recording))
+    with pytest.raises(InputError, match="lid") as refused:
+        plan_page(planned.plan, planned.problem, executed={"a.csv": good.recording, "b.csv": other})
+    assert "b.csv" in str(refused.value)
 
 
 @pytest.mark.slow
