@@ -1,6 +1,6 @@
 """What each gate of `calibrate` decides: every answer without it, where it decided anything.
 
-    python -m benchmarks gates [--first-seed 500] [--kinds bias ...] [--controls 12] [--gates over ...] [--jobs 1]
+    python -m benchmarks gates [--first-seed 500] [--kinds bias ...] [--controls 12] [--gates longer ...] [--jobs 1]
 
 Beside the density that ranks models, gates keep something out or give a verdict. First each case of `unseen_plants`,
 and of the recordings in ../shared/data (or $MICAH_DATA), is answered with a watch on every gate: did it decide
@@ -67,11 +67,6 @@ def _all_together(original: Instead, gains: Any, by_each: Any = ()) -> Any:
     return original(gains, ())
 
 
-def _likelier(original: Instead, search: Any, best: Any, chosen: Any, is_place: bool) -> bool:
-    del original, search, is_place
-    return bool(best.evidence > chosen.evidence)
-
-
 def _as_they_are(original: Instead, found: Any) -> tuple[Any, tuple[Any, ...]]:
     """The likeliest, whatever is as plain."""
     del original
@@ -86,17 +81,15 @@ def _all_clear(original: Instead, *arguments: Any) -> Any:
 GATES: dict[str, Gate] = {
     "evidence": Gate(contenders, "_LEAST", 0.0, "an effect adds 6 nats, since two dozen compete"),
     "bounds": Gate(contenders, "_AT_BOUND", -1.0, "a parameter at its bound is something else"),
-    "roll-outs": Gate(contenders, "LONGER", np.inf, "roll-outs do not get longer"),
     "not one run": Gate(contenders, "is_borne_out", _only_in_sum, "held-out runs agree, without the best of them"),
     "each effect": Gate(contenders, "is_borne_out", _all_together, "held-out runs agree on each effect"),
     "regular": Gate(contenders, "regularity", _always(0.0), "what was meant is more regular than noise is in"),
     "beginnings": Gate(contenders, "_BEGINS", 0.0, "odds against an effect that began"),
-    "places ahead": Gate(competition.Competition, "_is_ahead", _likelier, "places are clearly likelier"),
     "reachable": Gate(candidates, "_REACHABLE", 0.0, "places are where the part can get"),
     "unconfirmed": Gate(competition, "_UNCONFIRMED", np.inf, "what one run shows alone is told"),
     "ties": Gate(competition, "simplest", _as_they_are, "the plainest of those that are tied"),
     "contradicted": Gate(trace, "_is_contradicted", _always(False), "one of few runs does not contradict it"),
-    "over": Gate(trace, "_is_over", _always(False), "the last runs have it still"),
+    "longer": Gate(trace, "_LONGER", np.inf, "roll-outs do not get longer"),
     "unclear commands": Gate(coordinate_data, "_is_unclear", _all_clear, "steps that noise decides about do not count"),
     "single steps": Gate(trace, "_is_noisier", _always(False), "single steps do not get longer"),
     "single": Gate(trace, "_is_single", _always(False), "one run of few motions confirms nothing"),

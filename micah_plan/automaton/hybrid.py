@@ -318,7 +318,10 @@ class HybridAutomaton(Summarised):
 
     @cached_property
     def derived(self) -> dict[Any, Any]:
-        """Cache of `memoised` functions (`memo`); no part of the value, and not pickled."""
+        """Cache of `memoised` functions (`memo`); no part of the value, and not pickled.
+
+        What is cached refers to the automaton: kept with it, both are freed together, which no table beside it can do.
+        """
         return {}
 
     def __getstate__(self) -> dict[str, Any]:

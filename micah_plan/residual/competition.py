@@ -96,18 +96,17 @@ class Competition(Contenders):
         later = self._later(singles, library)
         loose = self.corrected([nominal])
         every = [*singles, *later]
-        able = [model for model in every if self.is_worth(model, nominal) and self.is_real(model, nominal)]
+        able = [model for model in every if self.is_worth(model, nominal) and self.is_within_bounds(model)]
         progress(f"{data.coordinate}: pairs", 0.5)
         pairs = self._pairs(able, library) if able else []
         chosen, near, rivals = nominal, tuple[Contender, ...](), [nominal]
         for is_place in (False, True):
-            # Displacements are the plainer meaning: places must be clearly likelier, or are tied.
             same_kind = [model for model in able if (FOLLOW in model.names) == is_place]
             if same_kind:
                 alone, near_alone = simplest(same_kind)
                 of_kind = [pair for pair in pairs if (FOLLOW in pair.names) == is_place]
                 best, near_best = self._with_a_second(alone, near_alone, every, of_kind)
-                if self._is_ahead(best, chosen, is_place):
+                if best.evidence > chosen.evidence:
                     chosen, near, rivals = best, near_best, [best, alone]
                 elif best.evidence > chosen.evidence - self.least:
                     near = (*near, *near_best)
@@ -116,7 +115,7 @@ class Competition(Contenders):
         if chosen is nominal and not passing:
             least = nominal.evidence + _UNCONFIRMED * self.least
             likelier = [model for model in best_first(every) if model.evidence > least]
-            passing = [model for model in likelier if self.is_real(model, nominal)][:1]
+            passing = [model for model in likelier if self.is_within_bounds(model)][:1]
         near = near if chosen is rivals[0] else (chosen,)
         progress(f"{data.coordinate}: what remains", 0.8)
         corrected = self.corrected(
@@ -124,13 +123,6 @@ class Competition(Contenders):
         )
         remaining = (*passing, *self._worth([*loose, *corrected], chosen))
         return Standings(nominal, chosen, near, tuple(every), remaining, tuple(loose))
-
-    def _is_ahead(self, best: Contender, chosen: Contender, is_place: bool) -> bool:
-        """Whether a model takes the place of the one chosen so far: of places, if it is clearly likelier."""
-        if self.data.is_outside and is_place:
-            # Places relative to what was believed contain no measurement, so roll-outs tell.
-            return self.rolled(best) < self.rolled(chosen)
-        return best.evidence > chosen.evidence + (self.least if chosen is not self.nominal else 0.0)
 
     def _with_a_second(
         self, alone: Contender, near: tuple[Contender, ...], every: Sequence[Contender], pairs: Sequence[Contender]
@@ -144,7 +136,7 @@ class Competition(Contenders):
         for pair in pairs:
             halves = [best_of[name] for name in pair.names if name in best_of]
             under = max(halves, key=_evidence, default=nominal)
-            if self.is_worth(pair, under) and self.is_real(pair, nominal):
+            if self.is_worth(pair, under) and self.is_within_bounds(pair):
                 good.append(pair)
         chosen, near = self._polished(alone, near)
         if good:
@@ -165,13 +157,13 @@ class Competition(Contenders):
             heads = [chosen]
             if FOLLOW in chosen.names:
                 displaced = [model for model in best_first(every) if FOLLOW not in model.names][:_HEADS]
-                heads = [model for model in displaced if self.is_real(model, self.nominal)][:_RIVALS]
+                heads = [model for model in displaced if self.is_within_bounds(model)][:_RIVALS]
             least = chosen.evidence + self.least
             again = [model for model in best_first(self._again(heads, library)) if model.evidence > least]
             if not again:
                 return chosen, []
             head = next(model for model in heads if model.names == again[0].names[:-1])
-            if not self.is_worth(again[0], head) or not self.is_real(again[0], self.nominal):
+            if not self.is_worth(again[0], head) or not self.is_within_bounds(again[0]):
                 return head, [again[0]]
             chosen = self._pruned(again[0])
         return chosen, []

@@ -30,7 +30,7 @@ from micah_plan.residual.candidates import (
 )
 from micah_plan.residual.command_meaning import regularity
 from micah_plan.residual.coordinate_data import CoordinateData
-from micah_plan.residual.filtering import NOISE, STDS, errors, of_rows
+from micah_plan.residual.filtering import NOISE, STDS, of_rows
 from micah_plan.residual.fitting import NORMAL, Fit, Fitting, Free, Weighed
 from micah_plan.residual.likelihood import EVIDENCE_PER_ROW, TIE
 
@@ -66,8 +66,6 @@ _SCREENED_ROWS, _VERIFIED, _ON_ALL_ROUNDS = 600, 10, 4
 _LEFT_BEHIND = 5.0
 # A parameter is at a bound within so much of what is large for it, or within so many stds, if these are less.
 _AT_BOUND, _SURELY = 0.05, 3.0
-LONGER = 1.02
-"""Roll-outs that are so many times as long as before are longer."""
 # Odds against an effect that began at one of some dozen rows [nats], beside those of the profile itself.
 _BEGINS = 3.0
 # Likelihood that an effect must add to be looked at further [nats].
@@ -396,11 +394,8 @@ class Contenders:
         gate = columns(contender.fit.model[: len(self.given) + number + 1]) - GATES
         return self._by_run(self.fitting.held_out(contender.weighed, gate))
 
-    def is_real(self, contender: Contender, base: Contender) -> bool:
-        """Whether no parameter ended at a bound, and roll-outs are not longer.
-
-        A density can be bought by a bad state that every measurement repairs; at a bound it is something else.
-        """
+    def is_within_bounds(self, contender: Contender) -> bool:
+        """Whether no parameter ended at a bound: there it is something else."""
         free, at = contender.fit.free, 0
         x = contender.fit.vector[free.at]
         std = np.sqrt(np.abs(np.diag(np.linalg.inv(contender.weighed.hessian))))
@@ -412,13 +407,7 @@ class Contenders:
                     if side * (x[at] - bound) < near and bound != neutral:
                         return False
                 at += 1
-        return self.rolled(contender) < LONGER * self.rolled(base)
-
-    def rolled(self, contender: Contender) -> float:
-        """Root mean square error of roll-outs over all segments [rad or m]."""
-        fit = contender.fit
-        error = errors(self.data, [fit.hypotheses(fit.vector[None])], "rollout")[0]
-        return float(np.sqrt(np.mean(error[0][self.data.counted] ** 2)))
+        return True
 
 
 def _best_starts(fitting: Fitting, every: Sequence[Sequence[Fit]], keep: int) -> list[list[Fit]]:

@@ -7,25 +7,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from micah_plan.arrays import ROUND_OFF, Floats
+from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.registry import form
 from micah_plan.quantities import Progress
 from micah_plan.residual.candidates import FOLLOW, GATES, MEMORY, UNNAMED, TermCandidate, indistinguishable
 from micah_plan.residual.competition import Standings
-from micah_plan.residual.contenders import LONGER, TO_THE_END, Contender, begins_later, best_first
+from micah_plan.residual.contenders import TO_THE_END, Contender, begins_later, best_first
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.filtering import filtered
 from micah_plan.residual.fitting import ENOUGH_INDEPENDENT, Fitting
 from micah_plan.residual.held_out import HeldOut
-from micah_plan.residual.likelihood import LEAST_EVIDENCE, student_t_log_density
 from micah_plan.residual.missing_mode import MissingMode, missing_modes
 from micah_plan.residual.residual_test import ResidualTest
 from micah_plan.residual.verdict import UNEXPLAINED, Facts, Outcome, outcome_of
 
 # A motion is one from end to end of at least this share of where the part was.
 _A_MOTION = 0.2
-# The last runs, as a share of all.
-_LATEST_SHARE = 0.25
+# Roll-outs that are so many times as long as before are longer.
+_LONGER = 1.02
 A_LINE = ("gain", "bias")
 """Effects that make a line in the command."""
 # Single effects that other questions are asked of.
@@ -114,8 +113,7 @@ def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrac
         modes=len(modes),
         is_open=any(may_remember(data, finding) for finding in findings),
         is_contradicted=_is_contradicted(held_out, chosen),
-        is_over=_is_over(held_out, final),
-        is_longer=final is not nominal and _rolled(held_out, final) > LONGER * _rolled(held_out, nominal),
+        is_longer=final is not nominal and _rolled(held_out, final) > _LONGER * _rolled(held_out, nominal),
         is_noisier=_is_noisier(held_out, final),
         is_single=_is_single(data),
         is_changing=_is_changing(chosen, innovation_test),
@@ -170,11 +168,10 @@ def _share_left(standings: Standings) -> float:
 
 
 def _final(held_out: HeldOut, standings: Standings, chosen: Contender) -> Contender:
-    """The chosen model with the best correction that can be written, if roll-outs do not get longer by it."""
+    """The chosen model with the best correction that can be written."""
     able = [model for model in standings.remaining if model.names and model.names[-1] == UNNAMED]
     able = [model for model in able if model.names[:-1] == chosen.names]
-    is_real = held_out.competition.is_real
-    return next((model for model in able if is_real(model, chosen)), chosen)
+    return next(filter(held_out.competition.is_within_bounds, able), chosen)
 
 
 def _is_contradicted(held_out: HeldOut, named: Contender) -> bool:
@@ -193,23 +190,6 @@ def _is_contradicted(held_out: HeldOut, named: Contender) -> bool:
         if with_it <= without:
             return True
     return False
-
-
-def _is_over(held_out: HeldOut, named: Contender) -> bool:
-    """Whether the last runs are clearly predicted better without effects or a correction: what was so is so no more.
-
-    Both at one scale, that of the model with them: else what it explains of earlier runs counts in the last.
-    """
-    data, base = held_out.data, held_out.nominal
-    runs = np.unique(data.run)
-    if named is base or len(runs) == 1:
-        return False
-    latest = np.isin(data.run, runs[-max(1, round(_LATEST_SHARE * len(runs))) :])[:, None] & data.counted
-    errors = [held_out.errors(model, "filter") / held_out.spread(model) for model in (named, base)]
-    scale = max(float(np.sqrt(np.mean(errors[0][data.counted] ** 2))), ROUND_OFF)
-    freedom = named.fit.freedom
-    with_it, without = (float(student_t_log_density(e[latest] / scale, freedom).sum()) for e in errors)
-    return with_it - without < -LEAST_EVIDENCE
 
 
 def _is_changing(chosen: Contender, innovation_test: ResidualTest | None) -> bool:

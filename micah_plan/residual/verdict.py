@@ -27,7 +27,6 @@ class Facts:
         effects: how many have a name; modes: how many the automaton lacks.
         is_open: whether an effect may come from this command or from earlier ones.
         is_contradicted: whether one of few runs is predicted no better by effects fitted to the others.
-        is_over: whether the last runs are predicted better without the effects.
         is_longer: whether roll-outs of held-out rows get longer with what was found.
         is_noisier: whether single steps of held-out rows get longer with what was found.
         is_single: whether there is one run of few motions alone, which no other run can confirm.
@@ -45,7 +44,6 @@ class Facts:
     is_passing: bool = False
     is_corrected: bool = False
     is_contradicted: bool = False
-    is_over: bool = False
     is_longer: bool = False
     is_noisier: bool = False
     is_single: bool = False
@@ -55,7 +53,7 @@ class Facts:
     @property
     def is_kept_out(self) -> bool:
         """Whether a wrong guess would do more harm than the model as it is."""
-        return self.is_open or self.is_contradicted or self.is_over or self.is_longer
+        return self.is_open or self.is_contradicted or self.is_longer
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,6 @@ OUTCOMES: tuple[tuple[Outcome, Callable[[Facts], bool]], ...] = (
         Outcome("longer", "partly", "roll-outs of rows that were held out get longer with it"),
         lambda f: f.is_longer,
     ),
-    (Outcome("over", "partly", "the last runs are predicted better without, so it is over"), lambda f: f.is_over),
     (
         Outcome("passing", "partly", "one run alone shows that there is more, and no other run can confirm it"),
         lambda f: f.is_passing,
