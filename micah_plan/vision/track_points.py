@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.special import chdtri
 
 from micah_plan.arrays import Floats, Ints
 from micah_plan.errors import InputError
 from micah_plan.quantities import count, quantity
+from micah_plan.recording.shared_error import SharedError, with_shared_errors
 from micah_plan.recording.value import Recording
 from micah_plan.vision.point_files import PointTracks
 from micah_plan.vision.rigid_bodies import FEWEST_POINTS, RigidBody, rigid_bodies
@@ -21,6 +23,8 @@ _ENOUGH_POINTS = 7
 _NO_TURN = 0.3
 # A body moves by more than so many of its stds.
 _MOVES = 5.0
+# Parts of a video whose means are compared, and how rarely a camera that stands is taken for one that moves.
+_PARTS, _RARELY = 4, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,20 +75,25 @@ def track_points(tracks: PointTracks, rate: float) -> TrackedPoints:
     bodies = rigid_bodies(places)
     if not bodies:
         raise InputError("no four points keep their distances", remedy="check the unit, --axes, and the tracks")
+    standing = [_stands(body) for body in bodies]
+    # What stands before a camera that stands is the base, however many points are on what moves.
+    bodies = tuple(bodies[k] for k in sorted(range(len(bodies)), key=lambda k: not standing[k]))
     base, others = bodies[0], bodies[1:]
     if not others:
         way = _largest_way(base)
         problem = f"one rigid body only: beside it nothing moves, it moves by {quantity(way, 'm', digits=2)}"
         raise InputError(problem, remedy="track points on what stands and on what moves, while it moves")
     names = ("base", *_names(others, tracks.names))
-    first = int(np.flatnonzero(base.is_seen)[0])
+    first = None if any(standing) else int(np.flatnonzero(base.is_seen)[0])
     poses = {name: _relative(base, body, first) for name, body in zip(names[1:], others, strict=True)}
     stds = {name: (float(np.median(own[3])), float(np.median(own[4]))) for name, own in poses.items() if len(own[0])}
     label = np.full(points, -1)
     for number, body in enumerate(bodies):
         label[body.points] = number
     notes = _notes(bodies, names, stds, label)
-    recording = _recording(poses, rate, notes)
+    of_name = dict(zip(names[1:], others, strict=True))
+    errors = {name: _shared_error(base, of_name[name], poses[name][0], first) for name in stds}
+    recording = with_shared_errors(_recording(poses, rate, notes), errors)
     return TrackedPoints(recording, bodies, names, label, base.noise, frames, stds, notes)
 
 
@@ -105,16 +114,63 @@ def _largest_way(body: RigidBody) -> float:
     return float(np.linalg.norm(np.ptp(at, axis=0))) if len(at) else 0.0
 
 
-def _relative(base: RigidBody, body: RigidBody, first: int) -> tuple[Ints, Floats, Floats, Floats, Floats]:
-    """Frames, positions, turns and their stds of a body in the frame of the base as it stood in the first frame."""
-    frames = np.flatnonzero(base.is_seen & body.is_seen)
-    back = np.einsum("ij,tkj->tik", base.turns[first], base.turns[frames])  # to the camera of the first frame
-    positions = np.einsum("tij,tj->ti", back, body.positions[frames] - base.positions[frames]) + base.positions[first]
-    turns = back @ body.turns[frames]
-    spread = np.array([np.diagonal(body.covariance(int(k)) + base.covariance(int(k))) for k in frames]).reshape(-1, 6)
+def _stands(base: RigidBody) -> bool:
+    """Whether a body stands before the camera: it is seen at one pose in all parts of the video, as far as noise tells.
+
+    Means over parts of the frames differ by no more than noise, a single one's divided by how many there are; poses by
+    the same points are wrong alike, by as much as noise leaves of all frames.
+    """
+    frames = np.flatnonzero(base.is_seen)
+    middle = Rotation.from_matrix(base.turns[frames]).mean()
+    away = (middle.inv() * Rotation.from_matrix(base.turns[frames])).as_rotvec()
+    away = np.hstack([base.positions[frames] - base.positions[frames].mean(axis=0), middle.apply(away)])
+    total, parts = 0.0, np.array_split(np.arange(len(frames)), _PARTS)
+    for part in parts:
+        covariance = np.mean([base.covariance(int(frames[k])) for k in part], axis=0)
+        mean = away[part].mean(axis=0)
+        total += float(mean @ np.linalg.pinv(covariance) @ mean) / (1.0 / len(part) + 1.0 / len(frames))
+    return total < float(chdtri(6 * (len(parts) - 1), _RARELY))
+
+
+def _relative(base: RigidBody, body: RigidBody, first: int | None) -> tuple[Ints, Floats, Floats, Floats, Floats]:
+    """Frames, positions, turns and their stds of a body in the camera's frame, of the first frame where it moves.
+
+    Args:
+        first: the frame that poses are brought to by the base; None: the camera stands, and no base is needed.
+    """
+    if first is None:
+        frames = np.flatnonzero(body.is_seen)
+        positions, turns = body.positions[frames], body.turns[frames]
+        spread = np.array([np.diagonal(body.covariance(int(k))) for k in frames]).reshape(-1, 6)
+    else:
+        frames = np.flatnonzero(base.is_seen & body.is_seen)
+        back = np.einsum("ij,tkj->tik", base.turns[first], base.turns[frames])
+        positions = np.einsum("tij,tj->ti", back, body.positions[frames] - base.positions[frames])
+        positions += base.positions[first]
+        turns = back @ body.turns[frames]
+        both = [np.diagonal(body.covariance(int(k)) + base.covariance(int(k))) for k in frames]
+        spread = np.array(both).reshape(-1, 6)
     place, turn = (np.sqrt(spread[:, s].sum(axis=1) / 3.0) for s in (slice(0, 3), slice(3, 6)))
     kept = turn < _NO_TURN
     return frames[kept], positions[kept], turns[kept], place[kept], turn[kept]
+
+
+def _shared_error(base: RigidBody, body: RigidBody, frames: Ints, first: int | None) -> SharedError:
+    """What no number of frames averages out.
+
+    Before a camera that moves all poses are brought to that of the first frame, of which that frame alone tells where
+    it was. And each point has its place in a body from as many frames as it is seen in, so poses by much the same
+    points are wrong alike.
+    """
+    if first is None:
+        of_body = np.mean([body.covariance(int(k)) for k in frames], axis=0)
+        return SharedError(np.zeros((6, 6)), of_body / len(frames))
+    x, y, z = base.positions[first]
+    # A turn w about the base's origin b moves the camera's by -w x b.
+    at_camera = np.eye(6)
+    at_camera[:3, 3:] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+    of_poses = np.mean([base.covariance(int(k)) + body.covariance(int(k)) for k in frames], axis=0)
+    return SharedError(at_camera @ base.covariance(first) @ at_camera.T, of_poses / len(frames))
 
 
 def _recording(
