@@ -121,6 +121,8 @@ def _stands(base: RigidBody) -> bool:
     the same points are wrong alike, by as much as noise leaves of all frames.
     """
     frames = np.flatnonzero(base.is_seen)
+    if len(frames) < 2 * _PARTS:
+        return False
     middle = Rotation.from_matrix(base.turns[frames]).mean()
     away = (middle.inv() * Rotation.from_matrix(base.turns[frames])).as_rotvec()
     away = np.hstack([base.positions[frames] - base.positions[frames].mean(axis=0), middle.apply(away)])

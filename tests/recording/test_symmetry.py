@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.learning.learn import learn_graph
 from micah_plan.recording.suspicion import breaks
-from micah_plan.recording.symmetry import likenesses, settled
+from micah_plan.recording.symmetry import likenesses, settled, turned_back
 from micah_plan.recording.value import Recording
 
 ROWS, RADIUS, NOISE = 160, 0.45, 1e-3
@@ -112,6 +112,20 @@ def test_runs_that_begin_with_another_likeness_are_read_alike() -> None:
         np.testing.assert_allclose(np.abs(segment.joint.axis), Z, atol=0.005)
     lines = breaks(recording)
     assert [line.split(":")[0] for line in lines] == ["run 2", "run 3"]
+
+
+def test_a_run_that_is_mostly_read_the_other_way_tells_those_rows() -> None:
+    """Within the run most rows are the likeness, but the run before says which is meant: only they are turned back."""
+    first, second = swing(0), read_as_likeness(swing(1), slice(0, 100))
+    columns = {
+        name: np.concatenate([getattr(run, name) for run in (first, second)])
+        for name in ("time", "position", "quaternion")
+    }
+    recording = Recording(**columns, run=np.repeat([1, 2], ROWS), has_run=True)
+    found, (turned,) = turned_back(recording)
+    assert (turned.run, turned.part) == (2, "part")
+    np.testing.assert_array_equal(turned.rows, ROWS + np.arange(100))
+    assert missed(found.select(run=2), swing(1)) < 1e-9
 
 
 def test_symmetry_says_which_turn() -> None:

@@ -70,6 +70,13 @@ def test_what_stands_before_a_camera_that_stands_is_the_base(is_moving) -> None:
     assert len(hidden.recording) - len(found.recording) == lost
 
 
+@pytest.mark.parametrize("frames", [12, 25])
+def test_few_frames_are_enough_for_poses(frames) -> None:
+    tracks = planted("door", is_moving=False)[0]
+    tracks = tracks[:, np.linspace(0, tracks.shape[1] - 1, frames).astype(int)]
+    assert len(track_bodies(tracks, rate=30.0).tracked.bodies) >= 2
+
+
 def test_positions_are_as_precise_as_said() -> None:
     result = track_bodies(planted("drawer", is_moving=False)[0], rate=30.0)
     recording, (place, _) = result.recording, result.tracked.stds["body 1"]
