@@ -32,7 +32,8 @@ def without_dead_band(position: Floats, quaternion: Floats | None, action: Float
     """Actions (n, 3) without those within the dead band of what moves the part; 0 there.
 
     Args:
-        position: (n, 3) [m]; quaternion: (n, 4) unit, or None; action: commanded displacements to the next row [m].
+        position: (n, 3) [m]; quaternion: (n, 4) unit, or None.
+        action: commanded displacements to the next row [m], in any frame; 0 where there is none.
     """
     asked = np.linalg.norm(action[:-1], axis=1)
     vectors = [position] if quaternion is None else [position, quaternion]

@@ -6,7 +6,7 @@ axes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -114,7 +114,10 @@ def part_track(recording: Recording, run: int, part: str) -> PartTrack:
     if len(rows) < FEWEST_ROWS:
         problem = f"learning needs at least {FEWEST_ROWS} rows, found {len(rows)}"
         raise InputError(problem, where=where, remedy="record a longer motion or leave these rows out")
-    return measured_track(recording, rows, rows, where)
+    track = measured_track(recording, rows, rows, where)
+    if track.action is None:
+        return track
+    return replace(track, action=without_dead_band(track.position, track.quaternion, track.action))
 
 
 def measured_track(recording: Recording, rows: Ints, index: Ints, where: str) -> PartTrack:
@@ -135,7 +138,7 @@ def measured_track(recording: Recording, rows: Ints, index: Ints, where: str) ->
     action = None if recording.action is None else recording.action[index]
     is_given = np.zeros(len(index), dtype=bool) if action is None else np.asarray(np.isfinite(action).all(axis=1))
     if action is not None and is_given.any():
-        action = without_dead_band(position, quaternion, np.where(is_given[:, None], action, 0.0))
+        action = np.where(is_given[:, None], action, 0.0)
         if quaternion is not None:
             action = Rotation.from_quat(quaternion).inv().apply(action)
     else:

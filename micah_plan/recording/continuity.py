@@ -25,10 +25,10 @@ from micah_plan.recording.value import Recording
 FLOORS = (0.03, 0.3)
 """Smallest jump [m, rad]: what is closer disturbs no fit that allows for noise."""
 
-_FASTER = 4.0
+FASTER = 4.0
 """Times the speed of nearly all steps, and of those before and after it that go the same way."""
 
-_NEARLY_ALL = 0.75
+NEARLY_ALL = 0.75
 """Of the steps: strays in a tenth of the rows make a fifth of the steps jumps."""
 _JUMP_COSTS = 0.1
 """Of the rows of a track: a longer piece that the track comes back from, or ends with, is believed."""
@@ -39,7 +39,7 @@ _DETOUR = 2.0
 _MOST_PIECES = 64
 """One after another that are looked over: more strays in a row are no strays."""
 
-_FEWEST = 8
+FEWEST = 8
 """Rows: fewer show no usual speed."""
 
 
@@ -78,7 +78,7 @@ def continuity(time: Floats, position: Floats, quaternion: Floats | None, action
     """
     repeats = repeated_readings(position, quaternion, action)
     fresh = np.flatnonzero(~repeats)
-    if len(fresh) < _FEWEST:
+    if len(fresh) < FEWEST:
         return Continuity(~repeats, repeats, (), ())
     commanded = np.zeros(len(fresh) - 1)
     if action is not None:
@@ -128,7 +128,7 @@ class _Steps:
         # A pause that is shorter than usual is one of the clock, not of the hand.
         rows = np.concatenate([[0.0], np.cumsum(np.maximum(pause / np.median(pause), 1.0))])
         lengths = steps(1)
-        usual = tuple(float(np.quantile(length / np.diff(rows), _NEARLY_ALL)) for length in lengths)
+        usual = tuple(float(np.quantile(length / np.diff(rows), NEARLY_ALL)) for length in lengths)
         return cls(rows, position, quaternion, lengths, steps(2), usual)
 
     def jumps(self, commanded: Floats) -> Booleans:
@@ -141,7 +141,7 @@ class _Steps:
             beside = np.zeros_like(speed)
             beside[:-1] = np.where(goes_on, speed[1:], 0.0)
             beside[1:] = np.maximum(beside[1:], np.where(goes_on, speed[:-1], 0.0))
-            is_leap = (length > floor) & (speed > _FASTER * np.maximum(usual, beside))
+            is_leap = (length > floor) & (speed > FASTER * np.maximum(usual, beside))
             is_gap |= is_leap & (commanded < 0.5 * length) if number == 0 else is_leap
         return is_gap
 
@@ -157,7 +157,7 @@ class _Steps:
         """
         rows, straight = self.time[back] - self.time[leaves], self.between(leaves, back)
         floor, usual = np.array(FLOORS)[:, None], np.array([*self.usual, 0.0])[:2, None]
-        in_time = (straight <= np.maximum(floor, _FASTER * usual) + rows * usual).all(axis=0)
+        in_time = (straight <= np.maximum(floor, FASTER * usual) + rows * usual).all(axis=0)
         over = self.between(leaves, first) + self.between(last, back)[:, None]
         return np.asarray(in_time & ((over > 2.0 * floor) & (over > _DETOUR * straight)).any(axis=0))
 

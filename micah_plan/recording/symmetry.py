@@ -18,13 +18,11 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats, Ints
+from micah_plan.recording.continuity import FASTER, FEWEST, FLOORS, NEARLY_ALL, apart
 from micah_plan.recording.value import Recording
 
-_LEAST_TURN = 0.3
+_LEAST_TURN = FLOORS[1]
 """Smallest jump [rad]: no symmetry that matters is finer."""
-_FASTER = 4.0
-"""Times as far as nearly all other steps, of orientation: a jump; of position: no continued way."""
-_NEARLY_ALL = 0.75
 _ROWS_BESIDE = 10
 """Rows on each side that tell where a jump began and ended."""
 _SURELY = 4.0
@@ -34,8 +32,6 @@ _FINEST = 1e-5
 _BY_CHANCE = 0.05
 """Of a turn of a symmetry: nearer to it are a tenth of all turns about its axis, so that noise alone shows none."""
 _FOLDS = (2, 3, 4, 6)
-_FEWEST = 8
-"""Rows: fewer show no usual speed."""
 _FEWEST_JUMPS = 3
 """There, back and there again, for turns of less than a half: a part may really turn by a quarter, once."""
 
@@ -104,21 +100,20 @@ def likenesses(position: Floats, quaternion: Floats) -> tuple[Symmetry, Ints] | 
     Args:
         position: (n, 3) [m], of one part in one run; quaternion: (n, 4) unit, scalar last.
     """
-    if len(position) < _FEWEST:
+    if len(position) < FEWEST:
         return None
-    turned = Rotation.from_quat(quaternion)
-    angle = (turned[:-1].inv() * turned[1:]).magnitude()
+    row = np.arange(len(position))
+    way, angle = apart(position, quaternion, row[:-1], row[1:])
     is_small = angle < _LEAST_TURN
-    if is_small.all() or is_small.sum() < _FEWEST:
+    if is_small.all() or is_small.sum() < FEWEST:
         return None
-    way = np.linalg.norm(np.diff(position, axis=0), axis=1)
-    usual = float(np.quantile(angle[is_small], _NEARLY_ALL))
-    goes_on = way <= _FASTER * np.quantile(way, _NEARLY_ALL)
-    jumps = np.flatnonzero(~is_small & (angle > _FASTER * usual) & goes_on) + 1
+    usual = float(np.quantile(angle[is_small], NEARLY_ALL))
+    goes_on = way <= FASTER * np.quantile(way, NEARLY_ALL)
+    jumps = np.flatnonzero(~is_small & (angle > FASTER * usual) & goes_on) + 1
     if not len(jumps):
         return None
     edges = np.array([0, *jumps, len(position)])
-    found = _in_common(*_turns_of_jumps(turned, edges, usual))
+    found = _in_common(*_turns_of_jumps(Rotation.from_quat(quaternion), edges, usual))
     if found is None:
         return None
     symmetry, by = found
@@ -129,7 +124,7 @@ def likenesses(position: Floats, quaternion: Floats) -> tuple[Symmetry, Ints] | 
 
 def _between(position: Floats, quaternion: Floats, before: Ints, rows: Ints) -> tuple[Symmetry, int] | None:
     """By which turns the rows of a run were read otherwise than those before where both were closest; None if not."""
-    if len(before) < _FEWEST or len(rows) < _FEWEST:
+    if len(before) < FEWEST or len(rows) < FEWEST:
         return None
     away, nearest = KDTree(position[before]).query(position[rows])
     closest = np.argsort(away, kind="stable")[:_ROWS_BESIDE]

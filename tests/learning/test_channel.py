@@ -246,8 +246,11 @@ def test_delayed_actions_move_the_command_in_time():
     assert remaining.gain == pytest.approx(found.gain, rel=0.1)
 
 
-def served(kind, lag, rng, rows=200, count=5e-4):
-    """A servo of first order on a goal at drawn speeds, read by an encoder; actions are the steps of the goal."""
+def served(kind, lag, rng, late=0, rows=200, count=5e-4):
+    """A servo of first order on a goal at drawn speeds, read by an encoder; actions are the steps of the goal.
+
+    The log holds them some rows late.
+    """
     joint = prismatic((0, 1, 0), (0, 0, 0)) if kind == "prismatic" else revolute((0, 0, 1), (-0.3, 0.0, 0.0), (0, 0, 0))
     goal = np.interp(np.arange(rows), np.linspace(0, rows, 8), np.concatenate([[0.0], rng.uniform(0.0, 1.0, 7)]))
     c = np.zeros(rows)
@@ -255,19 +258,20 @@ def served(kind, lag, rng, rows=200, count=5e-4):
         c[k] = c[k - 1] + (goal[k - 1] - c[k - 1]) * (1.0 - np.exp(-1.0 / lag))
     poses, meant = forward(joint, count * np.round(c / count)), forward(joint, goal)
     action = np.diff(meant.translation, axis=0, append=meant.translation[-1:])
+    action = np.concatenate([np.zeros((late, 3)), action[: rows - late]])
     action = poses.rotation.inv().apply(action)
     return joint, PartTrack(np.arange(rows), 0.1 * np.arange(rows), poses.translation, poses.rotation.as_quat(), action)
 
 
 @pytest.mark.parametrize("kind", ["prismatic", "revolute"])
-@pytest.mark.parametrize("lag", [3.0, 6.0])
-def test_the_lag_of_a_servo_is_a_delay_and_no_other_frame(kind, lag):
+@pytest.mark.parametrize(("lag", "late"), [(3.0, 0), (6.0, 0), (3.0, 6)])
+def test_the_lag_of_a_servo_is_a_delay_and_no_other_frame(kind, lag, late):
     missed = []
     for seed in range(5):
-        joint, track = served(kind, lag, np.random.default_rng(seed))
+        joint, track = served(kind, lag, np.random.default_rng(seed), late)
         found = estimate_channel(joint, [(0, len(track) - 1)], track, 2e-4)
         # On average a step is made so many rows later: the mean of a geometric distribution.
-        truth = TrueChannel(joint, Rotation.identity(), 1.0, 0.1 / (1.0 - np.exp(-1.0 / lag)))
+        truth = TrueChannel(joint, Rotation.identity(), 1.0, 0.1 / (1.0 - np.exp(-1.0 / lag)) - 0.1 * late)
         errors = misses(truth, found)
         missed.append([errors["angle error"], errors["gain error"], errors["delay error"]])
     frame, gain, delay = np.median(missed, axis=0)

@@ -44,9 +44,9 @@ _SPREAD = 0.75  # rows, std, that actions are smoothed by: errors average out at
 _FIRST_LAGS = (0.5, 1.0, 2.0, 4.0, 8.0)  # rows, time constants of servos
 _NEARER = (1.4, 1.2, 1.1, 1.05, 1.025)  # times the best so far
 _WITHIN_A_ROW = 0.1  # rows: how a command acts from one row to the next is in no log
-_LAG_ODDS = 5.0  # nats that a lag must be ahead by: it has a number of its own, and a beginning
-_RIDGE = 1e-9
-_DELAYS_OF_SERVOS = np.arange(-2.0, 6.5, 0.5)  # rows
+_LAG_ODDS = 5.0  # nats that a lag must be ahead by to be looked at: it has a number of its own, and a beginning
+_RIDGE = 1e-9  # of the trace: maps of actions that these steps do not tell are none
+_LEFT_BY_LAGS = np.arange(-8.0, 2.5, 0.5)  # rows beside the delay without a lag
 _AVERAGED = 0.5 * np.log(2.0)  # nats per step: what averaging the errors of two neighbours can explain
 _WALK_SHARES = (0.3, 0.01)  # of the mean square of a step, from which the walk is sought
 _WALKS = 0.25 ** np.arange(9.0)  # shares of a walk that are tried
@@ -176,8 +176,9 @@ def _started(
         tried += [(score - _AVERAGED * len(steps), start), found(command.smoothed(_SPREAD), subset, delays)]
     # A log begins in the middle of a motion, or at rest.
     begun = [command, replace(command, before=np.zeros(3))]
-    if _may_lag(steps, command, begun, walk):
-        delays = command.row * _DELAYS_OF_SERVOS
+    # What is not laid to the lag is a delay that is shorter than without one.
+    delays = max(tried, key=_score)[1][1] + command.row * _LEFT_BY_LAGS
+    if _may_lag(steps, begun, delays[::2], walk):
         score, start = max(
             (found(each.lagging(lag), steps, delays) for each in begun for lag in _FIRST_LAGS), key=_score
         )
@@ -193,13 +194,12 @@ def _score(tried: tuple[float, _Start]) -> float:
     return tried[0]
 
 
-def _may_lag(steps: ConfigurationSteps, command: CommandPath, begun: Sequence[CommandPath], walk: float) -> bool:
-    """Whether what a servo of first order makes of a command is more like the steps than what was commanded.
+def _may_lag(steps: ConfigurationSteps, begun: Sequence[CommandPath], delays: Floats, walk: float) -> bool:
+    """Whether what a servo of first order makes of commands is more like the steps than the first of them itself.
 
     All linear maps of actions are allowed, not only turns with a gain, so that no rotations need be searched.
     """
     noise = step_noise_of(steps, steps.size, inexact(steps), _WALK_SHARES[-1] * walk, steps.white)
-    delays = command.row * _DELAYS_OF_SERVOS[::2]
 
     def explained(filtered: CommandPath) -> float:
         """Log density of the steps with the best linear map, above that with none [nats]."""
@@ -208,7 +208,7 @@ def _may_lag(steps: ConfigurationSteps, command: CommandPath, begun: Sequence[Co
         best = np.linalg.solve(quadratic.normal + ridge, quadratic.target[:, :, None])[:, :, 0]
         return float(0.5 * np.einsum("di,di->d", best, quadratic.target).max())
 
-    return max(explained(each.lagging(lag)) for each in begun for lag in _FIRST_LAGS) > explained(command) + _LAG_ODDS
+    return max(explained(each.lagging(lag)) for each in begun for lag in _FIRST_LAGS) > explained(begun[0]) + _LAG_ODDS
 
 
 def _searched(
