@@ -327,6 +327,20 @@ NOT_LOADED: dict[str, tuple[str, ...]] = {
 }
 
 
+def test_no_module_imports_what_loads_statistics() -> None:
+    """`scipy.signal` loads `scipy.stats`: seen here at once, by the commands only where the slow tests run."""
+
+    def users(*libraries: str) -> set[str]:
+        return {
+            module
+            for module, tree in _trees().items()
+            if any(name == each or name.startswith(f"{each}.") for name in _imported(tree) for each in libraries)
+        }
+
+    assert users("scipy.linalg")  # imports of submodules are seen
+    assert not users("scipy.stats", "scipy.signal")
+
+
 @pytest.mark.slow
 def test_each_command_loads_only_what_it_needs(repository: Path, tmp_path: Path) -> None:
     code = (

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solve_banded
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats
@@ -55,10 +55,11 @@ class CommandPath:
         told, kept = self.at(fine), float(np.exp(-step / lag))
         made = np.empty_like(told)
         made[0] = told[0] - lag * self.before
-        # Between two points the command goes on evenly.
-        rates = np.diff(told, axis=0) / step
-        behind = lfilter([1.0], [1.0, -kept], (1.0 - kept) * lag * rates, axis=0, zi=kept * (told[:1] - made[:1]))[0]
-        made[1:] = told[1:] - behind
+        # Between two points the command goes on evenly: behind[i] = kept behind[i - 1] + (1 - kept) lag rates[i].
+        gained = (1.0 - kept) * lag * np.diff(told, axis=0) / step
+        gained[0] += kept * (told[0] - made[0])
+        ones = np.ones(len(gained))
+        made[1:] = told[1:] - solve_banded((1, 0), np.stack([ones, -kept * ones]), gained)
         return replace(self, time=fine, path=made, lag=lag)
 
     def smoothed(self, rows: float) -> CommandPath:
