@@ -82,7 +82,7 @@ def explain(
     code: Code = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Explain a plan: level, mode sequence, knot, constraint, amount, remedy; exit code 1 if it failed."""
+    """Explain why a plan has its modes, or what is in its way, and the nearest remedy; exit code 1 if it failed."""
     from micah_plan.documents.plan import load_plan
     from micah_plan.planning.findings import explain as explanation_of
 

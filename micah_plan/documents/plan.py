@@ -46,6 +46,7 @@ from micah_plan.task.plan import (
     Candidate,
     Finding,
     Level,
+    ModePurpose,
     Outcome,
     Plan,
     ReleasePlan,
@@ -89,6 +90,16 @@ class FindingDocument(Document):
     room: float | None = doc("Available room [unit].")
     need: float | None = doc("Required room [unit].")
     unit: str = doc("Unit of amount, room and need.")
+
+
+class ModePurposeDocument(Document):
+    makes = ModePurpose
+
+    mode: ModeName = doc("A mode of the plan, not the first.")
+    is_goal: bool = doc("Whether the goal is in no other mode.", False)
+    why: str = doc("Why there is no way on which nothing leaves the mode; empty if there is one.", "")
+    without: ModeNames = doc("The cheapest mode sequence without it.", tuple)
+    steps_without: NonNegative | None = doc("What that was expected to cost [steps].", None)
 
 
 class TrajectoryDocument(Document):
@@ -172,6 +183,7 @@ class PlanDocument(Document):
         validation_alias=AliasChoices("findings", "obstacles"),
     )
     warnings: Lines = doc("What of the model the plan ignores.", tuple)
+    purposes: list[ModePurposeDocument] = doc("Why the plan visits its modes, as far as the search can tell.", list)
     trajectory: TrajectoryDocument | None = doc("Belief trajectory and feedback; null without a plan.")
     arm: ArmDocument | None = doc("The robot along the trajectory; null without a robot.", None)
     release: ReleasePlanDocument | None = doc("How the hand releases the object; null where it keeps the object.", None)

@@ -29,6 +29,7 @@ from micah_plan.planning.offers import (
     more_revisits,
     moved_target,
 )
+from micah_plan.planning.purposes import purpose_sentences
 from micah_plan.planning.search.leaves import leaves_of
 from micah_plan.planning.search.passages import passage_exists
 from micah_plan.planning.search.polytope import mode_states
@@ -445,6 +446,7 @@ def explain(problem: Problem, plan: Plan) -> Explanation:
         findings = tuple(sorted(findings, key=lambda finding: finding.level not in ("verification", "arm")))
     level = None if plan.outcome == "solved" or not findings else findings[0].level
     lines = [_outcome_line(plan, level), *(line for finding in findings for line in finding_lines(finding))]
+    lines += [f"mode '{mode}': {sentence}" for mode, sentence in purpose_sentences(plan)]
     if not findings and plan.outcome != "solved":
         lines.append("the file has no details, it was written by an older version: solve the problem again")
     for candidate in plan.candidates:

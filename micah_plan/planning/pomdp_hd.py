@@ -193,7 +193,8 @@ def _chosen(attempt: Attempt, asked: Problem, tried: Sequence[_Tried]) -> Plan:
         rank = "the cheapest" if number == 1 else f"number {number} by cost"
         which = "the only mode sequence found" if len(tried) == 1 else f"{rank} of {len(tried)} mode sequences"
         in_part = tuple(findings_of(attempt.problem, sequence.modes, path.in_part))
-        plans.append(attempt.solved(trajectory, price, f", {which}: {path.message}", candidates, in_part))
+        plan = attempt.solved(trajectory, price, f", {which}: {path.message}", candidates, in_part)
+        plans.append(replace(plan, purposes=sequence.purposes))
     # Between the knots other transitions may come first: what its own mean does not follow is no plan.
     plans.sort(key=lambda plan: plan.trajectory is None or departure(asked, plan.trajectory) is not None)
     return replace(plans[0], alternatives=tuple(plans[1:]))

@@ -82,6 +82,25 @@ class Candidate:
     message: str
 
 
+@dataclass(frozen=True)
+class ModePurpose:
+    """Why a plan visits a mode: what the search finds, among the same states, where nothing leaves that mode.
+
+    Attributes:
+        mode: not the one that the plan starts in, which every plan visits.
+        is_goal: whether the goal is in no other mode.
+        why: why there is no way without it; empty if there is one.
+        without: the cheapest mode sequence without it; empty if there is none.
+        steps_without: what the search expects that to cost, as `Candidate.search_cost` [steps].
+    """
+
+    mode: str
+    is_goal: bool = False
+    why: str = ""
+    without: tuple[str, ...] = ()
+    steps_without: float | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """The belief trajectory over K knots and the feedback around it.
@@ -183,6 +202,7 @@ class Plan(Summarised):
         release: how the hand releases the object in the end; None if it keeps the object.
         warnings: one line for each thing in the model that the plan does not take into account, or that learning
             was not sure of.
+        purposes: why it visits its modes, as far as the search can tell.
         alternatives: plans along the other candidates, to be tried in this order where roll-outs refuse this one; kept
             out of the plan file.
     """
@@ -203,6 +223,7 @@ class Plan(Summarised):
     arm: ArmTrajectory | None = None
     release: ReleasePlan | None = None
     warnings: tuple[str, ...] = ()
+    purposes: tuple[ModePurpose, ...] = ()
     alternatives: tuple[Plan, ...] = field(default=(), repr=False, compare=False)
 
     def summary(self) -> str:

@@ -145,9 +145,11 @@ class ScenePage:
         title, kind: name of the thing, and what sort of thing it is.
         camera: of `view.camera`.
         badge: the outcome in a few words, with its status.
-        message: a sentence below it.
+        task: a sentence below the title: what is asked for.
+        message: a sentence below the badge.
         facts: (label, value) pairs.
         chips: (text, colour), e.g. the mode sequence.
+        reasons: (text, colour, sentence) why some of them are there.
         details: (heading, lines) folded away at first.
         legend, timeline: see their types.
         hidden: layers that are switched off at first.
@@ -162,9 +164,11 @@ class ScenePage:
     kind: str
     camera: Mapping[str, Any]
     badge: tuple[str, Status] | None = None
+    task: str = ""
     message: str = ""
     facts: Sequence[tuple[str, str]] = ()
     chips: Sequence[tuple[str, str]] = ()
+    reasons: Sequence[tuple[str, str, str]] = ()
     details: Sequence[tuple[str, Sequence[str]]] = ()
     legend: Sequence[LegendEntry] = ()
     timeline: Timeline = field(default_factory=Timeline)

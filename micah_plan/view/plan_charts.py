@@ -22,6 +22,7 @@ from micah_plan.view.placement import guards_of
 _MEAN, _SPREAD = 96.0, 44.0
 MOST_COORDINATES = 12
 _NARROW = 0.15  # of the axis; names of narrower stretches in a row end together where the last one ends
+_LETTER = 0.021  # of the axis, on the page: names that would lie over the one before are left to the colours
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,14 +139,19 @@ def _over_steps(
 def _names(bands: Sequence[tuple[str, float, float]], last: float) -> list[Words]:
     """The names of the modes above their bands; those of narrow bands in a row end together where the last one ends."""
     narrow = [end - start < _NARROW * last for _, start, end in bands]
-    words, waiting = [], list[str]()
+    words, waiting, taken = list[Words](), list[str](), 0.0
     for number, (name, start, end) in enumerate(bands):
         waiting.append(name)
         if narrow[number] and any(narrow[number + 1 : number + 2]):
             continue
         names = ", ".join(waiting)
-        beside = Words(names, float(end), side="left") if narrow[number] else Words(names, float(start), side="right")
-        words.append(beside)
+        length = _LETTER * last * len(names)
+        if not narrow[number]:
+            words.append(Words(names, float(start), side="right"))
+            taken = start + length
+        elif end - length >= taken:
+            words.append(Words(names, float(end), side="left"))
+            taken = end
         waiting = []
     return words
 

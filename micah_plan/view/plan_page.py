@@ -18,6 +18,7 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.errors import InputError, located_in
 from micah_plan.execution.mujoco.parameters import parameters_of
+from micah_plan.planning.purposes import purpose_sentences
 from micah_plan.quantities import count, percent, percent_interval, plain, quantity, with_spread
 from micah_plan.recording.value import Recording
 from micah_plan.task.body import Body, Hull, Shape, corners, transform
@@ -98,6 +99,7 @@ def plan_page(
         badge=_badge_of_runs(plan, runs) if runs else badge,
         message=f"{badge[0].lower()}: {plan.reason}" if runs else plan.reason,
         facts=_facts(plan, problem),
+        task=task_sentence(problem),
     )
     return _drawn(plan, problem, runs, said)
 
@@ -107,7 +109,7 @@ def problem_page(problem: Problem, *, title: str = "Problem") -> str:
     around it.
     """
     message = "from the start, where the object is believed to be, to the goal"
-    said = _Said(title, "problem", ("NOT SOLVED YET", "fair"), message, _asked(problem))
+    said = _Said(title, "problem", ("NOT SOLVED YET", "fair"), message, [], task_sentence(problem))
     return _drawn(Plan("no_plan", "not solved yet"), with_shown_points(problem), (), said)
 
 
@@ -129,6 +131,7 @@ class _Said:
     badge: tuple[str, Status]
     message: str
     facts: list[tuple[str, str]]
+    task: str
 
 
 def _drawn(plan: Plan, problem: Problem, runs: tuple[ExecutedRun, ...], said: _Said) -> str:
@@ -155,10 +158,12 @@ def _drawn(plan: Plan, problem: Problem, runs: tuple[ExecutedRun, ...], said: _S
     spacing = draw_ground_and_frame(scene, size)
     parts = [link.child for _, link in shown_links(automaton)]
     points = np.concatenate([handle_path(automaton, frames, part) for frames in (keys, goal) for part in parts])
+    colors = mode_colors(automaton)
     page = ScenePage(
         **vars(said),
         camera=camera(scene, points, body_boxes(problem.scene)),
-        chips=[(name, mode_colors(automaton).get(name, INK)) for name in plan.mode_sequence],
+        chips=[(name, colors.get(name, INK)) for name in plan.mode_sequence],
+        reasons=[(mode, colors.get(mode, INK), sentence) for mode, sentence in purpose_sentences(plan)],
         legend=[*(runs_legend(runs) if runs else []), *_legend(plan, problem, size, spacing)],
         details=[*(runs_details(runs) if runs else []), *_details(plan, problem)],
         timeline=_timeline(plan.trajectory, problem, runs, after) if plan.trajectory else Timeline(),
@@ -285,20 +290,26 @@ def _legend(plan: Plan, problem: Problem, size: float, spacing: float) -> list[L
     return [*entries, *arm_legend(plan, problem), *ground_legend(spacing)]
 
 
-def _asked(problem: Problem) -> list[tuple[str, str]]:
-    """What a problem asks for."""
-    coordinates = problem.automaton.coordinates
-    facts = [("Confidence asked for", percent(problem.settings.confidence))]
-    for index, value, tolerance in problem.goal.target:
-        goal = with_spread(value, tolerance, coordinates[index].unit, degrees=False)
-        facts.append((f"Goal for {coordinates[index].name}", goal))
-    if modes := pre_release_problem(problem).goal.modes:
-        facts.append(("Goal modes", ", ".join(modes)))
-    return facts
+def task_sentence(problem: Problem) -> str:
+    """What a problem asks for: where its goal takes which coordinates, in which modes, and how surely."""
+    ways = [_way(problem, *target) for target in problem.goal.target]
+    modes = pre_release_problem(problem).goal.modes
+    if modes and len(modes) < len(problem.automaton.modes):
+        ways.append(f"in mode {' or '.join(modes)}")
+    return f"{', '.join(ways)}, with a confidence of {percent(problem.settings.confidence)}"
+
+
+def _way(problem: Problem, index: int, value: float, tolerance: float) -> str:
+    """Where one coordinate begins and where it is to end."""
+    coordinate, start = problem.automaton.coordinates[index], problem.start.mean[index]
+    goal = with_spread(value, tolerance, coordinate.unit, degrees=False)
+    if abs(start - value) <= tolerance:
+        return f"{coordinate.name} stays at {goal}"
+    return f"{coordinate.name} from {quantity(start, coordinate.unit, degrees=False)} to {goal}"
 
 
 def _facts(plan: Plan, problem: Problem) -> list[tuple[str, str]]:
-    facts = _asked(problem)
+    facts = list[tuple[str, str]]()
     if plan.goal_error is not None:
         facts.append(("Distance to target", quantity(plan.goal_error, problem.goal_unit)))
     if plan.goal_std is not None:

@@ -179,7 +179,9 @@ def test_a_problem_has_a_page_before_it_is_solved(repository: Path, tmp_path: Pa
     page = show(problem, tmp_path / "page.html").text
     assert (tmp_path / "page.html").read_text(encoding="utf-8") == page
     assert "NOT SOLVED YET" in page
-    for index, _, _ in problem.goal.target:
-        assert f"Goal for {problem.automaton.coordinate_names[index]}" in page
+    assert all(
+        f"{problem.automaton.coordinate_names[index]} " in page.split('class="task">')[1].split("</p>")[0]
+        for index, _, _ in problem.goal.target
+    )
     with pytest.raises(InputError, match="there is no page of a Goal; give a recording, model, problem or result"):
         show(problem.goal, tmp_path / "other.html")

@@ -67,7 +67,8 @@ def scene_page(text: str) -> str:
     bars = Bars(text, (Bar(text, text, 0.5, text),))
     block = Block(text, (text,), chart_of(text), (bars,), (text,), alarm=True, keyframes=((0.0, 1.0),))
     page = ScenePage(
-        text, text, CAMERA, (text, "good"), text, [(text, text)], [(text, text)], [(text, [text])],
+        text, text, CAMERA, (text, "good"), text, text, [(text, text)], [(text, text)], [(text, text, text)],
+        [(text, [text])],
         [LegendEntry(text, text, "layer", key="x", key_label=text)],
         Timeline(1.0, (Band(0.0, 1.0, text, text),), ((0.0, (text,)),)), charts=[block],
     )  # fmt: skip

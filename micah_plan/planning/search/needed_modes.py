@@ -1,0 +1,126 @@
+"""Why a way visits a mode: what leads from the start to the goal, among the same states, where nothing leaves it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from scipy.sparse import csr_array
+
+from micah_plan.arrays import Floats
+from micah_plan.planning.findings import why_disconnected, why_unreachable
+from micah_plan.planning.limits import Limits
+from micah_plan.planning.search.leaves import leaves_of
+from micah_plan.planning.search.localising import best_paths
+from micah_plan.planning.search.mode_paths import cheapest_sequences
+from micah_plan.planning.search.path_beliefs import PathBeliefs
+from micah_plan.planning.search.roadmap import JoinedRoadmap, motions_of, roadmap_of, without_each_obstacle
+from micah_plan.planning.search.samples import Samples
+from micah_plan.task.plan import ModePurpose
+from micah_plan.task.problem import Problem
+from micah_plan.task.settings import Deadline
+
+
+@dataclass(frozen=True, eq=False)
+class OtherWays:
+    """The ways through roadmaps that do without one mode.
+
+    Attributes:
+        problem, limits, samples, roadmap, beliefs: of the search.
+        deadline: of the search; modes are told nothing of once it has passed.
+    """
+
+    problem: Problem
+    limits: Limits
+    samples: Samples
+    roadmap: JoinedRoadmap
+    beliefs: PathBeliefs
+    deadline: Deadline
+
+    def purposes(self, modes: Sequence[str]) -> tuple[ModePurpose, ...]:
+        """Why each of the modes of a sequence is there but the one that it starts in, which every way visits."""
+        asked = (mode for mode in dict.fromkeys(modes) if mode != modes[0])
+        purposes = []
+        for mode in asked:
+            if mode not in self._known:
+                if self.deadline.is_over():
+                    break
+                self._known[mode] = self._purpose(mode)
+            purposes.append(self._known[mode])
+        return tuple(purposes)
+
+    @cached_property
+    def _known(self) -> dict[str, ModePurpose]:
+        return {}
+
+    @cached_property
+    def _easier(self) -> dict[str, dict[str, csr_array]]:
+        return easier_graphs(self.problem, self.limits, self.roadmap, self.samples.points, self.deadline)
+
+    def _purpose(self, mode: str) -> ModePurpose:
+        """What there is where a mode is not left and not ended in."""
+        samples, roadmap, automaton = self.samples, self.roadmap, self.problem.automaton
+        if not samples.goals.keys() - {mode}:
+            return ModePurpose(mode, is_goal=True)
+        kept = [i for i, edge in enumerate(automaton.edges) if edge.source != mode]
+        goals = {name: vertices for name, vertices in samples.goals.items() if name != mode}
+        exits = {new: samples.exits[old] for new, old in enumerate(kept) if old in samples.exits}
+        ends = {new: roadmap.ends[old] for new, old in enumerate(kept) if old in roadmap.ends}
+        reduced = replace(roadmap, exits=exits, ends=ends, goals=goals)
+        revisits = self.problem.settings.revisits
+        if shortest := cheapest_sequences(reduced, 1, revisits=revisits, is_over=self.deadline.is_over):
+            best = best_paths(reduced, self.beliefs, shortest, revisits, self.deadline)[0]
+            names = list(self.beliefs.index)
+            taken = [names[k] for k in self.beliefs.mode_of[list(best.vertices)]]
+            without = tuple(name for k, name in enumerate(taken) if k == 0 or name != taken[k - 1])
+            return ModePurpose(mode, without=without, steps_without=best.cost)
+        model = replace(automaton, edges=tuple(automaton.edges[i] for i in kept))
+        goal = replace(self.problem.goal, modes=tuple(goals))
+        problem = replace(self.problem, automaton=model, goal=goal)
+        left = replace(samples, exits=exits, goals=goals)
+        if (reason := why_unreachable(problem, self.limits, left)) is None:
+            in_the_way = in_the_way_of(reduced, self._easier, revisits, self.deadline)
+            reason = why_disconnected(problem, self.limits, left, in_the_way)
+        return ModePurpose(mode, why=reason.sentence)
+
+
+def with_other_ways(purposes: Sequence[ModePurpose]) -> tuple[ModePurpose, ...]:
+    """Those of modes that there is a way without."""
+    return tuple(purpose for purpose in purposes if purpose.without)
+
+
+def easier_graphs(
+    problem: Problem, limits: Limits, roadmap: JoinedRoadmap, points: Mapping[str, Floats], deadline: Deadline
+) -> dict[str, dict[str, csr_array]]:
+    """The graphs of all modes without each of the constraints on the path, and of the guards on states; empty, if there
+    is no time for all of them."""
+    leaves = {mode.name: leaves_of(mode, limits) for mode in problem.automaton.modes}
+    easier = dict[str, dict[str, csr_array]]()
+    for constraint in problem.constraints:
+        others = tuple(c for c in problem.constraints if c.name != constraint.name)
+        motions = motions_of(replace(problem, constraints=others), limits)
+        if deadline.is_over():
+            return {}
+        easier[constraint.name] = {mode: roadmap_of(points[mode], leaves[mode], motions[mode]) for mode in points}
+    motions = motions_of(problem, limits)
+    for mode in points:
+        for name, graph in without_each_obstacle(points[mode], leaves[mode], motions[mode]).items():
+            easier[name] = {**easier.get(name, roadmap.graphs), mode: graph}
+    return easier
+
+
+def in_the_way_of(
+    roadmap: JoinedRoadmap, easier: Mapping[str, Mapping[str, csr_array]], revisits: int, deadline: Deadline
+) -> tuple[str, ...]:
+    """The constraints and guards without any one of which the same samples would connect start and goal.
+
+    That nothing connects them is certain; what is in the way is not told where the deadline passes.
+    """
+    found = []
+    for name, graphs in easier.items():
+        if deadline.is_over():
+            return ()
+        if cheapest_sequences(replace(roadmap, graphs=graphs), 1, revisits=revisits):
+            found.append(name)
+    return tuple(found)
