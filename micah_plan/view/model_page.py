@@ -11,6 +11,7 @@ from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode
 from micah_plan.automaton.kinematics import part_poses
 from micah_plan.quantities import interval, plain, quantity
 from micah_plan.view.camera import camera
+from micah_plan.view.diagram import diagram_of, guard_words
 from micah_plan.view.drawing import (
     JointLook,
     draw_copy,
@@ -64,6 +65,7 @@ def model_page(automaton: HybridAutomaton, *, title: str = "Model") -> str:
         camera=camera(scene, np.concatenate([handle_path(automaton, keys, link.child) for link in automaton.links])),
         facts=_facts(automaton),
         legend=[*legend, *ground_legend(spacing)],
+        diagram=diagram_of(automaton.mode_names, automaton.edges, colors),
         details=[
             ("Modes", [_described(automaton, mode) for mode in automaton.modes]),
             ("Transitions", [_edge_text(edge) for edge in automaton.edges]),
@@ -217,6 +219,5 @@ def _described(automaton: HybridAutomaton, mode: Mode) -> str:
 
 
 def _edge_text(edge: Edge) -> str:
-    guard = " and ".join(h.name or f"a'x + b'u >= {plain(h.c)}" for h in edge.guard.half_spaces) or "always"
     kept = ", the coordinate stops there" if edge.is_self_transition else ", the state is reset"
-    return f"{edge.name}: {guard}{'' if edge.reset.is_identity else kept}"
+    return f"{edge.name}: {guard_words(edge)}{'' if edge.reset.is_identity else kept}"

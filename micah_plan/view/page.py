@@ -19,6 +19,7 @@ from markupsafe import Markup
 
 from micah_plan.errors import InputError
 from micah_plan.view.chart import Chart
+from micah_plan.view.diagram import Diagram
 
 if TYPE_CHECKING:
     from micah_plan.view.scene import DrawnScene
@@ -158,6 +159,8 @@ class ScenePage:
         runs: to choose from; the first is shown at first.
         pictures: (time on the player [s], JPEG) of what a camera saw, shown beside the scene.
         is_within: whether it is shown within another page, which has its title and says what its colours are.
+        open_details: headings of details that are not folded away.
+        diagram: of the automaton, whose box of the current mode is filled.
     """
 
     title: str
@@ -178,6 +181,8 @@ class ScenePage:
     runs: Sequence[RunEntry] = ()
     pictures: Sequence[tuple[float, bytes]] = ()
     is_within: bool = False
+    open_details: Sequence[str] = ()
+    diagram: Diagram | None = None
 
 
 def render_scene(page: ScenePage, scene: DrawnScene) -> str:
@@ -189,6 +194,7 @@ def render_scene(page: ScenePage, scene: DrawnScene) -> str:
         "commands": scene.encoded(),
         "camera": page.camera,
         "duration": page.timeline.duration,
+        "modes": [[round(band.start, 4), band.label] for band in page.timeline.lanes[0]],
         "readouts": [[time, list(lines)] for time, lines in page.timeline.readouts],
         "layers": {entry.layer: layer_path(entry.layer) for entry in page.legend if entry.layer},
         "hidden": list(page.hidden),

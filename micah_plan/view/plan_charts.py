@@ -145,7 +145,7 @@ def _names(bands: Sequence[tuple[str, float, float]], last: float) -> list[Words
         if narrow[number] and any(narrow[number + 1 : number + 2]):
             continue
         names = ", ".join(waiting)
-        length = _LETTER * last * len(names)
+        length = _LETTER * last * (len(names) + 1)
         if not narrow[number]:
             words.append(Words(names, float(start), side="right"))
             taken = start + length

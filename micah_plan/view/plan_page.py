@@ -18,6 +18,7 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.errors import InputError, located_in
 from micah_plan.execution.mujoco.parameters import parameters_of
+from micah_plan.planning.findings import explain
 from micah_plan.planning.purposes import purpose_sentences
 from micah_plan.quantities import count, percent, percent_interval, plain, quantity, with_spread
 from micah_plan.recording.value import Recording
@@ -60,6 +61,7 @@ from micah_plan.view.release import ReleaseMotion, goal_poses, joined_keyframes,
 from micah_plan.view.scene import DrawnScene, slug, transforms
 from micah_plan.view.solids import Mesh, straightened, tube
 
+IN_THE_WAY = "What stands in the way"
 # Relative to the size of the object: thickness of paths, and the smallest radius that an ellipsoid is drawn with.
 _PATH, _HELD_PATH, _FLOOR = 0.006, 0.014, 0.025
 _BADGES: dict[str, tuple[str, Status]] = {
@@ -92,12 +94,13 @@ def plan_page(
     if plan.trajectory:
         plan = replace(plan, trajectory=plan.trajectory.of_first(problem.automaton.n))
     runs = _executed(plan, problem, executed, failures)
-    badge = _BADGES[plan.outcome]
+    badge, found = _BADGES[plan.outcome], explain(problem, plan).findings
+    reason = f"{found[0].sentence}; {found[0].remedy}" if found and plan.outcome != "solved" else plan.reason
     said = _Said(
         title=title,
         kind="plan and its execution" if runs else "plan",
         badge=_badge_of_runs(plan, runs) if runs else badge,
-        message=f"{badge[0].lower()}: {plan.reason}" if runs else plan.reason,
+        message=f"{badge[0].lower()}: {reason}" if runs else reason,
         facts=_facts(plan, problem),
         task=task_sentence(problem),
     )
@@ -166,6 +169,7 @@ def _drawn(plan: Plan, problem: Problem, runs: tuple[ExecutedRun, ...], said: _S
         reasons=[(mode, colors.get(mode, INK), sentence) for mode, sentence in purpose_sentences(plan)],
         legend=[*(runs_legend(runs) if runs else []), *_legend(plan, problem, size, spacing)],
         details=[*(runs_details(runs) if runs else []), *_details(plan, problem)],
+        open_details=(IN_THE_WAY,) if plan.findings[1:] else (),  # the first is the page's message
         timeline=_timeline(plan.trajectory, problem, runs, after) if plan.trajectory else Timeline(),
         hidden=["spread"],
         charts=plan_charts(plan, pre_release_problem(problem), drawn),
@@ -295,7 +299,7 @@ def task_sentence(problem: Problem) -> str:
     ways = [_way(problem, *target) for target in problem.goal.target]
     modes = pre_release_problem(problem).goal.modes
     if modes and len(modes) < len(problem.automaton.modes):
-        ways.append(f"in mode {' or '.join(modes)}")
+        ways.append(f"ending in mode {' or '.join(modes)}")
     return f"{', '.join(ways)}, with a confidence of {percent(problem.settings.confidence)}"
 
 
@@ -334,7 +338,7 @@ def _details(plan: Plan, problem: Problem) -> list[tuple[str, list[str]]]:
     details = [("Mode sequences tried", tried)] if tried else []
     findings = [f"{finding.sentence}. Remedy: {finding.remedy}" for finding in plan.findings]
     if findings:
-        title = "Limits kept only in part" if plan.outcome == "solved" else "What stands in the way"
+        title = "Limits kept only in part" if plan.outcome == "solved" else IN_THE_WAY
         details.insert(0, (title, findings))
     start = [
         f"{c.name} = {with_spread(mean, std, c.unit)} (1 σ)"

@@ -230,6 +230,16 @@
     return lines;
   }
 
+  // The box and the chip of the mode at a time are filled.
+  const boxes = [...document.querySelectorAll(".diagram .mode")];
+  const chips = [...document.querySelectorAll(".chips li")];
+  function showMode(time) {
+    const begun = data.modes.filter(([start]) => start <= time + 1e-9);
+    const mode = begun.length ? begun[begun.length - 1][1] : null;
+    boxes.forEach((box) => box.classList.toggle("now", box.dataset.mode === mode));
+    chips.forEach((chip, i) => chip.classList.toggle("now", i === begun.length - 1));
+  }
+
   // What the camera saw at a time of the player.
   const picture = document.getElementById("picture");
   function showPicture(time) {
@@ -272,6 +282,7 @@
       follow();
       clock.textContent = `${time.toFixed(1)} of ${data.duration.toFixed(1)} s`;
       moveCursors(time);
+      showMode(time);
       showPicture(time);
       sources.forEach((source, i) => { texts[i].textContent = linesAt(source(), time).join("\n"); });
     }
