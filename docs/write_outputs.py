@@ -21,7 +21,11 @@ from generate_reference import pages
 
 ROOT = Path(__file__).resolve().parents[1]
 SHIPPED = ("examples", "models", "problems")
-PAGES = ("README.md", *sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md")))
+FOLDERS = ("benchmarks/tables", "docs")
+PAGES = (
+    "README.md",
+    *(str(page.relative_to(ROOT)) for folder in FOLDERS for page in sorted((ROOT / folder).rglob("*.md"))),
+)
 _TIME = re.compile(r"[\d.]+ s\b")
 _BLOCK = re.compile(r"^```(bash|console)[^\n]*\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 
