@@ -50,10 +50,8 @@ class Attempt:
         """What a planner makes of it; no plan, for a reason at a level, if it finds nothing or not in time."""
         try:
             return planner(self)
-        except NoWayError as failed:
+        except (NoWayError, TimeLimitError) as failed:
             return self.refused(str(failed.reason), (Finding.of(level, failed.reason),))
-        except TimeLimitError as failed:
-            return self.refused(failed.reason, (Finding(level, failed.sentence, failed.remedy),))
 
     def solved(
         self,

@@ -235,12 +235,9 @@ def _low_level(attempt: Attempt, sequence: ModeSequence) -> _Tried:
     """The belief path through a mode sequence, in as few steps as lead through it."""
     try:
         return _optimised(attempt, sequence)
-    except NoWayError as failed:
+    except (NoWayError, TimeLimitError) as failed:
         finding = Finding.of("optimisation", failed.reason, sequence.modes)
         return _Tried(sequence, None, str(failed.reason), (finding,))
-    except TimeLimitError as failed:
-        finding = Finding("optimisation", failed.sentence, failed.remedy, sequence.modes)
-        return _Tried(sequence, None, failed.reason, (finding,))
 
 
 def _optimised(attempt: Attempt, sequence: ModeSequence) -> _Tried:

@@ -71,7 +71,7 @@ def with_release(problem: Problem, plan: Plan, deadline: Deadline) -> tuple[Plan
         try:
             answer = _with_arm(problem, plan, (release_plan, rest, lowest), deadline)
         except TimeLimitError as over:
-            return _refused(plan, Finding("arm", over.sentence, over.remedy, plan.mode_sequence)), None
+            return _refused(plan, Finding.of("arm", over.reason, plan.mode_sequence)), None
         spent = perf_counter() - begin
         plan = replace(plan, timings={key: s + spent * (key in ("arm", "total")) for key, s in plan.timings.items()})
         if isinstance(answer, Blocked):

@@ -168,7 +168,7 @@ def _followed(
     try:
         arm = arm_along(problem, trajectory, seed, deadline=deadline)
     except TimeLimitError as over:
-        says, finding = "", Finding("arm", over.sentence, over.remedy, plan.mode_sequence)
+        says, finding = "", Finding.of("arm", over.reason, plan.mode_sequence)
     spent = time.perf_counter() - begin
     plan = replace(plan, timings={**plan.timings, "arm": spent, "total": plan.timings["total"] + spent})
     if isinstance(arm, ArmTrajectory):

@@ -73,7 +73,7 @@ def verify(
     try:
         ends = _ends(problem, plan.trajectory, count, seed, deadline, sequential)
     except TimeLimitError as over:
-        finding = Finding("verification", over.sentence, over.remedy, plan.mode_sequence)
+        finding = Finding.of("verification", over.reason, plan.mode_sequence)
         reason = f"found {' -> '.join(plan.mode_sequence)}, but {over.reason}"
         return replace(plan, outcome="not_verified", reason=reason, findings=(finding, *plan.findings))
     successes, done = int(ends.in_goal.sum()), len(ends.in_goal)

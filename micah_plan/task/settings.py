@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from math import inf
 from time import perf_counter, process_time
 
+from micah_plan.task.reason import Reason
+
 
 @dataclass(frozen=True)
 class PlannerSettings:
@@ -71,14 +73,13 @@ class TimeLimitError(Exception):
     """The time is over.
 
     Attributes:
-        sentence: in which stage, and how far that was. remedy: what to do. reason: both.
+        reason: in which stage, how far that was, and what to do.
     """
 
     def __init__(self, limit_s: float, stage: str, state: str, remedy: str) -> None:
         reached = f"the time limit of {limit_s:g} s (solve_time_limit_s) was reached in the {stage}"
-        self.sentence, self.remedy = f"{reached}: {state}", remedy
-        self.reason = f"{self.sentence}; {remedy}"
-        super().__init__(self.reason)
+        self.reason = Reason(f"{reached}: {state}", (remedy,))
+        super().__init__(str(self.reason))
 
 
 class Deadline:
