@@ -32,18 +32,19 @@ from micah_plan.automaton.transition import step
 from micah_plan.belief.filter import initial_belief, predict_belief, update
 from micah_plan.planning.attempt import Attempt, attempted
 from micah_plan.planning.feedback import belief_lqr
-from micah_plan.planning.limits import Limits, NoWayError, limited_input
+from micah_plan.planning.limits import Limits, limited_input
 from micah_plan.planning.nlp import Programme, Solution, Solver
-from micah_plan.planning.path_constraints import cost_of, effort_cost, goal_cost, variance_cost
+from micah_plan.planning.no_way import NoWayError
+from micah_plan.planning.plan_cost import cost_of, effort_cost, goal_cost, variance_cost
 from micah_plan.planning.search.polytope import nominal_start
-from micah_plan.planning.transcription.corridor import pack, packed
-from micah_plan.quantities import Progress
+from micah_plan.planning.transcription.packed_belief import pack, packed
+from micah_plan.summaries import Progress
 from micah_plan.symbolic.compiled import compiled_mode, sensing_std
 from micah_plan.symbolic.square_root import lower_factor, observe, put_at
+from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.reason import Reason
-from micah_plan.task.settings import Deadline
 
 Expression = TypeVar("Expression", ca.MX, ca.SX)
 

@@ -18,15 +18,16 @@ from ompl import util as ou
 from micah_plan.arrays import Floats
 from micah_plan.automaton.transition import step
 from micah_plan.planning.attempt import Attempt, attempted
-from micah_plan.planning.limits import Limits, NoWayError, limited_input
+from micah_plan.planning.limits import Limits, limited_input
+from micah_plan.planning.no_way import NoWayError
 from micah_plan.planning.search.polytope import nominal_start
 from micah_plan.planning.search.roadmap import bounding_box
 from micah_plan.planning.search.samples import goal_states
-from micah_plan.quantities import Progress
+from micah_plan.summaries import Progress
+from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
 from micah_plan.task.reason import Reason
-from micah_plan.task.settings import Deadline
 
 # Extensions of the tree, after which it is given up: with them the result depends on the seed alone.
 _MOST_EXTENSIONS = 20_000

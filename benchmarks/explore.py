@@ -26,7 +26,7 @@ from micah_plan.automaton.joint import axis_basis
 from micah_plan.execution.handle import HandlePlant as Checked
 from micah_plan.execution.plant import Command
 from micah_plan.exploration.run import Exploration, explore
-from micah_plan.task.experiment import Scene
+from micah_plan.task.exploration_scene import Scene
 
 Floats = NDArray[np.float64]
 _PULL, _ENOUGH = 38.0, 0.19

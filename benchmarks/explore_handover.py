@@ -31,7 +31,7 @@ from micah_plan.planning.solver import solve
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.prediction import predict_recording
-from micah_plan.task.experiment import Scene
+from micah_plan.task.exploration_scene import Scene
 
 _LOW, _HIGH, _TOLERANCE = 0.2, 0.9, 0.06
 

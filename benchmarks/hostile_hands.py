@@ -22,7 +22,7 @@ from micah_plan.errors import MicahError
 from micah_plan.execution.handle import HandlePlant
 from micah_plan.execution.plant import Command, Measurement, PlantError
 from micah_plan.exploration.run import explore
-from micah_plan.task.experiment import Scene
+from micah_plan.task.exploration_scene import Scene
 
 Floats = NDArray[np.float64]
 KINDS = {

@@ -27,7 +27,7 @@ from saving import add_json, save_json
 from micah_plan.learning import run
 from micah_plan.learning.joints import final_fit
 from micah_plan.learning.learn import learn_graph
-from micah_plan.learning.segmenting import evidence, noise_fit, posterior, segmentation
+from micah_plan.learning.segmenting import evidence, noise_fit, parameter_costs, report, segmentation
 from micah_plan.recording.read import read_recording
 
 Row = dict[str, Any]
@@ -99,11 +99,11 @@ MECHANISMS: Mapping[str, Mechanism] = {
     "rivals beside the answer": Mechanism(segmentation, "_beside_rivals", lambda _: lambda answer, _settings: answer),
     "rests on the path are cheap": Mechanism(evidence, "held_costs", lambda _: lambda cost, *_others: cost.copy()),
     "joints that move nothing": Mechanism(
-        evidence, "_denied", lambda _: lambda pool, _noise: np.zeros(len(pool.hypotheses.used))
+        parameter_costs, "_denied", lambda _: lambda pool, _noise: np.zeros(len(pool.hypotheses.used))
     ),
     "last steps that are cut short": Mechanism(evidence, "segment_sums", _without_endings),
     "rests in the end": Mechanism(
-        posterior,
+        report,
         "rests_in_the_end",
         lambda _: lambda _table, _moves, track, *_others: np.full((1, len(track), len(track)), -1e6),
     ),

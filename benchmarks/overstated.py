@@ -25,12 +25,12 @@ from kinds_scoring import SURE, judged
 from learning_kinds import learned
 
 from micah_plan.learning.parts import tree
-from micah_plan.learning.segmenting import posterior
+from micah_plan.learning.segmenting import report
 
 NUMBERS: Mapping[str, tuple[tuple[ModuleType, ...], tuple[float, ...]]] = {
-    "LOG_ODDS_OVERSTATED": ((posterior, tree), (1.0, 2.0, 3.0, 4.5, 6.0, 9.0, 14.0)),
-    "_ENDS_AT_REST": ((posterior,), (0.0, 1.4, 2.7, 5.4)),
-    "OTHER_MECHANISM": ((posterior,), (0.0, 0.05, 0.1, 0.2, 0.4)),
+    "LOG_ODDS_OVERSTATED": ((report, tree), (1.0, 2.0, 3.0, 4.5, 6.0, 9.0, 14.0)),
+    "_ENDS_AT_REST": ((report,), (0.0, 1.4, 2.7, 5.4)),
+    "OTHER_MECHANISM": ((report,), (0.0, 0.05, 0.1, 0.2, 0.4)),
 }
 """By name: the modules that look it up, and the values that are tried."""
 LEAST = 1e-4

@@ -41,7 +41,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[1] / "tests" / "planning")]
 import test_executed_inputs as people  # noqa: E402
 import test_fields_of_boxes as fields  # noqa: E402
 
-from micah_plan.automaton.augmented import threshold_stds  # noqa: E402
+from micah_plan.automaton.drawn_thresholds import threshold_stds  # noqa: E402
 from micah_plan.automaton.transition import TransitionBatch  # noqa: E402
 from micah_plan.execution.trials import run_trials  # noqa: E402
 from micah_plan.planning.solver import solve  # noqa: E402

@@ -45,7 +45,7 @@ from micah_plan.execution.closed_loop import goal_probability
 from micah_plan.execution.trials import run_trials
 from micah_plan.planning.findings import explain
 from micah_plan.planning.limits import limits_of
-from micah_plan.planning.path_constraints import cost_of
+from micah_plan.planning.plan_cost import cost_of
 from micah_plan.planning.roll_outs import RollOuts, are_in_goal, draw_chances, roll_out
 from micah_plan.planning.solver import solve
 from micah_plan.task.plan import Plan

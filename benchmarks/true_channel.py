@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from micah_plan.automaton.graph import ActionChannel
+from micah_plan.automaton.certainty import ActionChannel
 from micah_plan.automaton.joint import Joint
 
 QUANTILE = 1.959964

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from micah_plan.arrays import Floats, Ints
-from micah_plan.automaton.augmented import drawn_shifts
+from micah_plan.automaton.drawn_thresholds import drawn_shifts
 from micah_plan.automaton.transition import TransitionBatch
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.roll_outs import Chances, measurement_std

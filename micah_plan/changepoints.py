@@ -6,7 +6,7 @@ P_t^MAP = max_{s, M} β(t - s) / survival(t - s - 1) P_t(s, M).
 Which model is best for a segment does not depend on the others, so it is chosen for all of them before the recursion
 begins.
 
-**The length prior.** β of a segment and its cumulative B: a discretised gamma distribution over rows, normalised.
+The length prior: β of a segment and its cumulative B: a discretised gamma distribution over rows, normalised.
 
 Source: MICAH, equation for p(τ_{i+1} = t | τ_i = j) = β(t - j); the open last segment uses the survival 1 - B.
 """

@@ -103,14 +103,14 @@ def _check_problem(file: Path) -> tuple[str, ...]:
 
         load_arm(problem.robot)
         if problem.release is not None:
-            from micah_plan.robot.along_plan import with_open_gripper
+            from micah_plan.robot.release_path import with_open_gripper
 
             load_arm(with_open_gripper(problem))
     return suspicions_of(problem)
 
 
 def _check_scene(file: Path) -> tuple[str, ...]:
-    from micah_plan.documents.experiment import load_scene
+    from micah_plan.documents.exploration_scene import load_scene
     from micah_plan.task.plausible import suspicions_of_scene
 
     return suspicions_of_scene(load_scene(file))

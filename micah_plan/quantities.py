@@ -11,17 +11,12 @@ The rule:
 - **Shares** in percent, ``95 %``, with as many decimals as tell them from none and all: ``99.75 %``, ``>99.99 %``.
 
 Files keep full precision and SI units, and so do numbers that a message asks somebody to write into a file.
-
-**Progress.** What is printed while work goes on; and values that print as a few lines.
 """
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from html import escape
 
 LARGEST = 1e6
 """Of a coordinate or limit [m or rad]: beyond it a number is a mistake of units or of keys, not a place."""
@@ -181,58 +176,3 @@ def _percents(share: float, decimals: int | None = None) -> str:
 
 def _stripped(text: str) -> str:
     return text.rstrip("0").rstrip(".") if "." in text else text
-
-
-Progress = Callable[[str, float], None]
-"""Is called during long work with a message and the fraction that is done."""
-
-
-class Summarised(ABC):
-    """A value whose text, at a prompt, in `print` and in a notebook, is its `summary`."""
-
-    @abstractmethod
-    def summary(self) -> str:
-        """What matters, in a few lines."""
-
-    def __repr__(self) -> str:
-        return self.summary()
-
-    def _repr_html_(self) -> str:
-        return f"<pre>{escape(self.summary())}</pre>"
-
-
-@dataclass(frozen=True)
-class Table:
-    """Texts in named columns.
-
-    Attributes:
-        rows: a text for each column; it may have two lines, which are one where there is room.
-        title: what stands above; empty: nothing.
-        firm: names of columns that are never folded.
-        numeric: columns (from 0) of numbers, which pages set to the right.
-    """
-
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    title: str = ""
-    firm: tuple[str, ...] = ()
-    numeric: tuple[int, ...] = ()
-
-    def lines(self) -> list[str]:
-        """The table as plain text, each row on one line."""
-        cells = [[" ".join(text.split("\n")) for text in row] for row in (self.columns, *self.rows)]
-        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-        texts = ["  ".join(f"{text:{width}}" for text, width in zip(row, widths, strict=True)) for row in cells]
-        return [*([self.title] if self.title else []), *(f"  {text}".rstrip() for text in texts)]
-
-
-def aligned(title: str, rows: dict[str, str]) -> str:
-    """A title, and below it a line for each name and its text, which are indented alike; empty texts are left out."""
-    width = max(map(len, rows), default=0) + 2
-    return "\n".join([title, *(f"  {name:{width}}{text}" for name, text in rows.items() if text)])
-
-
-def listed(texts: list[str] | tuple[str, ...], most: int = 6) -> str:
-    """Texts behind each other; of many the first, and how many more."""
-    more = f", and {len(texts) - most} more" if len(texts) > most else ""
-    return ", ".join(texts[:most]) + more

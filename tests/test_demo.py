@@ -12,7 +12,7 @@ import pytest
 
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
-from micah_plan.templates.write import FOLDERS, copy_shipped
+from micah_plan.templates.shipped import FOLDERS, copy_shipped
 
 
 def run(*arguments: object) -> subprocess.CompletedProcess[str]:

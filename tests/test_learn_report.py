@@ -13,16 +13,8 @@ from rich.console import Console
 
 from micah_plan import cli
 from micah_plan.api.learning import LearningResult, segment_row
-from micah_plan.automaton.graph import (
-    ActionChannel,
-    EdgeCertainty,
-    KinematicEdge,
-    KinematicGraph,
-    NoSingleJoint,
-    RowPosterior,
-    Segment,
-    SegmentCertainty,
-)
+from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, NoSingleJoint, RowPosterior, SegmentCertainty
+from micah_plan.automaton.graph import KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import ParameterCovariance, axis_std, radius_std, revolute, rigid
 from micah_plan.automaton.kinematics import forward
 from micah_plan.cli import learning as report
@@ -32,7 +24,7 @@ from micah_plan.errors import InputError
 from micah_plan.learning import learn as learning
 from micah_plan.learning.settings import LearnSettings
 from micah_plan.recording.read import read_recording, write_recording
-from micah_plan.view.learned import action_words
+from micah_plan.view.learned_words import action_words
 
 DEMONSTRATION = "examples/demonstrations/microwave.csv"
 STDS = (0.1, 0.1, 0.05, 0.02, 0.03)

@@ -24,7 +24,6 @@ from micah_plan.automaton.hybrid import (
     Coordinate,
     Edge,
     HybridAutomaton,
-    Light,
     Link,
     Mode,
     Noise,
@@ -35,6 +34,7 @@ from micah_plan.automaton.hybrid import (
 )
 from micah_plan.automaton.joint import Joint, prismatic, revolute, rigid, screw
 from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.automaton.sensing import Light
 from micah_plan.cli.console import BAD_INPUT, NO_RESULT
 from micah_plan.documents.model import dump_model, load_model
 from micah_plan.errors import InputError

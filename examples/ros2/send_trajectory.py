@@ -19,7 +19,7 @@ from rosidl_runtime_py.set_message import set_message_fields
 from sensor_msgs.msg import JointState
 
 from micah_plan.documents.plan import load_plan
-from micah_plan.exchange.convert import trajectory_goal
+from micah_plan.exchange.joint_trajectory import trajectory_goal
 
 CONTROLLER = "/joint_trajectory_controller/follow_joint_trajectory"
 TIMEOUT_S, NEAR_RAD = 5.0, 0.05

@@ -19,9 +19,10 @@ from micah_plan.api import inputs
 from micah_plan.api.inputs import Measured, Modelled
 from micah_plan.api.result import Result, save_model
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.quantities import Progress, Table, common_unit, count, percent, plain, quantity
+from micah_plan.quantities import common_unit, count, percent, plain, quantity
 from micah_plan.recording.commands import CommandKind, with_commands
 from micah_plan.recording.value import Recording
+from micah_plan.summaries import Progress, Table
 from micah_plan.task.experiment import Experiment
 
 if TYPE_CHECKING:
@@ -132,7 +133,7 @@ class PredictionResult(Result):
     def plot(self) -> Figure:
         """Measured and predicted configurations over time."""
         from micah_plan.view.figures import chart_figure
-        from micah_plan.view.prediction_page import prediction_charts
+        from micah_plan.view.prediction_figure import prediction_charts
 
         return chart_figure(prediction_charts(self.automaton, self.runs), across=True)
 

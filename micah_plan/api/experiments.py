@@ -11,8 +11,8 @@ from micah_plan.api.inputs import Source
 from micah_plan.api.result import RecordedResult
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError
-from micah_plan.quantities import Progress, Table
 from micah_plan.recording.value import Recording
+from micah_plan.summaries import Progress, Table
 from micah_plan.task.experiment import Experiment
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.documents.kind import kind_of
 from micah_plan.errors import InputError, MicahError
 from micah_plan.exchange.convert import READABLE
-from micah_plan.files import PAGE
+from micah_plan.output_files import PAGE
 from micah_plan.recording.value import Recording
 from micah_plan.task.problem import Problem
 

@@ -23,16 +23,18 @@ from micah_plan.automaton.graph import BASE, KinematicGraph
 from micah_plan.automaton.hybrid import HybridAutomaton, Part
 from micah_plan.errors import InputError
 from micah_plan.learning.settings import FEWEST_ROWS, LearnSettings
-from micah_plan.quantities import Progress, Table, count, duration, in_degrees, percent, plain, quantity, way
+from micah_plan.quantities import count, duration, in_degrees, percent, plain, quantity, way
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.value import Recording
-from micah_plan.task.experiment import Scene
+from micah_plan.summaries import Progress, Table
+from micah_plan.task.exploration_scene import Scene
 from micah_plan.task.plants import DEFAULT_PLANT
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from micah_plan.automaton.graph import ActionChannel, Deviation, KinematicEdge, Segment
+    from micah_plan.automaton.certainty import ActionChannel, Deviation
+    from micah_plan.automaton.graph import KinematicEdge, Segment
     from micah_plan.automaton.joint import Joint
     from micah_plan.execution.plant import Plant
     from micah_plan.exploration.run import Exploration
@@ -83,7 +85,7 @@ class LearningResult(Result):
 
     def report(self) -> list[str | Table]:
         """Segments of every part with how sure they are, how actions move it, and the modes made of them."""
-        from micah_plan.view.learned import action_words, deviation_notes
+        from micah_plan.view.learned_words import action_words, deviation_notes
 
         lines: list[str | Table] = []
         for edge in self.graph.edges:
@@ -181,8 +183,9 @@ def _learned(
     """Segment the recording, fit its joints and build the automaton."""
     from micah_plan.automaton.build import build_automaton, no_single_joint_error
     from micah_plan.automaton.effects.commanded_places import as_commanded
-    from micah_plan.learning.learn import learn_graph, small_motions
+    from micah_plan.learning.learn import learn_graph
     from micah_plan.learning.parts.relative import relative_to
+    from micah_plan.learning.small_motions import small_motions
     from micah_plan.recording.suspicion import suspicions_of_recording, turned_grips
 
     begin = time.perf_counter()
@@ -289,7 +292,7 @@ def _spread(joint: Joint) -> dict[str, Any]:
 
 
 def _channel(channel: ActionChannel) -> dict[str, Any]:
-    from micah_plan.automaton.graph import CHANNEL_NAMES
+    from micah_plan.automaton.certainty import CHANNEL_NAMES
 
     *turned, gain, delay = _stds(channel.covariance)
     return {
@@ -431,7 +434,7 @@ def explore(
         InputError: if there is no such scene or plant, its code fails, or an answer is no usable measurement.
         PlantError: if the machine cannot be made or reset.
     """
-    from micah_plan.documents.experiment import load_scene
+    from micah_plan.documents.exploration_scene import load_scene
     from micah_plan.execution.handle import HandlePlant, make_handle_plant
     from micah_plan.exploration.run import explore as run
 

@@ -18,8 +18,9 @@ from micah_plan.api.inputs import Modelled, Problematic, Source
 from micah_plan.api.result import Result
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError, shown
-from micah_plan.quantities import Progress, Table, count, percent, percent_interval, quantity, with_spread
+from micah_plan.quantities import count, percent, percent_interval, quantity, with_spread
 from micah_plan.recording.value import Recording
+from micah_plan.summaries import Progress, Table
 from micah_plan.task.by_name import Spread
 from micah_plan.task.experiment import Experiment
 from micah_plan.task.plan import Plan

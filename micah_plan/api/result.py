@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError
 from micah_plan.files import replace_file
-from micah_plan.quantities import Summarised, Table
 from micah_plan.recording.value import Recording
+from micah_plan.summaries import Summarised, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

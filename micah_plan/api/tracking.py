@@ -14,11 +14,12 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.graph import KinematicGraph
 from micah_plan.documents.tags import load_tags
 from micah_plan.errors import located_in
-from micah_plan.quantities import Progress, Table, plain, quantity
+from micah_plan.quantities import plain, quantity
 from micah_plan.recording.beside import ClockOffset, clock_in_words, with_commands_beside
 from micah_plan.recording.conventions import LENGTHS
 from micah_plan.recording.tag_layout import TagLayout
 from micah_plan.recording.value import Recording
+from micah_plan.summaries import Progress, Table
 from micah_plan.vision.camera import Camera, load_camera
 from micah_plan.vision.point_files import Axes, PointTracks, check_unit, load_points
 from micah_plan.vision.track_points import TrackedPoints, track_points

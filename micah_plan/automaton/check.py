@@ -22,11 +22,12 @@ import numpy as np
 from micah_plan.arrays import EQUAL, ROUND_OFF
 from micah_plan.automaton.effects.add import check_effect
 from micah_plan.automaton.effects.value import Effect
+from micah_plan.automaton.feasibility import is_empty
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Pin, Tie
 from micah_plan.automaton.joint import KINDS
 from micah_plan.automaton.memo import memoised
-from micah_plan.automaton.region import UNLIMITED, HalfSpace, Interval, Region, is_empty
+from micah_plan.automaton.region import UNLIMITED, HalfSpace, Interval, Region
 from micah_plan.errors import InputError, shown
 from micah_plan.quantities import LARGEST
 

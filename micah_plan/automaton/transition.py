@@ -2,46 +2,16 @@
 
 Source: Lygeros, Sastry and Tomlin, "Hybrid systems", for executions of hybrid automata; MICAH, section III-C. MICAH
 tests guards between steps; here they are located within the step, so that the result does not depend on how finely the
-motion is cut into steps and no threshold is overrun.
+motion is cut into steps and no threshold is overrun. When a guard fires, in which order, and what it does is written in
+docs/concepts/automaton.md, "One step, exactly".
 
-**Motion.** Within a step, s runs from 0 to 1 and x moves along the straight line x + s d with d = B_q u + disturbance.
-Guards are half-spaces, so their margins are affine in s and events are found by division, not by search. A mode keeps
-its pinned coordinates at their values: no input and no disturbance moves them, and a state that is elsewhere when the
-step starts or the mode is entered (a sample of a belief, a measurement) is put there.
+A margin, or its change over a step, counts as 0 within ``TOLERANCE`` (relative to thresholds above 1), after a
+half-space has been scaled to weights of length 1. `step` takes u as it is, admissible (`Mode.inputs`) or not: the plant
+does what it is told.
 
-**When a guard fires.** At the first s at which for *every* one of its half-spaces the state is inside (margin > 0), or
-on the boundary and going inside (margin = 0, growing), or staying on a boundary that belongs to it (margin = 0,
-constant, not strict). So an intersection fires when the last of its half-spaces is entered, provided that none has been
-left by then; and a guard ``c >= t`` does not fire while the flow leads away from t: a state on the boundary between two
-modes belongs to the mode that it moves into. A guard that is true when the step starts fires at s = 0, also if the
-motion leads out of it. A guard on inputs alone is constant during a step: it holds from the moment its mode is entered
-or not at all. A margin, or its change over a step, counts as 0 within ``TOLERANCE`` (relative to
-thresholds above 1), after a half-space has been scaled to weights of length 1.
-
-**Order.** Earlier events first. Of several guards that hold at one instant, mode changes go before self transitions
-(clamps), then the first listed edge goes first. After each event guards are tested again, those of the new mode, at the
-same instant and from where the reset put the state; so one step can run through a chain of modes.
-
-**What an event does.** The reset is applied with the full u. After a mode change d is computed anew from the new mode's
-flow; a self transition keeps the motion but passes d through the linear part of its reset (a clamped coordinate stops,
-the others go on).
-
-**Chattering.** At one instant no mode is entered twice (the one at the start of the instant included) and no self
-transition is taken twice. An edge that this rule blocks is a wall: if the flow leads into its guard, the component of d
-along the guard's normal is taken out and the state slides along the boundary (of all walls met at that instant) for the
-rest of the step or until the mode changes. A blocked edge whose guard holds already, away from the boundary, is passed
-over until the next instant with an event. A step has at most ``MOST_EVENTS`` events (a reset that throws the state back
-in front of its own guard could go on for ever); then the state rests where it is and ``Step.complete`` is false.
-
-**Effects.** Those of the automaton that have no memory change d, which is taken at the state where the step starts or a
-mode is entered. Effects with a memory change the input: at the start of the step where the memory is part of the state;
-else they change the sequence of inputs before it gets here (`input_memory.InputChannel`).
-
-**Inputs.** `step` takes u as it is, admissible (`Mode.inputs`) or not: the plant does what it is told.
-
-**Arrays.** A step is one of many objects at once, each with its own thresholds and gains: the arrays go from event to
-event, all objects of a mode together, and in most steps no guard fires and a step is one addition. A single step is a
-batch of one. Objects differ in the places of their boundaries, which are a part of the state here as in `augmented`.
+A step is one of many objects at once, each with its own thresholds and gains: the arrays go from event to event, all
+objects of a mode together, and in most steps no guard fires and a step is one addition. A single step is a batch of
+one. Objects differ in the places of their boundaries, which are a part of the state here as in `augmented`.
 """
 
 from __future__ import annotations
@@ -56,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from micah_plan.arrays import Booleans, Floats, Ints, alike
-from micah_plan.automaton.augmented import threshold_stds, with_boundary_states
+from micah_plan.automaton.drawn_thresholds import threshold_stds, with_boundary_states
 from micah_plan.automaton.effects.motion import motions
 from micah_plan.automaton.hybrid import HybridAutomaton, vector
 from micah_plan.automaton.input_memory import passed_on
@@ -209,7 +179,7 @@ class TransitionBatch:
         """
         Args:
             automaton: the model.
-            shifts: (t, b) by how much each object's boundaries are moved (`augmented.threshold_stds`).
+            shifts: (t, b) by how much each object's boundaries are moved (`drawn_thresholds.threshold_stds`).
             gains: (t, g) relative errors of its gains (`step_noise.drawn_gains`); None: they are the model's.
         """
         self._automaton = with_boundary_states(automaton)

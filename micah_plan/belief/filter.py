@@ -6,33 +6,20 @@ belief it is given.
 
 Sources: Jain and Niekum, "Efficient hierarchical robot motion planning under uncertainty and hybrid dynamics", CoRL
 2018; Blom and Bar-Shalom, "The interacting multiple model algorithm", 1988, for the mixing.
-
-**A lost belief.** What is measured cannot be what it says, so the state is where it is measured, in any mode.
-
-Beside the automaton's modes stands one more hypothesis, as improbable as what filters drop: something happened that the
-model does not know, and nothing is left of what was believed. Then the state lies anywhere that the modes allow, and
-the measurement is all that is known of it.
-
-Source: Thrun, Burgard and Fox, Probabilistic Robotics, 2005, section 8.3.5 (recovering from failures by augmentation).
-
-**Moment matching.** The shares of a belief that came to the same mode become one Gaussian with their moments.
-
-Source: Blom and Bar-Shalom, "The interacting multiple model algorithm", IEEE Transactions on Automatic Control 1988.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import log_ndtr, logsumexp, ndtr
+from scipy.special import logsumexp, ndtr
 
 from micah_plan.arrays import ROUND_OFF, SMALLEST_STD, Booleans, Floats, Ints
-from micah_plan.automaton.contacts.values import COLLIDED
-from micah_plan.automaton.hybrid import HybridAutomaton, Mode
+from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import passed_arrays
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.belief.crossing import through_guards, whole_step
@@ -40,14 +27,15 @@ from micah_plan.belief.gaussian import (
     condition_on_pins,
     lower_factors,
     measured,
-    put_those,
     replaced_at_pins,
     those,
     with_those,
 )
 from micah_plan.belief.hybrid_belief import BeliefBatch, HybridBelief, batch_of
 from micah_plan.belief.layout import HalfSpaceRows, Layout, layout_of
-from micah_plan.belief.pieces import Ends, Pieces, joined_pieces, side_by_side
+from micah_plan.belief.lost_belief import most_evidence, reinitialise
+from micah_plan.belief.moment_matching import assembled, mixed
+from micah_plan.belief.pieces import Ends, Pieces, joined_pieces
 from micah_plan.belief.truncation import (
     NEGLIGIBLE,
     is_cut,
@@ -438,190 +426,3 @@ def _root(covariance: Floats) -> Floats:
     if not np.allclose(covariance, covariance.T) or values.min() < -1e-9 * max(1.0, values.max()):
         raise InputError("a covariance must be symmetric and positive semi-definite", remedy="give (n,) stds instead")
     return lower_factors((vectors * np.sqrt(np.maximum(values, 0.0)))[:, :, None])[:, :, 0]
-
-
-# A coordinate without limits is within one metre or radian.
-_WIDTH = 1.0
-
-
-def most_evidence(layout: Layout, z: Floats) -> Floats:
-    """(t,) an upper bound of the log evidence that the state lies anywhere, of measurements z (own, t).
-
-    Evidence of a belief above it needs no comparison: that is nearly always so, and cheap to know.
-    """
-    sharpest = np.maximum(np.min([sensing.std for sensing in layout.sensing], axis=0)[: len(z)], SMALLEST_STD)
-    densest = np.maximum(-np.log(np.sqrt(2 * np.pi) * sharpest), -np.log(_widths(layout)[: len(z)]))
-    return np.asarray(np.where(np.isfinite(z), densest[:, None], 0.0).sum(axis=0) + np.log(NEGLIGIBLE))
-
-
-def reinitialise(layout: Layout, belief: BeliefBatch, z: Floats) -> tuple[BeliefBatch, float]:
-    """A single belief if nothing of it were true but what z (own,) does not measure, and the log evidence of that.
-
-    In every mode that allows it the state is where it is measured, and at the mode's pins and ties. Where it would have
-    collided it is nowhere: that is said of a way, not of a place.
-    """
-    n, q, widths = layout.n, len(layout.modes), _widths(layout)
-    modes = [index for index, mode in enumerate(layout.modes) if mode.mode.name != COLLIDED]
-    before, spread = _marginals(belief)
-    measured = np.full(n, np.nan)
-    measured[: layout.own] = z
-    scores, means, factors = np.full(q, -np.inf), np.tile(before[:, None, None], (1, q, 1)), np.zeros((n, n, q, 1))
-    for index in modes:
-        std = layout.sensing[index].std_at(np.where(np.isfinite(measured), measured, before))
-        is_measured = np.isfinite(measured) & np.isfinite(std)
-        mean, within = (
-            np.where(is_measured, measured, before),
-            np.where(is_measured, np.maximum(std, SMALLEST_STD), spread),
-        )
-        density = np.where(is_measured, -np.log(widths), 0.0)
-        mean, covariance, score = _in_mode(layout.modes[index].mode, mean, np.diag(within**2), density)
-        scores[index] = score + _log_chance(layout, index, mean, covariance) - np.log(len(modes))
-        means[:, index, 0] = mean
-        values, vectors = np.linalg.eigh(covariance)
-        factors[:, :, index] = lower_factors((vectors * np.sqrt(np.maximum(values, 0.0)))[:, :, None])
-    evidence = float(logsumexp(scores))
-    weights = np.exp(scores - evidence)[:, None]
-    return BeliefBatch.of(weights, means, factors, layout.own), evidence + float(np.log(NEGLIGIBLE))
-
-
-def _in_mode(mode: Mode, mean: Floats, covariance: Floats, density: Floats) -> tuple[Floats, Floats, float]:
-    """Mean (n,) and covariance (n, n) at a mode's pins and ties, and the log density of the measurement there.
-
-    Args:
-        density: (n,) log density of each measured coordinate where the mode does not say where it is.
-    """
-    score = float(density.sum())
-    for coordinate, row, value, std in _known(mode, mean.size):
-        across = covariance @ row
-        variance, away = float(row @ across) + std**2, value - float(row @ mean)
-        mean, covariance = mean + across * (away / variance), covariance - np.outer(across, across) / variance
-        score -= float(density[coordinate]) + 0.5 * (away**2 / variance + np.log(2 * np.pi * variance))
-    return mean, covariance, score
-
-
-def _marginals(belief: BeliefBatch) -> tuple[Floats, Floats]:
-    """(n,) mean and stds of a single belief's states and boundaries."""
-    weights, means, factors = belief.weights[0], belief.joint_means[0], belief.joint_factors[0]
-    positive = weights > 0
-    weights, means = weights[positive], means[positive]
-    mean = weights @ means
-    return mean, np.sqrt(weights @ (np.square(factors[positive]).sum(axis=2) + np.square(means - mean)))
-
-
-def _known(mode: Mode, n: int) -> Iterator[tuple[int, Floats, float, float]]:
-    """(coordinate, row (n,), value, std) of a mode's pins and ties: row'x is the value except for the std."""
-    unit = np.eye(n)
-    for pin in mode.pins:
-        yield (
-            pin.coordinate,
-            unit[pin.coordinate] - (0.0 if pin.follows is None else unit[pin.follows]),
-            pin.value,
-            pin.std,
-        )
-    for tie in mode.ties:
-        yield tie.coordinate, unit[tie.coordinate] - np.array(tie.weights), tie.offset, SMALLEST_STD
-
-
-def _log_chance(layout: Layout, index: int, x: Floats, covariance: Floats) -> float:
-    """Log probability that a state lies in a mode's invariant and outside of the guards that end the mode."""
-    invariant = [h for h in layout.modes[index].mode.invariant.half_spaces if h.on_state and not h.on_input]
-    rows = np.array([*(h.a for h in invariant), *layout.outside[0][:, :, index]]).reshape(-1, layout.n)
-    offsets = np.array([*(h.c for h in invariant), *layout.outside[1][:, index]])
-    stds = np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", rows, covariance, rows), 0.0) + SMALLEST_STD**2)
-    return float(log_ndtr((rows @ x - offsets) / stds).sum())
-
-
-def _widths(layout: Layout) -> Floats:
-    """(n,) of the range of each coordinate over the modes."""
-    modes = [mode.mode for mode in layout.modes if mode.mode.name != COLLIDED]
-    ranges = [layout.automaton.ranges(i, modes) for i in range(layout.n)]
-    widths = np.array([own[-1][1] - own[0][0] if own else _WIDTH for own in ranges])
-    return np.where(np.isfinite(widths) & (widths > 0), widths, _WIDTH)
-
-
-def mixed(weights: Floats, means: Sequence[Floats], factors: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """Means (n, o) and lower factors (n, n, o) of o mixtures of r Gaussians each (moment matching).
-
-    Args:
-        weights: (r, o), of sum 1 over r.
-        means, factors: r of (n, o) and (n, k, o).
-    """
-    center = sum((weight * mean for weight, mean in zip(weights, means, strict=True)), start=np.zeros_like(means[0]))
-    roots, (n, k, count) = np.sqrt(weights), factors[0].shape
-    columns = np.empty((n, len(weights) * (k + 1), count))
-    for number, (root, mean, factor) in enumerate(zip(roots, means, factors, strict=True)):
-        np.multiply(factor, root, out=columns[:, number * (k + 1) : (number + 1) * (k + 1) - 1])
-        np.multiply(mean - center, root, out=columns[:, (number + 1) * (k + 1) - 1])
-    return center, lower_factors(columns, overwrite=True)
-
-
-def assembled(
-    layout: Layout, arrived: Sequence[tuple[int, Ends]], count: int, remembered: Floats | None
-) -> BeliefBatch:
-    """One Gaussian per mode and belief from its pieces (moment matching).
-
-    Args:
-        arrived: with the numbers of their modes.
-        remembered: (n, t) the values of the memories of inputs, which are known; None: there are none.
-    """
-    q, n = len(layout.modes), layout.n
-    weights, means, factors = np.zeros(q * count), np.zeros((n, q * count)), np.zeros((n, n, q * count))
-    numbers = [index * count + ends.owner for index, ends in arrived]
-    pieces = np.bincount(np.concatenate(numbers), minlength=q * count)
-    alone = [(pieces[number] == 1).nonzero()[0] for number in numbers]
-    single, at = _gathered(arrived, numbers, alone)
-    if at.size:
-        put_those(weights, at, single.probability)
-        put_those(means, at, single.mean)
-        put_those(factors, at, lower_factors(single.factor))
-    merged = (pieces > 1).nonzero()[0]
-    if merged.size:
-        others = [(pieces[number] > 1).nonzero()[0] for number in numbers]
-        several, at = _gathered(arrived, numbers, others)
-        weights[merged], means[:, merged], factors[..., merged] = _mixtures(several, at, pieces[merged])
-    if remembered is not None:
-        for of_input in layout.automaton.input_memories:
-            memory = slice(of_input.first, of_input.first + of_input.size)
-            means.reshape(n, q, count)[memory] = remembered[memory, None]
-    shares = weights.reshape(q, count)
-    return BeliefBatch.of(shares / shares.sum(axis=0), means, factors, layout.own)
-
-
-def _gathered(
-    arrived: Sequence[tuple[int, Ends]], numbers: Sequence[Ints], chosen: Sequence[Ints]
-) -> tuple[Ends, Ints]:
-    """The chosen ones of all groups, and their numbers (p,)."""
-    groups = [
-        ends.where(chosen_ends) for (_, ends), chosen_ends in zip(arrived, chosen, strict=True) if chosen_ends.size
-    ]
-    at = [number[chosen_ends] for number, chosen_ends in zip(numbers, chosen, strict=True) if chosen_ends.size]
-    if len(groups) <= 1:
-        return (groups[0], at[0]) if groups else (arrived[0][1], np.zeros(0, dtype=np.int64))
-    owner, probability, mean = (
-        np.concatenate([getattr(group, name) for group in groups], axis=-1) for name in ("owner", "probability", "mean")
-    )
-    return Ends(owner, probability, mean, side_by_side([group.factor for group in groups])), np.concatenate(at)
-
-
-def _mixtures(ends: Ends, number: Ints, counts: Ints) -> tuple[Floats, Floats, Floats]:
-    """Weights (o,), means (n, o) and factors (n, n, o) of the pieces with one number (p,), in ascending order of it.
-
-    Args:
-        counts: (o,) of the pieces with each number.
-    """
-    order, first = np.argsort(number, kind="stable"), np.cumsum(counts) - counts
-    n, size = len(ends.mean), counts.size
-    weights, means, factors = np.empty(size), np.empty((n, size)), np.empty((n, n, size))
-    fewer = 1
-    for most in (2, 4, int(counts.max())):
-        at = ((counts > fewer) & (counts <= most)).nonzero()[0]
-        if at.size:
-            # Piece r of each number side by side; those that have fewer repeat their last, without weight.
-            ranks = np.arange(most)[:, None]
-            places = order[first[at] + np.minimum(ranks, counts[at] - 1)]
-            shares = np.where(ranks < counts[at], ends.probability[places], 0.0)
-            weights[at] = weight = shares.sum(axis=0)
-            pieces = ([those(values, place) for place in places] for values in (ends.mean, ends.factor))
-            means[:, at], factors[..., at] = mixed(shares / weight, *pieces)
-        fewer = most
-    return weights, means, factors

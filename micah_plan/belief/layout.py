@@ -9,10 +9,11 @@ from functools import cached_property
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
-from micah_plan.automaton.augmented import threshold_stds, with_boundary_states
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin, Sensing
+from micah_plan.automaton.drawn_thresholds import threshold_stds, with_boundary_states
+from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin
 from micah_plan.automaton.memo import memoised
 from micah_plan.automaton.region import HalfSpace
+from micah_plan.automaton.sensing import Sensing
 from micah_plan.automaton.step_noise import free_gain_std, free_process_std
 
 # A half-space that many standard deviations away holds a share below 1e-15.

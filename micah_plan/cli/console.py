@@ -14,7 +14,7 @@ from rich.text import Text
 
 from micah_plan.errors import MicahError, printable
 from micah_plan.files import replace_files
-from micah_plan.quantities import Table
+from micah_plan.summaries import Table
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable

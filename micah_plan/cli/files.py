@@ -50,7 +50,7 @@ from micah_plan.cli.conventions import (
 )
 from micah_plan.cli.user_code import Code, load_code
 from micah_plan.errors import InputError, shown
-from micah_plan.files import PLAN, Output, check_outputs
+from micah_plan.output_files import PLAN, Output, check_outputs
 from micah_plan.quantities import count, duration
 
 if TYPE_CHECKING:
@@ -188,7 +188,7 @@ def demo(
     as_json: JsonFlag = False,
 ) -> None:
     """Learn, plan and execute a shipped demonstration in a new folder, which then has all shipped files."""
-    from micah_plan.templates.write import copy_shipped
+    from micah_plan.templates.shipped import copy_shipped
 
     files = copy_shipped(folder)
     if copy_only:

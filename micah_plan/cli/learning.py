@@ -42,7 +42,7 @@ from micah_plan.cli.conventions import (
 )
 from micah_plan.cli.user_code import Code, load_code
 from micah_plan.errors import InputError, located_in, shown
-from micah_plan.files import FIGURE, MODEL, PAGE, Output, check_outputs
+from micah_plan.output_files import FIGURE, MODEL, PAGE, Output, check_outputs
 from micah_plan.task.plants import DEFAULT_PLANT
 
 if TYPE_CHECKING:
@@ -195,7 +195,7 @@ def explore(
     close. Exit code 0 if the object was opened or is held, 1 if neither can be said; a model is written if it moved.
     """
     from micah_plan.api.learning import explore as explored
-    from micah_plan.cli.planning import named_plant
+    from micah_plan.cli.plants import named_plant
     from micah_plan.documents.kind import files_named_by
     from micah_plan.documents.model import model_text
 

@@ -13,7 +13,8 @@ import typer
 from micah_plan.cli.console import JsonFlag, print_files, print_lines, print_summary, progress_bar, title_of
 from micah_plan.cli.user_code import Code, load_code
 from micah_plan.errors import InputError, located_in, shown
-from micah_plan.files import PAGE, Output, check_outputs, replace_files
+from micah_plan.files import replace_files
+from micah_plan.output_files import PAGE, Output, check_outputs
 from micah_plan.view.video import PICTURE, VIDEO, Filming
 
 if TYPE_CHECKING:

@@ -1,11 +1,4 @@
-"""`micah-plan solve`, `explain` and `execute`: from a problem to a plan and to its runs.
-
-**Plants.** The machine of a user is named on the command line: ``FILE.py:CLASS``, or a name that an installed package
-registered.
-
-This is the only place that loads code which is not the package's. It is above everything that reads files, so no
-problem, sweep or plan can have code loaded.
-"""
+"""`micah-plan solve`, `explain` and `execute`: from a problem to a plan and to its runs."""
 
 from __future__ import annotations
 
@@ -14,9 +7,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -34,16 +26,16 @@ from micah_plan.cli.console import (
     title_of,
     write_and_print,
 )
-from micah_plan.cli.user_code import Code, load_code, module_in
+from micah_plan.cli.user_code import Code, load_code
 from micah_plan.errors import InputError, MicahError, shown
-from micah_plan.files import FIGURE, PAGE, PLAN, RUNS, Output, check_outputs
+from micah_plan.output_files import FIGURE, PAGE, PLAN, RUNS, Output, check_outputs
 from micah_plan.quantities import LARGEST
-from micah_plan.task.plants import BUILT_IN, DEFAULT_PLANT, SENTENCES
+from micah_plan.task.plants import DEFAULT_PLANT, SENTENCES
 
 if TYPE_CHECKING:
-    from micah_plan.execution.plant import PlantMaker
     from micah_plan.recording.value import Recording
     from micah_plan.task.problem import Problem
+from micah_plan.cli.plants import named_plant
 
 
 def solve(
@@ -213,52 +205,3 @@ def _broken_off(error: BaseException, logs: Sequence[Recording], output: Path) -
         remedy = f"{error.remedy}; {kept}" if error.remedy else kept
         return InputError(error.problem, source=error.source, where=error.where, remedy=remedy)
     return type(error)(f"{error}; {kept}") if isinstance(error, MicahError) else error
-
-
-ENTRY_POINTS = "micah_plan.plants"
-"""Group under which packages register plants: ``NAME = "module:CLASS"``."""
-
-
-def named_plant(text: str) -> str | PlantMaker:
-    """What ``--plant`` means: the name of a plant of the package, or a class or function that makes one of the problem.
-
-    Raises:
-        InputError: if there is none, or its code cannot be loaded.
-    """
-    if text in BUILT_IN:
-        return text
-    place, _, name = text.rpartition(":")
-    if place:
-        return _in_file(Path(place), name)
-    if text.endswith(".py"):
-        raise InputError(f"expected FILE.py:CLASS, found {shown(text)}", remedy="name the class after a colon")
-    registered = {point.name: point for point in entry_points(group=ENTRY_POINTS)}
-    if text not in registered:
-        names = ", ".join([*BUILT_IN, *sorted(registered.keys() - BUILT_IN.keys())])
-        raise InputError(f"there is no plant {shown(text)}", remedy=f"choose among {names}, or give FILE.py:CLASS")
-    return _registered(registered[text])
-
-
-def _in_file(file: Path, name: str) -> PlantMaker:
-    module = module_in(file, "give --plant as FILE.py:CLASS")
-    return _maker(getattr(module, name, None), name, str(file))
-
-
-def _registered(point: EntryPoint) -> PlantMaker:
-    from micah_plan.execution.checked_plant import error_in_user_code
-
-    try:
-        maker = point.load()
-    except (Exception, SystemExit) as error:
-        raise error_in_user_code(error, None, f"loading the plant {shown(point.name)} ({point.value})") from error
-    return _maker(maker, point.attr, point.value)
-
-
-def _maker(maker: Any, name: str, source: str) -> PlantMaker:
-    if maker is None:
-        raise InputError(f"there is no class {shown(name)}", source=source, remedy="check its name")
-    if not callable(maker):
-        problem = f"{name} must be a class or function that is called with the problem. Got {type(maker).__name__}"
-        raise InputError(problem, source=source)
-    made: PlantMaker = maker
-    return made

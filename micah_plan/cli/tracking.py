@@ -10,11 +10,12 @@ import typer
 
 from micah_plan.cli.console import JsonFlag, OutputPath, print_files, print_summary, progress_bar, write_and_print
 from micah_plan.errors import InputError
-from micah_plan.files import MODEL, PAGE, TABLE, Output, check_outputs, replace_file
+from micah_plan.files import replace_file
+from micah_plan.output_files import MODEL, PAGE, TABLE, Output, check_outputs
 
 if TYPE_CHECKING:
     from micah_plan.api.tracking import PointsResult, TrackResult
-    from micah_plan.quantities import Progress
+    from micah_plan.summaries import Progress
     from micah_plan.vision.point_files import Axes
 
 

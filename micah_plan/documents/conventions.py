@@ -14,7 +14,7 @@ from micah_plan.documents.yaml_lines import read_yaml_file
 from micah_plan.errors import located_in
 from micah_plan.recording.commands import CommandKind
 from micah_plan.recording.conventions import Axis, Conventions, Order
-from micah_plan.task.robot_description import is_name
+from micah_plan.task.named_robots import is_name
 
 BESIDE = ".conventions.yaml"
 """Ending of the file that says how the recording of the same name beside it is meant."""

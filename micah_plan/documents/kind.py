@@ -98,7 +98,8 @@ def schema(kind: str) -> dict[str, Any]:
         InputError: for another kind.
     """
     from micah_plan.documents.conventions import ConventionsDocument
-    from micah_plan.documents.experiment import ExperimentDocument, SceneDocument
+    from micah_plan.documents.experiment import ExperimentDocument
+    from micah_plan.documents.exploration_scene import SceneDocument
     from micah_plan.documents.model import ModelDocument
     from micah_plan.documents.parts import PartsDocument
     from micah_plan.documents.plan import PlanDocument

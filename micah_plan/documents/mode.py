@@ -1,7 +1,4 @@
-"""Modes and the transitions between them: the entries `modes` and `transitions` of a model file.
-
-**Process and observation noise.** The entry `noise` of models and problems.
-"""
+"""Modes and the transitions between them: the entries `modes` and `transitions` of a model file."""
 
 from __future__ import annotations
 
@@ -9,18 +6,15 @@ from collections.abc import Mapping
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
 
-from micah_plan.automaton.hybrid import Edge, Light, Mode, Noise, Pin, Reset, Tie
+from micah_plan.automaton.hybrid import Edge, Mode, Pin, Reset, Tie
 from micah_plan.documents.expressions import Affine, Expression, RegionEntries
 from micah_plan.documents.fields import (
     ITEMS,
     CoordinateName,
-    EachCoordinate,
     Matrix,
     ModeName,
     Name,
-    NonNegative,
     Place,
     Row,
     Std,
@@ -162,42 +156,3 @@ def _reset_of(values: Mapping[int, Affine], scope: Scope) -> Reset:
         tuple(map(tuple, b.tolist())) if b.any() else None,
         tuple(c.tolist()) if any(value.has_constant for value in values.values()) else None,
     )
-
-
-class LightDocument(Document):
-    makes = Light
-
-    at: Annotated[dict[CoordinateName, Place], Field(min_length=1), ITEMS] = doc(
-        "The place, by coordinate [rad or m]; a coordinate that is left out does not count."
-    )
-    growth: Annotated[dict[Name, NonNegative], each("coordinate", default=0.0)] = doc(
-        "Std that a measurement of a coordinate gains per unit of distance from there: its variance is "
-        "observation_std² + (growth · distance)²."
-    )
-
-
-class NoiseDocument(Document):
-    makes = Noise
-
-    process_std: EachCoordinate[StdOrZero] = doc(
-        "Std of what the dynamics leave unexplained, by coordinate [rad or m, per step]."
-    )
-    observation_std: EachCoordinate[Std] = doc("Std of one measurement of the configuration, by coordinate [rad or m].")
-    light: LightDocument | None = doc("Where measurements are best; default: they are the same everywhere.", None)
-
-
-class ProblemNoiseDocument(Document):
-    process_std: dict[CoordinateName, StdOrZero] = doc(
-        "Std of what the dynamics leave unexplained [rad or m, per step].", dict
-    )
-    observation_std: dict[CoordinateName, Std] = doc("Std of one measurement of the configuration [rad or m].", dict)
-    light: LightDocument | None = doc("Where measurements are best, instead of the model's.", None)
-
-
-def noise_with(noise: Noise, entry: Mapping[str, Any]) -> Noise:
-    """A model's noise, with what the entry of a problem says instead."""
-
-    def std(key: str) -> tuple[float, ...]:
-        return tuple(entry[key].get(i, value) for i, value in enumerate(getattr(noise, key)))
-
-    return Noise(std("process_std"), std("observation_std"), entry["light"] or noise.light)

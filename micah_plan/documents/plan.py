@@ -41,6 +41,8 @@ from micah_plan.documents.problem import ProblemDocument, problem_data, problem_
 from micah_plan.documents.validation import check_format, validated
 from micah_plan.errors import InputError, shown
 from micah_plan.files import read_bytes, replace_file
+from micah_plan.task.acceptance import executable_trajectory
+from micah_plan.task.contradictions import disagreement
 from micah_plan.task.plan import (
     ArmTrajectory,
     Candidate,
@@ -51,8 +53,6 @@ from micah_plan.task.plan import (
     Plan,
     ReleasePlan,
     Trajectory,
-    disagreement,
-    executable_trajectory,
 )
 from micah_plan.task.problem import Problem
 

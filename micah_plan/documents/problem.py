@@ -32,12 +32,13 @@ from micah_plan.documents.fields import (
     Std,
     checked_name,
 )
+from micah_plan.documents.hold import HoldDocument, ReleaseDocument
 from micah_plan.documents.layout import Document, Scope, doc, plain_data
 from micah_plan.documents.located import Located, overridden
-from micah_plan.documents.mode import ProblemNoiseDocument, noise_with
 from micah_plan.documents.model import model_text, scope_of, usable_model
+from micah_plan.documents.noise import ProblemNoiseDocument, noise_with
 from micah_plan.documents.planner import Confidence, PlannerDocument, PlantDocument
-from micah_plan.documents.scene import BodyDocument, GraspDocument, HoldDocument, ReleaseDocument, RobotDocument
+from micah_plan.documents.scene import BodyDocument, GraspDocument, RobotDocument
 from micah_plan.documents.validation import validated
 from micah_plan.documents.yaml_lines import LARGEST_TEXT_BYTES, read_yaml
 from micah_plan.errors import InputError

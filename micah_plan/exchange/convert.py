@@ -1,8 +1,4 @@
-"""From one file to another: what is in it, in the format that the other's ending names.
-
-**Plans.** Plans become a ``trajectory_msgs/JointTrajectory``, as JSON or in an MCAP file, or the goal of a
-``control_msgs/FollowJointTrajectory`` action as YAML.
-"""
+"""From one file to another: what is in it, in the format that the other's ending names."""
 
 from __future__ import annotations
 
@@ -10,28 +6,27 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
-
-import numpy as np
+from typing import Literal
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.documents.model import dump_model, load_model
-from micah_plan.documents.plan import StoredPlan, load_plan, require_executable
+from micah_plan.documents.plan import load_plan
 from micah_plan.documents.yaml_lines import write_yaml
 from micah_plan.errors import InputError, located_in, shown
 from micah_plan.exchange.bodies import DENSITY, lost_in_bodies
+from micah_plan.exchange.joint_trajectory import joint_trajectory, trajectory_goal
 from micah_plan.exchange.load import load_recording
-from micah_plan.exchange.mjcf import load_mjcf, mjcf_text
+from micah_plan.exchange.mjcf import mjcf_text
+from micah_plan.exchange.mjcf_reading import load_mjcf
 from micah_plan.exchange.rerun import write_rrd
 from micah_plan.exchange.sdf import sdf_text
 from micah_plan.exchange.sdf_read import load_sdf
 from micah_plan.exchange.urdf import load_urdf, urdf_text
-from micah_plan.execution.mujoco.parameters import parameters_of
 from micah_plan.files import replace_file
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.read import write_recording
 from micah_plan.recording.ros_bags import is_log
-from micah_plan.recording.ros_mcap import NANOSECONDS, Logged, header_at, split_time, write_log
+from micah_plan.recording.ros_mcap import Logged, write_log
 from micah_plan.recording.value import Recording
 
 TOPIC = "/joint_trajectory"
@@ -179,42 +174,3 @@ def _chosen(
     lost = [name for name in ("action", "force") if getattr(recording, name) is not None] + list(recording.extra)
     kept = replace(recording, action=None, force=None, extra={})
     return kept, (f"left out: {', '.join(lost)}",) if lost else ()
-
-
-def trajectory_goal(stored: StoredPlan) -> dict[str, Any]:
-    """The goal of a ``control_msgs/action/FollowJointTrajectory``: the trajectory, which begins when it arrives, and a
-    second by which its end may be late.
-
-    Raises:
-        InputError: if the plan is no solution.
-    """
-    message = joint_trajectory(stored) | {"header": header_at(0, "")}
-    return {"trajectory": message, "goal_time_tolerance": split_time(NANOSECONDS)}
-
-
-def joint_trajectory(stored: StoredPlan) -> dict[str, Any]:
-    """The message of a plan.
-
-    The joints are those of the arm [rad or m] if the plan has one, else the object's coordinates along the mean of the
-    belief. One control step of the problem's plant passes between two points; transitions take no time, so of their two
-    knots the second is kept. Between points the joints move in straight lines; the velocity at a point
-    [rad/s or m/s] is the mean of those before and after it, and 0 at both ends, where it rests.
-
-    Raises:
-        InputError: if the plan is no solution.
-    """
-    trajectory, arm = require_executable(stored), stored.plan.arm
-    if arm is None:
-        names, positions = list(stored.automaton.coordinate_names), trajectory.means
-    else:
-        names, positions = list(arm.joints), arm.positions
-    period = parameters_of(stored.problem).control_period
-    kept = [k for k in range(len(positions)) if k == len(positions) - 1 or not trajectory.is_transition[k]]
-    points, placed = [], np.asarray(positions)[kept]
-    velocities = np.zeros_like(placed)
-    velocities[1:-1] = (placed[2:] - placed[:-2]) / (2.0 * period)
-    for step in range(len(kept)):
-        moving = {"velocities": velocities[step].tolist(), "accelerations": [], "effort": []}
-        point = {"positions": placed[step].tolist(), **moving}
-        points.append({**point, "time_from_start": split_time(round(step * period * NANOSECONDS))})
-    return {"header": header_at(0, "base"), "joint_names": names, "points": points}

@@ -24,7 +24,7 @@ from micah_plan.execution.plant import Command, Measurement, Plant, PlantError, 
 from micah_plan.execution.pose import chain, command, configuration, moving_joints, reading
 from micah_plan.execution.release import ReleaseController
 from micah_plan.execution.watch import Watch
-from micah_plan.planning.limits import coasted, with_input_memory
+from micah_plan.planning.input_memories import coasted, with_input_memory
 from micah_plan.planning.path_constraints import PathRecord
 from micah_plan.quantities import percent, quantity
 from micah_plan.recording.value import Recording

@@ -17,7 +17,8 @@ from micah_plan.execution.checked_plant import CheckedPlant, check_methods
 from micah_plan.execution.nominal import pose_noise
 from micah_plan.execution.plant import Measurement, Plant, Truth
 from micah_plan.execution.pose import command, configuration, moving_joints, relative
-from micah_plan.planning.limits import limits_of, with_input_memory
+from micah_plan.planning.input_memories import with_input_memory
+from micah_plan.planning.limits import limits_of
 from micah_plan.quantities import count, quantity, with_spread
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import start_mode

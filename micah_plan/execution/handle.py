@@ -21,9 +21,10 @@ from micah_plan.automaton.transition import step
 from micah_plan.errors import InputError
 from micah_plan.execution.checked_plant import CheckedPlant, check_methods, checked_measurement, made
 from micah_plan.execution.mujoco.parameters import parameters_of
-from micah_plan.execution.plant import Command, Measurement, Plant, PlantError, PoseTracker, TrackerNoise
+from micah_plan.execution.plant import Command, Measurement, Plant, PlantError
 from micah_plan.execution.pose import chain, components, moving_joints
-from micah_plan.task.experiment import Scene
+from micah_plan.execution.tracker import PoseTracker, TrackerNoise
+from micah_plan.task.exploration_scene import Scene
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import sample_start
 

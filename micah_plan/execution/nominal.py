@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from micah_plan.arrays import Floats
-from micah_plan.automaton.augmented import drawn_shifts, with_boundaries
+from micah_plan.automaton.drawn_thresholds import drawn_shifts, with_boundaries
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.input_memory import InputChannel
@@ -15,8 +15,9 @@ from micah_plan.automaton.step_noise import drawn_gains, with_gains
 from micah_plan.automaton.tracks import measuring_links
 from micah_plan.automaton.transition import step
 from micah_plan.execution.mujoco.parameters import parameters_of
-from micah_plan.execution.plant import Command, Measurement, PoseTracker, TrackerNoise, Truth
+from micah_plan.execution.plant import Command, Measurement, Truth
 from micah_plan.execution.pose import carried, chain, components, matrices, moving_joints
+from micah_plan.execution.tracker import PoseTracker, TrackerNoise
 from micah_plan.task.problem import Problem, Release
 from micah_plan.task.release import Rest, resting_place
 from micah_plan.task.start import Start, sample_start

@@ -12,7 +12,7 @@ from micah_plan.execution.closed_loop import true_state
 from micah_plan.execution.log import RunLog, concatenated_recordings
 from micah_plan.execution.plant import PlantError, PlantMaker
 from micah_plan.execution.pose import command, reading
-from micah_plan.planning.limits import with_input_memory
+from micah_plan.planning.input_memories import with_input_memory
 from micah_plan.recording.value import Recording
 from micah_plan.task.experiment import Experiment
 from micah_plan.task.plants import DEFAULT_PLANT

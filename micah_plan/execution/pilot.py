@@ -15,7 +15,8 @@ from micah_plan.automaton.transition import step
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.avoided_inputs import cut_off
 from micah_plan.planning.feedback import feedback_input
-from micah_plan.planning.limits import coasted, limited_input, limits_of
+from micah_plan.planning.input_memories import coasted
+from micah_plan.planning.limits import limited_input, limits_of
 from micah_plan.task.plan import ArmTrajectory, Trajectory
 from micah_plan.task.problem import Problem
 

@@ -15,9 +15,10 @@ from micah_plan.execution.closed_loop import Episode, TrialResult, execute_batch
 from micah_plan.execution.log import concatenated_recordings
 from micah_plan.execution.pilot import Replanning
 from micah_plan.execution.plant import Plant, PlantMaker
-from micah_plan.quantities import Progress
 from micah_plan.recording.value import Recording
-from micah_plan.task.plan import Plan, Trajectory, executable_trajectory
+from micah_plan.summaries import Progress
+from micah_plan.task.acceptance import executable_trajectory
+from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.plants import BUILT_IN, DEFAULT_PLANT
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import pre_release_problem
@@ -133,7 +134,8 @@ def _opened(problem: Problem, plant: str | PlantMaker | Plant) -> AbstractContex
 
 def _replanning(problem: Problem, plan: Plan, trajectory: Trajectory) -> Replanning:
     """Where new plans come from, which the arm must be able to follow where it follows the present one."""
-    from micah_plan.planning.replanning import RecedingHorizon, replan
+    from micah_plan.planning.receding_horizon import RecedingHorizon
+    from micah_plan.planning.replanning import replan
 
     proposed, rest = partial(replan, problem), RecedingHorizon(problem, trajectory)
     if problem.robot is None or plan.arm is None:

@@ -2,47 +2,38 @@
 
 Sources: MICAH, section IV-A (Act-CHAMP); Niekum et al., "Online Bayesian changepoint detection for articulated motion
 models", ICRA 2015 (CHAMP).
-
-**Short runs.** Runs of one part that are too short to show its joint, learned together as demonstrations of one object.
-
-A run in which the part moves for two rows shows no joint; all of them one after another may. To the learner they are
-one run in which the tracker slips wherever a run begins, which is no changepoint. What is found is cut into runs again.
-
-Whether a part moves enough for its joint to be told: motions hardly larger than what a tracker is assumed to wander.
-
-A slow deviation of the size of the wander is forgiven, so that the error of a tracker is no motion. On an object of a
-centimetre that forgives the motion: a stop, or the bend of a path, passes for wander unless the wander is set smaller.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Booleans, Floats, Ints
-from micah_plan.automaton.graph import BASE, EdgeCertainty, KinematicEdge, KinematicGraph, Segment, SegmentCertainty
+from micah_plan.automaton.certainty import EdgeCertainty
+from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import reversed_direction, shifted
 from micah_plan.errors import InputError, shown
+from micah_plan.learning.acted_run import learn_acted_run
 from micah_plan.learning.joints.shared_error import with_shared_error
 from micah_plan.learning.online import METHODS, Method, OnlineLearner
 from micah_plan.learning.parts.tree import learn_tree
-from micah_plan.learning.run import LearnedRun, learn_acted_run
-from micah_plan.learning.segmenting.evidence import BLOCKS, TRAVEL
-from micah_plan.learning.segmenting.noise import MeasurementNoise, likelihood_power_of
+from micah_plan.learning.run import LearnedRun
+from micah_plan.learning.segmenting.likelihood_power import likelihood_power_of
+from micah_plan.learning.segmenting.noise import MeasurementNoise
 from micah_plan.learning.segmenting.noise_fit import initial_noise
 from micah_plan.learning.segmenting.steps import MOST_SWEEPS, activity_of, is_long, steps_of
 from micah_plan.learning.segments import FittedPiece, segment_configurations, to_segment
 from micah_plan.learning.settings import FEWEST_ROWS, LearnSettings
-from micah_plan.learning.track import PartTrack, bends, extent, find_inliers, part_track, std_of_bends
-from micah_plan.quantities import Progress, quantity
+from micah_plan.learning.short_runs import cut_into_runs, one_after_another
+from micah_plan.learning.track import PartTrack, find_inliers, part_track
 from micah_plan.recording.shared_error import shared_error_of
 from micah_plan.recording.symmetry import settled
 from micah_plan.recording.value import Recording
+from micah_plan.summaries import Progress
 
 # Times [s] of the rows that steps are means of, by part and run.
 Counted = dict[tuple[str, int], Floats]
@@ -266,100 +257,3 @@ def _counted_along(joint: Joint, backwards: bool, offset: float) -> Joint:
 
 def _rows(segment: Segment) -> int:
     return segment.end - segment.start
-
-
-Sliced = tuple[FittedPiece, SegmentCertainty, int]
-
-
-def one_after_another(tracks: Sequence[PartTrack]) -> PartTrack:
-    """The rows of runs as one track; a run begins as long after the one before as its rows are apart.
-
-    Where only some of the runs have actions, nothing was commanded in the others.
-    """
-    acted = any(track.action is not None for track in tracks)
-    joined: PartTrack | None = None
-    for track in tracks:
-        action = np.zeros_like(track.position) if acted and track.action is None else track.action
-        track = replace(track, action=action)
-        if joined is None:
-            joined = track
-            continue
-        apart = float(np.median(np.diff(track.time)))
-        quaternion = track.quaternion
-        if quaternion is not None and joined.quaternion is not None and quaternion[0] @ joined.quaternion[-1] < 0:
-            quaternion = -quaternion
-        time = track.time - track.time[0] + joined.time[-1] + apart
-        joined = joined.followed_by(replace(track, time=time, quaternion=quaternion))
-    if joined is None:
-        raise ValueError("one_after_another needs at least one track")
-    return joined
-
-
-def cut_into_runs(
-    pieces: Sequence[FittedPiece], certainties: Sequence[SegmentCertainty], lengths: Sequence[int]
-) -> list[Sliced]:
-    """Pieces of a track of runs, each within one run, with what is known of it and the index of its run.
-
-    Args:
-        lengths: rows of every run.
-    """
-    starts = np.concatenate([[0], np.cumsum(lengths)]).tolist()
-    sliced: list[Sliced] = []
-    for piece, sure in zip(pieces, certainties, strict=True):
-        rows = piece.end - piece.start + 1
-        for run, (first, after) in enumerate(pairwise(starts)):
-            start, end = max(piece.start, first), min(piece.end, after - 1)
-            if start > end:
-                continue
-            # No changepoint is where a run begins: the piece only goes on.
-            place = sure if start == piece.start else replace(sure, start=None)
-            share = piece.log_evidence * (end - start + 1) / rows
-            sliced.append((replace(piece, start=start, end=end, log_evidence=share), place, run))
-    return sorted(sliced, key=lambda piece: piece[0].start)
-
-
-_TELLING = 10.0  # wanders; a larger motion shows its joint
-_FEW = 0.02  # share of the rows that do not count
-
-
-def small_motions(recording: Recording, settings: LearnSettings) -> tuple[str, ...]:
-    """One line for each part that moves, but by less than ten times the wander of the settings in all its runs."""
-    warnings = []
-    names = np.array(recording.part)
-    for part in recording.parts:
-        runs = [run for run in recording.runs if np.sum((recording.run == run) & (names == part)) >= FEWEST_ROWS]
-        reaches = [reach for run in runs if (reach := _reach(part_track(recording, run, part))) is not None]
-        if not reaches:
-            continue
-        moved, turned = (max(values) for values in zip(*reaches, strict=True))
-        if moved < _TELLING * settings.position_wander and turned < _TELLING * settings.rotation_wander:
-            warnings.append(_told(part, moved, turned, recording.quaternion is not None, settings))
-    return tuple(warnings)
-
-
-def _told(part: str, moved: float, turned: float, has_orientation: bool, settings: LearnSettings) -> str:
-    sentence = f"moves over {quantity(moved, 'm', digits=2)}"
-    wander = f"LearnSettings.position_wander ({settings.position_wander:g} m)"
-    if has_orientation:
-        sentence += f" and turns by {quantity(turned, 'rad', digits=2)}"
-        wander += f" and rotation_wander ({settings.rotation_wander:g} rad)"
-    return (
-        f"part '{part}' {sentence}, hardly more than a tracker is assumed to wander: its stops and its kind of joint "
-        f"may be missed; if the tracker is better, set {wander} to what it wanders"
-    )
-
-
-def _reach(track: PartTrack) -> tuple[float, float] | None:
-    """How far a part moves [m] and turns [rad]; None if not further than the noise of its rows."""
-    inlier = find_inliers(track)
-    position = track.position[inlier]
-    noise = float(np.sqrt(3) * std_of_bends(bends(position)))
-    blocks = np.array_split(position, min(BLOCKS, len(position)))
-    apart = extent(np.array([block.mean(axis=0) for block in blocks]))
-    turned = 0.0
-    if track.quaternion is not None:
-        rotation = Rotation.from_quat(track.quaternion[inlier])
-        turned = float(np.quantile((rotation * rotation[0].inv()).magnitude(), 1 - _FEW))
-    if apart < TRAVEL * noise / np.sqrt(len(position) / len(blocks)):
-        return None
-    return extent(position, _FEW), turned

@@ -20,11 +20,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from micah_plan.arrays import Floats, Ints
-from micah_plan.automaton.graph import BASE, ActionChannel, EdgeCertainty, KinematicEdge, RowPosterior, Segment
+from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, RowPosterior
+from micah_plan.automaton.graph import BASE, KinematicEdge, Segment
 from micah_plan.automaton.joint import Joint
 from micah_plan.errors import InputError, shown
+from micah_plan.learning.acted_run import learn_acted_run
 from micah_plan.learning.actions.command_path import with_delayed_actions
-from micah_plan.learning.run import LearnedRun, learn_acted_run, learn_run
+from micah_plan.learning.run import LearnedRun, learn_run
 from micah_plan.learning.segmenting.noise import MeasurementNoise
 from micah_plan.learning.segmenting.steps import is_long
 from micah_plan.learning.segments import FittedPiece, chained, left_by, to_segment

@@ -1,11 +1,4 @@
-"""Learning from one run of one part: its segments, with joints fitted to all rows, and how sure they are.
-
-**Action channels.** Learning from a run whose actions came through a channel: in another frame, scaled, early or late.
-
-Frame and gain are part of the evidence, where a step model with any of them may explain the motion. A delay is not: it
-is estimated from what was learned without it, and where it matters the run is learned again with the actions moved to
-when they acted.
-"""
+"""Learning from one run of one part: its segments, with joints fitted to all rows, and how sure they are."""
 
 from __future__ import annotations
 
@@ -16,25 +9,21 @@ from itertools import pairwise
 import numpy as np
 
 from micah_plan.arrays import Booleans
-from micah_plan.automaton.graph import CHANNEL_NAMES, ActionChannel, EvidenceTrace, RowPosterior, SegmentCertainty
+from micah_plan.automaton.certainty import EvidenceTrace, RowPosterior, SegmentCertainty
 from micah_plan.automaton.joint import Joint, JointKind
-from micah_plan.learning.actions.channel import estimate_channel
-from micah_plan.learning.actions.command_path import with_delayed_actions
 from micah_plan.learning.goodness_of_fit import assess_joints, no_single_joint_of
 from micah_plan.learning.joints.final_fit import LackOfFit, fit_joint
-from micah_plan.learning.joints.joint_arrays import compare_all
 from micah_plan.learning.segmenting.noise import MeasurementNoise
 from micah_plan.learning.segmenting.pieces import Piece
 from micah_plan.learning.segmenting.posterior import (
     ChangepointPosterior,
-    kind_probabilities,
-    other_mechanism,
-    posterior_of,
     with_another_changepoint,
     without_changepoints,
 )
 from micah_plan.learning.segmenting.refined_changepoint import RefinedChangepoint, refine_changepoint
-from micah_plan.learning.segmenting.segmentation import Segmented, segment_track
+from micah_plan.learning.segmenting.report import kind_probabilities, other_mechanism, posterior_of
+from micah_plan.learning.segmenting.segmentation import segment_track
+from micah_plan.learning.segmenting.segmented import Segmented
 from micah_plan.learning.segmenting.steps import Steps, steps_of
 from micah_plan.learning.segments import FittedPiece, chained
 from micah_plan.learning.settings import LearnSettings
@@ -294,69 +283,3 @@ def _numbered(kinds: Sequence[JointKind]) -> tuple[str, ...]:
         counts[kind] = counts.get(kind, 0) + 1
         names.append(kind if counts[kind] == 1 else f"{kind}_{counts[kind]}")
     return tuple(names)
-
-
-_SURE = 3.0  # stds by which a delay differs from none
-_DECISIVE = 3.0  # nats: that actions acted at another time is one more number, as likely as not
-_STEP_SHARE = 0.5  # of a step of the segmentation; a shorter delay changes nothing
-
-
-def learn_acted_run(
-    track: PartTrack,
-    settings: LearnSettings,
-    inlier: Booleans | None = None,
-    counted: Booleans | None = None,
-) -> tuple[LearnedRun, ActionChannel | None]:
-    """What a run tells, with its actions, and the channel that they came through.
-
-    Args:
-        track: with or without actions.
-        inlier: (n,) rows that are no outliers; None: to be found.
-        counted: (n,) rows that steps may be means of; None: those that are no outliers.
-
-    Returns:
-        the run, whose track has the actions where they acted if that explains it better; None where there are no
-        actions or they say nothing.
-    """
-    segmented_run = segment_run(track, settings, inlier, counted=counted)
-    learned = with_joints(segmented_run, settings)
-    channel = _channel(learned, track)
-    if channel is None:
-        return learned, None
-    std = float(np.sqrt(channel.covariance[CHANNEL_NAMES.index("delay")][CHANNEL_NAMES.index("delay")]))
-    step = segmented_run.steps.size * track.duration / len(track)
-    if abs(channel.delay) > max(_SURE * std, _STEP_SHARE * step):
-        delayed = with_delayed_actions(track, channel.delay)
-        start = replace(segmented_run, segmented=learned.segmented)
-        again = segment_run(delayed, settings, learned.inlier, start)
-        if again.posterior.log_evidence > learned.posterior.log_evidence + _DECISIVE:
-            moved = with_joints(again, settings)
-            return moved, _channel(moved, track) or channel
-    return learned, channel
-
-
-def _channel(learned: LearnedRun, track: PartTrack) -> ActionChannel | None:
-    """The channel of the joint that governs the most rows."""
-    moving = [piece for piece in learned.pieces if piece.leader is not None]
-    if not moving or track.action is None or any(sure.no_single_joint for sure in learned.certainties):
-        return None
-    longest = max(moving, key=lambda piece: piece.end - piece.start)
-    # The step into a neighbour is not the joint's alone: a stop cuts it short.
-    pieces = [
-        (piece.start + (piece.start > 0), piece.end - (piece.end < len(track) - 1))
-        for piece in moving
-        if piece.leader == longest.leader
-    ]
-    return estimate_channel(longest.joint, pieces, track, _white_std(longest, learned, track), learned.inlier)
-
-
-def _white_std(piece: FittedPiece, learned: LearnedRun, track: PartTrack) -> float:
-    """White noise of one measured configuration [rad or m]."""
-    row = slice(piece.start, piece.start + 1)
-    quaternion = None if track.quaternion is None else track.quaternion[row]
-    direction = compare_all([piece.joint], track.position[row], quaternion, 1.0).direction[0, :, 0]
-    noise = learned.noise
-    information = float(direction[-3:] @ direction[-3:]) / noise.position_white**2
-    if quaternion is not None:
-        information += float(direction[:3] @ direction[:3]) / noise.rotation_white**2
-    return float(information**-0.5)

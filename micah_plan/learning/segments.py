@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
-from micah_plan.automaton.graph import Segment, SegmentCertainty
+from micah_plan.automaton.certainty import SegmentCertainty
+from micah_plan.automaton.graph import Segment
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward, inverse, jacobian, reversed_direction, shifted
 from micah_plan.learning.joints.final_fit import NO_LACK_OF_FIT, LackOfFit

@@ -6,15 +6,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-from micah_plan.planning.cuts import with_scene
+from micah_plan.planning.around_bodies import with_scene
 from micah_plan.planning.findings import endpoint_findings
-from micah_plan.planning.limits import Limits, NoWayError, limits_of
-from micah_plan.quantities import Progress
+from micah_plan.planning.limits import Limits, limits_of
+from micah_plan.planning.no_way import NoWayError
+from micah_plan.summaries import Progress
+from micah_plan.task.deadline import Clock, Deadline, TimeLimitError
 from micah_plan.task.path import check_constraint
 from micah_plan.task.plan import Candidate, Finding, Level, Outcome, Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import pre_release_problem
-from micah_plan.task.settings import Clock, Deadline, TimeLimitError
 from micah_plan.task.start import start_mode
 
 

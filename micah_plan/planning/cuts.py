@@ -3,32 +3,22 @@
 A search finds the shortest path through each sequence of modes. Where the belief is too wide for a narrow place on it,
 or an arm cannot take the hand there, that place is cut out, and a search finds the next path, around it. All paths
 compete: a detour is taken where it costs less than what may fail.
-
-**Scenes.** What stands around an object that nobody's hand carries: its parts keep clear of the bodies of the scene.
-
-Of a part that only slides, whatever the others do, the states in which the box around it meets the box around a body
-are an intersection of half-spaces, like any guard: p(c) = p₀ + J c is affine, and two boxes along the axes of one of
-them meet where they overlap along each of these. So search, programme and roll-outs see a body as they see a guard
-that ends everything. Parts that turn are not kept clear of anything here; `unchecked` names them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
-from micah_plan.arrays import ROUND_OFF, Floats
+from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
-from micah_plan.automaton.kinematics import poses_of_states
 from micah_plan.automaton.memo import sharing_motion
 from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.transcription.solve import BeliefPath
-from micah_plan.task.body import Body, Shape, corners, transform
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import is_final
 
@@ -120,109 +110,3 @@ def _seen(automaton: HybridAutomaton) -> Floats:
     """(n,) std of a measurement; 0 for what is not measured: no room helps there."""
     stds = np.array(automaton.noise.observation_std, dtype=float)
     return np.where(np.isfinite(stds), stds, 0.0)
-
-
-# As near as this at the start, a part touches a body: they are joined, or it rests on it, and the two may meet [m].
-_TOUCHING = 1e-3
-
-
-def with_scene(problem: Problem) -> Problem:
-    """The problem with the bodies of its scene as guards, and without the scene; itself where a hand holds the object.
-
-    There contacts say what may be touched (`automaton.contacts`).
-    """
-    if not problem.scene or problem.hold is not None:
-        return problem
-    cuts = [cut for mode in _moving(problem.automaton) for cut in _cuts(problem, mode)]
-    bare = replace(problem, scene=())
-    return without(bare, cuts) if cuts else bare
-
-
-def unchecked(problem: Problem) -> tuple[str, ...]:
-    """A line on the parts that turn, which plans do not keep clear of the scene; an arm that carries them does."""
-    if not problem.scene or problem.hold is not None or problem.robot is not None:
-        return ()
-    cuts = {
-        name
-        for mode in _moving(problem.automaton)
-        for name, (_, slides) in _parts(problem.automaton, mode).items()
-        if slides is None
-    }
-    if not cuts:
-        return ()
-    turning = ", ".join(map(repr, sorted(cuts)))
-    return (f"what turns is not kept clear of the scene: {turning}; look at the page",)
-
-
-def slides_of(automaton: HybridAutomaton, mode: str) -> dict[str, Floats]:
-    """(3, n) how each part that only slides in a mode moves with the state, by name."""
-    n = automaton.n
-    poses = poses_of_states(automaton, automaton.mode(mode), np.vstack([np.zeros(n), np.eye(n)]))
-    return {name: _slides(pose) for name, pose in poses.items() if not _turns(pose)}
-
-
-def _slides(poses: RigidTransform) -> Floats:
-    return np.asarray((poses.translation[1:] - poses.translation[0]).T)
-
-
-def _turns(poses: RigidTransform) -> bool:
-    return bool((poses[0].rotation.inv() * poses.rotation).magnitude().max() > ROUND_OFF)
-
-
-def _moving(automaton: HybridAutomaton) -> list[Mode]:
-    return [mode for mode in automaton.modes if not is_final(automaton, mode)]
-
-
-def _parts(automaton: HybridAutomaton, mode: Mode) -> dict[str, tuple[Floats, Floats | None]]:
-    """Of each part with shapes: corners (k, 3) at x = 0 in the base frame, and J (3, n); None if it turns."""
-    n, bounds = automaton.n, dict[str, tuple[Floats, Floats | None]]()
-    poses = poses_of_states(automaton, mode, np.vstack([np.zeros(n), np.eye(n)]))
-    for part in automaton.parts:
-        if not part.shapes or part.name not in poses:
-            continue
-        pose = poses[part.name]
-        points = np.concatenate([pose[0].apply(corners(shape)) for shape in part.shapes])
-        bounds[part.name] = points, None if _turns(pose) else _slides(pose)
-    return bounds
-
-
-def _cuts(problem: Problem, mode: Mode) -> Iterator[Cut]:
-    """The states of a mode in which a part meets a body, except for those that meet at the start."""
-    start = np.array(problem.start.mean)[: problem.automaton.n]
-    for name, (points, slides) in _parts(problem.automaton, mode).items():
-        if slides is None or not slides.any():
-            continue
-        for body in problem.scene:
-            for shape in body.shapes:
-                rows = _overlap(points, slides, _box(body, shape))
-                if rows is None or all(a @ start > least - _TOUCHING for a, least in rows if a.any()):
-                    continue
-                sizes, text = (problem.automaton.n, problem.automaton.m), f"{name} at {body.name}"
-                yield mode.name, Region(tuple(half_space(sizes, a, least, text) for a, least in rows))
-
-
-def _overlap(points: Floats, slides: Floats, box: tuple[Floats, Floats, Floats]) -> list[tuple[Floats, float]] | None:
-    """Half-spaces a'x >= c of the states in which a part's box meets another; None where it never does.
-
-    Args:
-        points: (k, 3) corners of the part at x = 0 [m]; slides: (3, n).
-        box: axes (3, 3), as rows, and the extent (3,), (3,) along them [m].
-    """
-    axes, low, high = box
-    along = points @ axes.T
-    rows = []
-    for axis, least, most, nearest, farthest in zip(axes, along.min(axis=0), along.max(axis=0), low, high, strict=True):
-        a = axis @ slides
-        if np.abs(a).max() <= ROUND_OFF:
-            if most <= nearest or least >= farthest:
-                return None
-            continue
-        rows += [(a, float(nearest - most)), (-a, float(least - farthest))]
-    return rows
-
-
-def _box(body: Body, shape: Shape) -> tuple[Floats, Floats, Floats]:
-    """Axes (3, 3), as rows, and extent (3,), (3,) along them, of the box around a shape of a body."""
-    axes = (body.pose * transform(shape.position, shape.quaternion)).rotation.as_matrix().T
-    along = body.pose.apply(corners(shape)) @ axes.T
-    return axes, along.min(axis=0), along.max(axis=0)

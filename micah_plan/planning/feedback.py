@@ -14,8 +14,9 @@ import numpy as np
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import Edge
 from micah_plan.automaton.input_reversal import matrix_after
-from micah_plan.planning.limits import Limits, linear_step, steps_of_memory
-from micah_plan.planning.path_constraints import goal_weights, in_steps
+from micah_plan.planning.input_memories import linear_step, steps_of_memory
+from micah_plan.planning.limits import Limits
+from micah_plan.planning.plan_cost import goal_weights, in_steps
 from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem
 

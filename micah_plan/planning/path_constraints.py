@@ -2,28 +2,12 @@
 states.
 
 A step counts where it ends: one that ends with a transition, behind it.
-
-**The cost of a plan.** One formula for planning, optimisation and comparison.
-
-    weight_effort · Σ |u / max_step|²                                                    over all steps
-      + Σ_i (weight_goal · (μ_i - target_i)² + weight_covariance · P_ii) / tolerance_i²  at the last knot
-      + weight_goal · Σ P(a guard is missed, a boundary crossed)                           in the optimisation only
-      + what constraints on the path ask to be paid (`path_constraints`)                 over all steps
-      + weight_effort · pace²                                                              per step, between candidates
-
-A way of D largest steps that takes N steps costs weight_effort · D²/N of effort: the longer it takes, the less. So that
-no plan wins by taking longer, a step has the price at which N = D / pace steps, as many as a way is planned with, are
-the cheapest. A transition costs one step more, as it does in the search.
-
-Evaluated with numbers, arrays or CasADi expressions: of means and variances only the entries of the goal's coordinates
-are asked for, so that they may be arrays (n, ...), expressions (n, 1) or mappings.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -142,55 +126,3 @@ def _terms(problem: Problem, mode: str, x: Floats, u: Floats, std: Floats) -> It
     for constraint in problem.constraints:
         if constraint.acts_in(mode):
             yield from path_terms(constraint, np, problem.automaton, x.T, u.T, std.T)
-
-
-Value = Any
-"""A float, an array or a CasADi expression."""
-
-# Where effort costs hardly anything, search and feedback still count steps.
-_SMALLEST_WEIGHT = 1e-3
-
-
-def effort_cost(problem: Problem, squares: Value) -> Value:
-    """Cost of inputs, from the sum of their squares over those of the largest step."""
-    return problem.settings.weight_effort * squares
-
-
-def time_cost(problem: Problem, is_transition: Booleans) -> float:
-    """What the steps (K-1,) from knot to knot cost, where plans of different length are compared."""
-    steps = len(is_transition) + int(is_transition.sum())
-    return problem.settings.weight_effort * problem.settings.pace**2 * steps
-
-
-def goal_cost(problem: Problem, mean: Value) -> Value:
-    """Cost of the goal error of a last mean [rad or m]."""
-    weight = problem.settings.weight_goal
-    return sum(weight * ((mean[index] - value) / tolerance) ** 2 for index, value, tolerance in problem.goal.target)
-
-
-def goal_weights(problem: Problem) -> Floats:
-    """(n,) what `goal_cost` weighs the squared error of each coordinate with; 0 where the goal is free."""
-    weights = np.zeros(problem.automaton.n)
-    for index, _, tolerance in problem.goal.target:
-        weights[index] += problem.settings.weight_goal / tolerance**2
-    return weights
-
-
-def variance_cost(problem: Problem, variance: Value) -> Value:
-    """Cost of the last variances [rad² or m²]."""
-    weight = problem.settings.weight_covariance
-    return sum(weight * variance[index] / tolerance**2 for index, _, tolerance in problem.goal.target)
-
-
-def in_steps(problem: Problem, cost: Value) -> Value:
-    """A cost as that many steps of the largest input, the unit of search and feedback."""
-    return cost / max(problem.settings.weight_effort, _SMALLEST_WEIGHT)
-
-
-def cost_of(problem: Problem, limits: Limits, trajectory: Trajectory) -> float:
-    """What a trajectory costs, without the slack that an optimisation may have paid for."""
-    effort = effort_cost(problem, np.square(trajectory.inputs / limits.max_step).sum())
-    variance = np.square(trajectory.factors[-1]).sum(axis=-1)
-    ending = goal_cost(problem, trajectory.means[-1]) + variance_cost(problem, variance)
-    taken = time_cost(problem, trajectory.is_transition)
-    return float(effort + ending) + path_cost(problem, trajectory) + taken

@@ -23,15 +23,10 @@ from micah_plan.planning.attempt import Attempt, attempted
 from micah_plan.planning.cuts import Cut, tight_places, with_room, without
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.findings import finding_of_status, findings_of, sentence_of
-from micah_plan.planning.limits import (
-    Limits,
-    NoWayError,
-    drifts,
-    limits_of,
-    with_input_memory,
-    without_input_memory,
-)
-from micah_plan.planning.path_constraints import time_cost
+from micah_plan.planning.input_memories import with_input_memory, without_input_memory
+from micah_plan.planning.limits import Limits, drifts, limits_of
+from micah_plan.planning.no_way import NoWayError
+from micah_plan.planning.plan_cost import time_cost
 from micah_plan.planning.roll_outs import departure
 from micah_plan.planning.search.mode_search import ModeSequence, SearchResult, search_modes
 from micah_plan.planning.search.passing_time import with_passing_time
@@ -39,10 +34,10 @@ from micah_plan.planning.transcription.guess import PhaseGuess, guess, guess_at
 from micah_plan.planning.transcription.programme import transcribe
 from micah_plan.planning.transcription.solve import BeliefPath, solve_transcription, unmet
 from micah_plan.planning.zero_time_transitions import with_zero_time_transitions
-from micah_plan.quantities import Progress
+from micah_plan.summaries import Progress
+from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.plan import Candidate, Finding, Plan, Trajectory
 from micah_plan.task.problem import Problem
-from micah_plan.task.settings import Deadline, TimeLimitError
 
 # Factors on the number of steps of a path, tried in turn: slower inputs, more measurements at a guard. Where something
 # drifts, time may run out: then as fast as inputs allow comes second.

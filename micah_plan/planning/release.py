@@ -18,10 +18,11 @@ from scipy.special import ndtr
 
 from micah_plan.arrays import Floats
 from micah_plan.quantities import percent, quantity
-from micah_plan.task.plan import ArmTrajectory, Finding, Plan, ReleasePlan, least_share
+from micah_plan.task.acceptance import least_share
+from micah_plan.task.deadline import Deadline, TimeLimitError
+from micah_plan.task.plan import ArmTrajectory, Finding, Plan, ReleasePlan
 from micah_plan.task.problem import Problem, Release
 from micah_plan.task.release import Rest, resting_place
-from micah_plan.task.settings import Deadline, TimeLimitError
 
 if TYPE_CHECKING:
     from micah_plan.robot.tool_path import ArmFailure
@@ -92,7 +93,7 @@ def _with_arm(
     problem: Problem, plan: Plan, asked: tuple[ReleasePlan, Rest, float], deadline: Deadline
 ) -> ReleasePlan | Blocked | Finding:
     """The release with the arm's way down and away, or what stands in the way."""
-    from micah_plan.robot.along_plan import lowered, withdrawn
+    from micah_plan.robot.release_path import lowered, withdrawn
 
     (release_problem, rest, lowest), trajectory, arm = asked, plan.trajectory, plan.arm
     if problem.release is None or trajectory is None or arm is None:  # `with_release` has looked

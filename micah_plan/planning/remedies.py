@@ -13,7 +13,7 @@ from typing import Protocol
 
 from micah_plan.planning.findings import LEAST_CONFIDENCE
 from micah_plan.planning.offers import as_written, changed, in_words
-from micah_plan.quantities import Progress
+from micah_plan.summaries import Progress
 from micah_plan.task.plan import Finding, Plan
 from micah_plan.task.problem import Problem
 from micah_plan.task.reason import Offer, OfferKind, one_of

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints, alike
-from micah_plan.automaton.augmented import drawn_shifts, threshold_stds
+from micah_plan.automaton.drawn_thresholds import drawn_shifts, threshold_stds
 from micah_plan.automaton.input_memory import InputChannel, towards
 from micah_plan.automaton.memo import sharing_motion
 from micah_plan.automaton.step_noise import drawn_gains
@@ -21,18 +21,13 @@ from micah_plan.belief.filter import initial_belief, predict_belief, repeated, u
 from micah_plan.belief.hybrid_belief import BeliefBatch
 from micah_plan.planning.avoided_inputs import cut_off
 from micah_plan.planning.feedback import feedback_input, time_knots
-from micah_plan.planning.limits import (
-    limited_input,
-    limits_of,
-    steps_of_memory,
-    with_input_memory,
-    without_input_memory,
-)
+from micah_plan.planning.input_memories import steps_of_memory, with_input_memory, without_input_memory
+from micah_plan.planning.limits import limited_input, limits_of
 from micah_plan.planning.path_constraints import PathRecord
+from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.plan import Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.release import pre_release_problem
-from micah_plan.task.settings import NEVER, Deadline
 from micah_plan.task.start import draw_states
 
 # With more modes than this only those near a shortest sequence of transitions are searched first, as roadmaps of so

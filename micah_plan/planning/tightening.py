@@ -18,9 +18,9 @@ from typing import Protocol
 
 from micah_plan.planning.verification import verify
 from micah_plan.quantities import percent
+from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Finding, Plan
 from micah_plan.task.problem import Problem
-from micah_plan.task.settings import Deadline
 
 
 class Planner(Protocol):

@@ -10,7 +10,7 @@ from scipy.special import ndtri
 
 from micah_plan.arrays import INTERVAL, Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.planning.cuts import with_scene
+from micah_plan.planning.around_bodies import with_scene
 from micah_plan.planning.offers import (
     LESS_NOISE,
     MORE_CONFIDENCE,
@@ -23,11 +23,12 @@ from micah_plan.planning.offers import (
 from micah_plan.planning.path_constraints import PathRecord, joined_records
 from micah_plan.planning.roll_outs import RollOuts, are_in_goal, departure, draw_chances, nearby, roll_out
 from micah_plan.quantities import percent, quantity
-from micah_plan.task.plan import Finding, Plan, Trajectory, least_share, least_trials
+from micah_plan.task.acceptance import least_share, least_trials
+from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
+from micah_plan.task.plan import Finding, Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.reason import Offer, one_of
 from micah_plan.task.release import pre_release_problem
-from micah_plan.task.settings import NEVER, Deadline, TimeLimitError
 
 # Where a sequential verification ends early it errs with at most this probability.
 _ERRORS = 0.01

@@ -1,10 +1,10 @@
 """Transitions as search and transcription take them: sequences of those in one instant, and parts of those that others
 precede.
 
-**Parts.** Of transitions whose guards hold at one instant the first listed happens. So a later one is taken only
-outside of those before it: where the hand lets go high above the support, the object drops; where it lets go, it
-stands. Its guard less the earlier ones is no half-space, but a union: each part has the opposite of one row of every
-earlier guard that overlaps it.
+Of transitions whose guards hold at one instant the first listed happens. So a later one is taken only outside of those
+before it: where the hand lets go high above the support, the object drops; where it lets go, it stands. Its guard less
+the earlier ones is no half-space, but a union: each part has the opposite of one row of every earlier guard that
+overlaps it.
 
 A transition may lead to a state in which the next one fires at once: an almost shut stapler that touches the table is
 already past the place where its contact spreads to a surface. No motion lies between, so the mode between has no states
@@ -24,9 +24,10 @@ from scipy.optimize import linprog
 
 from micah_plan.arrays import EQUAL, Floats
 from micah_plan.automaton.check import preceding
+from micah_plan.automaton.feasibility import is_empty
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Reset
 from micah_plan.automaton.memo import memoised, sharing_motion
-from micah_plan.automaton.region import HalfSpace, Region, is_empty
+from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import is_final
 

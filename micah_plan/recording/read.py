@@ -10,11 +10,11 @@ from micah_plan.errors import InputError, located_in, shown
 from micah_plan.files import read_bytes, replace_file
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.csv_file import csv_bytes, csv_columns, read_csv
+from micah_plan.recording.mcap_writing import mcap_bytes
 from micah_plan.recording.npz_file import npz_bytes, read_npz
 from micah_plan.recording.parquet_file import parquet_columns, read_parquet
 from micah_plan.recording.ros_bags import is_log
 from micah_plan.recording.ros_log import joint_columns, read_ros_log
-from micah_plan.recording.ros_mcap import mcap_bytes
 from micah_plan.recording.tum_file import read_tum, tum_bytes
 from micah_plan.recording.value import Recording
 

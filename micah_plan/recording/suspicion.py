@@ -26,26 +26,21 @@ Rules, each of them with what it cannot see:
   well with other signs (the inverse turn; positions and turns of frames of which one is left-handed), it is probably
   so; but a screw, or a part that moves freely, can look like that, so it is only said. A part that does not turn, or
   only about what remains its axis, does not show it.
-
-**Jumps.** What is printed of rows that are no measurements of one continuous motion, see `continuity`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats
 from micah_plan.errors import InputError
-from micah_plan.quantities import FARTHEST_M, count, percent, quantity
+from micah_plan.quantities import FARTHEST_M, percent, quantity
+from micah_plan.recording.breaks import breaks
 from micah_plan.recording.checks import QUATERNION
-from micah_plan.recording.continuity import FLOORS, Continuity, apart, continuity_of, stretches
 from micah_plan.recording.conventions import TIMES
-from micah_plan.recording.symmetry import ReadTurned, turned_back
 from micah_plan.recording.turned_grip import TurnedGrip, turned_grip
 from micah_plan.recording.value import Recording
 
@@ -277,191 +272,3 @@ def _unexplained(position: Floats, rotation: Rotation) -> float:
     fitted = design @ np.linalg.lstsq(design, position.ravel(), rcond=None)[0]
     residual = np.linalg.norm(position.ravel() - fitted)
     return float(residual / max(float(np.linalg.norm(position - position.mean(axis=0))), np.finfo(float).tiny))
-
-
-_FEW, _RARE = 3, 0.05
-"""Repeats of so few rows at a time, that are so rare, are dropped frames, which nobody has to know."""
-
-_AT_RANDOM = 1.5
-"""Of the variance is the mean square of steps, which is 2 of noise, of what says nothing of the next row."""
-
-_FEWEST = 16
-
-_OVERLAP = 0.8
-"""Of the rows of two parts that strayed together, for one to be taken for the other."""
-
-_CLOSER = 0.25
-"""Of the way to its own place is the way of a stray to the place of the part that it is taken for."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Track:
-    """One part in one run: where it is in the recording, its rows, and which are measurements."""
-
-    name: str
-    index: tuple[int, ...]
-    rows: Recording
-    continuity: Continuity
-
-    def says(self, first: int, last: int) -> str:
-        """Rows as they are numbered in the recording, and their times."""
-        number = f"rows {self.index[first]} to {self.index[last]}" if last > first else f"row {self.index[first]}"
-        begin, end = self.rows.time[[first, last]].tolist()
-        return f"{number} (t = {begin:.4g}" + (f" to {end:.4g} s)" if last > first else " s)")
-
-    def beside(self, first: int, last: int) -> int:
-        """The measured row next to rows that are none: before them or, at the start, behind them."""
-        measured = np.flatnonzero(self.continuity.is_measured)
-        before = measured[measured < first]
-        return int(before[-1] if len(before) else measured[measured > last][0])
-
-
-_Stray = tuple[_Track, int, int]
-"""A part, and the first and last row of a piece that is left out of its track."""
-
-
-def breaks(recording: Recording) -> tuple[str, ...]:
-    """One line for each piece of a track that is no measurement of its motion, and for each jump that is left."""
-    recording, turned = turned_back(recording)
-    every: list[str] = []
-    for run in recording.runs:
-        tracks = []
-        for part in recording.parts:
-            index = recording.index(run=run, part=part)
-            if len(index):
-                rows = recording.rows(index)
-                tracks.append(_Track(f"part '{part}'", tuple(index.tolist()), rows, continuity_of(rows)))
-        lines = [
-            line for track in tracks for line in (*_noise_lines(track), *_repeat_lines(track), *_jump_lines(track))
-        ]
-        lines += _stray_lines(tracks)
-        lines += [_turned_line(recording, each) for each in turned if each.run == run]
-        every += [f"run {run}: {line}" if len(recording.runs) > 1 else line for line in lines]
-    return tuple(every)
-
-
-def _turned_line(recording: Recording, turned: ReadTurned) -> str:
-    """Rows in which a part was taken for what it looks the same as."""
-    share, first = 360 // turned.symmetry.fold, int(turned.rows[0])
-    return (
-        f"part '{turned.part}' is read turned by {'' if turned.symmetry.fold == 2 else 'multiples of '}{share}° in "
-        f"{count(len(turned.rows), 'row')}, the first is row {first} (t = {recording.time[first]:.4g} s), though its "
-        "place goes on: an object that looks the same when turned so? These orientations are turned back; if the part "
-        "did turn, read its positions only: --positions-only"
-    )
-
-
-def _noise_lines(track: _Track) -> list[str]:
-    """A part that is somewhere else in every row, whatever the row before said.
-
-    The mean square of successive differences is twice the variance of white noise, and less of any motion (von Neumann,
-    Annals of Mathematical Statistics 1941).
-    """
-    rows = track.rows.rows(track.continuity.is_measured)
-    if len(rows) < _FEWEST:
-        return []
-    lines = []
-    vectors = [(rows.position, "m", FLOORS[0])]
-    if rows.quaternion is not None:
-        turned = rows.poses().rotation
-        vectors.append((np.asarray((turned * turned.mean().inv()).as_rotvec()), "rad", FLOORS[1]))
-    for values, unit, floor in vectors:
-        spread = float(np.sqrt(values.var(axis=0).sum()))
-        steps = float((np.diff(values, axis=0) ** 2).sum(axis=1).mean())
-        if spread > floor and steps > _AT_RANDOM * spread**2:
-            lines.append(
-                f"{track.name} is {quantity(spread, unit, digits=2)} (rms) elsewhere in every row, whatever the row "
-                "before said: is this noise, or are the rows out of order?"
-            )
-    return lines
-
-
-def _repeat_lines(track: _Track) -> list[str]:
-    strays = np.zeros(len(track.rows), dtype=bool)
-    for first, last in track.continuity.strays:
-        strays[first : last + 1] = True
-    pieces = stretches(track.continuity.repeats & ~strays)
-    if not pieces or (max(b - a for a, b in pieces) + 1 < _FEW and track.continuity.repeats.mean() < _RARE):
-        return []
-    first, last = max(pieces, key=lambda piece: piece[1] - piece[0])
-    total = sum(b - a + 1 for a, b in pieces)
-    longest = "" if len(pieces) == 1 else f", most of them {track.says(first, last)}"
-    where = f"{count(total, 'row')} of {track.name} " + ("repeats" if total == 1 else "repeat")
-    pose = f"the pose of row {track.index[first - 1]}" if len(pieces) == 1 else "the pose of the row before"
-    at = f", {track.says(first, last)}" if len(pieces) == 1 else longest
-    return [f"{where} {pose} to the last digit{at}: was it out of sight? Repeated rows are no measurements"]
-
-
-def _jump_lines(track: _Track) -> list[str]:
-    if not track.continuity.jumps:
-        return []
-    jump = max(track.continuity.jumps, key=lambda jump: jump.distance)
-    others = len(track.continuity.jumps) - 1
-    more = f" (and at {count(others, 'more row')})" if others else ""
-    return [
-        f"{track.name} jumps by {_size(jump.distance, jump.angle)} at {track.says(jump.row, jump.row)}{more}, faster "
-        "than it moves anywhere else: are rows missing, or was the tracker started anew? In the latter case leave out "
-        "the rows before or after it"
-    ]
-
-
-def _stray_lines(tracks: Sequence[_Track]) -> list[str]:
-    """Strays of all parts of a run; of two that stray to each other's place the names were exchanged."""
-    every = [(track, first, last) for track in tracks for first, last in track.continuity.strays]
-    pairs = [
-        (a, b)
-        for track, another in combinations(tracks, 2)
-        for a, b in _at_once(track, another)
-        if _is_taken_for(a, b) and _is_taken_for(b, a)
-    ]
-    lines = [
-        f"{a[0].name} and {b[0].name} are exchanged in {a[0].says(*a[1:])}: these rows are not used" for a, b in pairs
-    ]
-    named = [stray for pair in pairs for stray in pair]
-    for track in tracks:
-        alone = [stray for stray in every if stray[0] is track and stray not in named]
-        if alone:
-            lines.append(_stray_line(track, [(first, last) for _, first, last in alone]))
-    return lines
-
-
-def _stray_line(track: _Track, strays: Sequence[tuple[int, int]]) -> str:
-    """The longest of the strays of a track, and how many there are."""
-    first, last = max(strays, key=lambda stray: stray[1] - stray[0])
-    size = _size(*apart(track.rows.position, track.rows.quaternion, track.beside(first, last), first).tolist())
-    is_at_end = first == 0 or last == len(track.rows) - 1
-    more = f" (and in {count(len(strays) - 1, 'more piece')})" if len(strays) > 1 else ""
-    return (
-        f"{track.name} is {size} away in {track.says(first, last)}{more}, "
-        f"{'where it cannot get' if is_at_end else 'and comes back'}: was it lost by the tracker, or mistaken? "
-        "These rows are not used"
-    )
-
-
-def _size(distance: float, angle: float) -> str:
-    """A distance and an angle in words, without what is nothing beside the other."""
-    shown = [quantity(distance, "m", digits=2)] if distance > 0.1 * FLOORS[0] else []
-    shown += [quantity(angle, "rad", digits=2)] if angle > 0.1 * FLOORS[1] else []
-    return " and ".join(shown)
-
-
-def _at_once(track: _Track, second: _Track) -> list[tuple[_Stray, _Stray]]:
-    """Strays of two parts that lie in the same rows, most of the time of the longer one."""
-    pairs = []
-    begins, ends = (second.rows.time[[stray[k] for stray in second.continuity.strays]] for k in (0, 1))
-    for first, last in track.continuity.strays:
-        begin, end = track.rows.time[[first, last]].tolist()
-        for k in range(int(np.searchsorted(ends, begin)), int(np.searchsorted(begins, end, side="right"))):
-            shared = min(end, float(ends[k])) - max(begin, float(begins[k]))
-            if shared >= _OVERLAP * max(end - begin, float(ends[k] - begins[k])):
-                pairs.append(((track, first, last), (second, *second.continuity.strays[k])))
-    return pairs
-
-
-def _is_taken_for(stray: _Stray, another: _Stray) -> bool:
-    """Whether a stray of one part is where another part, which strays in the same rows, was before."""
-    (track, first, last), (place, begin, end) = stray, another
-    here = track.rows.position[first]
-    from_own = np.linalg.norm(here - track.rows.position[track.beside(first, last)])
-    from_other = np.linalg.norm(here - place.rows.position[place.beside(begin, end)])
-    return bool(from_other < _CLOSER * from_own)

@@ -16,7 +16,8 @@ import numpy as np
 
 from micah_plan.arrays import Floats, Ints
 from micah_plan.errors import InputError, MissingDependencyError
-from micah_plan.quantities import Summarised, aligned, count, interval, listed, quantity
+from micah_plan.quantities import count, interval, quantity
+from micah_plan.summaries import Summarised, aligned, listed
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform

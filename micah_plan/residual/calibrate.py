@@ -1,11 +1,4 @@
-"""Measured against predicted, what the model lacks, and the model with it.
-
-**Missing modes.** The mode that it lies in is cut, and the search made again in the halves.
-
-**The next experiment.** What would tell apart effects that a recording cannot.
-
-**Notes.** What can and cannot be concluded from a calibration, one sentence each.
-"""
+"""Measured against predicted, what the model lacks, and the model with it."""
 
 from __future__ import annotations
 
@@ -17,20 +10,18 @@ import numpy as np
 from micah_plan.arrays import INTERVAL_STDS, Floats
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.commanded_places import as_commanded, without_superseded
-from micah_plan.automaton.effects.ends import range_of
 from micah_plan.automaton.effects.memories import is_as_commanded
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect, Since
-from micah_plan.automaton.hybrid import HybridAutomaton, Mode
-from micah_plan.automaton.split import with_split
-from micah_plan.automaton.tracks import Track
+from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError
-from micah_plan.quantities import Progress, count, interval, percent, plain, quantity
+from micah_plan.quantities import interval, quantity
 from micah_plan.recording.value import Recording
+from micah_plan.residual.added_modes import with_missing_modes
 from micah_plan.residual.calibration import Calibration, FoundEffect, pose_sizes, size_of, spread_runs
+from micah_plan.residual.calibration_notes import notes_on, notes_on_beliefs, notes_on_rows
 from micah_plan.residual.candidates import GATES, TermCandidate
-from micah_plan.residual.compared_runs import dated, sections
-from micah_plan.residual.coordinate_data import MOST_ROWS, CoordinateData, coordinate_data_of
+from micah_plan.residual.coordinate_data import MOST_ROWS, CoordinateData
 from micah_plan.residual.earlier_effects import (
     estimated_effects,
     evidence_of,
@@ -41,13 +32,20 @@ from micah_plan.residual.earlier_effects import (
 from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.faulty_runs import faulty_runs
 from micah_plan.residual.geometry import DirectFinding, systematic_transverse_error, transverse_rms
-from micah_plan.residual.held_out import HeldOut
-from micah_plan.residual.likelihood import FEWEST_ROWS, LEAST_EVIDENCE, TIE
-from micah_plan.residual.missing_mode import MissingMode
+from micah_plan.residual.likelihood import FEWEST_ROWS, TIE
 from micah_plan.residual.prediction import predict_recording, refused
 from micah_plan.residual.range_exceeded import RangeExceeded, with_range_ends, with_shifts, without_old_ends
-from micah_plan.residual.trace import A_LINE, CoordinateFinding, CoordinateTrace, may_remember, trace
+from micah_plan.residual.separating_experiments import (
+    experiment_for_alike_runs,
+    experiment_for_missing_mode,
+    experiment_for_nothing,
+    experiment_for_unexplained,
+    experiment_that_separates,
+)
+from micah_plan.residual.trace import CoordinateFinding, CoordinateTrace, may_remember, trace
 from micah_plan.residual.verdict import Verdict, overall
+from micah_plan.residual.versions import dated
+from micah_plan.summaries import Progress
 
 # Poses this far beside the joints [m], and this share of the lever arm, are those of another object.
 _FAR = 0.08
@@ -355,210 +353,3 @@ def _next_experiment(effects: Sequence[FoundEffect], traces: Sequence[Coordinate
     data = traces[0].data
     low, high = data.visited
     return experiment_for_nothing(data.rows, high - low, data.unit)
-
-
-def with_missing_modes(
-    automaton: HybridAutomaton, traces: tuple[CoordinateTrace, ...], measured: Sequence[Track]
-) -> tuple[HybridAutomaton, tuple[CoordinateTrace, ...]]:
-    """The automaton with the modes that traces miss, and the traces on it, if that is clear.
-
-    It is if a gain or a bias in the new modes alone, which is how they were found, predicts held-out rows no worse than
-    the correction without a name that would stand in their place. Else both are as given.
-    """
-    split = automaton
-    for one in traces:
-        low, high = range_of(automaton, one.data.index)
-        ends = {end for mode in one.missing_modes for end in (mode.low, mode.high)}
-        for place in sorted(end for end in ends if low < end < high):
-            split = with_split(split, one.data.index, place)
-    if split is automaton:
-        return automaton, traces
-    again = tuple(trace(HeldOut(data)) for data in coordinate_data_of(split, tuple(measured)))
-    if not all(_is_clear(old, new) for old, new in zip(traces, again, strict=True)):
-        return automaton, traces
-    return split, tuple(_with_names_of_modes(split, old, new) for old, new in zip(traces, again, strict=True))
-
-
-def _is_clear(old: CoordinateTrace, new: CoordinateTrace) -> bool:
-    if not old.missing_modes:
-        return True
-    parts = new.chosen.parts
-    is_inside = bool(parts) and all(part.term.modes and part.name in A_LINE for part in parts)
-    return is_inside and not new.missing_modes and new.final.evidence > old.final.evidence - LEAST_EVIDENCE
-
-
-def _with_names_of_modes(split: HybridAutomaton, old: CoordinateTrace, new: CoordinateTrace) -> CoordinateTrace:
-    modes = tuple(
-        replace(missing_mode, modes=_inside(split, old.data.index, missing_mode)) for missing_mode in old.missing_modes
-    )
-    return replace(new, missing_modes=modes)
-
-
-def _inside(split: HybridAutomaton, i: int, missing: MissingMode) -> tuple[str, ...]:
-    """Names of the modes that move a coordinate within the range of a missing one."""
-
-    def holds(mode: Mode) -> bool:
-        low, high = range_of(replace(split, modes=(mode,)), i)
-        return low < high and low >= missing.low and high <= missing.high
-
-    return tuple(mode.name for mode in split.modes if mode.driven[i] and holds(mode))
-
-
-def experiment_that_separates(first: str, second: str) -> str:
-    """The experiment that tells two effects apart: one of them says it."""
-    experiment = dict(form(first).experiments).get(second) or dict(form(second).experiments).get(first)
-    return experiment or f"vary size and direction of the commands over the whole range, to tell {first} from {second}"
-
-
-def experiment_for_alike_runs(name: str) -> str:
-    """The experiment where all runs make the same motion."""
-    return f"start elsewhere, and stop on the way: if it is {name}, only the place matters and not what went before"
-
-
-def experiment_for_unexplained(where: str) -> str:
-    """The experiment for what no effect explains."""
-    return f"repeat slow and fast motions in both directions {where}, with rests in between"
-
-
-def experiment_for_missing_mode(place: float, unit: str) -> str:
-    """The experiment for a mode that the automaton lacks."""
-    return (
-        f"record slow motion through {quantity(place, unit)} in both directions and learn the model again, with that "
-        "mode: micah-plan learn RECORDING.csv -o MODEL.yaml"
-    )
-
-
-def experiment_for_nothing(rows: int, moved: float, unit: str) -> str:
-    """The experiment where nothing was found."""
-    return (
-        f"there is nothing to find in {count(rows, 'row')} over {quantity(moved, unit)}: commands that are larger, "
-        "reverse and rest at both ends would show smaller effects"
-    )
-
-
-# Gains of commands that are written in other units than m, and the coordinates that may have them.
-_UNITS = {
-    "millimetres": (1e-3, ""),
-    "centimetres": (1e-2, ""),
-    "inches": (0.0254, ""),
-    "degrees": (np.pi / 180.0, "rad"),
-}
-_SAME_UNIT = 0.1
-# Share of what is large for a parameter within which it is at a bound.
-_AT_BOUND = 1e-3
-
-
-def notes_on_beliefs(corrected: HybridAutomaton, before: Sequence[Track], after: Sequence[Track]) -> list[str]:
-    """By how much the controller's belief was beside what was measured, where effects of its sensor change that."""
-    if not any(track.is_outside for track in after):
-        return []
-    notes = []
-    for i, coordinate in enumerate(corrected.coordinates):
-        ends = [
-            float(
-                np.mean([abs(track.believed[-1, i] - track.x[-1, i]) for track in value if track.believed is not None])
-            )
-            for value in (before, after)
-        ]
-        was, now = (quantity(end, coordinate.unit, digits=2) for end in ends)
-        notes.append(
-            f"{coordinate.name}: runs ended {was} beside what the controller believed, {now} with its sensor corrected"
-        )
-    return notes
-
-
-def note_on_late_actions(late: int) -> str:
-    """That actions are stored in later rows than those that they move."""
-    rows = count(late, "row")
-    return (
-        f"the part moves {rows} before its command: actions are stored {rows} late. They were taken {rows} earlier; "
-        "store the action of a row with the pose that it starts from"
-    )
-
-
-def notes_on_rows(exceeded: Sequence[RangeExceeded], measured: Sequence[Track], late: int) -> list[str]:
-    """What rows lie beyond the range, that others are missing or no measurements, and where actions were stored."""
-    missing = sum(len(sections(track.time)) - 1 for track in measured)
-    gaps = f"{count(missing, 'gap')} in t: what was commanded there is missing, so no step over them counts"
-    unseen = sum(int((~track.is_measured).sum()) for track in measured)
-    repeated = f"{count(unseen, 'row')} repeat a pose or lie where the part cannot get: they are no measurements"
-    notes = [*([note_on_late_actions(late)] if late else []), *map(str, exceeded)]
-    return [*notes, *([gaps] if missing else []), *([repeated] if unseen else [])]
-
-
-def _units(trace: CoordinateTrace) -> list[str]:
-    """Gains that are no property of an object, but of the units that commands were written in."""
-    names = {name: size for name, (size, unit) in _UNITS.items() if unit in ("", trace.data.unit)}
-    notes = []
-    for finding in trace.findings:
-        gain = _gain_of(finding)
-        for name, size in names.items():
-            if abs(gain / size - 1.0) < _SAME_UNIT:
-                sentence = f"{trace.data.coordinate}: a gain of {plain(gain)} is that of commands in {name}"
-                notes.append(f"{sentence}: actions are in m; convert the columns ax, ay, az")
-    return notes
-
-
-def _gain_of(finding: CoordinateFinding) -> float:
-    """The gain that an effect gives commands; 1 if it has none."""
-    names = [parameter.name for parameter in finding.part.term.form.parameters]
-    return float(finding.part.starts[0, names.index("gain")]) if "gain" in names else 1.0
-
-
-def _at_bounds(trace: CoordinateTrace) -> list[str]:
-    """Fitted parameters that ended at a bound of what is sensible: something else may be behind the effect."""
-    notes = []
-    for finding in trace.findings:
-        parameters = finding.part.term.form.parameters
-        for k, large in zip(finding.part.free, finding.part.scale, strict=True):
-            low, high = finding.part.bounds.get(k, (-np.inf, np.inf))
-            value, parameter = float(finding.part.starts[0, k]), parameters[k]
-            ends = max(parameter.lower, low), min(parameter.upper, high)
-            if min(abs(value - end) for end in ends) < _AT_BOUND * large and value != parameter.neutral:
-                sentence = f"{trace.data.coordinate}: {parameter.name} of {finding.part.name} ended at its bound"
-                notes.append(f"{sentence}, so something else may be behind it")
-    return notes
-
-
-def notes_on(traces: Sequence[CoordinateTrace]) -> tuple[str, ...]:
-    """What was seen too little of, what was left out and why, and what remains."""
-    notes = []
-    for traced in traces:
-        notes += [*_units(traced), *_at_bounds(traced)]
-        data, name = traced.data, traced.data.coordinate
-        runs = len(np.unique(data.run))
-        if runs == 1:
-            notes.append(f"{name}: one run only; segments were held out, so what differs from run to run is unknown")
-        u = data.u[data.counted_starts]
-        moving = u[np.abs(u) > 0.05 * data.command_size]
-        if moving.size and (np.mean(moving > 0) < 0.05 or np.mean(moving > 0) > 0.95):
-            notes.append(f"{name}: nearly all commands go one way; what depends on the direction cannot be seen")
-        if traced.outcome.verdict == "none":
-            innovations = traced.held_out.errors(traced.nominal, "filter")[data.counted]
-            nats = traced.held_out.competition.least
-            least = float(np.sqrt(2.0 * nats * np.sum(innovations**2))) / len(innovations)
-            step, share = quantity(least, data.unit, digits=2), percent(least / data.command_size)
-            notes.append(
-                f"{name}: {step} more per step, or {share} more of each command would have been seen; smaller effects "
-                "are not excluded"
-            )
-        low, high = data.visited
-        if low > data.upper or high < data.lower:
-            notes.append(f"{name}: all rows lie outside of the model's range: this may be another object")
-        notes += [f"{mode} ({plain(mode.evidence)} nats over any gradual change)" for mode in traced.missing_modes]
-        left_out = " and ".join(finding.part.name for finding in traced.findings if not finding.is_added)
-        if left_out:
-            notes.append(f"{name}: {left_out} was not added: {traced.outcome.sentence}")
-        if traced.closest:
-            notes.append(
-                f"{name}: {' and '.join(traced.closest)} came closest, but a smooth correction without a name does "
-                "as well"
-            )
-        if traced.facts.is_corrected:
-            notes.append(f"{name}: the model has a correction without a name already, which no effect has replaced")
-        if traced.innovation_test is not None and traced.innovation_test.is_more and not traced.facts.smooth:
-            share = percent(traced.innovation_test.share, 0)
-            notes.append(
-                f"{name}: the residuals are not white: {share} of their variance follows {traced.innovation_test}"
-            )
-    return tuple(notes)

@@ -16,13 +16,14 @@ from typing import final
 import numpy as np
 
 from micah_plan.arrays import Floats
+from micah_plan.automaton.effects.fit_start import FitStart
 from micah_plan.automaton.effects.forces import SMOOTH_BUMPS
-from micah_plan.automaton.effects.form import EffectForm, FitStart, Memory, Operations, Parameter, Value, Values
+from micah_plan.automaton.effects.form import EffectForm, Memory, Operations, Parameter, Value, Values
 from micah_plan.automaton.effects.memories import AS_COMMANDED
 from micah_plan.automaton.effects.registry import form, forms
 from micah_plan.automaton.effects.value import Effect
-from micah_plan.residual.compared_runs import acts
 from micah_plan.residual.coordinate_data import CoordinateData
+from micah_plan.residual.versions import acts
 
 FOLLOW = "follow"
 MEMORY = "earlier commands"

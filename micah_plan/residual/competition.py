@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from micah_plan.arrays import Floats
-from micah_plan.quantities import Progress
 from micah_plan.residual.candidates import (
     FOLLOW,
     GATES,
@@ -41,6 +40,7 @@ from micah_plan.residual.contenders import (
     on_top,
 )
 from micah_plan.residual.likelihood import TIE
+from micah_plan.summaries import Progress
 
 # Models that a second effect is tried on; of these effects, how many are fitted to the end.
 _HEADS, _SECONDS = 4, 6

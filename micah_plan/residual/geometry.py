@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import SURE_STDS, Floats, Ints, earlier_rows
-from micah_plan.automaton.build import DIGITS
+from micah_plan.automaton.digits import DIGITS
 from micah_plan.automaton.effects.add import is_possible
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton

@@ -11,7 +11,7 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.link_motion import link_motions
 from micah_plan.recording.value import Recording
-from micah_plan.residual.calibrate import note_on_late_actions
+from micah_plan.residual.calibration_notes import note_on_late_actions
 from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.faulty_runs import FaultyRun, unlike_others
 from micah_plan.residual.held_out import HeldOut

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats, Ints
-from micah_plan.automaton.augmented import threshold_stds
+from micah_plan.automaton.drawn_thresholds import threshold_stds
 from micah_plan.automaton.effects.commanded_places import as_commanded
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.hybrid import HybridAutomaton
@@ -22,11 +22,13 @@ from micah_plan.automaton.transition import TransitionBatch
 from micah_plan.belief.filter import initial_belief, predict_each, update_each
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.errors import InputError
-from micah_plan.quantities import Progress, interval, quantity
+from micah_plan.quantities import interval, quantity
 from micah_plan.recording.value import Recording
-from micah_plan.residual.compared_runs import Place, at_measurements, versions, white_noise_of
+from micah_plan.residual.compared_runs import Place, at_measurements, white_noise_of
 from micah_plan.residual.geometry import off_joint_error
 from micah_plan.residual.range_exceeded import ranges_exceeded, with_extended_range
+from micah_plan.residual.versions import versions
+from micah_plan.summaries import Progress
 
 
 @dataclass(frozen=True, eq=False)

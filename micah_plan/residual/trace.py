@@ -9,7 +9,6 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.registry import form
-from micah_plan.quantities import Progress
 from micah_plan.residual.candidates import FOLLOW, GATES, MEMORY, UNNAMED, TermCandidate, indistinguishable
 from micah_plan.residual.competition import Standings
 from micah_plan.residual.contenders import TO_THE_END, Contender, begins_later, best_first
@@ -20,6 +19,7 @@ from micah_plan.residual.held_out import HeldOut
 from micah_plan.residual.missing_mode import MissingMode, missing_modes
 from micah_plan.residual.residual_test import ResidualTest
 from micah_plan.residual.verdict import UNEXPLAINED, Facts, Outcome, outcome_of
+from micah_plan.summaries import Progress
 
 # A motion is one from end to end of at least this share of where the part was.
 _A_MOTION = 0.2

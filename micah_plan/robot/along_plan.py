@@ -1,12 +1,8 @@
-"""The arm along a plan: which pose of the tool each knot asks for, and the joints that take it there.
-
-**Release.** The arm goes down with the object until it stands, and away from it with the gripper open.
-"""
+"""The arm along a plan: which pose of the tool each knot asks for, and the joints that take it there."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -18,13 +14,10 @@ from micah_plan.errors import InputError
 from micah_plan.robot.clearance import ClearanceModel, clearance_model
 from micah_plan.robot.load_arm import load_arm
 from micah_plan.robot.tool_path import ArmFailure, ToolPath, follow
-from micah_plan.task.body import Body, Shape, vector3
 from micah_plan.task.contact_poses import settled_poses, touching_pairs
+from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.plan import ArmTrajectory, Trajectory
 from micah_plan.task.problem import Problem
-from micah_plan.task.release import Rest
-from micah_plan.task.robot_description import RobotDescription
-from micah_plan.task.settings import NEVER, Deadline
 
 
 def arm_along(
@@ -113,70 +106,3 @@ def carried_parts(automaton: HybridAutomaton, part: str) -> tuple[str, ...]:
         if link.parent in parts:
             parts.append(link.child)
     return tuple(parts)
-
-
-def lowered(
-    problem: Problem, mode: str, states: Floats, start: Floats, deadline: Deadline
-) -> ArmTrajectory | ArmFailure:
-    """The arm along states (K, n) on the way down; the object may meet its support.
-
-    Args:
-        start: (J,) joints that the arm is at, nearly.
-
-    Raises:
-        TimeLimitError: if it passes before there is a trajectory.
-    """
-    if problem.hold is None or problem.release is None:
-        raise InputError("the problem releases nothing", remedy="add 'release' to a problem with 'hold'")
-    path = tool_path(problem, [mode] * len(states), states)
-    grip = problem.hold.grip
-    meet = frozenset((part, problem.release.support) for part in (grip.held.name, grip.moving.name))
-    touching = path.touching or [frozenset()] * len(states)
-    path = replace(path, touching=[pairs | meet for pairs in touching])
-    return follow(problem_clearance(problem), path, deadline=deadline, start=start)
-
-
-def withdrawn(
-    problem: Problem, rest: Rest, contact: Floats, displacements: Floats, start: Floats, deadline: Deadline
-) -> ArmTrajectory | ArmFailure:
-    """The arm as its hand goes away, with the gripper open, from an object that stands.
-
-    Args:
-        contact: (n,) state in which it was released.
-        displacements: (W, 3) of the hand [m].
-        start: (J,) joints that the arm is at, nearly.
-
-    Raises:
-        TimeLimitError: if it passes before there is a trajectory.
-    """
-    if problem.robot is None or problem.grasp is None or problem.hold is None:
-        raise InputError("the problem has no robot with a grasp", source=problem.source or None, remedy="add them")
-    lowered_poses = settled_poses(problem, rest.mode, contact)
-    poses = rest.poses(lowered_poses, np.array(contact[:3]))
-    grip = problem.hold.grip
-    standing = [_body(part.name, part.shapes, poses[part.name]) for part in (grip.held, grip.moving)]
-    model = clearance_model(load_arm(with_open_gripper(problem)), (*problem.scene, *standing))
-    begin = (lowered_poses[problem.grasp.part] * problem.grasp.pose).as_matrix()
-    tool = np.tile(begin, (len(displacements) + 1, 1, 1))
-    tool[1:, :3, 3] += np.cumsum(displacements, axis=0)
-    return follow(model, ToolPath(RigidTransform.from_matrix(tool)), deadline=deadline, start=start)
-
-
-def with_open_gripper(problem: Problem) -> RobotDescription:
-    """The robot with its fingers where they are when the gripper is open.
-
-    Raises:
-        InputError: if the problem has no robot, or names no joints of the gripper.
-    """
-    robot, release = problem.robot, problem.release
-    if robot is None or release is None:
-        raise InputError("the problem has no robot that could release the object", remedy="add 'robot' and 'release'")
-    if not release.fingers:
-        text = "release.fingers: a robot releases by joints that open its gripper, found none"
-        raise InputError(text, source=problem.source or None, remedy="name them, with where they are when open")
-    return replace(robot, locked=tuple({**dict(robot.locked), **dict(release.fingers)}.items()))
-
-
-def _body(name: str, shapes: tuple[Shape, ...], pose: RigidTransform) -> Body:
-    x, y, z, w = pose.rotation.as_quat(canonical=True).tolist()
-    return Body(name, shapes, vector3(pose.translation), (x, y, z, w))

@@ -141,7 +141,7 @@ def symbolic_forward(arm: Arm) -> Any:
     Pinocchio's own CasADi bindings are not in its wheels. The chain has one joint after the other, because all joints
     that do not move the tool are locked.
     """
-    from micah_plan.symbolic.compiled import ChainJoint, chain_forward
+    from micah_plan.symbolic.forward_kinematics import ChainJoint, chain_forward
 
     model = arm.model
     joints = [

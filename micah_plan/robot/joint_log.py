@@ -20,7 +20,7 @@ from micah_plan.recording.value import Recording
 from micah_plan.robot.arm import Arm
 from micah_plan.robot.joint_ranges import JointRange
 from micah_plan.robot.load_arm import describe_robot, load_arm
-from micah_plan.task.robot_description import is_name, named_robots
+from micah_plan.task.named_robots import is_name, named_robots
 
 _MOST_LISTED = 12
 _BEYOND = 0.1  # rad or m beyond a limit, which no calibration of an encoder explains

@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from micah_plan.errors import MicahError
-from micah_plan.files import TABLE, Output, check_outputs, replace_files
-from micah_plan.quantities import Progress
+from micah_plan.files import replace_files
+from micah_plan.output_files import TABLE, Output, check_outputs
+from micah_plan.summaries import Progress
 from micah_plan.sweep.journal import Journal, journal_path
 from micah_plan.sweep.result import CaseResult, CaseRun, results_table, sweep_timings_path, timings_table
 from micah_plan.sweep.solve_case import worker_died
@@ -97,7 +98,7 @@ def check_sweep_outputs(sweep: Sweep, output: Path) -> None:
     """Refuse, before any work, files that would destroy another or could not be written.
 
     Raises:
-        InputError: as `files.check_outputs`.
+        InputError: as `output_files.check_outputs`.
         MissingDependencyError: if the table needs a library that is not installed.
     """
     read = [Path(sweep.source) if sweep.source else None, *(problem.path for problem in sweep.problems)]

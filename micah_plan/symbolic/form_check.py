@@ -8,7 +8,7 @@ import numpy as np
 from micah_plan.arrays import TINY, Floats
 from micah_plan.automaton.effects.form import EffectForm, Operations, Value, Values
 from micah_plan.errors import InputError
-from micah_plan.symbolic.compiled import CasadiOperations
+from micah_plan.symbolic.casadi_operations import CasadiOperations
 from micah_plan.symbolic.straight_line import straight_line
 
 # What a form is tried at: commands, and places of the coordinate.

@@ -8,7 +8,7 @@ from functools import lru_cache
 import casadi as ca
 
 from micah_plan.automaton.effects.form import EffectForm
-from micah_plan.symbolic.compiled import CasadiOperations
+from micah_plan.symbolic.casadi_operations import CasadiOperations
 from micah_plan.symbolic.straight_line import StraightLine, straight_line
 
 # Forms whose instructions are kept: those of the library, and as many of users.

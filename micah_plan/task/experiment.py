@@ -1,7 +1,4 @@
-"""An experiment: motions in open loop whose record is to tell apart what a model may lack.
-
-**The request.** What an exploration is asked to do: open what is in the hand, within limits.
-"""
+"""An experiment: motions in open loop whose record is to tell apart what a model may lack."""
 
 from __future__ import annotations
 
@@ -10,11 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.ends import range_of
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.automaton.joint import Quaternion, Vector3
-from micah_plan.errors import InputError, shown
+from micah_plan.errors import InputError
 from micah_plan.quantities import quantity
 from micah_plan.task.goal import Goal
 from micah_plan.task.problem import Problem
@@ -79,42 +74,3 @@ class Experiment:
     def problem(self, number: int) -> Problem:
         """What a plant is made of for a motion: there is no goal."""
         return Problem(self.automaton, self.motions[number].start, Goal(()), plant=self.plant)
-
-
-@dataclass(frozen=True)
-class Scene:
-    """A hand that holds a handle of which nothing else is known.
-
-    Attributes:
-        largest_force: that the hand may exert [N].
-        largest_stiffness: of the hand, as its controller is set [N/m]; None: not known, as pushes tell it.
-        largest_step: largest displacement that one command may ask for [m].
-        steps: commands allowed.
-        opening: way of the handle that counts as open [m].
-        position, quaternion: where the hand holds, base frame [m]; None: wherever the first measurement says.
-        low, high: corners of the workspace, base frame [m]; the handle is not led out of it. None: no limit.
-        simulated: the problem whose object the plants of the package put into the hand; plants of your own ignore it.
-    """
-
-    largest_force: float = 45.0
-    largest_stiffness: float | None = None
-    largest_step: float = 0.05
-    steps: int = 300
-    opening: float = 0.2
-    position: Vector3 | None = None
-    quaternion: Quaternion | None = None
-    low: Vector3 | None = None
-    high: Vector3 | None = None
-    simulated: Problem | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("largest_force", "largest_stiffness", "largest_step", "opening"):
-            if getattr(self, name) is not None and not 0.0 < getattr(self, name) < float("inf"):
-                raise InputError(f"{name} must be a number > 0. Got {shown(getattr(self, name))}")
-        if self.steps < 1:
-            raise InputError(f"steps must be at least 1. Got {shown(self.steps)}")
-
-    def is_outside(self, place: Floats) -> bool:
-        """Whether a place (3,) is not in the workspace [m]."""
-        low, high = self.low, self.high
-        return bool((low is not None and (place < low).any()) or (high is not None and (place > high).any()))

@@ -1,28 +1,12 @@
-"""The plan: an outcome with a sentence, and if it is a success all that executing and viewing it needs.
-
-**Acceptance.** With how many successes among roll-outs a plan is accepted: where it is verified, and where a plan file
-is read.
-
-**Contradictions.** Whether a plan that says it is solved can be the solution of its problem: what its numbers alone
-contradict.
-
-A file may have been written by anything, so a digest that fits says little. Nothing is simulated here: a share of
-successes below the confidence, a last state that is not where the plan says, a step that the model does not make.
-"""
+"""The plan: an outcome with a sentence, and if it is a success all that executing and viewing it needs."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-import numpy as np
-
-from micah_plan.arrays import EQUAL, Booleans, Floats
-from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.errors import InputError
-from micah_plan.quantities import Summarised
-from micah_plan.task.problem import Problem
+from micah_plan.arrays import Booleans, Floats
+from micah_plan.summaries import Summarised
 from micah_plan.task.reason import Offer, Reason
 
 Outcome = Literal["solved", "no_plan", "not_verified"]
@@ -237,122 +221,3 @@ class Plan(Summarised):
             return ()
         modes = self.trajectory.modes
         return tuple(q for i, q in enumerate(modes) if i == 0 or q != modes[i - 1])
-
-
-# The share of successes may fall short of the confidence by that many of its standard errors.
-_STANDARD_ERRORS = 2.0
-# Probability that a plan just below a confidence passes as many roll-outs as show it.
-_LUCK = 0.05
-
-
-def least_trials(confidence: float) -> int:
-    """How many roll-outs, all of them successes, it takes to show a confidence: fewer would do so by luck.
-
-    With that many in a row, a plan that succeeds less often is excluded at 95 % (the exact rule of three).
-    """
-    return math.ceil(math.log(_LUCK) / math.log(confidence))
-
-
-def least_share(confidence: float, trials: int) -> float:
-    """The smallest share of successes among the roll-outs with which a plan is accepted.
-
-    It lies two standard errors below the confidence, those of a plan whose true probability is the confidence: the
-    standard error of the observed share would vanish where nothing succeeds.
-    """
-    return confidence - _STANDARD_ERRORS * math.sqrt(confidence * (1.0 - confidence) / max(trials, 1))
-
-
-def executable_trajectory(plan: Plan, *, anyway: bool = False, source: str | None = None) -> Trajectory:
-    """The trajectory of a plan that solves its problem.
-
-    Args:
-        anyway: whether one that was found but not verified will do.
-        source: the file that the plan is in.
-
-    Raises:
-        InputError: if the plan has another outcome.
-    """
-    if plan.trajectory is not None and (plan.outcome == "solved" or anyway):
-        return plan.trajectory
-    remedy = "only a solved plan can be executed"
-    if plan.trajectory is not None:
-        remedy += "; `execute --anyway` shows in simulation how this one fails"
-    raise InputError(f"plan has outcome {plan.outcome}: {plan.reason}", source=source, remedy=remedy)
-
-
-def disagreement(plan: Plan, problem: Problem) -> tuple[str, str] | None:
-    """The key of a plan file and what contradicts there; None where a plan is not solved, or agrees."""
-    if plan.outcome != "solved" or plan.trajectory is None:
-        return None
-    share, confidence = plan.success_probability, problem.settings.confidence
-    if share is not None and share < (least := least_share(confidence, plan.verification_trials)):
-        said = f"outcome solved, but its share of successes {share:g} is less than the {least:.3g} that"
-        return "success_probability", f"{said} the confidence {confidence:g} asks for"
-    if (amiss := _belief_amiss(plan.trajectory.factors)) is not None:
-        return "trajectory.factors", amiss
-    return _step_amiss(plan.trajectory, problem) or _end_amiss(plan, plan.trajectory, problem)
-
-
-def _belief_amiss(factors: Floats) -> str | None:
-    """The first covariance (K, n, n) whose factor is none."""
-    for k, factor in enumerate(factors):
-        if np.triu(factor, 1).any() or (np.diag(factor) < 0).any():
-            return f"knot {k}: expected a lower triangular factor with a diagonal of at least 0"
-    return None
-
-
-def _end_amiss(plan: Plan, trajectory: Trajectory, problem: Problem) -> tuple[str, str] | None:
-    """The last knot against the goal; what is released comes to rest elsewhere."""
-    goal, last = problem.goal, trajectory.modes[-1]
-    if problem.release is not None:
-        return None
-    error = goal.error(trajectory.means[-1])
-    if plan.goal_error is not None and abs(error - plan.goal_error) > EQUAL:
-        return (
-            "goal_error",
-            f"expected the distance {error:g} of the last knot from the goal, found {plan.goal_error:g}",
-        )
-    std = goal.std(trajectory.factors[-1])
-    if plan.goal_std is not None and abs(std - plan.goal_std) > EQUAL:
-        return "goal_std", f"expected the std {std:g} of the last knot, found {plan.goal_std:g}"
-    if not goal.contains(last, trajectory.means[-1]):
-        return "trajectory", f"outcome solved, but its last knot, in mode '{last}', is not in the goal"
-    return None
-
-
-def _step_amiss(trajectory: Trajectory, problem: Problem) -> tuple[str, str] | None:
-    """The first step that the model does not make."""
-    automaton, largest = problem.automaton, problem.settings.max_step
-    for k, u in enumerate(trajectory.inputs):
-        before, after = trajectory.modes[k : k + 2]
-        if trajectory.is_transition[k]:
-            if after not in _reached_in_one_instant(automaton, before):
-                return (
-                    "trajectory",
-                    f"knot {k}: no transition of the model leads from '{before}' to '{after}'",
-                )
-            continue
-        if before != after:
-            return "trajectory", f"knot {k}: the mode changes from '{before}' to '{after}' without a transition"
-        if largest is not None and (np.abs(u) > np.array(largest) + EQUAL).any():
-            return "trajectory", f"knot {k}: an input of {np.abs(u).max():g} is more than the largest step"
-        moved = trajectory.means[k + 1] - trajectory.means[k]
-        # Effects and memories change what an input does; the verification's roll-outs have them, this has not.
-        if not automaton.effects and not np.allclose(moved, automaton.mode(before).B @ u, rtol=0, atol=EQUAL):
-            return "trajectory", f"knot {k}: the model's step in mode '{before}' does not lead to the next knot"
-    return None
-
-
-def _reached_in_one_instant(automaton: HybridAutomaton, source: str) -> set[str]:
-    """The modes behind a transition from `source`, and behind those that can follow it at the same instant.
-
-    A plan has one transition between two knots, also where the model takes several
-    (`planning.zero_time_transitions`): the input fires the first of them, the state that each leads to fires the next.
-    """
-    reached = {edge.target for edge in automaton.edges_from(source)}
-    new = set(reached)
-    while new:
-        following = (edge for mode in new for edge in automaton.edges_from(mode))
-        new = {edge.target for edge in following if edge.guard.on_state and not edge.guard.on_input} - reached
-        reached |= new
-    return reached

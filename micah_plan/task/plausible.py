@@ -25,7 +25,8 @@ from micah_plan.automaton.plausible import (
 )
 from micah_plan.quantities import FARTHEST_M
 from micah_plan.task.body import Body, volume
-from micah_plan.task.experiment import Experiment, Scene
+from micah_plan.task.experiment import Experiment
+from micah_plan.task.exploration_scene import Scene
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Hold, Problem, Release
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 from micah_plan.automaton.contacts.values import Grip
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.joint import Vector3
-from micah_plan.quantities import Summarised, aligned, common_unit, listed, percent, with_spread
+from micah_plan.quantities import common_unit, percent, with_spread
+from micah_plan.summaries import Summarised, aligned, listed
 from micah_plan.task.body import Body
 from micah_plan.task.by_name import Spread, with_goal, with_noise, with_start
 from micah_plan.task.goal import Goal

@@ -1,13 +1,8 @@
-"""The arm of a problem and what it holds, as values; `micah_plan.robot` makes a robot of them.
-
-**Robots by name** come from the package example-robot-data (extra `robots`), which brings their files and meshes.
-"""
+"""The arm of a problem and what it holds, as values; `micah_plan.robot` makes a robot of them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, distribution
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from micah_plan.automaton.joint import IDENTITY, Quaternion, Vector3
@@ -70,21 +65,3 @@ class Grasp:
     def pose(self) -> RigidTransform:
         """Pose of the tool in the part's frame (single)."""
         return transform(self.position, self.quaternion)
-
-
-_FOLDER = "cmeel.prefix/share/example-robot-data/robots"
-_ENDINGS = (".urdf", ".xml", ".mjcf")
-
-
-def is_name(path: str) -> bool:
-    """Whether what should be the path of a file is the name of a robot: one word without an ending."""
-    return "/" not in path and "\\" not in path and not path.lower().endswith(_ENDINGS)
-
-
-def named_robots() -> dict[str, Path]:
-    """The files of the robots that are installed, by name in alphabetical order; empty without the extra."""
-    try:
-        folder = Path(str(distribution("example-robot-data").locate_file(_FOLDER)))
-    except PackageNotFoundError:
-        return {}
-    return {file.stem: file for file in sorted(folder.rglob("*.urdf"), key=lambda file: (file.stem, len(file.parts)))}

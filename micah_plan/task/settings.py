@@ -1,17 +1,8 @@
-"""Settings of the planner, with defaults that serve ordinary problems.
-
-**Time.** When planning must end, which every stage asks now and then, and how long its stages took.
-"""
+"""Settings of the planner, with defaults that serve ordinary problems."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from math import inf
-from time import perf_counter, process_time
-
-from micah_plan.task.reason import Reason
 
 
 @dataclass(frozen=True)
@@ -63,77 +54,3 @@ class PlannerSettings:
         from scipy.special import ndtri
 
         return float(ndtri(self.confidence))
-
-
-# The least time that a solver is given, so that it can say that the time is over [s].
-_SHORTEST_S = 1e-3
-
-
-class TimeLimitError(Exception):
-    """The time is over.
-
-    Attributes:
-        reason: in which stage, how far that was, and what to do.
-    """
-
-    def __init__(self, limit_s: float, stage: str, state: str, remedy: str) -> None:
-        reached = f"the time limit of {limit_s:g} s (solve_time_limit_s) was reached in the {stage}"
-        self.reason = Reason(f"{reached}: {state}", (remedy,))
-        super().__init__(str(self.reason))
-
-
-class Deadline:
-    """A limit of processor time that begins when it is made, so that a busy machine gives the same answer."""
-
-    def __init__(self, limit_s: float, clock: Callable[[], float] = process_time) -> None:
-        """Args: the limit [s], and what tells the time [s]."""
-        self.limit_s, self._clock = limit_s, clock
-        self._end = clock() + limit_s
-
-    @property
-    def left_s(self) -> float:
-        """Time left [s], always above 0: for solvers that take a limit."""
-        return max(_SHORTEST_S, self._end - self._clock())
-
-    def is_over(self) -> bool:
-        """Whether no time is left."""
-        return self._clock() >= self._end
-
-    def check(self, stage: str, state: str, lower: str = "") -> None:
-        """Go on if there is time.
-
-        Args:
-            stage: where this is.
-            state: how far it is.
-            lower: the setting that makes the stage shorter.
-
-        Raises:
-            TimeLimitError: if there is none.
-        """
-        if self.is_over():
-            remedy = "raise solve_time_limit_s" + (f" or lower {lower}" if lower else "")
-            raise TimeLimitError(self.limit_s, stage, state, remedy)
-
-
-NEVER = Deadline(inf)
-
-
-class Clock:
-    """Seconds by stage since it was made."""
-
-    def __init__(self) -> None:
-        self._began = perf_counter()
-        self._seconds = {"search": 0.0, "build": 0.0, "optimise": 0.0}
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """A context whose duration is added to a stage."""
-        began = perf_counter()
-        try:
-            yield
-        finally:
-            self._seconds[name] += perf_counter() - began
-
-    def timings(self) -> dict[str, float]:
-        """Each stage, and ``"total"`` [s]."""
-        return {**self._seconds, "total": perf_counter() - self._began}

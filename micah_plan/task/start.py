@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from micah_plan.arrays import EQUAL, NEAR_STDS, SMALLEST_STD, Booleans, Floats
-from micah_plan.automaton.augmented import threshold_stds, with_boundary_states
+from micah_plan.automaton.drawn_thresholds import threshold_stds, with_boundary_states
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.region import Region
 from micah_plan.errors import InputError

@@ -8,15 +8,16 @@ from typing import Any
 import numpy as np
 
 from micah_plan.arrays import INTERVAL_STDS, Floats
-from micah_plan.quantities import Table, count, interval, listed, percent, plain, quantity, with_spread
+from micah_plan.quantities import count, interval, percent, plain, quantity, with_spread
 from micah_plan.residual.calibrate import began
 from micah_plan.residual.calibration import Calibration, FoundEffect
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.prediction import trajectory_errors
 from micah_plan.residual.trace import CoordinateTrace
 from micah_plan.residual.verdict import SENTENCES, Verdict
+from micah_plan.summaries import Table, listed
 from micah_plan.view.chart import Chart, Curve, Level, Panel, evenly, widened
-from micah_plan.view.learned import capital
+from micah_plan.view.learned_words import capital
 from micah_plan.view.page import Bar, Bars, Status, render
 from micah_plan.view.palette import BLUE, INK, ORANGE
 from micah_plan.view.prediction_page import calibration_scene

@@ -10,15 +10,14 @@ from micah_plan.arrays import Floats
 from micah_plan.quantities import count, percent
 from micah_plan.recording.value import Recording
 from micah_plan.view.chart import Change, Chart, Columns, Curve, Mark, Panel, Span, Words, evenly, widened
-from micah_plan.view.learned import (
+from micah_plan.view.learned import RunPicture, fits_no_joint
+from micah_plan.view.learned_words import (
     LEVELS,
-    RunPicture,
     any_fits_no_joint,
     block_notes,
     block_title,
     block_words,
     capital,
-    fits_no_joint,
     headline,
     interval_labels,
     kind_words,

@@ -1,12 +1,9 @@
-"""The page of a prediction: the object as it was measured beside where one model has it, or two, run by run.
-
-**The figure of measured and predicted motion.** One axes per coordinate and run, over the time of the run.
-"""
+"""The page of a prediction: the object as it was measured beside where one model has it, or two, run by run."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -25,20 +22,20 @@ from micah_plan.residual.prediction import (
     rmse_of_coordinates,
 )
 from micah_plan.view.camera import camera
-from micah_plan.view.chart import Chart, Curve, Level, Panel, evenly, widened
+from micah_plan.view.chart import evenly
 from micah_plan.view.drawing import draw_shapes, fixed_shapes, link_shapes, object_size, shape_corners, shown_links
-from micah_plan.view.executed import MOST_KEYFRAMES, poses_of_run
-from micah_plan.view.learned import capital
+from micah_plan.view.executed import poses_of_run
+from micah_plan.view.learned_words import capital
 from micah_plan.view.model_page import draw_ground_and_frame, ground_legend
 from micah_plan.view.motion import LONGEST_S, REST_S, SHORTEST_S, Keyframes, poses_over_time
 from micah_plan.view.page import Block, LegendEntry, RunEntry, ScenePage, Status, Timeline, render_scene
 from micah_plan.view.palette import BLUE, INK, ORANGE
 from micah_plan.view.placement import handle_in_part
 from micah_plan.view.plan_charts import MOST_COORDINATES
+from micah_plan.view.prediction_figure import MOST_DRAWN, MOST_RUNS, prediction_chart
+from micah_plan.view.runs_on_page import MOST_KEYFRAMES
 from micah_plan.view.scene import DrawnScene, slug
 
-_MOST_RUNS, _MOST_DRAWN = 20, 6
-_HEIGHT = 110.0
 _BADGES: dict[bool | None, tuple[str, Status]] = {
     True: ("errors look like noise", "good"),
     False: ("the model lacks something", "fair"),
@@ -62,7 +59,7 @@ def prediction_page(
         runs: its predictions, of the same recording.
         judged: what their errors are worth.
     """
-    worst = sorted(runs, key=lambda run: -rmse([run.rollout.position]))[:_MOST_RUNS]
+    worst = sorted(runs, key=lambda run: -rmse([run.rollout.position]))[:MOST_RUNS]
     scene, scale, longest = _scene_of(automaton, worst)
     entries, handles = [], []
     for order, run in enumerate(worst):
@@ -161,7 +158,7 @@ def calibration_scene(calibration: Calibration, title: str) -> str | None:
         {(run.run, float(run.time[0]), len(run.time)): run for run in runs} for runs in calibration.predicted
     )
     both = [(before[key], after[key]) for key in before if key in after]
-    worst = sorted(both, key=lambda pair: -rmse([pair[0].rollout.position]))[:_MOST_DRAWN]
+    worst = sorted(both, key=lambda pair: -rmse([pair[0].rollout.position]))[:MOST_DRAWN]
     if not worst:
         return None
     colors = ((ORANGE, "before"), (BLUE, "after"))[: 1 if calibration.automaton is calibration.nominal else 2]
@@ -251,36 +248,3 @@ def _blocks(automaton: HybridAutomaton, runs: Sequence[RunPrediction], longest: 
     left_out = automaton.n - MOST_COORDINATES
     words += [f"{count(left_out, 'more coordinate')} not shown."] if left_out > 0 else []
     return [Block("Measured and predicted", tuple(words), prediction_chart(automaton, runs), keyframes=ends)]
-
-
-def prediction_charts(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> list[Chart]:
-    """One chart for each of the first runs."""
-    return [
-        replace(prediction_chart(automaton, [run]), x_label=f"time in run {run.run} [s]") for run in runs[:_MOST_DRAWN]
-    ]
-
-
-def prediction_chart(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> Chart:
-    """Measured, one step ahead and rolled out, per coordinate; below it the errors of both."""
-    panels: list[Panel] = []
-    shown = automaton.coordinates[:MOST_COORDINATES]
-    for i, coordinate in enumerate(shown):
-        dots = [Curve(run.time, run.x[:, i], "small", INK, "measured", run.run) for run in runs]
-        errors = [line for run in runs for line in _lines(run, i, 0.0)]
-        predicted = [line for run in runs for line in _lines(run, i, run.x[1:, i])]
-        ends = widened([line.y for line in (*dots, *predicted)])
-        panels.append(Panel(f"{coordinate.name}\n[{coordinate.unit}]", *ends, _HEIGHT, (*dots, *predicted)))
-        ends = widened([line.y for line in errors])
-        panels.append(Panel(f"error\n[{coordinate.unit}]", *ends, _HEIGHT, (Level(0.0, "zero"), *errors)))
-    longest = max(float(run.time[-1]) for run in runs)
-    described = "measured and predicted over time"
-    return Chart(described, "time in the run [s]", 0.0, max(longest, 1e-9), tuple(panels), fills=True)
-
-
-def _lines(run: RunPrediction, i: int, measured: Floats | float) -> list[Curve]:
-    """One step ahead and rolled out over the rows after the first: errors, added to what was measured."""
-    kinds = (run.one_step, BLUE, "one step ahead"), (run.rollout, ORANGE, "roll-out")
-    return [
-        Curve(run.time[1:], measured + error.configuration[:, i], "run", color, label, run.run)
-        for error, color, label in kinds
-    ]

@@ -15,15 +15,14 @@ from micah_plan.view.camera import camera
 from micah_plan.view.chart import evenly
 from micah_plan.view.drawing import JointLook, draw_frame, draw_ground, draw_joint
 from micah_plan.view.learned import (
-    NO_FIT,
     ColoredSegment,
     colored_segments,
     fits_no_joint,
     learned_runs,
-    no_single_joint_sentence,
     parent_poses,
     rows_of_run,
 )
+from micah_plan.view.learned_words import NO_FIT, no_single_joint_sentence
 from micah_plan.view.learning_charts import learning_charts
 from micah_plan.view.motion import LONGEST_S, SHORTEST_S
 from micah_plan.view.page import Band, LegendEntry, ScenePage, Timeline, render_scene

@@ -126,7 +126,7 @@ def _arm(release_plan: ReleasePlan, ends: Floats, problem: Problem) -> tuple[Flo
     """Times and joints of the arm, and the robot with its gripper open."""
     if release_plan.lowering is None or release_plan.withdrawing is None:
         return np.zeros(0), np.zeros((0, 0)), None
-    from micah_plan.robot.along_plan import with_open_gripper
+    from micah_plan.robot.release_path import with_open_gripper
 
     def spread(arm: ArmTrajectory, begin: float, end: float) -> Floats:
         return np.linspace(begin, end, len(arm.positions))

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from micah_plan.errors import InputError, MicahError, MissingDependencyError
-from micah_plan.quantities import Progress
+from micah_plan.summaries import Progress
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

@@ -1,7 +1,7 @@
 """From a video with printed tags to a recording of the parts' poses in the frame of the base.
 
-**The camera.** Where no file says it, the focal length is what makes the squares square: it is found from the tags
-themselves, and how uncertain it is is told, since all lengths are as uncertain.
+Where no file says it, the focal length is what makes the squares square: it is found from the tags themselves, and how
+uncertain it is is told, since all lengths are as uncertain.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats
 from micah_plan.errors import InputError, shown
-from micah_plan.quantities import Progress, count, percent, quantity
+from micah_plan.quantities import count, percent, quantity
 from micah_plan.recording.shared_error import SharedError, with_shared_errors
 from micah_plan.recording.tag_layout import TagLayout, Up
 from micah_plan.recording.value import Recording
+from micah_plan.summaries import Progress
 from micah_plan.vision.camera import Camera, guessed_camera
 from micah_plan.vision.corners import Corners, detector
 from micah_plan.vision.tag_poses import (

@@ -7,15 +7,8 @@ from dataclasses import replace
 import numpy as np
 from automaton_examples import chain
 
-from micah_plan.automaton.graph import (
-    ActionChannel,
-    EdgeCertainty,
-    KinematicEdge,
-    KinematicGraph,
-    NoSingleJoint,
-    RowPosterior,
-    SegmentCertainty,
-)
+from micah_plan.automaton.certainty import ActionChannel, EdgeCertainty, NoSingleJoint, RowPosterior, SegmentCertainty
+from micah_plan.automaton.graph import KinematicEdge, KinematicGraph
 
 CHANNEL = ActionChannel(
     frame_rotation=(0.0, 0.0, 0.2),

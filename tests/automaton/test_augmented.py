@@ -9,8 +9,9 @@ import pytest
 from automaton_examples import cabinet, detent, door, two_rails
 
 from micah_plan.automaton.augmented import augment_state, fix_augmented_state, mapped
-from micah_plan.automaton.hybrid import Coordinate, HybridAutomaton, Light, Mode, Reset
+from micah_plan.automaton.hybrid import Coordinate, HybridAutomaton, Mode, Reset
 from micah_plan.automaton.region import HalfSpace
+from micah_plan.automaton.sensing import Light
 from micah_plan.automaton.transition import step
 
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference.hybrid_step import step
 
-from micah_plan.automaton.augmented import (
+from micah_plan.automaton.drawn_thresholds import (
     boundaries_of_pins,
     boundary_of,
     boundary_stds,

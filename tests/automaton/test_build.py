@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from automaton_examples import END, SHUT, SPLIT, cabinet, chain, detent, door, segment, two_rails
 
-from micah_plan.automaton.build import build_automaton, local_models
+from micah_plan.automaton.build import build_automaton
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Noise, Part, Pin, Primitive
 from micah_plan.automaton.joint import prismatic, revolute, rigid
+from micah_plan.automaton.local_models import local_models
 from micah_plan.automaton.transition import step
 from micah_plan.errors import InputError
 

@@ -11,11 +11,13 @@ from certain_edges import CHANNEL, NO_SINGLE_JOINT, sure_door, unfit
 from hypothesis import given
 from hypothesis import strategies as st
 
-from micah_plan.automaton.build import build_automaton, local_models
+from micah_plan.automaton.build import build_automaton
+from micah_plan.automaton.certainty import EvidenceTrace, RowPosterior, SegmentCertainty
 from micah_plan.automaton.check import check_automaton
-from micah_plan.automaton.graph import EvidenceTrace, KinematicEdge, KinematicGraph, RowPosterior, SegmentCertainty
+from micah_plan.automaton.graph import KinematicEdge, KinematicGraph
 from micah_plan.automaton.hybrid import Pin
 from micah_plan.automaton.joint import prismatic, rigid
+from micah_plan.automaton.local_models import local_models
 from micah_plan.errors import InputError
 
 SHARP = RowPosterior((20,), (1.0,))

@@ -13,9 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from micah_plan.automaton.check import check_automaton
-from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Light, Link, Noise, Part, Pin, Reset
+from micah_plan.automaton.feasibility import is_empty
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Noise, Part, Pin, Reset
 from micah_plan.automaton.joint import rigid
-from micah_plan.automaton.region import HalfSpace, Region, is_empty
+from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.automaton.sensing import Light
 from micah_plan.errors import InputError
 
 IN = guard(([1], [0], 0.0))

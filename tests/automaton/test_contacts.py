@@ -7,10 +7,11 @@ import pytest
 from held_stapler import AROUND, GRIP, LATCH, NOISE, PITCH, TABLE, stapler
 from scipy.spatial.transform import Rotation
 
-from micah_plan.automaton.augmented import threshold_stds
+from micah_plan.automaton.contacts.hit import collision_regions
 from micah_plan.automaton.contacts.product import COLLIDED, with_contacts
-from micah_plan.automaton.contacts.touch import box_corners, collision_regions, moved, touch_pieces
+from micah_plan.automaton.contacts.touch import box_corners, moved, touch_pieces
 from micah_plan.automaton.contacts.values import Face
+from micah_plan.automaton.drawn_thresholds import threshold_stds
 from micah_plan.automaton.hybrid import Part, Primitive
 from micah_plan.automaton.transition import TransitionBatch, simulate, step
 from micah_plan.belief.filter import initial_belief, predict_belief, repeated, update

@@ -8,7 +8,7 @@ from reference.hybrid_step import step
 from scipy.spatial.transform import Rotation
 from uncertain_joints import LEVER, NAMES, POSE, known_to, swinging, unsure_door
 
-from micah_plan.automaton.augmented import with_boundaries
+from micah_plan.automaton.drawn_thresholds import with_boundaries
 from micah_plan.automaton.joint import Joint, axis_basis, prismatic, revolute, rigid, screw
 from micah_plan.automaton.kinematics import forward
 from micah_plan.automaton.step_noise import drawn_gains, gain_factors, gain_std, uncertain_gains, with_gains

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from micah_plan.automaton.graph import (
+from micah_plan.automaton.certainty import (
     EdgeCertainty,
     LearnedEdge,
     LearnedSegment,

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from micah_plan.automaton.build import build_automaton, rounded
+from micah_plan.automaton.build import build_automaton
 from micah_plan.automaton.check import check_automaton
+from micah_plan.automaton.digits import rounded
 from micah_plan.documents.model import load_model
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from automaton_examples import cabinet
 
-from micah_plan.automaton.hybrid import Light, Noise, Sensing
+from micah_plan.automaton.hybrid import Noise
+from micah_plan.automaton.sensing import Light, Sensing
 
 
 def test_without_anything_stated_it_is_the_models_noise_everywhere() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from automaton_examples import SHUT, SPLIT, cabinet, detent, door, guard, plain, two_rails
 
-from micah_plan.automaton.augmented import drawn_shifts, with_boundaries
+from micah_plan.automaton.drawn_thresholds import drawn_shifts, with_boundaries
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.transition import step
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from reference.hybrid_step import step
 
-from micah_plan.automaton.augmented import threshold_stds, with_boundaries
+from micah_plan.automaton.drawn_thresholds import threshold_stds, with_boundaries
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.input_memory import without_memory_states
 from micah_plan.automaton.region import Region

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from micah_plan.automaton.augmented import threshold_stds, with_boundaries
+from micah_plan.automaton.drawn_thresholds import threshold_stds, with_boundaries
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.transition import TransitionBatch
 

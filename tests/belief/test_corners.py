@@ -6,19 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from micah_plan.belief.truncation import (
-    MASS,
-    XX,
-    XY,
-    YY,
-    X,
-    Y,
-    _integrate,
-    _moments_of_shares,
-    _Plane,
-    half_planes,
-    wedge,
-)
+from micah_plan.belief.plane_moments import MASS, XX, XY, YY, X, Y, half_planes, wedge
+from micah_plan.belief.truncation import _integrate, _moments_of_shares, _Plane
 
 COUNT = 300
 

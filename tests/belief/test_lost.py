@@ -9,9 +9,10 @@ import pytest
 
 from micah_plan import load
 from micah_plan.automaton.hybrid import HybridAutomaton, Pin, Tie
-from micah_plan.belief.filter import initial_belief, most_evidence, predict_belief, reinitialise, repeated, update
+from micah_plan.belief.filter import initial_belief, predict_belief, repeated, update
 from micah_plan.belief.hybrid_belief import batch_of
 from micah_plan.belief.layout import layout_of
+from micah_plan.belief.lost_belief import most_evidence, reinitialise
 from micah_plan.belief.truncation import NEGLIGIBLE
 
 STD = 0.01

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from micah_plan.automaton.hybrid import Coordinate, HybridAutomaton, Light, Link, Mode, Noise, Part
+from micah_plan.automaton.hybrid import Coordinate, HybridAutomaton, Link, Mode, Noise, Part
 from micah_plan.automaton.joint import prismatic
+from micah_plan.automaton.sensing import Light
 from micah_plan.belief.filter import initial_belief, update
 
 STDS = {"open": 0.03, "touching": 0.002}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
-from micah_plan.automaton.graph import (
+from micah_plan.automaton.certainty import (
     ActionChannel,
     EdgeCertainty,
     LearnedEdge,
@@ -17,7 +17,6 @@ from micah_plan.automaton.hybrid import (
     Coordinate,
     Edge,
     HybridAutomaton,
-    Light,
     Link,
     Mode,
     Noise,
@@ -29,6 +28,7 @@ from micah_plan.automaton.hybrid import (
 from micah_plan.automaton.joint import JOINT_KINDS, Joint, ParameterCovariance, prismatic, revolute, rigid, screw
 from micah_plan.automaton.path import path
 from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.automaton.sensing import Light
 
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False, width=64)
 PLACES = st.floats(-1e6, 1e6)

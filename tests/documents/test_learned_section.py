@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from attempts import parse_model, told
 
-from micah_plan.automaton.graph import (
+from micah_plan.automaton.certainty import (
     ActionChannel,
     EdgeCertainty,
     LearnedEdge,

@@ -20,7 +20,8 @@ from micah_plan.automaton.transition import TransitionBatch, simulate, step
 from micah_plan.belief.filter import initial_belief, predict_belief
 from micah_plan.documents.model import model_text, usable_model
 from micah_plan.errors import InputError
-from micah_plan.symbolic.compiled import CasadiOperations, compiled_mode
+from micah_plan.symbolic.casadi_operations import CasadiOperations
+from micah_plan.symbolic.compiled import compiled_mode
 from micah_plan.symbolic.form_check import check_form
 
 SHUT = 1.0

@@ -17,7 +17,7 @@ from micah_plan.automaton.kinematics import part_poses
 from micah_plan.documents.model import load_model
 from micah_plan.errors import InputError
 from micah_plan.exchange.convert import convert, write_model
-from micah_plan.exchange.mjcf import load_mjcf
+from micah_plan.exchange.mjcf_reading import load_mjcf
 
 pytestmark = module_requires("sim")
 import mujoco

@@ -17,8 +17,8 @@ from typer.testing import CliRunner
 from micah_plan.cli.application import app
 from micah_plan.errors import InputError
 from micah_plan.recording.conventions import Conventions
+from micah_plan.recording.frames import acting, between
 from micah_plan.recording.read import read_columns, read_recording
-from micah_plan.recording.ros_log import acting, between
 from micah_plan.recording.ros_mcap import Logged, MessageType, header_at, write_log
 
 pytestmark = requires("ros")

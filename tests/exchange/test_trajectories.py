@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from micah_plan import solve
 from micah_plan.documents.plan import load_plan
 from micah_plan.errors import InputError
-from micah_plan.exchange.convert import convert, joint_trajectory
+from micah_plan.exchange.convert import convert
+from micah_plan.exchange.joint_trajectory import joint_trajectory
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.read import read_recording
 

@@ -17,7 +17,8 @@ import yaml
 from micah_plan.documents.plan import load_plan, write_plan
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
-from micah_plan.exchange.convert import convert, trajectory_goal
+from micah_plan.exchange.convert import convert
+from micah_plan.exchange.joint_trajectory import trajectory_goal
 from micah_plan.planning.solver import solve
 from micah_plan.task.plan import Plan
 from micah_plan.templates.write import write_template

@@ -19,8 +19,10 @@ from micah_plan.execution.pilot import Replanning
 from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import command
 from micah_plan.execution.trials import run_trials
-from micah_plan.planning.limits import coasted, limits_of, linear_step, steps_of_memory, with_input_memory
-from micah_plan.planning.replanning import RecedingHorizon, replan
+from micah_plan.planning.input_memories import coasted, linear_step, steps_of_memory, with_input_memory
+from micah_plan.planning.limits import limits_of
+from micah_plan.planning.receding_horizon import RecedingHorizon
+from micah_plan.planning.replanning import replan
 from micah_plan.planning.roll_outs import draw_chances, roll_out
 from micah_plan.planning.solver import solve
 from micah_plan.view.plan_page import plan_page

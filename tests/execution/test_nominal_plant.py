@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from execution_objects import SHUT, arm, door, drawer, worm
 
-from micah_plan.automaton.hybrid import Light, Noise
+from micah_plan.automaton.hybrid import Noise
+from micah_plan.automaton.sensing import Light
 from micah_plan.automaton.transition import step
 from micah_plan.documents.model import load_model
 from micah_plan.execution.nominal import NominalPlant

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from micah_plan.cli.planning import ENTRY_POINTS, named_plant
+from micah_plan.cli.plants import ENTRY_POINTS, named_plant
 from micah_plan.errors import InputError
 from micah_plan.recording.read import read_recording
 from micah_plan.task.plants import BUILT_IN

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from micah_plan.execution.plant import PoseTracker, TrackerNoise
+from micah_plan.execution.tracker import PoseTracker, TrackerNoise
 
 TRUE_POSITION = np.array([[0.1, 0.2, 0.3], [1.0, 1.0, 1.0]])
 TRUE_QUATERNION = np.array([[0.0, 0.0, 0.0, 1.0], [0.5, 0.5, 0.5, 0.5]])

@@ -13,15 +13,15 @@ from explore_plants import HandlePlant as Simulated
 from explore_plants import Stage, Thing, drawn, track_of
 
 from micah_plan.automaton.check import check_automaton
-from micah_plan.documents.experiment import load_scene
+from micah_plan.documents.exploration_scene import load_scene
 from micah_plan.documents.model import load_model, model_text
 from micah_plan.errors import InputError
 from micah_plan.execution.handle import HandlePlant, usable
 from micah_plan.execution.plant import Command, Measurement, PlantError
 from micah_plan.exploration.hand import Hand
-from micah_plan.exploration.record import Slips
 from micah_plan.exploration.run import Exploration, explore
-from micah_plan.task.experiment import Scene
+from micah_plan.exploration.slips import Slips
+from micah_plan.task.exploration_scene import Scene
 from micah_plan.view.exploration_page import exploration_page
 
 X, Y = (1.0, 0.0, 0.0), (0.0, -1.0, 0.0)

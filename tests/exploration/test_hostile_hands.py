@@ -8,7 +8,7 @@ import pytest
 from micah_plan.execution.handle import HandlePlant
 from micah_plan.execution.plant import Command, Measurement
 from micah_plan.exploration.run import Exploration, explore
-from micah_plan.task.experiment import Scene
+from micah_plan.task.exploration_scene import Scene
 
 OUT = np.array([-0.48, 0.6, 0.64])
 

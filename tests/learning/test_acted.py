@@ -9,7 +9,8 @@ import pytest
 from planted import JOINTS, TRAVEL, Noise, recorded
 from scipy.spatial.transform import Rotation
 
-from micah_plan.automaton.graph import CHANNEL_NAMES, KinematicEdge
+from micah_plan.automaton.certainty import CHANNEL_NAMES
+from micah_plan.automaton.graph import KinematicEdge
 from micah_plan.learning.learn import learn_graph
 from micah_plan.recording.value import Recording
 

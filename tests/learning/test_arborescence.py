@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from micah_plan.errors import InputError
-from micah_plan.learning.parts.tree import Arc, Weight, maximum_arborescence
+from micah_plan.learning.parts.arborescence import Arc, Weight, maximum_arborescence
 
 NODES = ("base", "a", "b", "c", "d")
 ARCS = [(parent, child) for parent in NODES for child in NODES[1:] if parent != child]

@@ -14,7 +14,7 @@ from micah_plan.learning.actions.channel import estimate_channel
 from micah_plan.learning.actions.channel_search import Quadratic, climb, integrate
 from micah_plan.learning.actions.command_path import command_of, with_delayed_actions
 from micah_plan.learning.actions.configuration_steps import configuration_steps, fit_noise, step_noise_of
-from micah_plan.learning.joints.joint_arrays import rotation_matrix, rotation_quaternion, times
+from micah_plan.learning.joints.quaternions import rotation_matrix, rotation_quaternion, times
 from micah_plan.learning.track import PartTrack
 
 

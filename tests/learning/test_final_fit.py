@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from micah_plan.automaton.joint import Joint, JointKind, radius, revolute, rigid, screw
 from micah_plan.automaton.kinematics import forward, inverse, shifted
 from micah_plan.learning.joints.final_fit import FittedJoint, fit_joint
-from micah_plan.learning.joints.helix_fit import NUMBERS, chart_slopes, helix_of
+from micah_plan.learning.joints.helix import NUMBERS, chart_slopes, helix_of
 from micah_plan.learning.joints.likelihood import fit_likelihood, seen_with
 from micah_plan.learning.joints.parametrization import chart_of, stepped
 from micah_plan.learning.joints.tracker_noise import white_noise

@@ -10,8 +10,9 @@ from planted import JOINTS, TRAVEL, Noise, moving_then_held, recorded
 
 from micah_plan.automaton.joint import Joint, radius, rigid, screw
 from micah_plan.automaton.kinematics import forward, inverse, jacobian
-from micah_plan.learning.joints.joint_arrays import JointArrays, arrays_of, compare_arrays
+from micah_plan.learning.joints.joint_arrays import JointArrays, arrays_of
 from micah_plan.learning.joints.linear_fits import linear_fits
+from micah_plan.learning.joints.residuals import compare_arrays
 from micah_plan.learning.segmenting.noise_fit import initial_noise
 from micah_plan.learning.segmenting.pool_fits import fit_pool_likelihood, parameter_design
 from micah_plan.learning.settings import LearnSettings

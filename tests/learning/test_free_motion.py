@@ -9,13 +9,13 @@ import pytest
 from free_motions import FREE, free_recording, joint_recording
 from planted import JOINTS, Noise, moving_then_held, recorded
 
-from micah_plan.automaton.graph import NoSingleJoint
+from micah_plan.automaton.certainty import NoSingleJoint
 from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.kinematics import forward
 from micah_plan.learning.learn import learn_graph
 from micah_plan.recording.read import read_recording
 from micah_plan.recording.value import Recording
-from micah_plan.view.learned import deviation_notes
+from micah_plan.view.learned_words import deviation_notes
 
 
 def no_single_joint(recording: Recording) -> NoSingleJoint | None:

@@ -11,13 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.joint import Joint, radius, radius_std
 from micah_plan.automaton.kinematics import forward, shifted
+from micah_plan.learning.joints.conservative_covariance import conservative_covariance
 from micah_plan.learning.joints.final_fit import fit_joint
-from micah_plan.learning.joints.tracker_noise import (
-    conservative_covariance,
-    misfit_modes,
-    misfits_tried,
-    without_misfit,
-)
+from micah_plan.learning.joints.misfit import misfit_modes, misfits_tried, without_misfit
 from micah_plan.learning.settings import LearnSettings
 
 ARC = 1.2  # rad

@@ -14,8 +14,8 @@ from micah_plan.automaton.build import build_automaton
 from micah_plan.automaton.graph import Segment
 from micah_plan.automaton.kinematics import forward, inverse
 from micah_plan.documents.model import dump_model, load_model
-from micah_plan.learning.goodness_of_fit import length_std, principal_path, told_along
 from micah_plan.learning.learn import learn_graph
+from micah_plan.learning.paths import length_std, principal_path, told_along
 from micah_plan.learning.segmenting.free import free_log_probability
 from micah_plan.learning.segmenting.noise_fit import initial_noise
 from micah_plan.learning.settings import LearnSettings

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 from scipy.stats import binom
 
-from micah_plan.automaton.graph import KinematicEdge, RowPosterior
+from micah_plan.automaton.certainty import RowPosterior
+from micah_plan.automaton.graph import KinematicEdge
 from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.kinematics import forward
 from micah_plan.changepoints import LengthPrior
@@ -21,15 +22,11 @@ from micah_plan.learning.segmenting.evidence import EvidenceTable, tabulated
 from micah_plan.learning.segmenting.noise_fit import initial_noise
 from micah_plan.learning.segmenting.pieces import length_priors
 from micah_plan.learning.segmenting.pool import refitted_hypotheses, window_hypotheses
-from micah_plan.learning.segmenting.posterior import (
-    LOG_ODDS_OVERSTATED,
-    OTHER_MECHANISM,
-    ChangepointPosterior,
-    changepoint_posterior,
-    kind_probabilities,
-    posterior_of,
-)
-from micah_plan.learning.segmenting.segmentation import ANOTHER_JOINT, Alternative, Segmented, segment_track, shared
+from micah_plan.learning.segmenting.posterior import ChangepointPosterior, changepoint_posterior
+from micah_plan.learning.segmenting.report import LOG_ODDS_OVERSTATED, OTHER_MECHANISM, kind_probabilities, posterior_of
+from micah_plan.learning.segmenting.segmentation import segment_track
+from micah_plan.learning.segmenting.segmented import Alternative, Segmented
+from micah_plan.learning.segmenting.selections import ANOTHER_JOINT, shared
 from micah_plan.learning.segmenting.steps import steps_of
 from micah_plan.learning.settings import LearnSettings
 from micah_plan.learning.track import part_track

@@ -9,15 +9,8 @@ import pytest
 from planted_parts import CARRIAGE, TRAY, PlantedPart, arm, cabinet, recorded_parts, sweep
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from micah_plan.automaton.graph import (
-    BASE,
-    EdgeCertainty,
-    EvidenceTrace,
-    KinematicEdge,
-    RowPosterior,
-    Segment,
-    SegmentCertainty,
-)
+from micah_plan.automaton.certainty import EdgeCertainty, EvidenceTrace, RowPosterior, SegmentCertainty
+from micah_plan.automaton.graph import BASE, KinematicEdge, Segment
 from micah_plan.automaton.joint import rigid
 from micah_plan.automaton.kinematics import forward, inverse
 from micah_plan.errors import InputError

@@ -9,8 +9,8 @@ import pytest
 from planted import JOINTS, Noise, recorded
 
 from micah_plan.api.learning import learn
-from micah_plan.learning.learn import small_motions
 from micah_plan.learning.settings import LearnSettings
+from micah_plan.learning.small_motions import small_motions
 from micah_plan.recording.read import read_recording
 from micah_plan.recording.value import Recording
 

@@ -27,22 +27,17 @@ from planted_parts import (
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from micah_plan.automaton.build import build_automaton
-from micah_plan.automaton.graph import (
-    BASE,
-    EdgeCertainty,
-    KinematicEdge,
-    KinematicGraph,
-    NoSingleJoint,
-    Segment,
-    SegmentCertainty,
-)
+from micah_plan.automaton.certainty import EdgeCertainty, NoSingleJoint, SegmentCertainty
+from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import prismatic, revolute, rigid
 from micah_plan.automaton.kinematics import forward
 from micah_plan.errors import InputError
 from micah_plan.learning.learn import learn_graph
-from micah_plan.learning.parts.relative import branch_poses, relative_rows
-from micah_plan.learning.parts.tree import _share, carriers, learn_tree, moves_far
-from micah_plan.learning.segmenting.posterior import LOG_ODDS_OVERSTATED
+from micah_plan.learning.parts.carriers import carriers, moves_far
+from micah_plan.learning.parts.refined_poses import branch_poses
+from micah_plan.learning.parts.relative import relative_rows
+from micah_plan.learning.parts.tree import _share, learn_tree
+from micah_plan.learning.segmenting.report import LOG_ODDS_OVERSTATED
 from micah_plan.recording.csv_file import read_csv
 from micah_plan.recording.value import Recording
 

@@ -12,12 +12,14 @@ from planted import JOINTS, TRAVEL, Noise, moving_then_held, recorded
 from planted_parts import cabinet, recorded_parts
 from scipy.spatial.transform import Rotation
 
-from micah_plan.learning.learn import learn_graph, small_motions
-from micah_plan.learning.parts.tree import carriers, moves_far
+from micah_plan.learning.learn import learn_graph
+from micah_plan.learning.parts.carriers import carriers, moves_far
+from micah_plan.learning.roughness import extent
 from micah_plan.learning.segmenting.noise_fit import initial_noise
 from micah_plan.learning.segmenting.steps import activity_of
 from micah_plan.learning.settings import LearnSettings
-from micah_plan.learning.track import extent, find_inliers, part_track
+from micah_plan.learning.small_motions import small_motions
+from micah_plan.learning.track import find_inliers, part_track
 from micah_plan.recording.read import read_recording
 from micah_plan.recording.value import Recording
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from micah_plan.learning.joints.final_fit import Sort, fit_mixtures
-from micah_plan.learning.joints.tracker_noise import OrnsteinUhlenbeck, finer, memories, noise_posterior
+from micah_plan.learning.joints.mixture import Sort, fit_mixtures
+from micah_plan.learning.joints.tracker_wander import OrnsteinUhlenbeck, finer, memories, noise_posterior
 from micah_plan.learning.segmenting.noise_fit import correlated
 
 NONE = np.zeros((1000, 0))  # modes of a joint that has no misfit

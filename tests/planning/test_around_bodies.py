@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.hybrid import Primitive
 from micah_plan.documents.problem import load_problem
-from micah_plan.planning.cuts import unchecked, with_scene
+from micah_plan.planning.around_bodies import unchecked, with_scene
 from micah_plan.planning.roll_outs import draw_chances, roll_out
 from micah_plan.planning.solver import solve
 from micah_plan.task.body import Body

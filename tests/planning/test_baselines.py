@@ -19,7 +19,7 @@ from micah_plan.belief.filter import initial_belief, predict_belief, update
 from micah_plan.documents.problem import load_problem
 from micah_plan.errors import InputError
 from micah_plan.planning.limits import limits_of
-from micah_plan.planning.path_constraints import cost_of
+from micah_plan.planning.plan_cost import cost_of
 from micah_plan.planning.pomdp_hd import plan as plan_pomdp_hd
 from micah_plan.planning.solver import solve
 from micah_plan.task.goal import Goal

@@ -14,8 +14,8 @@ from planning_examples import planar_problem, with_settings
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.solver import solve
 from micah_plan.planning.tightening import verified_plan
+from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan
-from micah_plan.task.settings import Deadline
 
 
 def solved_within(ticks: int) -> tuple[Plan, int]:

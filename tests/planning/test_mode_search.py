@@ -16,9 +16,10 @@ from micah_plan.planning.limits import limits_of
 from micah_plan.planning.search.mode_paths import cheapest_sequences
 from micah_plan.planning.search.mode_search import SearchResult, _modes_near_the_way, search_modes
 from micah_plan.planning.search.roadmap import TRANSITION_COST, JoinedRoadmap, motions_of
+from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.goal import Goal
 from micah_plan.task.problem import Problem
-from micah_plan.task.settings import Deadline, PlannerSettings, TimeLimitError
+from micah_plan.task.settings import PlannerSettings
 from micah_plan.task.start import Start
 
 

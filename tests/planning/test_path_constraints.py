@@ -19,14 +19,15 @@ from micah_plan.errors import InputError
 from micah_plan.planning.feedback import time_knots
 from micah_plan.planning.findings import explain
 from micah_plan.planning.limits import limits_of
-from micah_plan.planning.path_constraints import cost_of
+from micah_plan.planning.plan_cost import cost_of
 from micah_plan.planning.pomdp_hd import plan
-from micah_plan.planning.replanning import RecedingHorizon
+from micah_plan.planning.receding_horizon import RecedingHorizon
 from micah_plan.planning.roll_outs import are_in_goal, draw_chances, roll_out
 from micah_plan.planning.search.mode_search import search_modes
 from micah_plan.planning.solver import solve
-from micah_plan.planning.transcription.corridor import pack, path_rows, path_terms_of
+from micah_plan.planning.transcription.corridor import path_rows, path_terms_of
 from micah_plan.planning.transcription.guess import guess
+from micah_plan.planning.transcription.packed_belief import pack
 from micah_plan.planning.verification import verify
 from micah_plan.quantities import quantity
 from micah_plan.task.path import (

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from micah_plan.automaton.region import HalfSpace, Region, above, below, box, input_above
-from micah_plan.planning.limits import NoWayError
+from micah_plan.planning.no_way import NoWayError
 from micah_plan.planning.search.polytope import Polytope
 
 NAMES = ["x", "y"]

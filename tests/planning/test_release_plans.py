@@ -16,8 +16,8 @@ from micah_plan.errors import InputError
 from micah_plan.planning.release import with_release
 from micah_plan.planning.solver import solve
 from micah_plan.planning.verification import verify
+from micah_plan.task.deadline import NEVER
 from micah_plan.task.release import pre_release_problem, resting_place
-from micah_plan.task.settings import NEVER
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 STAPLER, BOX = PROBLEMS / "stapler_on_books.yaml", PROBLEMS / "box_under_bar.yaml"

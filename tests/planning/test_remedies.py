@@ -31,11 +31,12 @@ from micah_plan.planning.remedies import advised
 from micah_plan.planning.solver import solve
 from micah_plan.planning.tightening import verified_plan
 from micah_plan.planning.verification import verify
+from micah_plan.task.acceptance import least_trials
+from micah_plan.task.deadline import Deadline
 from micah_plan.task.goal import Goal
-from micah_plan.task.plan import Finding, Plan, least_trials
+from micah_plan.task.plan import Finding, Plan
 from micah_plan.task.problem import Problem
 from micah_plan.task.reason import Offer, one_of
-from micah_plan.task.settings import Deadline
 from micah_plan.task.start import start_mode
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"

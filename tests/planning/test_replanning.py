@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 from planning_examples import DOOR_SHUT, door_automaton, door_problem, planar_problem
 
-from micah_plan.automaton.augmented import boundary_stds, with_boundaries
+from micah_plan.automaton.drawn_thresholds import boundary_stds, with_boundaries
 from micah_plan.automaton.transition import simulate
 from micah_plan.belief.filter import initial_belief, predict_belief, update
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.feedback import time_knots
 from micah_plan.planning.limits import limits_of
-from micah_plan.planning.path_constraints import cost_of
+from micah_plan.planning.plan_cost import cost_of
 from micah_plan.planning.pomdp_hd import plan, trajectory_of
-from micah_plan.planning.replanning import RecedingHorizon, believed_problem, from_new, replan, rest_of
+from micah_plan.planning.receding_horizon import RecedingHorizon, from_new
+from micah_plan.planning.replanning import believed_problem, replan, rest_of
 from micah_plan.task.problem import Problem
 
 STD = 0.04

@@ -17,8 +17,9 @@ from planning_examples import (
 )
 from reference.hybrid_step import step
 
-from micah_plan.automaton.augmented import threshold_stds, with_boundaries
-from micah_plan.automaton.hybrid import HybridAutomaton, Light, Noise, Reset
+from micah_plan.automaton.drawn_thresholds import threshold_stds, with_boundaries
+from micah_plan.automaton.hybrid import HybridAutomaton, Noise, Reset
+from micah_plan.automaton.sensing import Light
 from micah_plan.belief.filter import initial_belief, predict_belief, update
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.feedback import feedback_input, time_knots

@@ -12,9 +12,9 @@ from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.solver import solve
 from micah_plan.planning.tightening import tightened, verified_plan
 from micah_plan.planning.verification import verify
+from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
-from micah_plan.task.settings import Deadline
 
 
 def two_chances_to_fail() -> Problem:

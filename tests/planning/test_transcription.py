@@ -16,11 +16,12 @@ from micah_plan.automaton.hybrid import Edge, Noise, Reset
 from micah_plan.automaton.region import Region, above, below
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.findings import sentence_of
-from micah_plan.planning.limits import NoWayError, limits_of
+from micah_plan.planning.limits import limits_of
+from micah_plan.planning.no_way import NoWayError
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.search.mode_search import search_modes
-from micah_plan.planning.transcription.corridor import factor_pattern, pack, unpack
 from micah_plan.planning.transcription.guess import guess
+from micah_plan.planning.transcription.packed_belief import factor_pattern, pack, unpack
 from micah_plan.planning.transcription.programme import Transcription, transcribe
 from micah_plan.planning.transcription.rows import ConstraintRows, Row, Shortfall
 from micah_plan.planning.transcription.solve import BeliefPath, solve_transcription, unmet

@@ -13,7 +13,8 @@ from micah_plan.automaton.transition import step
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.documents.plan import plan_text
 from micah_plan.documents.problem import load_problem
-from micah_plan.planning.replanning import RecedingHorizon, rest_of
+from micah_plan.planning.receding_horizon import RecedingHorizon
+from micah_plan.planning.replanning import rest_of
 from micah_plan.planning.solver import solve
 from micah_plan.planning.zero_time_transitions import ZeroTimeEdge, front_of, stds_of, with_zero_time_transitions
 from micah_plan.task.problem import Problem

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from micah_plan.learning.learn import learn_graph
+from micah_plan.recording.breaks import breaks
 from micah_plan.recording.continuity import continuity_of, stretches
-from micah_plan.recording.suspicion import breaks
 from micah_plan.recording.value import Recording
 
 ROWS, RADIUS, NOISE = 120, 0.45, 0.0008

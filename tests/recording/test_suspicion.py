@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.errors import InputError
 from micah_plan.exchange.load import load_recording
+from micah_plan.recording.breaks import breaks
 from micah_plan.recording.checks import QUATERNION
-from micah_plan.recording.suspicion import breaks, require_conventions, suspicions_of_recording
+from micah_plan.recording.suspicion import require_conventions, suspicions_of_recording
 from micah_plan.recording.value import Recording
 
 ROWS = 80

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from micah_plan.learning.learn import learn_graph
-from micah_plan.recording.suspicion import breaks
+from micah_plan.recording.breaks import breaks
 from micah_plan.recording.symmetry import likenesses, settled, turned_back
 from micah_plan.recording.value import Recording
 

@@ -13,8 +13,8 @@ from micah_plan.automaton.effects.value import Effect, Since
 from micah_plan.documents.model import load_model, model_text
 from micah_plan.errors import InputError
 from micah_plan.residual.calibrate import calibrate
-from micah_plan.residual.compared_runs import beginning, dated
 from micah_plan.residual.prediction import predict_recording, rmse
+from micah_plan.residual.versions import beginning, dated
 
 
 def weaker(since_run: int, factor: float = 0.85):

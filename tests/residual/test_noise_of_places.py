@@ -9,14 +9,14 @@ import pytest
 
 from micah_plan.automaton.build import build_automaton
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
-from micah_plan.automaton.hybrid import Light
 from micah_plan.automaton.joint import prismatic
+from micah_plan.automaton.sensing import Light
 from micah_plan.automaton.tracks import tracks
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
-from micah_plan.residual.coordinate_data import rows_as_seen
 from micah_plan.residual.examined import examined
 from micah_plan.residual.prediction import first_belief
+from micah_plan.residual.row_ends import rows_as_seen
 
 LENGTH, AT, GROWTH, STD, MOVED = 1.0, 0.2, 0.1, 0.002, 0.001
 

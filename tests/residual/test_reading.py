@@ -15,9 +15,9 @@ from micah_plan.automaton.tracks import tracks
 from micah_plan.errors import InputError
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
-from micah_plan.residual.examined import _density, estimator_bias_findings
 from micah_plan.residual.likelihood import LEAST_EVIDENCE, student_t_log_density
 from micah_plan.residual.prediction import estimate_errors, predict_recording
+from micah_plan.residual.sensor_bias import _density, estimator_bias_findings
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from micah_plan.automaton.transition import step
 from micah_plan.documents.model import load_model
 from micah_plan.execution.open_loop import carry_out
 from micah_plan.residual.calibrate import calibrate
-from micah_plan.residual.coordinate_data import row_ends
+from micah_plan.residual.row_ends import row_ends
 from micah_plan.task.experiment import Experiment, Motion
 from micah_plan.task.start import Start
 

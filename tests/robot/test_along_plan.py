@@ -19,9 +19,9 @@ from micah_plan.planning.findings import explain
 from micah_plan.planning.solver import solve
 from micah_plan.planning.tightening import verified_plan
 from micah_plan.robot.along_plan import arm_along, carried_parts, problem_clearance
+from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.plan import ArmTrajectory, Plan
 from micah_plan.task.problem import Problem
-from micah_plan.task.settings import NEVER, Deadline, TimeLimitError
 
 PROBLEM = ARM7.parents[2] / "problems" / "microwave_close_by_arm.yaml"
 

@@ -15,7 +15,7 @@ from extras import requires
 from scipy.spatial.transform import Rotation
 
 from micah_plan import learn, load
-from micah_plan.task.robot_description import named_robots
+from micah_plan.task.named_robots import named_robots
 
 pytestmark = [requires("robots")]
 

@@ -14,15 +14,8 @@ from micah_plan.errors import InputError
 from micah_plan.robot.arm import Arm
 from micah_plan.robot.clearance import ClearanceModel, clearance_model
 from micah_plan.robot.inverse_kinematics import pose_error
-from micah_plan.robot.tool_path import (
-    ArmFailure,
-    PathSettings,
-    PostureWeights,
-    ToolPath,
-    follow,
-    posture_cost,
-    posture_gradient,
-)
+from micah_plan.robot.posture import PostureWeights, posture_cost, posture_gradient
+from micah_plan.robot.tool_path import ArmFailure, PathSettings, ToolPath, follow
 from micah_plan.task.body import Body
 from micah_plan.task.plan import ArmTrajectory
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from micah_plan.automaton.hybrid import Pin
 from micah_plan.belief import gaussian, truncation
-from micah_plan.belief.filter import mixed as mixed_moments
 from micah_plan.belief.gaussian import lower_factors
+from micah_plan.belief.moment_matching import mixed as mixed_moments
 
 
 def lower_factor(matrix: np.ndarray) -> np.ndarray:

@@ -12,9 +12,10 @@ from single_gaussian import one_at_a_time
 from single_gaussian import reference as gaussian
 from uncertain_joints import swinging
 
-from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Light, Link, Mode, Noise, Pin, Reset
+from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Pin, Reset
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.automaton.sensing import Light
 from micah_plan.automaton.step_noise import step_noise_std
 from micah_plan.symbolic.compiled import compiled_edge, compiled_mode, sensing_std
 from micah_plan.symbolic.square_root import observe

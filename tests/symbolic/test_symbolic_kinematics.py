@@ -8,7 +8,7 @@ import pytest
 
 from micah_plan.automaton import kinematics as numeric
 from micah_plan.automaton.joint import Joint, prismatic, revolute, rigid, screw
-from micah_plan.symbolic.compiled import ChainJoint, chain_forward
+from micah_plan.symbolic.forward_kinematics import ChainJoint, chain_forward
 
 
 def joints(seed: int) -> dict[str, Joint]:

@@ -8,18 +8,15 @@ import numpy as np
 from scipy.special import logsumexp
 from view_objects import HINGE, OPEN_AT, door, measured
 
-from micah_plan.automaton.graph import (
-    BASE,
+from micah_plan.automaton.certainty import (
     ActionChannel,
     EdgeCertainty,
     EvidenceTrace,
-    KinematicEdge,
-    KinematicGraph,
     NoSingleJoint,
     RowPosterior,
-    Segment,
     SegmentCertainty,
 )
+from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import Joint, ParameterCovariance
 from micah_plan.automaton.kinematics import forward, inverse
 from micah_plan.recording.value import Recording

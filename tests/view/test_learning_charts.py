@@ -15,7 +15,8 @@ from micah_plan.automaton.graph import KinematicGraph
 from micah_plan.quantities import percent
 from micah_plan.recording.value import Recording
 from micah_plan.view.chart import Columns, Curve, Span
-from micah_plan.view.learned import FLOOR, EvidenceLine, learned_runs, line_labels, segment_labels
+from micah_plan.view.learned import FLOOR, EvidenceLine, learned_runs
+from micah_plan.view.learned_words import line_labels, segment_labels
 from micah_plan.view.learning_charts import learning_block
 from micah_plan.view.page import Block
 from micah_plan.view.palette import NO_SINGLE_JOINT, category

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from view_objects import OPEN_AT, measured
 
-from micah_plan.automaton.graph import KinematicGraph, SegmentCertainty
+from micah_plan.automaton.certainty import SegmentCertainty
+from micah_plan.automaton.graph import KinematicGraph
 from micah_plan.recording.value import Recording
 from micah_plan.view.learned import FLOOR, learned_runs, relative_evidence
 from micah_plan.view.learning_figure import MOST_BLOCKS, learning_figure

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from micah_plan.quantities import Table
+from micah_plan.summaries import Table
 from micah_plan.view.chart import Chart, Curve, Panel, Words
 from micah_plan.view.page import (
     Band,

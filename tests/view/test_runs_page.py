@@ -17,8 +17,9 @@ from micah_plan import execute, predict, show, solve
 from micah_plan.api.planning import PlanningResult, RunsResult
 from micah_plan.errors import InputError
 from micah_plan.task.plan import Plan
-from micah_plan.view.executed import ExecutedRun, executed_runs, first_runs, runs_badge
+from micah_plan.view.executed import ExecutedRun, executed_runs
 from micah_plan.view.plan_page import plan_page
+from micah_plan.view.runs_on_page import first_runs, runs_badge
 
 
 @pytest.fixture(scope="module")

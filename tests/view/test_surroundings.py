@@ -15,8 +15,8 @@ from micah_plan.task.body import Body, Hull
 from micah_plan.task.plan import ArmTrajectory, Plan
 from micah_plan.task.problem import Problem
 from micah_plan.view.camera import viewing_direction
-from micah_plan.view.plan_page import arm_facts, arm_legend, body_boxes, draw_arm, draw_bodies
 from micah_plan.view.scene import DrawnScene
+from micah_plan.view.surroundings import arm_facts, arm_legend, body_boxes, draw_arm, draw_bodies
 
 CUBE = tuple((x, y, z) for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1))
 

@@ -25,7 +25,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from micah_plan.automaton.check import check_automaton
-from micah_plan.automaton.contacts.touch import TouchPiece, collision_regions, resting_height, touch_pieces
+from micah_plan.automaton.contacts.hit import collision_regions
+from micah_plan.automaton.contacts.touch import TouchPiece, resting_height, touch_pieces
 from micah_plan.automaton.contacts.values import AXES, COLLIDED, HINGE, Face, Grip, HandNoise, Surroundings
 from micah_plan.automaton.graph import BASE
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Pin, Reset, Tie

@@ -1,40 +1,33 @@
 """Where a held object meets bodies: the heights at which it touches a face, and the states in which it would hit one.
 
-**Touching.** The height is a function of the joint. While the hand keeps its orientation the lowest corner of the
-moving part decides: the object touches when the hand's height above the face is S(c) = max over corners v of
--n'R(v(c) - p). Where one edge stays the lowest and S falls as the joint goes on, pressing moves the joint and the edge
-slides: a *line* contact. It ends where a face of the part lies flush. From there on the part lies flat, and pressing
-moves the joint further only if the held part turns in the hand: a *surface* contact, in which the hand's height follows
-from the lever between hand and hinge.
+The height is a function of the joint. While the hand keeps its orientation the lowest corner of the moving part
+decides: the object touches when the hand's height above the face is S(c) = max over corners v of -n'R(v(c) - p). Where
+one edge stays the lowest and S falls as the joint goes on, pressing moves the joint and the edge slides: a *line*
+contact. It ends where a face of the part lies flush. From there on the part lies flat, and pressing moves the joint
+further only if the held part turns in the hand: a *surface* contact, in which the hand's height follows from the lever
+between hand and hinge.
 
 Both heights are sines of a turning joint. A piece stands for its own by the chord between its ends, so that the
 automaton stays affine and every event of it can be located exactly: at the ends, where parts lie flush and latch, the
 chord is exact; between them it is a little off (by 0.9 mm for 0.15 m over 0.4 rad).
-
-**Hitting.** A part and a body overlap only if the boxes around them do, along every axis of the base frame. The box
-around the moving part grows and shrinks as the joint turns; its sides are bounded from outside by affine functions of
-the joint over the range that a mode allows. So a set of collisions is an intersection of at most six half-spaces on
-(hand, joint). It contains all true collisions of the swinging part, and somewhat more.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import ROUND_OFF, Floats
-from micah_plan.automaton.contacts.values import AXES, Face, Grip, Solid, Surroundings
+from micah_plan.automaton.contacts.values import Face, Grip
 from micah_plan.automaton.hybrid import Primitive
-from micah_plan.automaton.region import HalfSpace, Region
 
 # A shorter lever than this [m, or m/m for a sliding joint] jams: it takes more force than a hand has.
 _LEAST_LEVER = 0.02
 _SAMPLES = 721
-_COLLISION_SAMPLES = 181
 _ROUNDING = 1e-13
 
 
@@ -212,55 +205,3 @@ def _surface_piece(geometry: _Geometry, line: TouchPiece, limit: float) -> Touch
     if lever < _LEAST_LEVER:
         return None
     return TouchPiece("surface", flat, limit, float(heights[0]), float(heights[-1]))
-
-
-def collision_regions(
-    grip: Grip, surroundings: Surroundings, datum: float, low: float, high: float, turns: bool
-) -> list[Region]:
-    """The collisions that a hand within the surroundings' limits can run into, with the joint between low and high.
-
-    Args:
-        datum, turns: as in `touch_pieces`.
-    """
-    rotation = Rotation.from_rotvec(grip.rotation)
-    grid = np.linspace(low, high, _COLLISION_SAMPLES)
-
-    def box(points: Floats) -> Floats:
-        """(2, 3) corners, relative to the hand, of the box along the base axes around points of the hinge frame."""
-        placed = rotation.apply(points - np.array(grip.point))
-        return np.stack([placed.min(axis=0), placed.max(axis=0)])
-
-    held = np.tile(box(box_corners(grip.held.shapes)), (grid.size, 1, 1))
-    swinging = np.array([box(moved(box_corners(grip.moving.shapes), c - datum, turns)) for c in grid])
-    regions = [
-        _overlap(solid, part, grid, boxes, surroundings)
-        for solid in surroundings.solids
-        for part, boxes in ((grip.held.name, held), (grip.moving.name, swinging))
-    ]
-    return [region for region in regions if region is not None]
-
-
-def _overlap(solid: Solid, part: str, grid: Floats, boxes: Floats, surroundings: Surroundings) -> Region | None:
-    """States at which a part's boxes (s, 2, 3) over the joint's range (s,) overlap a solid; None if there are none."""
-    rows = []
-    for axis, sign in product(range(3), (1, -1)):
-        # Seen along this direction: the part's front, the side of the solid that it meets, and the hand's range.
-        front = sign * boxes[:, int(sign > 0), axis]
-        near = sign * (solid.lower if sign > 0 else solid.upper)[axis]
-        least, most = sorted((sign * surroundings.lower[axis], sign * surroundings.upper[axis]))
-        if most + float(np.max(front)) < near:
-            return None
-        if least + float(np.min(front)) < near:
-            offset, slope = _bound(grid, front)
-            a = [0.0, 0.0, 0.0, slope]
-            a[axis] = float(sign)
-            name = f"{part} at {solid.name}: from {'-' if sign > 0 else '+'}{AXES[axis]}"
-            rows.append(HalfSpace(tuple(a), (0.0, 0.0, 0.0), near - offset, name=name))
-    return Region(tuple(rows)) if rows else None
-
-
-def _bound(grid: Floats, values: Floats) -> tuple[float, float]:
-    """Offset and slope of an affine function of the joint that is nowhere below the values (s,) on the grid (s,)."""
-    width = float(grid[-1] - grid[0])
-    slope = float(values[-1] - values[0]) / width if width > 0 else 0.0
-    return float(np.max(values - slope * grid)), slope

@@ -3,7 +3,7 @@
 To hold means here that the hand carries a part, which the grip fixes to it; that a mode fixes a coordinate is called a
 pin (`hybrid.Pin`).
 
-**Hinge frame.** Shapes of a held object are given in a frame that any model of it has, learned from whichever camera:
+Shapes of a held object are given in a frame that any model of it has, learned from whichever camera:
 its origin lies on the joint's axis, y is the axis, and as the joint's coordinate grows the moving part turns from x
 towards z (with a prismatic joint: moves along z). Both parts are described at one configuration, the datum: where the
 object latches.

@@ -7,17 +7,8 @@ from typing import final
 import numpy as np
 
 from micah_plan.arrays import ROUND_OFF
-from micah_plan.automaton.effects.form import (
-    EffectForm,
-    FitStart,
-    Operations,
-    Parameter,
-    Shown,
-    Value,
-    Values,
-    command_sizes,
-    step_sizes,
-)
+from micah_plan.automaton.effects.fit_start import FitStart, Shown, command_sizes, step_sizes
+from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
 
 # Smaller commands, as a share of the usual one, go neither way; fewer than that share of the rows show no direction.
 _TO_REST, _FEW = 0.05, 0.05

@@ -11,16 +11,8 @@ import numpy as np
 
 from micah_plan.arrays import EQUAL, NEAR_STDS
 from micah_plan.automaton.augmented import mapped
-from micah_plan.automaton.effects.form import (
-    EffectForm,
-    FitStart,
-    Operations,
-    Parameter,
-    Shown,
-    Value,
-    Values,
-    command_sizes,
-)
+from micah_plan.automaton.effects.fit_start import FitStart, Shown, command_sizes
+from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
 from micah_plan.automaton.effects.geometry import rigid_at
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin, Reset
 from micah_plan.automaton.region import HalfSpace, Region, above, below

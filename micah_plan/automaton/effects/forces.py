@@ -6,7 +6,8 @@ from typing import final
 
 import numpy as np
 
-from micah_plan.automaton.effects.form import EffectForm, FitStart, Operations, Parameter, Same, Shown, Value, Values
+from micah_plan.automaton.effects.fit_start import FitStart, Same, Shown
+from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
 
 SMOOTH_BUMPS = 12
 """Bumps over the range of an unexplained correction."""

@@ -9,7 +9,8 @@ from typing import final
 import numpy as np
 
 from micah_plan.automaton.augmented import mapped
-from micah_plan.automaton.effects.form import EffectForm, FitStart, Operations, Parameter, Same, Shown, Value, Values
+from micah_plan.automaton.effects.fit_start import FitStart, Same, Shown
+from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint, axis_basis, rigid, twisting
 

@@ -7,7 +7,8 @@ from typing import final
 
 import numpy as np
 
-from micah_plan.automaton.effects.form import EffectForm, FitStart, Memory, Operations, Parameter, Shown, Value, Values
+from micah_plan.automaton.effects.fit_start import FitStart, Shown
+from micah_plan.automaton.effects.form import EffectForm, Memory, Operations, Parameter, Value, Values
 from micah_plan.automaton.effects.value import Effect
 
 LONGEST_DELAY = 12

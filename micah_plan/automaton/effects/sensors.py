@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import final
 
-from micah_plan.automaton.effects.form import EffectForm, FitStart, Operations, Parameter, Same, Shown, Value, Values
+from micah_plan.automaton.effects.fit_start import FitStart, Same, Shown
+from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
 
 
 @final

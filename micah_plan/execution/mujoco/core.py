@@ -14,7 +14,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.world import Flags, LatchState, WorldJoint, latch_name, sensor_name
-from micah_plan.execution.plant import PoseTracker, TrackerNoise
+from micah_plan.execution.tracker import PoseTracker, TrackerNoise
 from micah_plan.mujoco_library import import_mujoco
 from micah_plan.quantities import quantity
 

@@ -17,15 +17,9 @@ from micah_plan.automaton.contacts.values import AXES, COLLIDED
 from micah_plan.errors import InputError
 from micah_plan.execution.mujoco.core import Carrier, PhysicalPlant
 from micah_plan.execution.mujoco.held_object import HeldObject
+from micah_plan.execution.mujoco.incidents import IncidentWatch, add_contact_sensors
 from micah_plan.execution.mujoco.parameters import PhysicalParameters, parameters_of
-from micah_plan.execution.mujoco.released import (
-    Handover,
-    IncidentWatch,
-    ReleasedPlant,
-    Support,
-    add_contact_sensors,
-    contact_force,
-)
+from micah_plan.execution.mujoco.released import Handover, ReleasedPlant, Support, contact_force
 from micah_plan.execution.mujoco.standing import StandingPlant
 from micah_plan.execution.mujoco.world import (
     OBJECT,

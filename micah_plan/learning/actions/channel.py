@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from micah_plan.arrays import VANISHING, Booleans, Floats
-from micah_plan.automaton.graph import ActionChannel
+from micah_plan.automaton.certainty import ActionChannel
 from micah_plan.automaton.joint import Joint
 from micah_plan.learning.actions.anchored_actions import with_anchored_actions
 from micah_plan.learning.actions.channel_search import Posterior, Quadratic, climb, integrate, scan
@@ -32,7 +32,7 @@ from micah_plan.learning.actions.configuration_steps import (
     inexact,
     step_noise_of,
 )
-from micah_plan.learning.joints.joint_arrays import conjugate, rotation_matrix, rotation_vector, times
+from micah_plan.learning.joints.quaternions import conjugate, rotation_matrix, rotation_vector, times
 from micah_plan.learning.track import PartTrack
 
 DELAY_STD = 0.08  # of the run's duration

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from micah_plan.arrays import Floats
-from micah_plan.learning.joints.joint_arrays import rotation_matrix, rotation_quaternion, rotation_vector, times
+from micah_plan.learning.joints.quaternions import rotation_matrix, rotation_quaternion, rotation_vector, times
 
 ROTATION_STD = 1.3  # rad; frames are mostly right, but reversed ones exist
 LOG_GAIN_STD = 1.5

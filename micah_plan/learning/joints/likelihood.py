@@ -2,30 +2,22 @@
 
 Generalized least squares over error contrasts, by Gauss-Newton with Levenberg's damping. The covariance
 is that of this estimator under the whole posterior of the noise (a sandwich), not only under the likeliest noise.
-
-**Gauss-Newton.** Damped steps of Gauss and Newton, for every fit of one joint to all of its rows.
-
-Source: Nocedal and Wright, Numerical Optimization, 2006, section 10.3 (Levenberg and Marquardt).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
 from micah_plan.arrays import VANISHING, Floats
 from micah_plan.automaton.joint import Joint, ParameterCovariance
+from micah_plan.learning.joints.conservative_covariance import conservative_covariance
+from micah_plan.learning.joints.error_contrasts import Contrasts, contrasts_of
+from micah_plan.learning.joints.gauss_newton import UNKNOWN, descended
 from micah_plan.learning.joints.parametrization import PITCH_NUMBER, JointChart, Seen, chart_of, seen_by, stepped
-from micah_plan.learning.joints.tracker_noise import (
-    Contrasts,
-    ErrorPosterior,
-    NoiseVariances,
-    conservative_covariance,
-    contrasts_of,
-)
+from micah_plan.learning.joints.tracker_noise import ErrorPosterior, NoiseVariances
 
 _STEPS = 25
 
@@ -205,46 +197,3 @@ def _misfit_pull(columns: Floats, modes: Floats) -> Floats:
     """(p, p) covariance of the pull (n, 3, p) of a misfit of variance 1 in every direction."""
     pulled = np.tensordot(modes, columns, axes=(0, 0)).reshape(-1, columns.shape[2])
     return np.asarray(pulled.T @ pulled)
-
-
-UNKNOWN = 1.0  # rad, m, m/rad, 1/m: std of what the rows say nothing about
-_DAMPING = 3e-3  # after the first step that fails
-_MORE, _LESS = 30.0, 0.1  # damping, after a step that fails and after one that does not
-
-
-class Fitted(Protocol):
-    """A fit as it is: what the rows say of its p free numbers."""
-
-    @property
-    def information(self) -> Floats:
-        """(p, p) of the rows."""
-
-    @property
-    def pull(self) -> Floats:
-        """(p,) of the rows, towards less cost."""
-
-    @property
-    def cost(self) -> float:
-        """Of the rows [nats]."""
-
-    def moved(self, step: Floats) -> Self | None:
-        """The fit after a step (p,) of its numbers; None where the step is too long to mean anything."""
-
-
-F = TypeVar("F", bound=Fitted)
-
-
-def descended(now: F, steps: int, converged: float) -> F:
-    """A fit after so many steps, or until the next one promises less than `converged` [nats]."""
-    damping = 0.0
-    for _ in range(steps):
-        damped = now.information + damping * np.diag(np.diag(now.information)) + np.eye(len(now.pull)) / UNKNOWN**2
-        step = np.asarray(np.linalg.solve(damped, now.pull))
-        if 0.5 * float(step @ now.pull) < converged:
-            break
-        after = now.moved(step)
-        if after is not None and after.cost < now.cost:
-            now, damping = after, damping * _LESS
-        else:
-            damping = max(damping * _MORE, _DAMPING)
-    return now

@@ -13,14 +13,8 @@ import numpy as np
 
 from micah_plan.arrays import ROUND_OFF, Booleans, Floats
 from micah_plan.automaton.joint import JointKind
-from micah_plan.learning.joints.joint_arrays import (
-    JointArrays,
-    conjugate,
-    rotated,
-    rotation_matrix,
-    rotation_vector,
-    times,
-)
+from micah_plan.learning.joints.joint_arrays import JointArrays
+from micah_plan.learning.joints.quaternions import conjugate, rotated, rotation_matrix, rotation_vector, times
 
 Line = tuple[Floats, Floats]
 """Directions (h, 3) of axes, and points (h, 3) on them."""

@@ -20,7 +20,8 @@ import numpy as np
 from micah_plan.arrays import ROUND_OFF, Floats
 from micah_plan.automaton.joint import KINDS, Joint, axis_basis, rigid, twisting
 from micah_plan.automaton.kinematics import ROTATION_LENGTH
-from micah_plan.learning.joints.joint_arrays import compare_all, times
+from micah_plan.learning.joints.quaternions import times
+from micah_plan.learning.joints.residuals import compare_all
 
 
 @dataclass(frozen=True, eq=False)

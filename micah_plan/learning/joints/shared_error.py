@@ -1,10 +1,10 @@
 """What errors that rows share add to what is known of a joint: the rows themselves do not show it.
 
-**The frame.** A small move of it (v, w) and a factor 1 + s of lengths move the axis by w x axis, a point p of it by
-v + w x p + s p, and the pitch by s pitch.
+A small move of it (v, w) and a factor 1 + s of lengths move the axis by w x axis, a point p of it by v + w x p + s p,
+and the pitch by s pitch.
 
-**Poses.** Neighbours are wrong alike, so the fit knows as little as if it had seen one pose at the start, one in the
-middle and one at the end of the motion: its covariance is that of three such poses, each at a configuration of its own.
+Neighbours are wrong alike, so the fit knows as little as if it had seen one pose at the start, one in the middle and
+one at the end of the motion: its covariance is that of three such poses, each at a configuration of its own.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 from micah_plan.arrays import TINY, Floats
 from micah_plan.automaton.joint import KINDS, Joint, ParameterCovariance, axis_basis
 from micah_plan.automaton.kinematics import forward, jacobian
-from micah_plan.learning.joints.joint_arrays import cross_matrix
 from micah_plan.learning.joints.parametrization import JointChart, chart_of, stepped
+from micah_plan.learning.joints.quaternions import cross_matrix
 from micah_plan.recording.shared_error import SharedError
 
 _POSES = 3

@@ -1,52 +1,19 @@
 """The kinematic tree of several parts: which part is attached to which, from edges learned pair by pair.
 
 Sources: Sturm, Stachniss and Burgard, "A probabilistic framework for learning kinematic models of articulated
-objects", JAIR 2011 (spanning tree of greatest posterior); MICAH, section IV-A (edges of several models).
+objects", JAIR 2011 (spanning tree of greatest posterior); MICAH, section IV-A (edges of several models). Why evidences
+of different parents can be compared is written in docs/concepts/joints.md, "The tree".
 
-**What is compared.** Evidences of edges are of different data: relative poses of different pairs. They are made
-comparable by the chain rule. In a tree every part is a child once, so the density of all poses is a product over parts,
+The parent is put where its own edge says that it was (`refined_poses.branch_poses`), which leaves the child's noise,
+the same for every parent. Its edge belongs to a tree, so this starts with all parts on the base and is repeated along
+the tree found, until the tree stays. An edge with as many rows of free motion as that of the base is left out: free
+motion follows poses without noise closer than any joint may.
 
-    p(y_1 ... y_p | tree) = Π_j p(y_j | pose of the parent of j),   p(y_j | pose x_i of i) = p_edge(x_i⁻¹ y_j),
-
-and the relative pose has the same density as the child's own, because a rigid displacement changes no volumes. Two
-parents of one child thus compete for the same data y_j, and only such differences decide between trees. So:
-
-- No evidence of free motion is divided by. It would be of other data for each parent (the motion relative to it), and
-  reward those from which the child is seen to move most: a handle would be attached to the base, not on its door.
-- The parent's pose must not bring its own measurement noise. With measured poses, Δ_ij has the noise of two parts and
-  any parent but the base, which has none, loses up to 6 ln √2 = 2.1 nats per row, more than a joint that need not
-  move wins. Sturm et al. give all pairs the same noise instead. Here the parent is put where its own edge says that it
-  was (`relative.branch_poses`), which leaves the child's noise, the same for every parent. Its edge belongs
-  to a tree, so this starts with all parts on the base and is repeated along the tree found, until the tree stays.
-- Free motion is no attachment: a part that moves freely beside another moves freely beside the base. An edge with as
-  many rows of it as that of the base is left out. (Free motion follows poses without noise closer than any joint may,
-  so its evidence is greater than that of the true joint.) Rows that leave their joint further than real ones do count
-  as free.
-
-Where two parents explain a child equally well (parts that only ever moved in step, about one axis) the prior decides:
-the base.
-
-**Rigid attachment** is decided within a pair, by the learner: the evidence of rigid against all moving models, on the
-same rows. Parts that are rigid to each other at all times are one body; of its parts the first by name takes part in
-the search, and the others are attached to it.
-
-**Pairs that are not learned**: those that `carriers` excludes, those with a part that is rigid to the base, and all
-pairs if orientation was not measured, for then no part has a frame: all are attached to the base. Whether a pair is
-rigid is not asked where the two move far relative to each other.
+Parts that are rigid to each other at all times are one body, decided within the pair; of its parts the first by name
+takes part in the search. Not learned are pairs that `carriers` excludes, those with a part that is rigid to the base,
+and all if orientation was not measured.
 
 The edges returned are learned from measured poses, as a later observer measures them.
-
-**The spanning arborescence of greatest weight.** Which parent each node has, so that the sum is greatest.
-
-Source: Edmonds, "Optimum branchings", 1967. SciPy's spanning trees are of undirected graphs.
-
-Which parts can be attached to which others, from their motion in the base frame alone; it spares half of the pairs.
-
-A part that is attached to another is carried along. So where one moves in the base frame and the other rests, the other
-does not belong to it: it could only by moving at the same time just so that it stays where it is. Time is cut into
-windows, and a part can be attached to another if it moves in at least half of the windows in which the other does. A
-part that never moves carries nothing that the base does not carry as well. Only what is certain is left out: slow drift
-of a tracker counts as motion, and then the pair is learned and judged by its evidence.
 """
 
 from __future__ import annotations
@@ -57,15 +24,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
-from micah_plan.automaton.kinematics import ROTATION_LENGTH
 from micah_plan.errors import InputError, shown
-from micah_plan.learning.parts.relative import RelativeRows, branch_poses, in_whole_recording, relative_rows
-from micah_plan.learning.segmenting.posterior import LOG_ODDS_OVERSTATED
-from micah_plan.learning.track import bends, extent, std_of_bends
-from micah_plan.quantities import Progress
+from micah_plan.learning.parts.arborescence import Arc, Weight, maximum_arborescence
+from micah_plan.learning.parts.carriers import carriers, moves_far
+from micah_plan.learning.parts.refined_poses import branch_poses
+from micah_plan.learning.parts.relative import RelativeRows, in_whole_recording, relative_rows
+from micah_plan.learning.segmenting.report import LOG_ODDS_OVERSTATED
 from micah_plan.recording.value import Recording
+from micah_plan.summaries import Progress
 
 PairLearner = Callable[[Recording], KinematicEdge]
 
@@ -324,130 +291,3 @@ def _parents_first(tree: Mapping[str, str]) -> list[str]:
     while len(placed) < len(tree):
         placed += [p for p, parent in tree.items() if p not in placed and (parent == BASE or parent in placed)][:1]
     return placed
-
-
-Weight = tuple[float, ...]
-Arc = tuple[str, str]
-
-
-def maximum_arborescence(weights: Mapping[Arc, Weight], root: str) -> dict[str, str]:
-    """Parent of every node but the root.
-
-    Args:
-        weights: of arcs (parent, child). Weights are tuples of one length: they add by element and compare in order,
-            so later elements break ties of the earlier ones.
-
-    Raises:
-        InputError: a node that no arc leads to from the root.
-    """
-    reached, ahead = {root}, [root]
-    while ahead:
-        here = ahead.pop()
-        new = [child for parent, child in weights if parent == here and child not in reached]
-        reached.update(new)
-        ahead += new
-    for arc in weights:
-        for node in arc:
-            if node not in reached:
-                raise InputError(f"{shown(node)} cannot be reached from {shown(root)}")
-    return {child: parent for parent, child in _chosen(weights, root)}
-
-
-def _chosen(weights: Mapping[Arc, Weight], root: str) -> set[Arc]:
-    """The arcs of the arborescence: the best into every node, and around each cycle of them one that breaks it."""
-    best: dict[str, Arc] = {}
-    for arc in sorted(weights):
-        parent, child = arc
-        if child not in (root, parent) and (child not in best or weights[arc] > weights[best[child]]):
-            best[child] = arc
-    cycle = _cycle(best, root)
-    if not cycle:
-        return set(best.values())
-    # The cycle becomes one node, named as none of the others; an arc into it pays for the arc that it replaces.
-    merged = "\0".join(sorted(cycle))
-    shorter: dict[Arc, Weight] = {}
-    original: dict[Arc, Arc] = {}
-    for arc in sorted(weights):
-        parent, child = arc
-        if parent in cycle and child in cycle:
-            continue
-        weight = weights[arc]
-        if child in cycle:
-            weight = tuple(w - b for w, b in zip(weight, weights[best[child]], strict=True))
-        new = (merged if parent in cycle else parent, merged if child in cycle else child)
-        if new not in shorter or weight > shorter[new]:
-            shorter[new], original[new] = weight, arc
-    arcs = {original[arc] for arc in _chosen(shorter, root)}
-    entered = next(child for _, child in arcs if child in cycle)
-    return arcs | {best[node] for node in cycle if node != entered}
-
-
-def _cycle(best: Mapping[str, Arc], root: str) -> set[str]:
-    for start in sorted(best):
-        path, node = [start], best[start][0]
-        while node != root and node not in path:
-            path.append(node)
-            node = best[node][0]
-        if node != root:
-            return set(path[path.index(node) :])
-    return set()
-
-
-_WINDOWS = 24  # per run
-_MOTION_STDS = 6.0  # white noise spreads the rows of a window over less, however many there are
-_SHARE = 0.5  # of the rows in which a parent moves, in which its child moves as well
-_FAR = 0.1  # m; further than slow errors of a tracker take a part, seen from another
-_FAR_STDS = 20.0  # of the white noise
-_FEW = 0.05  # share of the rows that do not count
-
-
-def carriers(recording: Recording) -> dict[str, tuple[str, ...]]:
-    """For every part, the other parts that it can be attached to, in the order of the recording's parts."""
-    windows = {part: [moving_windows(recording, run, part) for run in recording.runs] for part in recording.parts}
-    moving = {part: np.concatenate(runs) for part, runs in windows.items()}
-    return {
-        child: tuple(
-            parent for parent in recording.parts if parent != child and _carries(moving[parent], moving[child])
-        )
-        for child in recording.parts
-    }
-
-
-def moves_far(recording: Recording) -> bool:
-    """Whether the only part of a recording moves so far that nobody need learn whether it is rigid."""
-    for run in recording.runs:
-        place = _places(recording.rows(recording.run == run))
-        if len(place) > 2 and extent(place, _FEW) > max(_FAR, _FAR_STDS * float(std_of_bends(bends(place)))):
-            return True
-    return False
-
-
-def moving_windows(recording: Recording, run: int, part: str) -> Booleans:
-    """In which of the windows of a run a part moves; windows are of equal duration over the whole run, all parts."""
-    in_run = recording.run == run
-    own = np.flatnonzero(in_run & np.array([name == part for name in recording.part], dtype=bool))
-    moves = np.zeros(_WINDOWS, dtype=bool)
-    if len(own) < 3:
-        return moves
-    place = _places(recording.rows(own))
-    edges = np.linspace(recording.time[in_run].min(), recording.time[in_run].max(), _WINDOWS + 1)
-    window = np.clip(np.searchsorted(edges, recording.time[own], side="right") - 1, 0, _WINDOWS - 1)
-    threshold = _MOTION_STDS * float(std_of_bends(bends(place)))
-    for k in range(_WINDOWS):
-        # With its neighbours: a window between rows of a slow recording would have none or one.
-        rows = place[np.abs(window - k) <= 1]
-        if len(rows) > 1:
-            moves[k] = extent(rows) > threshold
-    return moves
-
-
-def _carries(parent: Booleans, child: Booleans) -> bool:
-    return bool(parent.any() and (parent & child).sum() >= _SHARE * parent.sum())
-
-
-def _places(recording: Recording) -> Floats:
-    """(n, 3 or 12) positions, and directions of the part's axes scaled to lengths [m]."""
-    if recording.quaternion is None:
-        return recording.position
-    turned = recording.poses().rotation.as_matrix().reshape(len(recording), 9)
-    return np.concatenate([recording.position, ROTATION_LENGTH * turned], axis=1)

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from micah_plan.arrays import Floats
-from micah_plan.learning.joints.joint_arrays import conjugate, rotation_vector, times
+from micah_plan.learning.joints.quaternions import conjugate, rotation_vector, times
+from micah_plan.learning.roughness import extent
 from micah_plan.learning.segmenting.noise import NoiseModel, log_peak
-from micah_plan.learning.track import PartTrack, extent
+from micah_plan.learning.track import PartTrack
 
 _WHITE = np.array([0.3, 0.6, 1.0, 1.5])  # stds of white noise that are tried, in the roughness of the rows
 _ACCELERATION = np.geomspace(0.003, 10.0, 12)  # stds of a change of velocity from row to row, in the same unit

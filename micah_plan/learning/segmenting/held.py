@@ -15,8 +15,8 @@ from math import exp, log
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats
+from micah_plan.learning.segmenting.linear_systems import least_norm
 from micah_plan.learning.segmenting.pool import Pool
-from micah_plan.learning.segmenting.pool_fits import least_norm
 
 _CHANGES = 0.02  # probability that a part that followed is held in the next step, or the other way round
 _ROUNDS = 8  # of expectation maximisation

@@ -22,9 +22,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats
-from micah_plan.learning.segmenting.noise import NoiseScales, log_add
+from micah_plan.learning.segmenting.linear_systems import least_norm
+from micah_plan.learning.segmenting.log_sums import log_add
+from micah_plan.learning.segmenting.noise import NoiseScales
 from micah_plan.learning.segmenting.pool import Pool
-from micah_plan.learning.segmenting.pool_fits import least_norm
 
 _STEP_SHARES = np.array([0.03, 0.3, 1.5])  # of the mean squared step, as candidates for E[w²]
 _GAP = 0.015  # of a part's travel: how far a hand goes on average, along the joint, before it has the part

@@ -5,16 +5,6 @@ tracker (Ornstein-Uhlenbeck each), of one scale for rotations and one for positi
 before it is normal around a linear prediction (Levinson, Durbin), so that likelihoods are sums over rows. What is left,
 the innovations, is correlated between channels (errors of rotation and position are tied by a lever arm, and a tracker
 may have axes of its own) and has Student's tails.
-
-**The power of a likelihood.** With which power it counts, by how far it is to be trusted.
-
-No hinge is ideal and no tracker errs as a noise model says. Where noise is far below such misfits, rows claim
-more than they know, and the smallest systematic deviation, recorded long enough, would become a second joint. Where
-noise is far above them, misfits do not show, and a row tells what the noise model says.
-
-Source: Miller and Dunson, "Robust Bayesian inference via coarsening", JASA 2019.
-
-**Log sums.** Sums of probabilities by their logarithms.
 """
 
 from __future__ import annotations
@@ -28,7 +18,6 @@ import numpy as np
 from scipy.special import gammaln
 
 from micah_plan.arrays import Floats, Ints
-from micah_plan.learning.settings import LearnSettings
 
 MEMORY = 8  # rows that a prediction looks back
 _UNMEASURED = 0.05  # rad
@@ -194,25 +183,3 @@ def predictors(
 def log_peak(size: int, dof: float | Floats) -> Floats:
     """ln of the peak of Student's density in `size` dimensions, as curved there as the normal of scale 1."""
     return np.asarray(gammaln((dof + size) / 2) - gammaln(dof / 2) - 0.5 * size * np.log((dof + size) * np.pi))
-
-
-LEAST_LIKELIHOOD_POWER = 0.5
-
-
-def likelihood_power_of(noise: NoiseModel, settings: LearnSettings) -> float:
-    """Power of the likelihood, from 0.5 (misfits rule) to 1 (noise rules).
-
-    Args:
-        noise: as the roughness of the rows tells it, so that all answers for a track are judged with one power.
-    """
-    if settings.likelihood_power is not None:
-        return settings.likelihood_power
-    whites = noise.white[0].reshape(-1, 3).mean(axis=1)
-    misfits = [settings.rotation_misfit, settings.position_misfit][-len(whites) :]
-    shares = whites / (whites + np.square(misfits))
-    return float(LEAST_LIKELIHOOD_POWER + (1 - LEAST_LIKELIHOOD_POWER) * shares.mean())
-
-
-def log_add(a: Floats, b: Floats) -> Floats:
-    """ln(e^a + e^b) of finite numbers: np.logaddexp, six times as fast where NumPy vectorises."""
-    return np.asarray(np.maximum(a, b) + np.log1p(np.exp(-np.abs(a - b))))

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from micah_plan.arrays import ROUND_OFF, Floats, Ints
+from micah_plan.learning.roughness import bends, std_of_bends
 from micah_plan.learning.segmenting.noise import MEMORY, NoiseModel, log_peak, predictors
 from micah_plan.learning.segmenting.pool import Pool
 from micah_plan.learning.settings import LearnSettings
-from micah_plan.learning.track import PartTrack, bends, std_of_bends
+from micah_plan.learning.track import PartTrack
 
 _FINEST_POSITION = 1e-4  # m; no tracker is better, and a std of 0 would make likelihoods infinite
 _FINEST_ROTATION = 1e-3  # rad

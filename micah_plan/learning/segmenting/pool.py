@@ -13,8 +13,9 @@ import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.joint import JointKind
-from micah_plan.learning.joints.joint_arrays import Compared, JointArrays, compare_arrays, concatenated_joints, levers
+from micah_plan.learning.joints.joint_arrays import JointArrays, concatenated_joints
 from micah_plan.learning.joints.linear_fits import linear_fits
+from micah_plan.learning.joints.residuals import Compared, compare_arrays, levers
 from micah_plan.learning.segmenting.noise import NoiseModel, NoiseScales
 from micah_plan.learning.segmenting.pool_fits import fit_pool_likelihood
 from micah_plan.learning.track import PartTrack

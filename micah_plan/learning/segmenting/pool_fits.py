@@ -1,7 +1,4 @@
-"""Joints of maximum likelihood under the noise of a track, many at once: Gauss-Newton on the rows' innovations.
-
-**Linear systems.** Small symmetric systems, many at once, without the overhead of the general pseudo-inverse.
-"""
+"""Joints of maximum likelihood under the noise of a track, many at once: Gauss-Newton on the rows' innovations."""
 
 from __future__ import annotations
 
@@ -10,14 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from micah_plan.arrays import VANISHING, Booleans, Floats, Ints
-from micah_plan.learning.joints.joint_arrays import (
-    Compared,
-    JointArrays,
-    compare_arrays,
-    concatenated_joints,
-    cross_matrix,
-    cross_of_units,
-)
+from micah_plan.learning.joints.joint_arrays import JointArrays, concatenated_joints
+from micah_plan.learning.joints.quaternions import cross_matrix, cross_of_units
+from micah_plan.learning.joints.residuals import Compared, compare_arrays
 from micah_plan.learning.segmenting.noise import NoiseModel
 from micah_plan.learning.track import PartTrack
 
@@ -234,15 +226,3 @@ def _innovations(
     heavy = dof + error.shape[1]
     cost = 0.5 * (heavy * np.log1p((innovation**2).sum(axis=1) / heavy)).sum(axis=1)
     return innovation, cost
-
-
-def least_norm(normal: Floats, pull: Floats, least: float) -> Floats:
-    """(..., k) x of least norm with normal x = pull, for symmetric positive normal (..., k, k) and pull (..., k).
-
-    Args:
-        least: information, relative to that of the best known direction, below which x is 0.
-    """
-    values, vectors = np.linalg.eigh(normal)
-    is_determined = values > least * values[..., -1:]
-    along = (vectors.swapaxes(-1, -2) @ pull[..., None])[..., 0] * is_determined / np.where(is_determined, values, 1.0)
-    return np.asarray((vectors @ along[..., None])[..., 0])

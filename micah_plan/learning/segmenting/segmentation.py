@@ -1,42 +1,22 @@
 """Segmenting one track: the pool of joints, the most probable changepoints and the noise, until they agree.
 
-**The answer.** The segments of a track, the joints that they refer to, and the noise under which they were found.
-
-**The choice of segments** from a table of evidence when a joint is paid for once, however often a part returns to it.
-
-The recursion over changepoints lets every segment pay for its own joint. Here a few joints are chosen first, at a cost,
-and the recursion runs with them alone: joints are dropped while that pays, and one joint with rests is always tried.
-
-**Rests.** Of a part that its joint moves and that is held for a while: joints and their channel, learned from the other
-rows.
-
-What the actions say of a joint is fitted to all rows that it explains. If rows at which the part was pushed against a
-stop are among them, the actions seem to say little, and so the stop is not seen. Here the rests that there may be are
-taken for granted, and the channel is learned from the rows beside them.
-
-**The number of changepoints.** How many there may be depends on rests that the most probable answer lacks.
+How many changepoints there may be depends on rests that the most probable answer lacks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cache
-from itertools import pairwise
-from math import log
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.joint import JointKind
-from micah_plan.changepoints import LengthPrior, length_terms, reached
+from micah_plan.changepoints import LengthPrior
 from micah_plan.learning.segmenting.evidence import EvidenceTable, all_tabulated, tabulated
-from micah_plan.learning.segmenting.held import along_joint, places_held
-from micah_plan.learning.segmenting.motion import FEWEST_ACTED
-from micah_plan.learning.segmenting.noise import NoiseModel, likelihood_power_of, stacked
+from micah_plan.learning.segmenting.likelihood_power import likelihood_power_of
+from micah_plan.learning.segmenting.noise import NoiseModel, stacked
 from micah_plan.learning.segmenting.noise_fit import fit_noise_to_residuals, initial_noise
-from micah_plan.learning.segmenting.pieces import Piece, Segmentation, best_segmentation, length_priors
+from micah_plan.learning.segmenting.pieces import length_priors
 from micah_plan.learning.segmenting.pool import (
     Hypotheses,
     all_refitted,
@@ -44,6 +24,9 @@ from micah_plan.learning.segmenting.pool import (
     refitted_hypotheses,
     window_hypotheses,
 )
+from micah_plan.learning.segmenting.rests import with_rests
+from micah_plan.learning.segmenting.segmented import Segmented, alternative, rows_of_joints
+from micah_plan.learning.segmenting.selections import selections, shared
 from micah_plan.learning.settings import LearnSettings
 from micah_plan.learning.track import PartTrack
 
@@ -206,219 +189,3 @@ def _tables(answers: Sequence[Segmented], noises: Sequence[NoiseModel], settings
         for answer, (used, _), more in zip(answers, in_use, rivals, strict=True)
     ]
     return all_tabulated(pools, track, noises, settings.rest, answers[0].table.likelihood_power)
-
-
-@dataclass(frozen=True, eq=False)
-class Alternative:
-    """Another answer for the same rows, under the noise that it leaves itself.
-
-    Attributes:
-        kinds: of the joints of its pieces, in their order.
-        of_row: (n,) index into these, of the piece that each row is in.
-        log_probability: as of an answer [nats].
-    """
-
-    kinds: tuple[JointKind, ...]
-    of_row: Ints
-    log_probability: float
-
-
-@dataclass(frozen=True, eq=False)
-class Segmented:
-    """The most probable segments of a track and what they refer to.
-
-    Attributes:
-        track: the rows that were segmented.
-        noise: estimated together with the segments.
-        prior: of their lengths.
-        segmentation: pieces, in rows of that track; those of one hypothesis share its parameters.
-        table: the evidence that decided, with its pool and step models.
-        others: answers that are less probable.
-    """
-
-    track: PartTrack
-    noise: NoiseModel
-    prior: LengthPrior
-    segmentation: Segmentation
-    table: EvidenceTable
-    others: tuple[Alternative, ...] = ()
-
-    @property
-    def log_probability(self) -> float:
-        """Of the rows and segments, parameters of a joint counted once [nats]."""
-        return self.segmentation.log_probability
-
-
-def alternative(answer: Segmented) -> Alternative:
-    """An answer as an alternative to another one."""
-    pieces, names = answer.segmentation.pieces, answer.table.pool.hypotheses.joints.kinds
-    of_row = np.repeat(np.arange(len(pieces)), [piece.end - piece.start + 1 for piece in pieces])
-    return Alternative(tuple(names[piece.hypothesis] for piece in pieces), of_row, answer.log_probability)
-
-
-def rows_of_joints(answer: Segmented) -> tuple[list[int], Booleans]:
-    """Hypotheses in use, and the rows (u, n) that each explains."""
-    pieces = answer.segmentation.pieces
-    used = list(dict.fromkeys(piece.hypothesis for piece in pieces))
-    rows = np.zeros((len(used), len(answer.track)), dtype=bool)
-    for piece in pieces:
-        rows[used.index(piece.hypothesis), piece.start : piece.end + 1] = True
-    return used, rows
-
-
-ANOTHER_JOINT = 15.0  # nats: most parts have one moving joint; another one needs decisive evidence
-_PROMISING = 3  # joints that are tried with rests
-
-
-def selections(table: EvidenceTable, prior: LengthPrior, settings: LearnSettings) -> list[Segmentation]:
-    """Segmentations that may be the most probable one, each with its log probability, the best first."""
-    apart = best_segmentation(table, prior, len(settings.kinds))
-
-    @cache
-    def under(*members: int) -> Segmentation:
-        return shared(table, list(members), prior, settings)
-
-    candidates = [_fewest(sorted({piece.hypothesis for piece in apart.pieces}), under)]
-    moving, names = table.pool.moving, table.pool.hypotheses.joints.kinds
-    rests = [int(i) for i in np.flatnonzero(~moving)] if "rigid" in settings.kinds else []
-    for joint in _promising(table):
-        members = [joint, *(i for i in rests if i != joint)]
-        with_rests = best_segmentation(table, prior, len(settings.kinds), members, {joint})
-        used = sorted({piece.hypothesis for piece in with_rests.pieces})
-        candidates += [under(joint), under(*used)]
-    unique = {
-        tuple((p.start, names[p.hypothesis], p.hypothesis) for p in candidate.pieces): candidate
-        for candidate in candidates
-    }
-    return sorted(unique.values(), key=lambda candidate: -candidate.log_probability)
-
-
-def shared(table: EvidenceTable, members: list[int], prior: LengthPrior, settings: LearnSettings) -> Segmentation:
-    """The most probable segments under few joints, which are paid once, and how probable they are at any places.
-
-    So is the choice of their kinds: a part that returns to a joint returns to one of those of the answer.
-    """
-    segmentation = best_segmentation(table, prior, 1, members, members)
-    return _paid_once(segmentation.pieces, table, prior, settings)
-
-
-def _paid_once(
-    pieces: tuple[Piece, ...], table: EvidenceTable, prior: LengthPrior, settings: LearnSettings
-) -> Segmentation:
-    """Segments of few joints, less what these cost."""
-    used: dict[int, int] = {}
-    for piece in pieces:
-        used[piece.hypothesis] = used.get(piece.hypothesis, 0) + piece.end - piece.start + 1
-    moving = sum(bool(table.pool.moving[i]) for i in used)
-    cost = table.cost(np.array(list(used)), np.array(list(used.values()), dtype=float), moving > 0).sum()
-    # A part does not get from one rest to another without a motion.
-    rigid = [not table.pool.moving[piece.hypothesis] for piece in pieces]
-    jumps = sum(a and b for a, b in pairwise(rigid))
-    cost += (max(moving - 1, 0) + jumps) * ANOTHER_JOINT + len(used) * np.log(len(settings.kinds))
-    pieces = merged(pieces)
-    return Segmentation(pieces, _over_places(pieces, table, prior) - float(cost))
-
-
-def _over_places(pieces: Sequence[Piece], table: EvidenceTable, prior: LengthPrior) -> float:
-    """Ln probability of the rows under joints in an order, wherever one takes over from the one before."""
-    used = sorted({piece.hypothesis for piece in pieces})
-    worth = table.sums[used] + length_terms(prior, len(table.sums[0]))
-    # Relative to the best segments before a row: sums are products of matrices then.
-    best_before = reached(worth.max(axis=0))
-    chances = np.exp(worth + (best_before[:-1, None] - best_before[1:]))
-    begun = np.zeros(worth.shape[1])
-    begun[0] = 1.0
-    for piece in pieces[:-1]:
-        # No row is the last of one segment but where another begins; the last row ends the last one.
-        begun[1:] = (begun @ chances[used.index(piece.hypothesis)])[:-1]
-        begun[0] = 0.0
-    share = float(begun @ chances[used.index(pieces[-1].hypothesis), :, -1])
-    return float(best_before[-1] + log(share)) if share > 0 else -np.inf
-
-
-def few(table: EvidenceTable, members: list[int], prior: LengthPrior, settings: LearnSettings) -> Segmentation:
-    """Segments of some joints, of which some are dropped while that pays."""
-    return _fewest(members, lambda *pieces: shared(table, list(pieces), prior, settings))
-
-
-def _fewest(members: list[int], under: Callable[..., Segmentation]) -> Segmentation:
-    best = under(*members)
-    while len(members) > 1:
-        fewer = [[m for m in members if m != dropped] for dropped in members]
-        tried = [under(*subset) for subset in fewer]
-        i = max(range(len(tried)), key=lambda k: tried[k].log_probability)
-        if tried[i].log_probability <= best.log_probability:
-            break
-        members, best = fewer[i], tried[i]
-    return best
-
-
-def _promising(table: EvidenceTable) -> list[int]:
-    """Hypotheses that explain all rows best."""
-    order = len(table.log_density) - 1
-    totals = table.log_density[order, order:].sum(axis=0) - table.occam
-    return [int(i) for i in np.argsort(-totals, kind="stable")[:_PROMISING]]
-
-
-def merged(pieces: tuple[Piece, ...]) -> tuple[Piece, ...]:
-    """Neighbouring pieces of one hypothesis as one: a tracker that slips is no changepoint."""
-    joined: list[Piece] = []
-    for piece in pieces:
-        if joined and joined[-1].hypothesis == piece.hypothesis:
-            before = joined.pop()
-            piece = replace(piece, start=before.start, log_evidence=before.log_evidence + piece.log_evidence)
-        joined.append(piece)
-    return tuple(joined)
-
-
-_FEWEST_ROWS = 3  # of a rest
-_LENGTHS = 8  # of rests in the end
-_LONGEST = 0.6  # of the rows
-
-
-def with_rests(answer: Segmented, priors: Sequence[LengthPrior], settings: LearnSettings) -> Segmented | None:
-    """The most probable segments if the part was held wherever the actions say that it was, on its main joint.
-
-    What there is already stays among what is chosen from. None if the actions say so nowhere, or if no joint moves it.
-    """
-    table, track = answer.table, answer.track
-    used, rows = rows_of_joints(answer)
-    joint = max((i for i in used if table.pool.moving[i]), key=lambda i: rows[used.index(i)].sum(), default=None)
-    if track.action is None or "rigid" not in settings.kinds or joint is None:
-        return None
-    inside = places_held(along_joint(table.pool, joint, track.action))
-    outside = rows[[used.index(joint)]] & ~inside.any(axis=0)
-    if not len(inside) or outside.sum() < FEWEST_ACTED:
-        return None
-    pool = Hypotheses(table.pool.hypotheses.joints.take([joint]), outside)
-    pool = pool.joined(refitted_hypotheses(["rigid"] * len(inside), inside, track, answer.noise))
-    pool = pool.joined(table.pool.hypotheses.take([i for i in used if i != joint]))
-    tried = tabulated(pool, track, answer.noise, settings.rest, table.likelihood_power)
-    every = list(range(len(pool)))
-    answers = [
-        replace(answer, table=tried, prior=prior, segmentation=few(tried, every, prior, settings)) for prior in priors
-    ]
-    return max(answers, key=lambda answer: answer.log_probability)
-
-
-def rests_in_the_end(
-    table: EvidenceTable, moves: list[int], track: PartTrack, noise: NoiseModel, rest: float
-) -> Floats:
-    """(r, n, n) evidence of every segment (first, last row) under rigid joints fitted to some of the last rows.
-
-    What a segment pays for its pose is taken off.
-
-    Args:
-        moves: moving hypotheses of the table, on which the part may be held.
-        rest: as in `evidence.tabulated`.
-    """
-    n = len(track)
-    longest = max(_LONGEST * n, _FEWEST_ROWS)
-    lengths = np.unique(np.geomspace(_FEWEST_ROWS, longest, _LENGTHS).round().astype(int))
-    ends: NDArray[np.bool_] = np.arange(n) >= n - lengths[lengths < n, None]
-    rests = refitted_hypotheses(["rigid"] * len(ends), ends, track, noise)
-    pool = table.pool.hypotheses.take(moves).joined(rests)
-    tried = tabulated(pool, track, noise, rest, table.likelihood_power)
-    held = np.arange(len(moves), len(pool))
-    cost = tried.cost(held, tried.rows[held], bool(moves))
-    return np.asarray(tried.sums[held] - cost[:, None, None])

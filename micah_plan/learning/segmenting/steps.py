@@ -14,8 +14,9 @@ from math import dist
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.learning.roughness import bends, extent, std_of_bends
 from micah_plan.learning.settings import LearnSettings
-from micah_plan.learning.track import PartTrack, bends, extent, std_of_bends
+from micah_plan.learning.track import PartTrack
 
 _BLOCKS, _FEWEST_BLOCKS = 2048, 8  # in which the length of the path is measured
 WINDOW_SWEEPS = 4.0  # there and back in a window; what moves more often is learned in several

@@ -20,7 +20,7 @@ from micah_plan.arrays import Floats, Ints
 from micah_plan.planning.search.mode_paths import VertexPath
 from micah_plan.planning.search.path_beliefs import PathBeliefs
 from micah_plan.planning.search.roadmap import JoinedRoadmap, along
-from micah_plan.task.settings import NEVER, Deadline, TimeLimitError
+from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 
 # Stops on the way, and how many of the best beginnings get one more.
 _MOST_STOPS = 2

@@ -20,7 +20,7 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import Mode
 from micah_plan.planning.findings import why_disconnected, why_unreachable
 from micah_plan.planning.limits import Limits
-from micah_plan.planning.path_constraints import goal_cost, in_steps
+from micah_plan.planning.plan_cost import goal_cost, in_steps
 from micah_plan.planning.roll_outs import FEW_MODES
 from micah_plan.planning.search.leaves import leaves_of
 from micah_plan.planning.search.localising import ScoredPath, best_paths, edges_of
@@ -35,10 +35,10 @@ from micah_plan.planning.search.roadmap import (
     roadmap_of,
 )
 from micah_plan.planning.search.samples import Samples, sample_modes
+from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.plan import ModePurpose
 from micah_plan.task.problem import Problem
 from micah_plan.task.reason import Reason
-from micah_plan.task.settings import NEVER, Deadline
 
 # Times as many states before what does not connect is called unconnected.
 _MORE_STATES = 6

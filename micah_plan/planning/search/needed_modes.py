@@ -17,9 +17,9 @@ from micah_plan.planning.search.mode_paths import cheapest_sequences
 from micah_plan.planning.search.path_beliefs import PathBeliefs
 from micah_plan.planning.search.roadmap import JoinedRoadmap, motions_of, roadmap_of, without_each_obstacle
 from micah_plan.planning.search.samples import Samples
+from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import ModePurpose
 from micah_plan.task.problem import Problem
-from micah_plan.task.settings import Deadline
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,12 +25,12 @@ from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.planning.avoided_inputs import admissible_inputs
 from micah_plan.planning.limits import Limits
-from micah_plan.planning.path_constraints import in_steps
+from micah_plan.planning.plan_cost import in_steps
 from micah_plan.planning.search.polytope import Polytope, nominal_start, open_states
 from micah_plan.planning.search.roadmap import TRANSITION_COST
 from micah_plan.planning.zero_time_transitions import front_of
+from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.problem import Problem
-from micah_plan.task.settings import NEVER, Deadline
 
 # Sequences found after which there are enough, and linear programmes once there is one: 1 to 4 ms each.
 _MOST_SEQUENCES = 24

@@ -17,7 +17,7 @@ from micah_plan.arrays import Floats, Ints
 from micah_plan.automaton.hybrid import Edge, Mode
 from micah_plan.automaton.step_noise import free_gain_std, free_process_std
 from micah_plan.planning.limits import Limits
-from micah_plan.planning.path_constraints import in_steps, variance_cost
+from micah_plan.planning.plan_cost import in_steps, variance_cost
 from micah_plan.planning.search.roadmap import JoinedRoadmap
 from micah_plan.planning.zero_time_transitions import stds_of
 from micah_plan.task.problem import Problem

@@ -15,7 +15,8 @@ from scipy.sparse import eye_array, kron
 from micah_plan.arrays import ROUND_OFF, Booleans, Floats
 from micah_plan.automaton.hybrid import Mode
 from micah_plan.automaton.region import Region
-from micah_plan.planning.limits import Limits, NoWayError
+from micah_plan.planning.limits import Limits
+from micah_plan.planning.no_way import NoWayError
 from micah_plan.task.problem import Problem
 from micah_plan.task.reason import Reason
 

@@ -28,8 +28,8 @@ from micah_plan.planning.search.ompl_library import base as ob
 from micah_plan.planning.search.ompl_library import geometric as og
 from micah_plan.planning.search.ompl_library import util as ou
 from micah_plan.planning.zero_time_transitions import ZeroTimeEdge
+from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.problem import Problem
-from micah_plan.task.settings import NEVER, Deadline
 
 # Share of a step by which the reachable end of a motion may miss its target: rounding of the pseudo-inverse.
 _MISS = 1e-7

@@ -23,8 +23,8 @@ from micah_plan.planning.search.passages import Passage, passages
 from micah_plan.planning.search.polytope import Polytope, mode_states, nominal_start
 from micah_plan.planning.search.roadmap import obstacles_on_state
 from micah_plan.planning.zero_time_transitions import front_of
+from micah_plan.task.deadline import NEVER, Deadline
 from micah_plan.task.problem import Problem
-from micah_plan.task.settings import NEVER, Deadline
 
 # Share of sampled coordinates that take a value named in the problem or model.
 _LANDMARK_SHARE = 0.3

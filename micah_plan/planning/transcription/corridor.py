@@ -7,18 +7,13 @@ the mean μ: with a = ∂g/∂x and b = ∂g/∂u there,
 
 where Σ is the covariance of estimate and input together in closed loop: real measurements move the estimate, and the
 feedback moves the input with it.
-
-**The layout of a belief in a transcription.** The mean, then the factor's entries that can ever be other than zero.
-
-Coordinates that start independent and that no reset mixes stay independent, so most factors are far from full: with 12
-drawers a knot has 24 numbers, not 90.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -30,9 +25,10 @@ from micah_plan.automaton.input_reversal import input_reversal_of
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.transcription.guess import PhaseGuess, crossed
+from micah_plan.planning.transcription.packed_belief import factor_of, pack
 from micah_plan.planning.transcription.rows import Row, boundary_name, unit_of
 from micah_plan.planning.zero_time_transitions import ZeroTimeEdge, front_of
-from micah_plan.symbolic.compiled import CasadiOperations, compiled_edge, compiled_mode
+from micah_plan.symbolic.casadi_operations import CasadiOperations
 from micah_plan.task.path import Pay, Require, path_terms
 from micah_plan.task.problem import Problem
 
@@ -449,59 +445,3 @@ def _covariance(phase: PhaseGuess, number: int, spread: Floats, is_same_mode: bo
     gain, before = phase.gains[number], phase.spreads[number]
     together = phase.closed[number] @ before @ gain.T * float(is_same_mode)
     return np.block([[spread, together], [together.T, gain @ before @ gain.T]])
-
-
-Expression = TypeVar("Expression", ca.MX, ca.SX)
-
-
-def factor_pattern(
-    automaton: HybridAutomaton, start: Floats, modes: Iterable[str], edges: Iterable[int]
-) -> ca.Sparsity:
-    """The lower triangular pattern that a start's factor (n, n) fills on its way through these modes and edges."""
-    n, m = automaton.n, automaton.m
-    maps = [compiled_mode(automaton, name).belief_step for name in dict.fromkeys(modes)]
-    maps += [compiled_edge(automaton, index).belief_reset for index in dict.fromkeys(edges)]
-    mean, u = ca.SX.sym("x", n), ca.SX.sym("u", m)
-    uncertain = np.ones(n)
-    for memory in automaton.input_memories:
-        uncertain[memory.coordinates] = 0.0
-    pattern = ca.sparsify(ca.DM(np.diag(uncertain) + np.abs(np.tril(start)))).sparsity()
-    for _ in range(n * n):
-        grown = pattern
-        for function in maps:
-            after = function.call([mean, ca.SX.sym("L", pattern), u])[1]
-            grown = grown.unite(ca.sparsify(ca.tril(after)).sparsity())
-        if grown == pattern:
-            break
-        pattern = grown
-    return pattern
-
-
-def pattern_entries(pattern: ca.Sparsity) -> tuple[Ints, Ints]:
-    """Rows and columns of a pattern's entries in CasADi's (column-major) order."""
-    rows, columns = pattern.get_triplet()
-    return np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64)
-
-
-def pack(means: Floats, factors: Floats, pattern: ca.Sparsity) -> Floats:
-    """(n + l, K) states of the transcription from means (K, n) and factors (K, n, n)."""
-    row, column = pattern_entries(pattern)
-    return np.asarray(np.hstack([means, factors[:, row, column]]).T)
-
-
-def unpack(states: Floats, pattern: ca.Sparsity) -> tuple[Floats, Floats]:
-    """Means (K, n) and factors (K, n, n) from states (n + l, K)."""
-    (row, column), n = pattern_entries(pattern), pattern.rows()
-    factors = np.zeros((states.shape[1], n, n))
-    factors[:, row, column] = states[n:].T
-    return np.ascontiguousarray(states[:n].T), factors
-
-
-def factor_of(state: Expression, pattern: ca.Sparsity) -> Expression:
-    """The (n, n) lower factor in a packed state (n + l, 1)."""
-    return type(state)(pattern, state[pattern.rows() :])
-
-
-def packed(pair: Sequence[Expression], pattern: ca.Sparsity) -> Expression:
-    """The packed state (n + l, 1) of a mean and a factor."""
-    return ca.vertcat(pair[0], ca.vec(ca.project(pair[1], pattern).nz[:]))

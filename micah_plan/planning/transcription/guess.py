@@ -14,17 +14,9 @@ from micah_plan.automaton.input_reversal import matrix_after
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.planning.avoided_inputs import STRICT_SHARE, input_bounds
 from micah_plan.planning.feedback import belief_lqr
-from micah_plan.planning.limits import (
-    Limits,
-    NoWayError,
-    drift_of,
-    drifts,
-    holding_inputs,
-    input_length,
-    linear_step,
-    motion_per_input,
-    steps_of_memory,
-)
+from micah_plan.planning.input_memories import linear_step, steps_of_memory
+from micah_plan.planning.limits import Limits, drift_of, drifts, holding_inputs, input_length, motion_per_input
+from micah_plan.planning.no_way import NoWayError
 from micah_plan.planning.offers import larger_steps, more_knots
 from micah_plan.planning.search.mode_search import ModeSequence
 from micah_plan.planning.search.path_beliefs import MOST_LOCALISING_STEPS, WORTH_A_STEP, steps_to_correct_start

@@ -13,23 +13,10 @@ a'mean - c >= k sqrt(||L'a||² + a'Λa + σ²), where Λ is the spread of the es
   probability of it costs as much as missing the goal by its tolerance does;
 - rows on the input likewise, with the feedback that is executed around it (`inputs`);
 - what is moved while the guard may have been passed already, and is lost then: at a cost (`lost_motion`).
-
-**Late motion.** Motion that only the mode before a guard makes, where the guard may hold already.
-
-A transition happens when its guard holds, not at the knot that a plan has for it. A phase that moves on across its
-guard, or comes close to it for several steps, has changed its mode by then with some probability. What a step moves and
-the next mode would not move is lost with that probability: a cap no longer turns with the hand that comes up, a jar
-is not drawn out any more by the time that the door has swung back. The expected square of it, in steps, is
-
-    sum over steps k, coordinates i of  P_k ((B - B') u_k / speed)_i²
-
-with P_k the probability that the state is inside of the guard, on average over the step, B the input matrix of the mode
-and B' that of the next one. Coordinates that the next mode puts somewhere (pins, ties) lose nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -37,25 +24,17 @@ import casadi as ca
 import numpy as np
 
 from micah_plan.arrays import SMALLEST_STD, Floats
-from micah_plan.automaton.hybrid import Edge, HybridAutomaton
-from micah_plan.automaton.input_reversal import input_reversal_of
+from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.planning.avoided_inputs import STRICT_SHARE
-from micah_plan.planning.limits import Limits, steps_of_memory
+from micah_plan.planning.input_memories import steps_of_memory
+from micah_plan.planning.limits import Limits
 from micah_plan.planning.nlp import Programme
-from micah_plan.planning.path_constraints import effort_cost, goal_cost, variance_cost
-from micah_plan.planning.transcription.corridor import (
-    CorridorRow,
-    PathRows,
-    corridor,
-    factor_of,
-    factor_pattern,
-    pack,
-    packed,
-    path_rows,
-    pattern_entries,
-)
+from micah_plan.planning.plan_cost import effort_cost, goal_cost, variance_cost
+from micah_plan.planning.transcription.corridor import CorridorRow, PathRows, corridor, path_rows
 from micah_plan.planning.transcription.guess import PhaseGuess, crossed, guard_need
 from micah_plan.planning.transcription.inputs import InputRow, deepest, input_rows, spread_across
+from micah_plan.planning.transcription.late_motion import lost_motion
+from micah_plan.planning.transcription.packed_belief import factor_of, factor_pattern, pack, packed, pattern_entries
 from micah_plan.planning.transcription.rows import ConstraintRows, Row, unit_of
 from micah_plan.planning.transcription.stops import planned_step
 from micah_plan.planning.zero_time_transitions import stds_of
@@ -376,40 +355,3 @@ def _add_goal(nlp: Transcription) -> None:
             nlp.require(end[index] - value, [Row(*place, -tolerance, tolerance, "goal", coordinate=index)])
     nlp.cost += sum(goal_cost(problem, end) for end, _ in ends)
     nlp.cost += variance_cost(problem, {index: ca.sumsqr(factor[index, :]) for index in problem.goal.indices})
-
-
-def lost_motion(
-    automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, pattern: ca.Sparsity
-) -> Callable[[ca.MX, ca.MX], ca.MX] | None:
-    """(packed states, inputs) of a phase -> the expected square of what it loses [steps²]; None if that is nothing."""
-    edge = None if guess.edge is None else automaton.edges[guess.edge]
-    lost = None if edge is None else _lost_per_input(automaton, edge, limits.speed)
-    if edge is None or lost is None:
-        return None
-    rows, weights = edge.guard.half_spaces, ca.DM(lost)
-    n, a = automaton.n, np.array([h.a for h in rows])
-    z, variances, inside = ca.SX.sym("z", n + pattern.nnz()), ca.SX.sym("v", len(rows)), ca.SX(1)
-    for i, h in enumerate(rows):
-        std = ca.sqrt(ca.sumsqr(ca.mtimes(factor_of(z, pattern).T, ca.DM(h.a))) + variances[i])
-        inside *= 0.5 * (1.0 + ca.erf((ca.dot(ca.DM(h.a), z[:n]) - h.c) / (np.sqrt(2.0) * std)))
-    probability = ca.Function("inside", [z, variances], [inside]).map(guess.steps + 1)
-    variance = np.einsum("ri,kij,rj->rk", a, guess.spreads, a) + np.square(stds_of(edge))[:, None] + SMALLEST_STD**2
-
-    def expected(states: ca.MX, inputs: ca.MX) -> ca.MX:
-        at = probability(states, variance)
-        return ca.sum2(0.5 * (at[:, :-1] + at[:, 1:]) * ca.sum1(ca.mtimes(weights, inputs) ** 2))
-
-    return expected
-
-
-def _lost_per_input(automaton: HybridAutomaton, edge: Edge, speed: Floats) -> Floats | None:
-    """(n, m) by how much an input moves each coordinate otherwise before a guard on the state than behind it [steps].
-
-    A turn is crossed in one known step (`automaton.input_reversal`) and loses nothing.
-    """
-    if edge.guard.on_input or input_reversal_of(automaton, edge) is not None:
-        return None
-    target = automaton.mode(edge.target)
-    kept = target.free & ~np.isin(np.arange(automaton.n), [tie.coordinate for tie in target.ties])
-    lost = (automaton.mode(edge.source).B - target.B) * kept[:, None] / speed[:, None]
-    return lost if lost.any() else None

@@ -10,7 +10,7 @@ import numpy as np
 from micah_plan.arrays import Booleans, Floats
 from micah_plan.planning.findings import partly_met, sentence_of
 from micah_plan.planning.nlp import Programme, Solution, Solver
-from micah_plan.planning.transcription.corridor import unpack
+from micah_plan.planning.transcription.packed_belief import unpack
 from micah_plan.planning.transcription.programme import Transcription
 from micah_plan.planning.transcription.rows import NEGLIGIBLE, Row, Shortfall
 

@@ -1,0 +1,100 @@
+"""What a recording shows of one coordinate, and where a form says that fitting should begin on it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from micah_plan.arrays import ROUND_OFF, Booleans, Floats
+
+if TYPE_CHECKING:
+    from micah_plan.automaton.link_motion import LinkMotion
+
+# Commands smaller than this share of the usual one are rest.
+_AT_REST = 1e-3
+
+
+class Shown(Protocol):
+    """One coordinate over S segments of up to T rows; calibration's `coordinate_data.CoordinateData` is one.
+
+    Attributes:
+        unit: rad or m. z, u: (S, T) measured configuration, and commanded displacement from each row to the next.
+        counted, counted_starts: (S, T) whether the step to, or from, a row counts.
+        action: (S, T, 3) recorded displacement [m], None if there is none of this part alone; path: that is measured.
+        lower, upper: ends of the range, infinite where there is none; clings: whether the part may cling to them.
+        visited: smallest and largest measured configuration; command_size: root mean square of the commands.
+        period: from row to row [s].
+    """
+
+    @property
+    def unit(self) -> str: ...
+    @property
+    def z(self) -> Floats: ...
+    @property
+    def u(self) -> Floats: ...
+    @property
+    def counted(self) -> Booleans: ...
+    @property
+    def counted_starts(self) -> Booleans: ...
+    @property
+    def action(self) -> Floats | None: ...
+    @property
+    def path(self) -> LinkMotion: ...
+    @property
+    def lower(self) -> float: ...
+    @property
+    def upper(self) -> float: ...
+    @property
+    def clings(self) -> tuple[bool, bool]: ...
+    @property
+    def visited(self) -> tuple[float, float]: ...
+    @property
+    def command_size(self) -> float: ...
+    @property
+    def period(self) -> float: ...
+
+    def visits_end(self) -> bool:
+        """Whether the recording gets to an end of the range."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class FitStart:
+    """Where fitting begins: several starts, of which the best goes on.
+
+    Attributes:
+        values: (M, parameters) all parameters of each start; those that are not free differ between starts only.
+        free: columns that are fitted.
+        scale: what a large value of each of those is.
+        bounds: (lower, upper) of columns that the recording bounds more than the form does: beyond them it would be
+            another effect (a spring whose rest position is far away is a bias).
+    """
+
+    values: Sequence[Sequence[float]] | Floats
+    free: tuple[int, ...]
+    scale: Sequence[float]
+    bounds: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Same:
+    """Another effect that does exactly the same on a recording, if its first parameter is below a size."""
+
+    name: str
+    below: float = float("inf")
+
+
+def step_sizes(data: Shown, *shares: float) -> list[float]:
+    """Quantiles of the sizes of the measured steps [rad or m]; none if nothing moved."""
+    sizes = np.abs(np.diff(data.z, axis=1)[data.counted_starts[:, :-1]])
+    return [float(q) for q in np.quantile(sizes, shares) if q > ROUND_OFF] if sizes.size else []
+
+
+def command_sizes(data: Shown, *shares: float) -> list[float]:
+    """Quantiles of the sizes of the commands that are no rest [rad or m]; none if all are."""
+    sizes = np.abs(data.u[data.counted_starts])
+    sizes = sizes[sizes > _AT_REST * data.command_size]
+    return [float(q) for q in np.quantile(sizes, shares)] if sizes.size else []

@@ -1,0 +1,59 @@
+"""Parts whose motions are too small to tell a joint by."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from micah_plan.learning.roughness import bends, extent, std_of_bends
+from micah_plan.learning.segmenting.parameter_costs import BLOCKS, TRAVEL
+from micah_plan.learning.settings import FEWEST_ROWS, LearnSettings
+from micah_plan.learning.track import PartTrack, find_inliers, part_track
+from micah_plan.quantities import quantity
+from micah_plan.recording.value import Recording
+
+_TELLING = 10.0  # wanders; a larger motion shows its joint
+_FEW = 0.02  # share of the rows that do not count
+
+
+def small_motions(recording: Recording, settings: LearnSettings) -> tuple[str, ...]:
+    """One line for each part that moves, but by less than ten times the wander of the settings in all its runs."""
+    warnings = []
+    names = np.array(recording.part)
+    for part in recording.parts:
+        runs = [run for run in recording.runs if np.sum((recording.run == run) & (names == part)) >= FEWEST_ROWS]
+        reaches = [reach for run in runs if (reach := _reach(part_track(recording, run, part))) is not None]
+        if not reaches:
+            continue
+        moved, turned = (max(values) for values in zip(*reaches, strict=True))
+        if moved < _TELLING * settings.position_wander and turned < _TELLING * settings.rotation_wander:
+            warnings.append(_told(part, moved, turned, recording.quaternion is not None, settings))
+    return tuple(warnings)
+
+
+def _told(part: str, moved: float, turned: float, has_orientation: bool, settings: LearnSettings) -> str:
+    sentence = f"moves over {quantity(moved, 'm', digits=2)}"
+    wander = f"LearnSettings.position_wander ({settings.position_wander:g} m)"
+    if has_orientation:
+        sentence += f" and turns by {quantity(turned, 'rad', digits=2)}"
+        wander += f" and rotation_wander ({settings.rotation_wander:g} rad)"
+    return (
+        f"part '{part}' {sentence}, hardly more than a tracker is assumed to wander: its stops and its kind of joint "
+        f"may be missed; if the tracker is better, set {wander} to what it wanders"
+    )
+
+
+def _reach(track: PartTrack) -> tuple[float, float] | None:
+    """How far a part moves [m] and turns [rad]; None if not further than the noise of its rows."""
+    inlier = find_inliers(track)
+    position = track.position[inlier]
+    noise = float(np.sqrt(3) * std_of_bends(bends(position)))
+    blocks = np.array_split(position, min(BLOCKS, len(position)))
+    apart = extent(np.array([block.mean(axis=0) for block in blocks]))
+    turned = 0.0
+    if track.quaternion is not None:
+        rotation = Rotation.from_quat(track.quaternion[inlier])
+        turned = float(np.quantile((rotation * rotation[0].inv()).magnitude(), 1 - _FEW))
+    if apart < TRAVEL * noise / np.sqrt(len(position) / len(blocks)):
+        return None
+    return extent(position, _FEW), turned

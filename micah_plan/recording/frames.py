@@ -1,0 +1,183 @@
+"""Where frames are in one another over time: a log's transforms composed into the poses of parts in one frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from micah_plan.arrays import EQUAL, Booleans, Floats, Ints
+from micah_plan.errors import InputError, shown
+from micah_plan.quantities import count
+
+
+@dataclass
+class FrameEdge:
+    """A frame or part in its parent, as one topic gives it.
+
+    Attributes:
+        topic: its name, as it was logged.
+        child, parent: frames without slashes at their ends.
+        static: it is given once and for all.
+        samples: stamp [ns] and pose x, y, z, qx, qy, qz, qw of each message.
+    """
+
+    topic: str
+    child: str
+    parent: str
+    static: bool = False
+    samples: list[tuple[int, tuple[float, ...]]] = field(default_factory=list)
+
+    def without_lost(self) -> str:
+        """Leave out samples that are no poses, whose numbers are missing or whose quaternion is zero; the note of it.
+
+        Where all quaternions are zero, orientations were not measured, as of a point. Nothing may be left.
+        """
+        poses = np.array([pose for _, pose in self.samples])
+        placed, turns = np.isfinite(poses[:, :3]).all(axis=1), poses[:, 3:]
+        if not np.nan_to_num(turns).any():
+            self.samples = [(stamp, (*pose[:3], *(np.nan,) * 4)) for stamp, pose in self.samples]
+            good = placed
+        else:
+            good = placed & np.isfinite(turns).all(axis=1) & turns.any(axis=1)
+        lost = len(good) - int(good.sum())
+        self.samples = [sample for sample, keep in zip(self.samples, good.tolist(), strict=True) if keep]
+        return f"{count(lost, 'pose')} of {shown(self.child)} are zeros or no numbers and left out" if lost else ""
+
+    def once(self) -> tuple[Ints, Floats]:
+        """(k,) stamps in order, each once, and (k, 7) poses.
+
+        Raises:
+            InputError: if two different poses have one stamp.
+        """
+        samples = sorted(self.samples)
+        stamps = np.array([stamp for stamp, _ in samples], dtype=np.int64)
+        poses = np.array([pose for _, pose in samples])
+        again = np.flatnonzero(np.diff(stamps) == 0)
+        apart = np.nan_to_num(np.abs(poses[again + 1] - poses[again])).max(axis=1, initial=0.0) > EQUAL
+        if not self.static and apart.any():
+            time = stamps[again[apart][0]] / 1e9
+            problem = f"{shown(self.topic)} has two poses of {shown(self.child)} at {time:.3f} s"
+            raise InputError(problem, remedy="does something else publish it too? choose another topic: --topic NAME")
+        keep = np.diff(stamps, append=stamps[-1] + 1) != 0
+        return stamps[keep], poses[keep]
+
+    def at(self, stamps: Ints) -> tuple[Floats, Rotation, Booleans]:
+        """(n, 3) positions and n rotations at stamps [ns], straight between samples, and (n,) where they are known."""
+        edges, poses = self.once()
+        if not np.isfinite(poses).all():
+            problem = f"{shown(self.topic)} gives no orientation of {shown(self.child)}, which others are placed by"
+            raise InputError(problem, remedy="choose another frame: --frame NAME")
+        if self.static or len(edges) == 1:
+            chosen = np.repeat(poses[-1:], len(stamps), axis=0)
+            return chosen[:, :3], Rotation.from_quat(chosen[:, 3:]), np.full(len(stamps), True)
+        # Relative to the first, so that nanoseconds of an epoch fit into a float.
+        begin = edges[0]
+        own_times, times = (edges - begin).astype(float), (stamps - begin).astype(float)
+        inside = np.clip(times, own_times[0], own_times[-1])
+        position = np.stack([np.interp(inside, own_times, poses[:, i]) for i in range(3)], axis=1)
+        turns = Slerp(own_times, Rotation.from_quat(poses[:, 3:]))(inside)
+        return position, turns, inside == times
+
+
+@dataclass(frozen=True)
+class Frames:
+    """All transforms of a log, by the frame that they place."""
+
+    edges: Mapping[str, FrameEdge]
+
+    @classmethod
+    def of(cls, edges: Iterable[FrameEdge]) -> Frames:
+        """Those of a log's edges; of several that place one frame the first."""
+        by_child: dict[str, FrameEdge] = {}
+        for edge in edges:
+            by_child.setdefault(edge.child, edge)
+        return cls(by_child)
+
+    def upwards(self, frame: str) -> list[FrameEdge]:
+        """The edges from a frame to its root.
+
+        Raises:
+            InputError: if they go in a circle.
+        """
+        edges: list[FrameEdge] = []
+        while frame in self.edges:
+            edge = self.edges[frame]
+            if edge in edges:
+                raise InputError(f"the transforms of {shown(frame)} go in a circle", remedy="record a tree of frames")
+            edges.append(edge)
+            frame = edge.parent
+        return edges
+
+    def root(self, frame: str) -> str:
+        """The frame that places it and is placed by none."""
+        edges = self.upwards(frame)
+        return edges[-1].parent if edges else frame
+
+    def placed(self, frame: str, target: str, stamps: Ints) -> tuple[Floats, Rotation, Booleans]:
+        """(n, 3) positions and n rotations of a frame in another at stamps [ns], and (n,) where all is known.
+
+        Raises:
+            InputError: if no transforms lead from one to the other.
+        """
+        if self.root(frame) != self.root(target):
+            problem = f"no transforms lead from {shown(frame)} to {shown(target)}"
+            remedy = f"{shown(frame)} is in {shown(self.root(frame))}: --frame {self.root(frame)}"
+            raise InputError(problem, remedy=remedy)
+        ours, theirs = self.upwards(frame), self.upwards(target)
+        while ours and theirs and ours[-1] is theirs[-1]:  # what both go through says nothing of one in the other
+            ours, theirs = ours[:-1], theirs[:-1]
+        position, turn, is_known = _along(ours, stamps)
+        origin, turned, also = _along(theirs, stamps)
+        back = turned.inv()
+        return back.apply(position - origin), back * turn, is_known & also
+
+
+def _along(edges: Sequence[FrameEdge], stamps: Ints) -> tuple[Floats, Rotation, Booleans]:
+    """The frame at the bottom of edges in that at their top."""
+    position, is_known = np.zeros((len(stamps), 3)), np.full(len(stamps), True)
+    turn = Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (len(stamps), 1)))
+    for edge in edges:
+        origin, turned, there = edge.at(stamps)
+        position, turn, is_known = origin + turned.apply(position), turned * turn, is_known & there
+    return position, turn, is_known
+
+
+def moves(edges: Sequence[FrameEdge]) -> bool:
+    """Whether a frame moves in the one at the top of its edges."""
+    return any(not edge.static and np.ptp(edge.once()[1], axis=0).max(initial=0.0) > EQUAL for edge in edges)
+
+
+def acting(stamps: Ints, vectors: Floats, at: Ints) -> Floats:
+    """(n, 3) what commands of a displacement ask for from each time to the next, NaN at the last.
+
+    Each command acts evenly from its stamp to the next one, at most for as long as it usually takes, so that all that
+    falls between two times is theirs and nothing is counted twice.
+
+    Args:
+        stamps: (k,) of the commands, in order [ns].
+        vectors: (k, 3) displacements that they ask for.
+        at: (n,) times in order [ns].
+    """
+    begin = min(stamps[0], at[0])
+    lengths = np.diff(stamps)
+    usual = np.median(lengths) if len(lengths) else (at[-1] - at[0]) / max(1, len(at) - 1)
+    lasting = np.minimum(np.append(lengths, usual), usual)
+    edges = np.stack([stamps - begin, stamps - begin + lasting], axis=1).ravel()
+    total = np.cumsum(np.stack([np.zeros_like(vectors), vectors], axis=1).reshape(-1, 3), axis=0)
+    reached = np.stack([np.interp(at - begin, edges, total[:, i], left=0.0) for i in range(3)], axis=1)
+    return np.concatenate([np.diff(reached, axis=0), np.full((1, 3), np.nan)])
+
+
+def between(stamps: Ints, vectors: Floats, at: Ints) -> Floats:
+    """(n, 3) values at times [ns], on the straight way between samples; NaN where these are far apart or none."""
+    begin = min(stamps[0], at[0])
+    found = np.stack([np.interp(at - begin, stamps - begin, vectors[:, i]) for i in range(3)], axis=1)
+    usual = np.median(np.diff(stamps)) if len(stamps) > 1 else 0.0
+    right = np.clip(np.searchsorted(stamps, at), 1, len(stamps) - 1) if len(stamps) > 1 else np.zeros(len(at), int)
+    far = stamps[right] - stamps[np.maximum(right - 1, 0)] > 1.5 * usual
+    outside = (at < stamps[0]) | (at > stamps[-1])
+    found[(far | outside) & ~np.isin(at, stamps)] = np.nan
+    return found
