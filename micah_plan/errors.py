@@ -19,6 +19,13 @@ _LONGEST_LIST = 200
 _LONGEST_NAME = 120
 _LONGEST_LINE = 1000
 
+TAKE_CODE = ("solve", "explain", "execute", "predict", "calibrate", "check", "show")
+"""Commands that load a user's Python file."""
+OF_YOUR_OWN = (
+    f"one of your own is registered in a file that {', '.join(TAKE_CODE[:-1])} and {TAKE_CODE[-1]} take as --code"
+)
+"""Remedy for a name of an effect or path function that nothing registered."""
+
 
 class MicahError(Exception):
     """Root of all errors raised on purpose by micah_plan."""
@@ -101,14 +108,6 @@ class MissingDependencyError(MicahError):
     def of(cls, extra: str, problem: str) -> MissingDependencyError:
         """That which an extra brings, with the command that installs it."""
         return cls(f"{problem}: {pip_install(extra)}")
-
-
-TAKE_CODE = ("solve", "explain", "execute", "predict", "calibrate", "check", "show")
-"""Commands that load a user's Python file."""
-OF_YOUR_OWN = (
-    f"one of your own is registered in a file that {', '.join(TAKE_CODE[:-1])} and {TAKE_CODE[-1]} take as --code"
-)
-"""Remedy for a name of an effect or path function that nothing registered."""
 
 
 def pip_install(extra: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import re
 import subprocess
 import sys
 from collections import Counter
@@ -325,6 +326,66 @@ NOT_LOADED: dict[str, tuple[str, ...]] = {
     "predict models/drawer.yaml {out}/runs.csv": ("ompl", "pinocchio", "mujoco", "matplotlib", "jinja2", "umsgpack"),
     "show {out}/plan.json -o {out}/plan.html": ("ompl", "mujoco"),
 }
+
+
+def _bold_seams(tree: ast.Module) -> list[str]:
+    """Lines of a module's docstring that begin a part of their own: what stands there is another module."""
+    return [line for line in (ast.get_docstring(tree) or "").splitlines() if line.startswith("**")]
+
+
+def _late_constants(tree: ast.Module) -> list[str]:
+    """Names of values below the first function that do not depend on one: they belong above it."""
+    late, defined = list[str](), set[str]()
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            defined.add(node.name)
+        elif isinstance(node, ast.Assign | ast.AnnAssign) and defined:
+            read = [node.value] + ([node.annotation] if isinstance(node, ast.AnnAssign) else [])
+            used = {name.id for part in read if part for name in ast.walk(part) if isinstance(name, ast.Name)}
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names = [name.id for target in targets for name in ast.walk(target) if isinstance(name, ast.Name)]
+            if used & defined or any(name.startswith("__") for name in names):
+                defined.update(names)
+            elif not any(isinstance(target, ast.Attribute) for target in targets):
+                late += names
+    return late
+
+
+def test_a_module_has_one_idea_and_its_constants_first() -> None:
+    assert {module: seams for module, tree in _trees().items() if (seams := _bold_seams(tree))} == {}
+    assert {module: late for module, tree in _trees().items() if (late := _late_constants(tree))} == {}
+
+
+def test_two_ideas_and_late_constants_are_seen() -> None:
+    tree = ast.parse('"""One.\n\n**Another.** Two.\n"""\nA = 1\ndef f(): ...\nB = f()\nC = 2\nD = B + C\n')
+    assert _bold_seams(tree) == ["**Another.** Two."]
+    assert _late_constants(tree) == ["C"]
+
+
+def _cut_words(tree: ast.Module) -> list[tuple[int, str]]:
+    """Line and text wherever a string is compared with words of a sentence, or cut at them."""
+    cutting = {"split", "rsplit", "partition", "rpartition", "startswith", "endswith", "removeprefix", "removesuffix"}
+    found = []
+    for node in ast.walk(tree):
+        asked: list[ast.expr] = []
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in cutting:
+            asked = node.args
+        elif isinstance(node, ast.Compare):
+            asked = [node.left, *node.comparators]
+        for part in asked:
+            pieces = part.values if isinstance(part, ast.JoinedStr) else [part]
+            texts = [piece.value if isinstance(piece, ast.Constant) else "x" for piece in pieces]
+            text = "".join(each for each in texts if isinstance(each, str))
+            if text.startswith("; ") or re.search(r"[a-z]{2,} [a-z]{2,} [a-z]{2,}", text):
+                found.append((part.lineno, text))
+    return found
+
+
+def test_no_sentence_is_compared_or_cut() -> None:
+    """Reasons and remedies are values (`task.reason`); what they say is for people."""
+    seen = ast.parse('a = text.split("; ")\nb = "lower the confidence" in remedy\nc = name == "joint limit"')
+    assert [line for line, _ in _cut_words(seen)] == [1, 2]
+    assert {module: cut for module, tree in _trees().items() if (cut := _cut_words(tree))} == {}
 
 
 def test_no_module_imports_what_loads_statistics() -> None:

@@ -24,6 +24,13 @@ from micah_plan.recording.value import Recording
 from micah_plan.task.problem import Problem
 from micah_plan.task.settings import PlannerSettings
 
+Source = str | Path
+Modelled = Source | Mapping[str, Any] | HybridAutomaton | Result | Problem
+"""A model, or what has one: a path of a model, problem or plan, data with the keys of a model file, values, results."""
+Problematic = Source | Mapping[str, Any] | Problem | HybridAutomaton | Result
+"""A problem, or what has one: a path, data with the keys of a problem file, values, results; a model, or what has one,
+stands for the problem of moving it most of its way."""
+
 
 class DataFrame(Protocol):
     """A table of pandas, polars or the like."""
@@ -36,15 +43,9 @@ class DataFrame(Protocol):
         """A column."""
 
 
-Source = str | Path
 Measured = Source | Recording | Result | DataFrame | Mapping[str, Any] | Sequence["Measured"]
 """A recording, or what has one: a path, a value, a table with the columns of a recording CSV, arrays by the names of a
 recording's attributes, executed runs, what was learned; or several, whose runs are joined."""
-Modelled = Source | Mapping[str, Any] | HybridAutomaton | Result | Problem
-"""A model, or what has one: a path of a model, problem or plan, data with the keys of a model file, values, results."""
-Problematic = Source | Mapping[str, Any] | Problem | HybridAutomaton | Result
-"""A problem, or what has one: a path, data with the keys of a problem file, values, results; a model, or what has one,
-stands for the problem of moving it most of its way."""
 
 
 def located(source: object) -> AbstractContextManager[None]:

@@ -34,6 +34,8 @@ from micah_plan.quantities import LARGEST
 UNITS = ("rad", "m")
 Place = tuple[str | int, ...]
 
+LARGEST_WEIGHT = 1e9  # as gains of plans; the reciprocal is the smallest: what is less moves or bounds nothing
+
 
 def check_automaton(automaton: HybridAutomaton) -> None:
     """Refuse an automaton that the algorithms could not use.
@@ -299,9 +301,6 @@ def _check_region(region: Region, where: str) -> None:
     if is_empty(region):
         names = " and ".join(half_space.name or "an unnamed half-space" for half_space in region.half_spaces)
         raise InputError(f"{where} must not be empty. Got {names}")
-
-
-LARGEST_WEIGHT = 1e9  # as gains of plans; the reciprocal is the smallest: what is less moves or bounds nothing
 
 
 def contradictions(automaton: HybridAutomaton) -> Iterator[tuple[Place, Callable[[], None]]]:

@@ -28,6 +28,10 @@ from micah_plan.summaries import Summarised, aligned, listed
 
 Matrix = tuple[tuple[float, ...], ...]
 
+Sizes = tuple[int, ...]
+
+_MOST = 4
+
 
 @dataclass(frozen=True)
 class Coordinate:
@@ -503,9 +507,6 @@ def _read_only(array: NDArray[Any]) -> NDArray[Any]:
     return array
 
 
-Sizes = tuple[int, ...]
-
-
 def check_sizes(automaton: HybridAutomaton) -> None:
     """Refuse matrices, regions and stds whose sizes are not those of the coordinates and inputs.
 
@@ -570,9 +571,6 @@ def _check_matrix(matrix: Sequence[Sequence[float]], size: Sizes, where: str, wh
 def _check_length(values: Sequence[float], n: int, where: str, rows: str) -> None:
     if len(values) != n:
         raise InputError(f"{where}: must be {n} numbers, {rows}. Got {len(values)}")
-
-
-_MOST = 4
 
 
 def summary_of(automaton: HybridAutomaton) -> str:

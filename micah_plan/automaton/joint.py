@@ -19,6 +19,9 @@ from micah_plan.errors import InputError, shown
 
 JointKind = Literal["rigid", "prismatic", "revolute", "screw", "path"]
 _AXIS, _CENTER = ("axis_1", "axis_2"), ("center_1", "center_2")
+Vector3 = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -47,9 +50,6 @@ KINDS: dict[JointKind, Freedom] = {
 }
 JOINT_KINDS: tuple[JointKind, ...] = tuple(KINDS)
 SCREW_KINDS = JOINT_KINDS[:4]  # those with a constant twist
-Vector3 = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
-IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True)

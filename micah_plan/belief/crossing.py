@@ -24,6 +24,9 @@ from micah_plan.belief.layout import Exit, ExitBounds, Layout, ModeLayout
 from micah_plan.belief.pieces import Binding, Ends, Pieces
 from micah_plan.belief.truncation import NEGLIGIBLE, NOTHING, REACH, Shares, split, truncated
 
+# Factors with more than this many columns per row are made triangular on the way.
+_WIDEST = 3
+
 
 def whole_step(
     layout: Layout, mode: ModeLayout, owner: Ints, probability: Floats, mean: Floats, factor: Floats, u: Floats
@@ -322,10 +325,6 @@ def _slid_along(mode: ModeLayout, pieces: Pieces, exit_taken: Exit, chosen: Ints
         displacement[:, which] -= back * (a @ those(displacement, which))
         pieces = replace(pieces, mean=mean, factor=factor, displacement=displacement)
     return pieces
-
-
-# Factors with more than this many columns per row are made triangular on the way.
-_WIDEST = 3
 
 
 def transition(layout: Layout, mode: ModeLayout, pieces: Pieces, exit_taken: Exit, binding: Binding | None) -> Pieces:

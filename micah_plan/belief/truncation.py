@@ -34,6 +34,10 @@ _SURE = 1e-9
 _SINE = 1e-3
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 
+# From where half of it is cut off to where a thousandth of a millionth is.
+_CUT_PLACES = np.linspace(0.0, 6.0, 8_001)
+_NEAREST = 0.05  # nearly all of it lies on the boundary
+
 
 @dataclass(frozen=True, eq=False)
 class Margins:
@@ -180,12 +184,9 @@ def _cut(place: Floats) -> tuple[Floats, Floats]:
     return place + mills, np.sqrt(1.0 - mills * (mills + place))
 
 
-# From where half of it is cut off to where a thousandth of a millionth is.
-_CUT_PLACES = np.linspace(0.0, 6.0, 8_001)
 _CUT_DISTANCES, _CUT_STDS = _cut(_CUT_PLACES)
 _WIDER, _CUT_MEANS = 1.0 / _CUT_STDS, _CUT_DISTANCES / _CUT_STDS
 _STEEPEST, _WHOLE = float(_CUT_MEANS[0]), float(_CUT_MEANS[-1])
-_NEAREST = 0.05  # nearly all of it lies on the boundary
 
 
 def log_probability(margin: Floats, row: Floats) -> Floats:

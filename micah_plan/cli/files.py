@@ -57,6 +57,31 @@ if TYPE_CHECKING:
     from micah_plan.checking import FileCheck
     from micah_plan.environment import Environment
 
+# A sentence about each step, and its command; {out} is where the files go. The last needs MuJoCo.
+STEPS = (
+    (
+        "A recorded demonstration of a desk stapler becomes a hybrid automaton: a hinge that latches.",
+        "learn examples/demonstrations/stapler.csv --parts models/parts/stapler.yaml -o {out}/stapler.yaml"
+        " --figure {out}/segments.png --html {out}/recording.html",
+    ),
+    (
+        "POMDP-HD finds how an arm gets it onto the books: pressed shut on the table first. Only the place is given.",
+        "solve problems/stapler_on_books.yaml --model {out}/stapler.yaml -o {out}/plan.json --html {out}/plan.html"
+        " --figure {out}/plan.png",
+    ),
+    (
+        "The model itself executes the plan 3 times, with filter and feedback.",
+        "execute {out}/plan.json --plant nominal --trials 3 -o {out}/nominal.csv --html {out}/nominal.html",
+    ),
+    (
+        "Physics (MuJoCo) executes it 3 times: an arm under position control, contact, a latch, loose books.",
+        "execute {out}/plan.json --plant mujoco --trials 3 -o {out}/runs.csv --figure {out}/belief.png"
+        " --html {out}/runs.html",
+    ),
+)
+
+_LONGEST_LINE = 200
+
 
 def new(
     kind: Annotated[Literal["problem", "effect", "robot", "sweep", "tags"], typer.Argument(help="What to write.")],
@@ -156,30 +181,6 @@ def schema(
     print_files((output,))
 
 
-# A sentence about each step, and its command; {out} is where the files go. The last needs MuJoCo.
-STEPS = (
-    (
-        "A recorded demonstration of a desk stapler becomes a hybrid automaton: a hinge that latches.",
-        "learn examples/demonstrations/stapler.csv --parts models/parts/stapler.yaml -o {out}/stapler.yaml"
-        " --figure {out}/segments.png --html {out}/recording.html",
-    ),
-    (
-        "POMDP-HD finds how an arm gets it onto the books: pressed shut on the table first. Only the place is given.",
-        "solve problems/stapler_on_books.yaml --model {out}/stapler.yaml -o {out}/plan.json --html {out}/plan.html"
-        " --figure {out}/plan.png",
-    ),
-    (
-        "The model itself executes the plan 3 times, with filter and feedback.",
-        "execute {out}/plan.json --plant nominal --trials 3 -o {out}/nominal.csv --html {out}/nominal.html",
-    ),
-    (
-        "Physics (MuJoCo) executes it 3 times: an arm under position control, contact, a latch, loose books.",
-        "execute {out}/plan.json --plant mujoco --trials 3 -o {out}/runs.csv --figure {out}/belief.png"
-        " --html {out}/runs.html",
-    ),
-)
-
-
 def demo(
     folder: Annotated[Path, typer.Argument(help="New folder for the shipped files and for what is made of them.")],
     copy_only: Annotated[
@@ -237,9 +238,6 @@ def run_demo(place: Path, output: Path, *, quiet: bool = False) -> int:
         if steps is not STEPS:
             print_lines(("With the extra 'sim' (MuJoCo) physics executes the plan, too.",))
     return 0
-
-
-_LONGEST_LINE = 200
 
 
 def check(

@@ -23,6 +23,24 @@ _UNIT_TOLERANCE = 1e-3
 LARGEST_STD = 1e3
 _LARGEST_QUANTITY = 1e12
 
+ITEMS = Mark(lambda mapping, *_: tuple(mapping.items()), lambda pairs, _: unique(pairs))
+"""A mapping; in the value a tuple of (key, entry)."""
+BY_NAME = Mark(lambda mapping, *_: tuple(mapping.values()), lambda values, _: unique((v.name, v) for v in values))
+"""A mapping of entries whose values know their name; in the value a tuple of them."""
+NonNegative = Annotated[float, Field(ge=0, le=_LARGEST_QUANTITY)]
+# Configurations and positions, distances and spreads, each in m or rad.
+Place = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+StdOrZero = Annotated[float, Field(ge=0, le=LARGEST_STD)]
+Probability = Annotated[float, Field(ge=0, le=1)]
+Count = Annotated[int, Field(ge=0)]
+# Not strict about tuple or list: files have lists, values have tuples. What is in them stays strict.
+Vector3 = Annotated[tuple[Place, Place, Place], Field(strict=False)]
+Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Color = Annotated[str, Field(pattern=r"^#[0-9a-fA-F]{6}$")]
+Unit = Literal["rad", "m"]
+
+ZERO: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
 
 def _printable(value: str) -> str:
     if not value.isprintable():
@@ -86,12 +104,6 @@ def each(what: str, entry: str = "value", default: object = None) -> Mark:
     return Mark(read, written)
 
 
-ITEMS = Mark(lambda mapping, *_: tuple(mapping.items()), lambda pairs, _: unique(pairs))
-"""A mapping; in the value a tuple of (key, entry)."""
-BY_NAME = Mark(lambda mapping, *_: tuple(mapping.values()), lambda values, _: unique((v.name, v) for v in values))
-"""A mapping of entries whose values know their name; in the value a tuple of them."""
-
-
 def of_unit_length(vector: Sequence[float], at: Located, _: Scope | None = None) -> Sequence[float]:
     """The vector, if its length is 1 within a thousandth; else an InputError."""
     length = float(np.linalg.norm(vector))
@@ -117,30 +129,17 @@ def check_covariance(rows: Sequence[Sequence[float]], at: Located) -> None:
 Name = Annotated[str, AfterValidator(checked_name)]
 Line = Annotated[str, AfterValidator(_printable)]
 Positive = Annotated[float, Field(gt=0, le=_LARGEST_QUANTITY), AfterValidator(_above_rounding)]
-NonNegative = Annotated[float, Field(ge=0, le=_LARGEST_QUANTITY)]
-# Configurations and positions, distances and spreads, each in m or rad.
-Place = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Distance = Annotated[float, Field(gt=0, le=LARGEST), AfterValidator(_above_rounding)]
 Std = Annotated[float, Field(gt=0, le=LARGEST_STD), AfterValidator(_above_rounding)]
-StdOrZero = Annotated[float, Field(ge=0, le=LARGEST_STD)]
-Probability = Annotated[float, Field(ge=0, le=1)]
-Count = Annotated[int, Field(ge=0)]
-# Not strict about tuple or list: files have lists, values have tuples. What is in them stays strict.
-Vector3 = Annotated[tuple[Place, Place, Place], Field(strict=False)]
 Quaternion = Annotated[tuple[float, float, float, float], Field(strict=False), Mark(of_unit_length)]
 Names = Annotated[tuple[Name, ...], Listed()]
 Lines = Annotated[tuple[Line, ...], Listed()]
 Row = Annotated[tuple[float, ...], Listed(1)]
 Matrix = Annotated[tuple[Row, ...], Listed(1)]
 Sizes = Annotated[tuple[Distance, ...], Listed(1, 3)]
-Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-Color = Annotated[str, Field(pattern=r"^#[0-9a-fA-F]{6}$")]
-Unit = Literal["rad", "m"]
 ModeName = Annotated[Name, named("mode")]
 ModeNames = Annotated[tuple[ModeName, ...], Listed()]
 PartName = Annotated[Name, named("part")]
 CoordinateName = Annotated[Name, numbered("coordinate")]
 EachCoordinate = Annotated[dict[Name, T], each("coordinate")]
 EachInput = Annotated[dict[Name, T], each("input")]
-
-ZERO: tuple[float, float, float] = (0.0, 0.0, 0.0)

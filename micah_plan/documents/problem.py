@@ -54,6 +54,9 @@ from micah_plan.task.surroundings import surroundings_of
 PROBLEM_FORMAT = "micah-plan/problem/1"
 _MOST_LISTED = 6
 
+# Not a union of kinds: errors would be told twice, at places that the file does not have.
+_SCHEMA = WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string", "maxLength": 100}]})
+
 
 class StartDocument(Document):
     makes = Start
@@ -96,8 +99,6 @@ def _argument(value: object) -> float | str:
     return float(value)
 
 
-# Not a union of kinds: errors would be told twice, at places that the file does not have.
-_SCHEMA = WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string", "maxLength": 100}]})
 Argument = Annotated[Any, AfterValidator(_argument), _SCHEMA]
 
 

@@ -46,6 +46,8 @@ from micah_plan.xml_text import Element, parse_xml, read_xml, write_xml
 
 AXIS_LINK = "_axis"
 
+_HERE = RigidTransform.identity()
+
 
 def urdf_text(automaton: HybridAutomaton, title: str, density: float = DENSITY) -> str:
     """The text of a URDF of the model.
@@ -135,9 +137,6 @@ def _shape(shape: Primitive, tag: str) -> Element:
 def _origin(position: ArrayLike, quaternion: ArrayLike) -> Element:
     rpy = roll_pitch_yaw(Rotation.from_quat(quaternion))
     return Element("origin", {"xyz": written(position), "rpy": written(rpy)}, 0)
-
-
-_HERE = RigidTransform.identity()
 
 
 def load_urdf(path: str | Path, packages: Mapping[str, str] | None = None) -> tuple[HybridAutomaton, tuple[str, ...]]:

@@ -51,6 +51,9 @@ _LARGER = tuple(2.0**k for k in range(1, 31))
 # Modes that one message describes.
 _MOST_NAMED = 4
 
+# In the order in which they are checked.
+_LEVELS: tuple[Level, ...] = ("start", "goal", "search", "optimisation", "verification", "arm")
+
 
 def endpoint_findings(problem: Problem) -> tuple[Finding, ...]:
     """What is wrong with the start, else with the goal, whatever leads from one to the other; empty if nothing is."""
@@ -408,10 +411,6 @@ def _plain_ways(shortfall: Shortfall) -> tuple[str | Offer, ...]:
     if row.kind == "path" and np.isfinite(amount):
         return f"relax it by {quantity(amount, row.unit)}", *steps
     return steps
-
-
-# In the order in which they are checked.
-_LEVELS: tuple[Level, ...] = ("start", "goal", "search", "optimisation", "verification", "arm")
 
 
 @dataclass(frozen=True)

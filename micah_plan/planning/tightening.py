@@ -22,6 +22,15 @@ from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Finding, Plan
 from micah_plan.task.problem import Problem
 
+# A round allows at most this share of the failures that the round before allowed.
+_SLOWEST = 0.3
+# Of the largest step: how fast plans are made where those with more room fail as often.
+_FASTER = 0.8
+# Planning always allows this share of failures: a Gaussian says little about its far tails.
+_FEWEST_FAILURES = 1e-4
+# Distance between the seeds of the rounds; also far from the small seeds that users choose.
+_SEED_STRIDE = 7_919
+
 
 class Planner(Protocol):
     """What finds a plan for a problem before a deadline."""
@@ -35,16 +44,6 @@ class Verifier(Protocol):
 
     def __call__(self, problem: Problem, plan: Plan, *, seed: int, deadline: Deadline) -> Plan:
         """The plan with its success probability, or refused."""
-
-
-# A round allows at most this share of the failures that the round before allowed.
-_SLOWEST = 0.3
-# Of the largest step: how fast plans are made where those with more room fail as often.
-_FASTER = 0.8
-# Planning always allows this share of failures: a Gaussian says little about its far tails.
-_FEWEST_FAILURES = 1e-4
-# Distance between the seeds of the rounds; also far from the small seeds that users choose.
-_SEED_STRIDE = 7_919
 
 
 def verified_plan(

@@ -40,6 +40,8 @@ MessageType = Literal[
 
 MESSAGE_TYPES: tuple[MessageType, ...] = get_args(MessageType)
 
+_REMEDY = "record it again, or repair it with `mcap recover`"
+
 
 @dataclass(frozen=True)
 class Logged:
@@ -126,9 +128,6 @@ def header_at(time: int, frame: str) -> dict[str, Any]:
 def split_time(time: int) -> dict[str, int]:
     """A time [ns] as messages write it."""
     return {"sec": time // NANOSECONDS, "nanosec": time % NANOSECONDS}
-
-
-_REMEDY = "record it again, or repair it with `mcap recover`"
 
 
 def write_log(messages: Sequence[Logged]) -> bytes:

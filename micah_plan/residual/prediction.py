@@ -30,6 +30,9 @@ from micah_plan.residual.range_exceeded import ranges_exceeded, with_extended_ra
 from micah_plan.residual.versions import versions
 from micah_plan.summaries import Progress
 
+_Path = tuple[Floats, tuple[str, ...]]
+"""(K, n) configurations, and the modes of the K steps."""
+
 
 @dataclass(frozen=True, eq=False)
 class PredictionError:
@@ -262,10 +265,6 @@ class _Ahead:
         """
         ends = np.array([[mode.interval(i) for i in range(self.automaton.n)] for mode in self.automaton.modes])
         return np.clip(x, ends[modes, :, 0], ends[modes, :, 1])
-
-
-_Path = tuple[Floats, tuple[str, ...]]
-"""(K, n) configurations, and the modes of the K steps."""
 
 
 class _Collected:

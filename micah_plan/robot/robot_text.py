@@ -49,6 +49,9 @@ _DROPPED = ("texture", "hfield", "skin", "material")
 _MJCF_NUMBERS = ("pos", "quat", "axis", "size", "range", "euler", "axisangle", "xyaxes", "zaxis", "fromto", "ref")
 _MJCF_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
+MJCF_ROOTS = ("mujocoinclude", "mujoco")
+"""Roots of files that an MJCF may include."""
+
 
 @dataclass(frozen=True)
 class CheckedRobot:
@@ -322,10 +325,6 @@ def _colors(link: Element, materials: dict[str, str]) -> tuple[str, ...]:
         _remember(material, materials)
         elements.append(materials.get(material.attributes.get("name", ""), ""))
     return tuple(color for color in elements if color)
-
-
-MJCF_ROOTS = ("mujocoinclude", "mujoco")
-"""Roots of files that an MJCF may include."""
 
 
 def check_mjcf(root: Element, folder: str) -> CheckedRobot:

@@ -23,6 +23,8 @@ Columns = dict[str, tuple[str, list[Any]]]
 
 _STAGES = ("load", "solve", "execute", "total")
 
+_KINDS = {"outcome": "string", "reason": "string", "modes": "string", "steps": "int64", "successes": "int64"}
+
 
 @dataclass(frozen=True)
 class CaseResult:
@@ -67,7 +69,6 @@ class CaseRun:
     attempts: int = 1
 
 
-_KINDS = {"outcome": "string", "reason": "string", "modes": "string", "steps": "int64", "successes": "int64"}
 NUMBERS = tuple(item.name for item in fields(CaseResult) if _KINDS.get(item.name) != "string")
 
 

@@ -18,13 +18,12 @@ from micah_plan.sweep.result import CaseResult, CaseRun, Outcome
 from micah_plan.task.plan import Plan
 from micah_plan.task.sweep import Case
 
+# CasADi and OMPL are not made for several threads, and OMPL's generators belong to the process.
+_ONE_AT_A_TIME = threading.Lock()
+
 
 class WorkerFilesError(MicahError):
     """A worker does not see the files that the sweep was made of."""
-
-
-# CasADi and OMPL are not made for several threads, and OMPL's generators belong to the process.
-_ONE_AT_A_TIME = threading.Lock()
 
 
 def solve_case(case: Case) -> CaseRun:

@@ -14,6 +14,9 @@ import numpy as np
 
 from micah_plan.arrays import Floats, Ints
 
+Instruction = tuple[int, int, int, int]
+"""`Operation`, then the registers of its result and of its two arguments."""
+
 
 class Operation(IntEnum):
     """Operations of instructions: CasADi's on scalars, by its names, and two that programs have beside them.
@@ -71,8 +74,6 @@ _OF_CASADI = {
     for operation in Operation
     if operation not in (Operation.SELECT, Operation.IN_MODES)
 }
-Instruction = tuple[int, int, int, int]
-"""`Operation`, then the registers of its result and of its two arguments."""
 
 
 @dataclass(frozen=True, eq=False)

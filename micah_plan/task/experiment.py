@@ -15,6 +15,8 @@ from micah_plan.task.goal import Goal
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import Start
 
+SMALLER = "divide the motion into steps that the object can make; are these m and rad?"
+
 
 @dataclass(frozen=True)
 class Motion:
@@ -26,9 +28,6 @@ class Motion:
 
     start: Start
     commands: tuple[tuple[float, ...], ...]
-
-
-SMALLER = "divide the motion into steps that the object can make; are these m and rad?"
 
 
 def too_large(automaton: HybridAutomaton, motion: Motion) -> str:

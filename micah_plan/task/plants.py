@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+DEFAULT_PLANT = "nominal"
+
 
 @dataclass(frozen=True)
 class BuiltInPlant:
@@ -30,7 +32,6 @@ BUILT_IN: Mapping[str, BuiltInPlant] = {
     "nominal": BuiltInPlant("micah_plan.execution.nominal:NominalPlant.of", "the model with noise", abreast=True),
     "mujoco": BuiltInPlant("micah_plan.execution.mujoco.held:in_mujoco", "independent physics"),
 }
-DEFAULT_PLANT = "nominal"
 SENTENCES = "; ".join(f"{name}: {plant.sentence}" for name, plant in BUILT_IN.items())
 
 if TYPE_CHECKING:

@@ -25,6 +25,10 @@ _AT_FLOOR = 0.5
 _TOLD = 0.5  # probability of a deviation from which on it is told
 _LINE_OF_NAMES = 17  # letters
 
+# Standard deviation of a turn [rad], and of a gain as a share of it, from which on a number would only mislead: motion
+# along one straight line tells the gain along it and no turn about it.
+_OPEN = 0.35
+
 
 def block_title(learned: RunPicture, *, several_runs: bool) -> str:
     """Part, run and finding: ``"door, run 2: revolute → rigid"``."""
@@ -146,11 +150,6 @@ def channel_words(learned: RunPicture, *, recorded: bool) -> str:
     if channel is None:
         return "actions: they do not explain the motion"
     return f"actions: {action_words(channel)}"
-
-
-# Standard deviation of a turn [rad], and of a gain as a share of it, from which on a number would only mislead: motion
-# along one straight line tells the gain along it and no turn about it.
-_OPEN = 0.35
 
 
 def action_words(channel: ActionChannel) -> str:

@@ -26,6 +26,11 @@ from micah_plan.automaton.hybrid import Primitive
 from micah_plan.errors import InputError, shown
 from micah_plan.view.solids import Mesh
 
+FRAMES_PER_SECOND = 30
+_SMALLEST_SPAN = 0.01
+_ROOT = "meshcat"  # of the viewer's scene tree
+_REFERENCES = ("uuid", "geometry", "material")
+
 
 def _meshcat_package() -> ModuleType:
     """A package with the modules of MeshCat but not its `__init__`; `meshcat` itself stays as it was."""
@@ -41,11 +46,6 @@ _PACKAGE = _meshcat_package()
 geometry, commands, paths, animation = (
     import_module(f"{_PACKAGE.__name__}.{name}") for name in ("geometry", "commands", "path", "animation")
 )
-
-FRAMES_PER_SECOND = 30
-_SMALLEST_SPAN = 0.01
-_ROOT = "meshcat"  # of the viewer's scene tree
-_REFERENCES = ("uuid", "geometry", "material")
 
 
 def viewer_javascript() -> str:

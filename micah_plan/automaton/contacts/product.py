@@ -40,6 +40,9 @@ _N, _M, _JOINT = 4, 3, 3
 _HAND_FREE = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
 _STILL = ((0.0, 0.0, 0.0),) * 4
 
+HAND = "hand"
+_CARRIAGES = ("hand_x", "hand_y", HAND)
+
 
 @dataclass(frozen=True)
 class Contact:
@@ -293,10 +296,6 @@ class _Product:
 def _beyond(coordinate: int, value: float, direction: int, name: str, *, strict: bool = False) -> HalfSpace:
     """A coordinate at or beyond a value, seen along a direction."""
     return (above if direction > 0 else below)(coordinate, value, _N, _M, strict=strict, name=name)
-
-
-HAND = "hand"
-_CARRIAGES = ("hand_x", "hand_y", HAND)
 
 
 @dataclass(frozen=True)

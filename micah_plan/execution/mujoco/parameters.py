@@ -12,16 +12,15 @@ from micah_plan.automaton.plausible import Amount
 from micah_plan.errors import InputError, shown
 from micah_plan.task.problem import Problem
 
+_UNUSUAL = 1000.0
+"""Times its default: a parameter beyond that was probably given in another unit."""
+_ABOVE_0 = float(np.nextafter(0.0, 1.0))
+
 
 def _key(standing: float | None, held: float | None, *, least: float = 0.0, most: float = np.inf) -> Any:
     """A parameter: its default for standing and for held objects (None: that kind does not know it), and its range."""
     limits = {"least": least, "most": most}
     return field(default=held if standing is None else standing, metadata={"defaults": (standing, held), **limits})
-
-
-_UNUSUAL = 1000.0
-"""Times its default: a parameter beyond that was probably given in another unit."""
-_ABOVE_0 = float(np.nextafter(0.0, 1.0))
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,13 @@ from micah_plan.automaton.kinematics import ROTATION_LENGTH
 from micah_plan.learning.joints.quaternions import times
 from micah_plan.learning.joints.residuals import compare_all
 
+# Tilt (2), shift of the centre (2), pitch, turn of the origin (3) and its shift (3), along the axes of a joint's frame.
+FRAME_NUMBERS, PITCH_NUMBER = 11, 4
+
+_ROTATION = ("rotation_1", "rotation_2", "rotation_3")
+_POSITION = ("position_1", "position_2", "position_3")
+_LONGEST_STEP = 1.0  # rad, m, m/rad: no linearization holds further
+
 
 @dataclass(frozen=True, eq=False)
 class Seen:
@@ -85,14 +92,6 @@ def frame_of(joint: Joint) -> tuple[Floats, float]:
 def cross(a: Floats, b: Floats) -> Floats:
     """(3,) cross product of two vectors, without the overhead of NumPy's."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
-# Tilt (2), shift of the centre (2), pitch, turn of the origin (3) and its shift (3), along the axes of a joint's frame.
-FRAME_NUMBERS, PITCH_NUMBER = 11, 4
-
-_ROTATION = ("rotation_1", "rotation_2", "rotation_3")
-_POSITION = ("position_1", "position_2", "position_3")
-_LONGEST_STEP = 1.0  # rad, m, m/rad: no linearization holds further
 
 
 @dataclass(frozen=True, eq=False)
