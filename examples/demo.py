@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from micah_plan.cli.files import run_demo
+from micah_plan.cli.demo import run_demo
 
 ROOT = Path(__file__).resolve().parent.parent
 OUTPUT = Path("demo_output")

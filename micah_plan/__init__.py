@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from micah_plan.api.calibration import calibrate as calibrate
-    from micah_plan.api.calibration import predict as predict
+    from micah_plan.api.execution import execute as execute
+    from micah_plan.api.exploration import explore as explore
     from micah_plan.api.files import load as load
     from micah_plan.api.files import save as save
     from micah_plan.api.files import show as show
-    from micah_plan.api.learning import explore as explore
     from micah_plan.api.learning import learn as learn
-    from micah_plan.api.planning import execute as execute
     from micah_plan.api.planning import solve as solve
+    from micah_plan.api.prediction import predict as predict
     from micah_plan.api.tracking import track as track
     from micah_plan.automaton.hybrid import HybridAutomaton as HybridAutomaton
     from micah_plan.errors import InputError as InputError
@@ -35,11 +35,14 @@ _PLACES = {
     "HybridAutomaton": "automaton.hybrid",
     "InputError": "errors",
     "Recording": "recording.value",
-    **dict.fromkeys(("calibrate", "predict"), "api.calibration"),
-    **dict.fromkeys(("execute", "solve"), "api.planning"),
-    **dict.fromkeys(("explore", "learn"), "api.learning"),
-    **dict.fromkeys(("load", "save", "show"), "api.files"),
+    "calibrate": "api.calibration",
+    "execute": "api.execution",
+    "explore": "api.exploration",
+    "learn": "api.learning",
+    "predict": "api.prediction",
+    "solve": "api.planning",
     "track": "api.tracking",
+    **dict.fromkeys(("load", "save", "show"), "api.files"),
 }
 __all__ = ["__version__", *sorted(_PLACES)]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from micah_plan.checking import check_file
-from micah_plan.cli.files import check_keys
+from micah_plan.cli.checking import check_keys
 from micah_plan.errors import InputError, together
 
 ROOT = Path(__file__).resolve().parents[1]

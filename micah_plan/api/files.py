@@ -91,7 +91,7 @@ def show(value: Any, path: str | Path | None = None, *, before: Any = None) -> P
         InputError: if there is no page of such a value, or there are no runs to compare.
     """
     if before is not None:
-        from micah_plan.api.planning import RunsResult
+        from micah_plan.api.execution import RunsResult
 
         earlier = before.recording if isinstance(before, RunsResult) else before
         if not isinstance(value, RunsResult) or not isinstance(earlier, Recording):

@@ -13,10 +13,13 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from micah_plan import __version__
+from micah_plan.cli.calibration import calibrate, predict
+from micah_plan.cli.checking import check, diff, doctor, error_keys
 from micah_plan.cli.console import BAD_INPUT, NO_RESULT, OUR_BUG, Interrupted, err, out
-from micah_plan.cli.files import check, convert, demo, diff, doctor, error_keys, new, schema
+from micah_plan.cli.demo import demo
+from micah_plan.cli.files import convert, new, schema
 from micah_plan.cli.interrupted import INTERRUPTED, SENTENCE, asks_for_json, is_of_an_interruption
-from micah_plan.cli.learning import calibrate, explore, learn, predict
+from micah_plan.cli.learning import explore, learn
 from micah_plan.cli.pages import show
 from micah_plan.cli.planning import execute, explain, solve
 from micah_plan.cli.sweeping import sweep

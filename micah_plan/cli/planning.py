@@ -115,9 +115,9 @@ def execute(
     With a plant of your own, give --plant FILE.py:CLASS: the class is called with the problem and has reset, apply and
     close. Exit code 1 if the machine cannot be reset, 2 if its code fails; a failed trial is a result, exit code 0.
     """
+    from micah_plan.api.execution import execute as executed
     from micah_plan.api.experiments import refuse_options_of_plans
     from micah_plan.api.planning import PlanningResult
-    from micah_plan.api.planning import execute as executed
     from micah_plan.documents.kind import kind_of
     from micah_plan.documents.plan import load_plan, require_executable
     from micah_plan.recording.read import recording_bytes

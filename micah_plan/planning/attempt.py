@@ -52,7 +52,8 @@ class Attempt:
         try:
             return planner(self)
         except (NoWayError, TimeLimitError) as failed:
-            return self.refused(str(failed.reason), (Finding.of(level, failed.reason),))
+            finding = Finding.of(level, failed.reason)
+            return replace(self.refused(str(failed.reason), (finding,)), before_remedy=f"{finding.sentence}; ")
 
     def solved(
         self,

@@ -131,8 +131,7 @@ def _finding(plan: Plan, task: str, failure: ArmFailure) -> Finding:
 
 
 def _refused(plan: Plan, finding: Finding) -> Plan:
-    reason = f"{finding.sentence}; {finding.remedy}"
-    return replace(plan, outcome="not_verified", reason=reason, findings=(finding, *plan.findings))
+    return plan.refused_for(finding)
 
 
 def _judged(problem: Problem, plan: Plan) -> Plan:

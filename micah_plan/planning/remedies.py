@@ -48,13 +48,14 @@ def advised(problem: Problem, plan: Plan, solver: PlanSolver, seed: int = 0, pro
     """
     if plan.outcome == "solved" or not plan.findings:
         return plan
-    trials, reason, findings = _Trials(problem, solver, seed, progress), plan.reason, list[Finding]()
-    for finding in plan.findings:
-        remedy = trials.tried(finding) if finding.ways else finding.remedy
-        if reason.endswith(f"; {finding.remedy}"):
-            reason = f"{reason.removesuffix(finding.remedy)}{remedy}"
-        findings.append(replace(finding, remedy=remedy, ways=()))
-    return replace(plan, reason=reason, findings=tuple(findings))
+    trials, said = _Trials(problem, solver, seed, progress), plan.before_remedy
+    findings = tuple(
+        replace(finding, remedy=trials.tried(finding) if finding.ways else finding.remedy, ways=())
+        for finding in plan.findings
+    )
+    # What was added to a reason since stands behind its remedy.
+    is_of_first = said is not None and plan.reason == f"{said}{plan.findings[0].remedy}"
+    return replace(plan, reason=f"{said}{findings[0].remedy}" if is_of_first else plan.reason, findings=findings)
 
 
 class _NoneLeftError(Exception):

@@ -126,8 +126,7 @@ def _cut_short(plan: Plan, deadline: Deadline) -> Plan:
         f"the time limit of {deadline.limit_s:g} s (solve_time_limit_s) was reached before planning with more room"
     )
     finding = Finding("verification", sentence, "raise solve_time_limit_s", plan.mode_sequence)
-    reason = f"{plan.reason}; {sentence}; {finding.remedy}"
-    return replace(plan, reason=reason, findings=(finding, *plan.findings))
+    return plan.refused_for(finding, f"{plan.reason}; ", outcome=plan.outcome)
 
 
 def _added(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:

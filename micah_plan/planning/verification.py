@@ -63,20 +63,18 @@ def verify(
     if plan.trajectory is None or count <= 0:
         return plan
     problem, confidence = with_scene(pre_release_problem(problem)), problem.settings.confidence
+    found = f"found {' -> '.join(plan.mode_sequence)}, but "
     if (needed := least_trials(confidence)) > _MOST_TRIALS:
         sentence = (
             f"it takes {needed:,} roll-outs to show the confidence {percent(confidence)}, more than {_MOST_TRIALS:,}"
         )
         finding = Finding("verification", sentence, "lower `confidence`", plan.mode_sequence)
-        reason = f"found {' -> '.join(plan.mode_sequence)}, but {sentence}; {finding.remedy}"
-        return replace(plan, outcome="not_verified", reason=reason, findings=(finding, *plan.findings))
+        return plan.refused_for(finding, found)
     count = max(count, needed) if trials is None and not sequential else count
     try:
         ends = _ends(problem, plan.trajectory, count, seed, deadline, sequential)
     except TimeLimitError as over:
-        finding = Finding.of("verification", over.reason, plan.mode_sequence)
-        reason = f"found {' -> '.join(plan.mode_sequence)}, but {over.reason}"
-        return replace(plan, outcome="not_verified", reason=reason, findings=(finding, *plan.findings))
+        return plan.refused_for(Finding.of("verification", over.reason, plan.mode_sequence), found)
     successes, done = int(ends.in_goal.sum()), len(ends.in_goal)
     share, interval = successes / done, wilson_interval(successes, done)
     answer = replace(plan, success_probability=share, success_interval=interval, verification_trials=done)
@@ -88,10 +86,9 @@ def verify(
         ways = "give the modes more room at that transition", MORE_KNOTS, LESS_NOISE
         remedy = one_of(ways)
         finding = Finding("verification", leaves.sentence, remedy, plan.mode_sequence, *where, "transitions", ways=ways)
-        reason = f"found {' -> '.join(plan.mode_sequence)}, but {leaves.sentence}; {remedy}"
-        return replace(answer, outcome="not_verified", reason=reason, findings=(finding, *plan.findings))
+        return answer.refused_for(finding, found)
     reason = (
-        f"found {' -> '.join(plan.mode_sequence)}, but {successes} of {done} roll-outs ({percent(share, 0)}) end in "
+        f"{found}{successes} of {done} roll-outs ({percent(share, 0)}) end in "
         f"the goal, fewer than the confidence {percent(confidence)} asks for"
     )
     findings = _findings(problem, plan.mode_sequence, ends)

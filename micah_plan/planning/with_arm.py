@@ -124,8 +124,7 @@ def _followed(
         return replace(plan, arm=arm), None
     if arm is not None:
         finding = _finding(problem, plan, arm, trajectory.modes[arm.knot])
-    reason = f"{says}{finding.sentence}; {finding.remedy}"
-    return replace(plan, outcome="not_verified", reason=reason, findings=(finding, *plan.findings)), arm
+    return plan.refused_for(finding, says), arm
 
 
 def _finding(problem: Problem, plan: Plan, arm: ArmFailure, mode: str) -> Finding:

@@ -189,6 +189,8 @@ class Plan(Summarised):
         purposes: why it visits its modes, as far as the search can tell.
         alternatives: plans along the other candidates, to be tried in this order where roll-outs refuse this one; kept
             out of the plan file.
+        before_remedy: what of the reason stands before the remedy of the first finding; None: it is not made like
+            that. Kept out of the plan file.
     """
 
     outcome: Outcome
@@ -209,10 +211,20 @@ class Plan(Summarised):
     warnings: tuple[str, ...] = ()
     purposes: tuple[ModePurpose, ...] = ()
     alternatives: tuple[Plan, ...] = field(default=(), repr=False, compare=False)
+    before_remedy: str | None = field(default=None, repr=False, compare=False)
 
     def summary(self) -> str:
         """Outcome and reason in one line."""
         return f"Plan, {self.outcome}: {self.reason}"
+
+    def refused_for(self, finding: Finding, before: str = "", *, outcome: Outcome = "not_verified") -> Plan:
+        """The plan refused for a finding more, whose sentence and remedy are the reason.
+
+        Args:
+            before: what the reason begins with.
+        """
+        said, findings = f"{before}{finding.sentence}; ", (finding, *self.findings)
+        return replace(self, outcome=outcome, reason=f"{said}{finding.remedy}", findings=findings, before_remedy=said)
 
     @property
     def mode_sequence(self) -> tuple[str, ...]:

@@ -30,8 +30,9 @@ from micah_plan import (
     show,
     solve,
 )
+from micah_plan.api.execution import RunsResult
 from micah_plan.api.learning import LearningResult
-from micah_plan.api.planning import PlanningResult, RunsResult
+from micah_plan.api.planning import PlanningResult
 from micah_plan.api.result import Page
 from micah_plan.documents.model import load_model, model_data
 from micah_plan.learning.settings import LearnSettings

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from micah_plan.api.planning import PlanningResult, execute
+from micah_plan.api.execution import execute
+from micah_plan.api.planning import PlanningResult
 from micah_plan.cli.planning import starts_of
 from micah_plan.documents.plan import load_plan, write_plan
 from micah_plan.documents.problem import load_problem

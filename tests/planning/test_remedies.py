@@ -129,7 +129,15 @@ def test_without_advice_no_number_is_named(name: str) -> None:
 def _refused(*ways: str | Offer) -> Plan:
     words = one_of(ways)
     finding = Finding("search", "it is too far", words, ways=ways)
-    return Plan("no_plan", f"it is too far; {words}", findings=(finding,))
+    return Plan("no_plan", "").refused_for(finding, outcome="no_plan")
+
+
+def test_what_was_added_behind_a_remedy_stays() -> None:
+    plan = _refused(MORE_KNOTS)
+    longer = replace(plan, reason=f"{plan.reason}; planned again once")
+    answer = advised(door_problem(0.2, 0.6), longer, _solver(lambda p: p.settings.max_knots >= 100, []))
+    assert answer.findings[0].remedy == "raise max_knots to 120"
+    assert answer.reason == longer.reason
 
 
 def _solver(helps: Callable[[Problem], bool], asked: list[Problem]) -> Callable[..., Plan]:

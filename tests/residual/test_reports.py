@@ -9,7 +9,7 @@ import planted_effects as plants
 import pytest
 from test_noise_of_places import recorded, slide
 
-from micah_plan.api.calibration import PredictionResult
+from micah_plan.api.prediction import PredictionResult
 from micah_plan.documents.model import load_model
 from micah_plan.execution.open_loop import carry_out
 from micah_plan.residual.calibrate import calibrate

@@ -9,7 +9,7 @@ from test_meaning import servo_run
 
 from micah_plan import solve
 from micah_plan.api.calibration import calibrate as calibrated
-from micah_plan.api.calibration import predict
+from micah_plan.api.prediction import predict
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.commanded_places import as_commanded, without_superseded
 from micah_plan.automaton.effects.memories import AS_COMMANDED, is_as_commanded

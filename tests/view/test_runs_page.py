@@ -14,7 +14,8 @@ from extras import skip_without
 from view_objects import problem, solved
 
 from micah_plan import execute, predict, show, solve
-from micah_plan.api.planning import PlanningResult, RunsResult
+from micah_plan.api.execution import RunsResult
+from micah_plan.api.planning import PlanningResult
 from micah_plan.errors import InputError
 from micah_plan.task.plan import Plan
 from micah_plan.view.executed import ExecutedRun, executed_runs
