@@ -24,7 +24,7 @@ def read_bytes(path: str | Path, limit: int = LARGEST_FILE_BYTES) -> bytes:
         InputError: if the file is missing, a directory, a pipe or device, not readable or larger.
     """
     try:
-        with open(path, "rb", opener=_open_at_once) as file:
+        with open(path, "rb", opener=_open_without_waiting) as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
                 problem = "expected a file, found a pipe or device"
                 raise InputError(problem, source=path, remedy="write the content to a file")
@@ -42,7 +42,7 @@ def read_bytes(path: str | Path, limit: int = LARGEST_FILE_BYTES) -> bytes:
     return data
 
 
-def _open_at_once(path: str, flags: int) -> int:
+def _open_without_waiting(path: str, flags: int) -> int:
     """Open without waiting for somebody to write into a pipe."""
     return os.open(path, flags | os.O_NONBLOCK)
 

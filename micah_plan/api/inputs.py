@@ -255,7 +255,7 @@ def _read_problem(path: Source, model: Modelled | None) -> tuple[Problem, tuple[
             remedy = "give a problem, or leave out the model"
             raise InputError("a model is solved as it is", source=path, remedy=remedy)
         problem = problem_for(load_model(path), str(path))
-        return problem, (_of_model(problem),)
+        return problem, (_note_of_default_goal(problem),)
     if isinstance(model, Source):  # whose file is named in the plan
         problem = load_problem(path, {"model": str(Path(model).resolve())})
     else:
@@ -263,8 +263,8 @@ def _read_problem(path: Source, model: Modelled | None) -> tuple[Problem, tuple[
     return problem, suspicions_of(problem)
 
 
-def _of_model(problem: Problem) -> str:
-    """What is asked where only a model is given."""
+def _note_of_default_goal(problem: Problem) -> str:
+    """The note that says what is asked where only a model is given."""
     aims = []
     for i, value, _ in problem.goal.target:
         coordinate = problem.automaton.coordinates[i]

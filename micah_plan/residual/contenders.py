@@ -199,6 +199,7 @@ class Contenders:
     # -- fits
 
     def _fit(self, option: Option, start: Floats) -> Fit:
+        """A fit that begins at parameters of all parts, with their priors, bounds and steps."""
         parts, base = option.parts, option.base
         noise = self.noise if base is None else base.fit.noise
         freedom = self.freedom if base is None else base.fit.freedom

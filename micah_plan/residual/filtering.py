@@ -267,7 +267,7 @@ def _commands(data: CoordinateData, action: Floats, batch: ModelBatch) -> Floats
     return _own(np.nan_to_num(u).reshape(meant.shape[:-1]))
 
 
-def generated(data: CoordinateData, hypothesis: ModelBatch, mode_at: Callable[[Floats], Ints]) -> CoordinateData:
+def noiseless_data(data: CoordinateData, hypothesis: ModelBatch, mode_at: Callable[[Floats], Ints]) -> CoordinateData:
     """Data whose measurements are what one hypothesis makes of their starts and commands, without noise.
 
     Args:

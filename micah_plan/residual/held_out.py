@@ -17,7 +17,7 @@ from micah_plan.residual.contenders import Contender, begins_later
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.filtering import NOISE, Kind, ModelBatch, errors
 from micah_plan.residual.likelihood import independent_share
-from micah_plan.residual.residual_test import LAGS, Circumstances, ResidualTest, lagged, whiteness_test
+from micah_plan.residual.residual_test import LAGS, Circumstances, ResidualTest, lagged_commands, whiteness_test
 
 # The profile of a parameter is bracketed by steps that double, up to four times what is large for it, then read on a
 # grid; loss [nats] above the least at which a value is out of question.
@@ -194,7 +194,7 @@ class HeldOut:
         starts = data.counted_starts
         return Circumstances(
             place=before[starts],
-            command=lagged(data.u)[starts],
+            command=lagged_commands(data.u)[starts],
             time=data.time[starts],
             order=data.order[starts],
             away=_away(data, before)[starts],

@@ -16,7 +16,7 @@ from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.faulty_runs import FaultyRun, unlike_others
 from micah_plan.residual.held_out import HeldOut
 from micah_plan.residual.prediction import RunPrediction
-from micah_plan.residual.residual_test import FEWEST_ROWS, Circumstances, lagged, whiteness_test
+from micah_plan.residual.residual_test import FEWEST_ROWS, Circumstances, lagged_commands, whiteness_test
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def _circumstances(runs: Sequence[RunPrediction], i: int) -> Circumstances:
     steps = sum(len(run.v) for run in runs)
     return Circumstances(
         place=np.concatenate(places),
-        command=np.concatenate([lagged(run.v[:, i]) for run in runs]),
+        command=np.concatenate([lagged_commands(run.v[:, i]) for run in runs]),
         time=np.concatenate([run.time[:-1] for run in runs]),
         order=np.arange(steps) / steps,
     )

@@ -23,7 +23,7 @@ from micah_plan.residual.calibration import Calibration
 from micah_plan.residual.candidates import candidates, untried
 from micah_plan.residual.contenders import Contender, best_first
 from micah_plan.residual.coordinate_data import CoordinateData
-from micah_plan.residual.filtering import errors, generated
+from micah_plan.residual.filtering import errors, noiseless_data
 from micah_plan.residual.fitting import ENOUGH_INDEPENDENT, Fit
 from micah_plan.residual.likelihood import LEAST_EVIDENCE
 from micah_plan.residual.trace import CoordinateTrace
@@ -136,7 +136,7 @@ class _Rival:
 
     def moved(self, data: CoordinateData, mode_at: _ModeAt) -> CoordinateData:
         """The data as this model moves."""
-        return generated(data, self.fit.hypotheses(self.fit.vector[None]), mode_at)
+        return noiseless_data(data, self.fit.hypotheses(self.fit.vector[None]), mode_at)
 
     def outdone(self, moved: CoordinateData) -> Floats:
         """(S,) evidence against this model if the part moves as the data say, its parameters fitted again [nats]."""

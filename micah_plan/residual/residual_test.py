@@ -160,7 +160,7 @@ def _unit(values: Floats) -> Floats:
     return np.asarray(_without_outliers(values) / np.maximum(np.std(values, axis=0), ROUND_OFF))
 
 
-def lagged(commands: Floats) -> Floats:
+def lagged_commands(commands: Floats) -> Floats:
     """(..., T, 1 + LAGS) commands of each step (..., T) and of those before it; 0 before the first."""
     return np.stack([earlier_rows(commands, k, axis=commands.ndim - 1) for k in range(1 + LAGS)], axis=-1)
 

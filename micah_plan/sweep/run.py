@@ -15,7 +15,7 @@ from micah_plan.output_files import TABLE, Output, check_outputs
 from micah_plan.summaries import Progress
 from micah_plan.sweep.journal import Journal, journal_path
 from micah_plan.sweep.result import CaseResult, CaseRun, results_table, sweep_timings_path, timings_table
-from micah_plan.sweep.solve_case import worker_died
+from micah_plan.sweep.solve_case import run_of_dead_workers
 from micah_plan.sweep.workers import Workers, process_workers
 from micah_plan.task.sweep import Case, Sweep
 
@@ -144,7 +144,7 @@ def finished_cases(cases: Sequence[Case], workers: Workers) -> Generator[tuple[C
                 elif attempts[case.key] < MOST_ATTEMPTS:
                     suspects.append(case)
                 else:
-                    yield case, worker_died(MOST_ATTEMPTS, error)
+                    yield case, run_of_dead_workers(MOST_ATTEMPTS, error)
             if not intact and not workers.renew():
                 raise SweepStoppedError(f"the executor broke; {_GO_ON}")
     finally:

@@ -48,7 +48,7 @@ def solve_case(case: Case) -> CaseRun:
         return CaseRun(result, {**seconds, "total": perf_counter() - begin})
 
 
-def worker_died(attempts: int, error: BaseException) -> CaseRun:
+def run_of_dead_workers(attempts: int, error: BaseException) -> CaseRun:
     """The run of a case over which every worker died."""
     said = f"the worker died {attempts} times over it ({type(error).__name__}); was it out of memory?"
     return CaseRun(_failure("worker_died", said), attempts=attempts)

@@ -113,10 +113,11 @@ def _mark(axes: Axes, mark: Mark) -> None:
         case Columns():
             axes.bar(mark.left, mark.height, width=mark.right - mark.left, align="edge", color=INK, lw=0, zorder=3)
         case Words():
-            _write(axes, mark)
+            _annotate(axes, mark)
 
 
-def _write(axes: Axes, words: Words) -> None:
+def _annotate(axes: Axes, words: Words) -> None:
+    """Draw words at their place in a panel, or above it."""
     shift = {"middle": 0, "left": -4, "right": 4, "edge": 5}[words.side]
     align = {"middle": "center", "left": "right", "right": "left", "edge": "left"}[words.side]
     box = {"facecolor": words.color, "edgecolor": "none", "pad": 1.5} if words.color else None

@@ -131,6 +131,7 @@ def plot_kinds(axes: Axes, learned: RunPicture) -> None:
 
 
 def _plot_kind(axes: Axes, place: float, stretch: Stretch) -> None:
+    """Draw the probabilities of a segment\'s kinds as one bar, the likeliest first, with its name inside."""
     ranked = [probability for _, probability in probability_words(stretch.segment)]
     left = np.cumsum([0.0, *ranked[:-1]])
     colors = [stretch.colored.color] + [GRID] * (len(ranked) - 1)

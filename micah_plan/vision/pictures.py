@@ -96,14 +96,15 @@ class _Canvas:
             length = _AXIS * next(iter(self._footage.layout.of(part).values())).size
             for k, color in enumerate(colors):
                 ends = np.stack([pose.position, pose.position + length * pose.turn[:, k]])
-                self._in_camera(ends, color, 2)
+                self._draw_in_camera(ends, color, 2)
 
     def stroke(self, stroke: Stroke) -> None:
         base: Pose | None = self._footage.base_poses[self._number]
         if base is not None:
-            self._in_camera(stroke.points @ base.turn.T + base.position, stroke.color, stroke.width)
+            self._draw_in_camera(stroke.points @ base.turn.T + base.position, stroke.color, stroke.width)
 
-    def _in_camera(self, points: Floats, color: Color, width: int) -> None:
+    def _draw_in_camera(self, points: Floats, color: Color, width: int) -> None:
+        """A line through points (k, 3) of the camera frame [m], where they lie before the camera."""
         cv2, camera = opencv(), self._footage.camera
         for stretch in _runs(points[:, 2] > _NEAREST):
             if len(own := points[stretch]) > 1:

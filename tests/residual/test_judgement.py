@@ -9,7 +9,7 @@ import pytest
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.judgement import judge
 from micah_plan.residual.prediction import predict_recording, rmse
-from micah_plan.residual.residual_test import Circumstances, lagged, whiteness_test
+from micah_plan.residual.residual_test import Circumstances, lagged_commands, whiteness_test
 
 NOISE, MOVED = 0.004, 0.001
 
@@ -98,7 +98,7 @@ def test_mode_changes_are_paired_and_timed(door) -> None:
 def test_a_regression_takes_out_what_follows_the_circumstances_and_nothing_else() -> None:
     rng = np.random.default_rng(1)
     place, v = rng.uniform(0, 1, 600), rng.uniform(-0.05, 0.05, 600)
-    under = Circumstances(place, lagged(v), 0.1 * np.arange(600.0), np.linspace(0, 1, 600))
+    under = Circumstances(place, lagged_commands(v), 0.1 * np.arange(600.0), np.linspace(0, 1, 600))
     noise = 0.002 * rng.standard_normal(600)
     pure = whiteness_test(noise[:, None], under)
     assert pure.probability > 1e-4

@@ -17,7 +17,7 @@ from micah_plan.automaton.effects.registry import form, forms
 from micah_plan.automaton.tracks import tracks
 from micah_plan.residual.candidates import NEVER_GATED, Term
 from micah_plan.residual.coordinate_data import coordinate_data_of
-from micah_plan.residual.filtering import ModelBatch, errors, filtered, generated
+from micah_plan.residual.filtering import ModelBatch, errors, filtered, noiseless_data
 
 # So small that no kink of a formula is within it.
 STEP = 1e-8
@@ -236,7 +236,7 @@ def test_generated_data_are_a_rollout_of_themselves(data, names) -> None:
     """Row by row by hand: the place that a command leads to, and the mode, are those of the motion itself."""
     model = tuple(Term(form(name)) for name in names)
     batch = drawn(data, model, np.random.default_rng(6), 1)
-    made = generated(data, batch, lambda z: (z > 1.0).astype(np.int64))
+    made = noiseless_data(data, batch, lambda z: (z > 1.0).astype(np.int64))
     np.testing.assert_array_equal(made.z[:, 0], data.z[:, 0])
     np.testing.assert_allclose(made.place[:, :-1], (made.z + made.u)[:, :-1], atol=1e-12)
     assert np.abs(errors(made, [batch], "rollout")[0]).max() < 1e-12

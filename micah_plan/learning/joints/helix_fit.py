@@ -98,7 +98,7 @@ def fit_helix(
 
 
 def _over_leads(start: _Tried, rows: _Rows, noise: NoiseVariances) -> list[_Tried]:
-    """Helices at angles all over the range, each fitted from its neighbour."""
+    """Helices at lead angles all over their range, each fitted from its neighbour."""
     upwards = start.helix.lead < _LEADS
     return _at(start, _LEADS[upwards], rows, noise) + _at(start, _LEADS[~upwards][::-1], rows, noise)
 

@@ -147,7 +147,7 @@ class LocalisingSearch:
         return _Beginning((start,), (0,), 0.0, belief)
 
     def _through_all(self, beginning: _Beginning) -> list[tuple[ScoredPath, _Beginning]]:
-        """The beginning, on to every vertex by the shortest way, and from there to the goal by the shortest way."""
+        """Shortest paths from a beginning through each vertex: on to the goal, and as a beginning that stops there."""
         here = beginning.vertices[-1]
         distance, previous = dijkstra(self.roadmap.graph, indices=here, return_predecessors=True)
         distance, previous = distance[: self.size], previous[: self.size]
