@@ -161,6 +161,7 @@ class ScenePage:
         is_within: whether it is shown within another page, which has its title and says what its colours are.
         open_details: headings of details that are not folded away.
         diagram: of the automaton, whose box of the current mode is filled.
+        fade: what is below the layers of runs that a slider goes between, e.g. before and after.
     """
 
     title: str
@@ -183,6 +184,7 @@ class ScenePage:
     is_within: bool = False
     open_details: Sequence[str] = ()
     diagram: Diagram | None = None
+    fade: tuple[str, str] | None = None
 
 
 def render_scene(page: ScenePage, scene: DrawnScene) -> str:
@@ -198,6 +200,7 @@ def render_scene(page: ScenePage, scene: DrawnScene) -> str:
         "readouts": [[time, list(lines)] for time, lines in page.timeline.readouts],
         "layers": {entry.layer: layer_path(entry.layer) for entry in page.legend if entry.layer},
         "hidden": list(page.hidden),
+        "fade": list(page.fade or ()),
         "runs": [
             {
                 "words": list(run.words),

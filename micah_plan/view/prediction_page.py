@@ -182,6 +182,7 @@ def calibration_scene(calibration: Calibration, title: str) -> str | None:
         timeline=Timeline(longest * scale + REST_S),
         runs=entries,
         is_within=True,
+        fade=("before", "after") if len(colors) > 1 else None,
     )
     return render_scene(page, scene)
 

@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Any
@@ -127,6 +128,23 @@ def test_the_slider_moves_the_object_to_where_the_plan_says(show: Any) -> None:
         at = [0.3 * np.cos(configuration), -0.3 * np.sin(configuration), 0.1]
         np.testing.assert_allclose(place, at, atol=0.01)
     assert (np.abs(start - shown.pixels()).max(axis=-1) > 0.1).mean() > 0.01
+
+
+@pytest.mark.slow
+def test_what_plays_is_filled(show: Any) -> None:
+    """The chip of a plan's mode, and the box of a model's, one at a time."""
+    shown, filled = show(plan_page(solved(), problem())), ".chips .now"
+    chips = shown.page.locator(".chips li").all_inner_texts()
+    assert len(chips) > 1
+    for share, chip in ((0.0, chips[0]), (0.99, chips[-1])):
+        shown.drag_to(share)
+        assert shown.page.locator(filled).all_inner_texts() == [chip]
+    model = show(model_page(door()))
+    names = list(door().mode_names)
+    for share, name in ((0.01, names[0]), (0.99, names[-1])):
+        model.drag_to(share)
+        boxes = model.page.locator(".diagram .now")
+        assert [box.get_attribute("data-mode") for box in boxes.all()] == [name]
 
 
 @pytest.mark.slow
@@ -305,8 +323,33 @@ def test_pages_of_an_arm_and_of_a_calibration_open_without_errors(show: Any, rep
     scene.locator("body.ready").wait_for()
     assert np.ptp(shown.pixels("iframe.scene")) > 0.3
     assert scene.locator("#run").is_visible()
+    assert scene.locator("#fade").count() == 0  # nothing was added, so there is one model
     assert shown.page.inner_text("h1") == "drawer: measured motion against the model"
     assert shown.page.locator(".chart canvas").count() > 10
+
+
+@pytest.mark.slow
+def test_a_slider_goes_from_before_to_after_a_calibration(show: Any, repository: Path) -> None:
+    drawer = load_problem(repository / "problems" / "drawer_open.yaml")
+    runs = execute(solve(drawer), trials=4).recording
+    assert runs.action is not None
+    halved = calibrate(drawer.automaton, replace(runs, action=2.0 * runs.action))
+    assert any(effect.is_added for effect in halved.effects)
+    shown = show(calibration_page(halved, "drawer"), "")
+    scene = shown.page.frame_locator("iframe.scene")
+    scene.locator("body.ready").wait_for()
+    for place, seen in ((0.0, (0.45, 0.0)), (0.5, (0.45, 0.45)), (1.0, (0.0, 0.45))):
+        scene.locator("#fade").fill(str(place))
+        opacity = scene.locator("body").evaluate(
+            """() => ["before", "after"].map((name) => {
+              const runs = viewer.scene_tree.find(["meshcat", "runs"]);
+              const drawn = Object.values(runs.children)[0].children[name].object;
+              let least = 1;
+              drawn.traverse((o) => { if (o.material) least = Math.min(least, o.material.opacity); });
+              return drawn.visible ? least : 0;
+            })"""
+        )
+        assert opacity == pytest.approx(list(seen))
 
 
 @pytest.mark.slow

@@ -221,6 +221,28 @@
     choose();
   }
 
+  // A slider between two of what is drawn of each run: in the middle both are seen.
+  function setUpFade() {
+    const slider = document.getElementById("fade");
+    if (!slider) return;
+    const fade = () => {
+      const shares = [Math.min(1, 2 - 2 * slider.value), Math.min(1, 2 * slider.value)];
+      for (const run of data.runs) data.fade.forEach((name, i) => {
+        const drawn = viewer.scene_tree.find([...run.path, name]).object;
+        drawn.visible = shares[i] > 0;
+        drawn.traverse((object) => {
+          if (!object.material) return;
+          object.userData.opacity ??= object.material.opacity;
+          object.material.opacity = object.userData.opacity * shares[i];
+          object.material.transparent = true;
+        });
+      });
+      viewer.set_dirty();
+    };
+    slider.addEventListener("input", fade);
+    fade();
+  }
+
   function linesAt(readouts, time) {
     let lines = [];
     for (const [start, text] of readouts) {
@@ -328,6 +350,7 @@
   setUpScene();
   setUpLayers();
   setUpRuns();
+  setUpFade();
   setUpPlayer();
   setUpViews();
   document.body.classList.add("ready");
