@@ -228,8 +228,11 @@ def _why_excluded(problem: Problem, limits: Limits, start_mode: str) -> Reason |
             times = "once" if revisits == 0 else f"{1 + revisits} times"
             sentence = f"no inputs lead to the goal in modes that are each entered at most {times}"
             return Reason(sentence, (more_revisits("raise revisits", more),))
+    # Of modes that nothing leaves nobody asks what they keep.
     words = [
-        f"'{leave.mode.name}' keeps {' and '.join(leave.kept_words(automaton.coordinate_names))}" for leave in leaves
+        f"'{leave.mode.name}' keeps {' and '.join(leave.kept_words(automaton.coordinate_names))}"
+        for leave in leaves
+        if not is_final(automaton, leave.mode)
     ]
     kept = ", ".join(words[:_MOST_NAMED] + ["..."] * (len(words) > _MOST_NAMED))
     return Reason(
