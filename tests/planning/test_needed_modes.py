@@ -7,12 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from random_hybrids import is_clearly_reachable, is_clearly_unreachable, random_problem
 
 from micah_plan import load, show, solve
 from micah_plan.documents.plan import load_plan, write_plan
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.purposes import purpose_sentences
 from micah_plan.planning.search.mode_search import search_modes
+from micah_plan.planning.solver import solve as solve_problem
+from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.plan import Candidate, ModePurpose, Plan, Trajectory
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import start_mode
@@ -115,3 +118,33 @@ def _by(*modes: str) -> Plan:
         is_transition=np.ones(knots - 1, dtype=bool),
     )
     return Plan("solved", "", trajectory, cost=2.0)
+
+
+def test_a_search_that_runs_out_of_time_says_nothing_of_modes(repository: Path) -> None:
+    """Where time passes while it is asked, that no way was found would be no reason."""
+    problem = _problem(repository, "folding_rule")
+    first = start_mode(problem.automaton, problem.start)[0]
+    assert first is not None
+    for ticks in (3, 8, 20, 60, 200, 10_000):
+        passing = iter(range(10**6))
+        deadline = Deadline(float(ticks), lambda passing=passing: float(next(passing)))
+        try:
+            found = search_modes(problem, limits_of(problem), first, deadline=deadline)
+        except TimeLimitError:
+            continue
+        said = {purpose.mode: purpose for way in found.sequences for purpose in way.purposes}
+        assert said.keys() <= {"one_straight", "two_straight"}
+        assert all(purpose.is_goal for mode, purpose in said.items() if mode == "two_straight")
+        assert all("no transitions lead" in purpose.why for mode, purpose in said.items() if mode == "one_straight")
+    assert len(said) == 2
+
+
+@pytest.mark.parametrize("seed", [17, 27, 28, 31, 43, 71, 80, 82, 84, 106])
+def test_what_is_said_of_random_hybrids_is_so_on_a_grid(seed: int) -> None:
+    """Those of the first 120 whose plans say of a mode that there is no way without it, or which."""
+    problem = random_problem(seed)
+    said = [purpose for purpose in solve_problem(problem, advise=False).purposes if not purpose.is_goal]
+    assert said
+    for purpose in said:
+        without = _never_left(problem, purpose.mode)
+        assert not (is_clearly_reachable(without) if purpose.why else is_clearly_unreachable(without))

@@ -183,8 +183,16 @@ def _among_states(
         return SearchResult((), why_disconnected(problem, limits, samples, in_the_way))
     beliefs = PathBeliefs(problem, limits, roadmap, samples.points)
     chosen = best_paths(roadmap, beliefs, shortest, revisits, deadline)[:candidates]
-    other_ways = OtherWays(problem, limits, samples, roadmap, beliefs, deadline)
-    return SearchResult(tuple(_mode_sequence(path, beliefs, motions, other_ways) for path in chosen))
+    found = [_mode_sequence(path, beliefs, motions) for path in chosen]
+    # Every way visits the mode that it starts in.
+    visited = dict.fromkeys(mode for sequence in found for mode in sequence.modes if mode != start_mode)
+    purposes = OtherWays(problem, limits, samples, roadmap, beliefs, deadline).purposes(visited)
+    return SearchResult(
+        tuple(
+            replace(way, purposes=tuple(purposes[mode] for mode in dict.fromkeys(way.modes) if mode in purposes))
+            for way in found
+        )
+    )
 
 
 def _joined(
@@ -205,9 +213,7 @@ def _joined(
     return JoinedRoadmap(graphs, samples.exits, ends, samples.start, samples.goals, costs)
 
 
-def _mode_sequence(
-    path: ScoredPath, beliefs: PathBeliefs, motions: dict[str, ModeMotion], other_ways: OtherWays
-) -> ModeSequence:
+def _mode_sequence(path: ScoredPath, beliefs: PathBeliefs, motions: dict[str, ModeMotion]) -> ModeSequence:
     """The path divided into its modes, its corners cut between the stops."""
     names, mode_of = list(beliefs.index), beliefs.mode_of[list(path.vertices)]
     points = beliefs.points[list(path.vertices)]
@@ -219,5 +225,4 @@ def _mode_sequence(
         parts = [motions[name].shortcut(points[i : j + 1]) for i, j in pairwise(ends)]
         modes.append(name)
         waypoints.append(np.concatenate([parts[0], *(part[1:] for part in parts[1:])]))
-    costs, purposes = (path.length, path.uncertainty), other_ways.purposes(modes)
-    return ModeSequence(tuple(modes), edges_of(path, beliefs), tuple(waypoints), *costs, purposes)
+    return ModeSequence(tuple(modes), edges_of(path, beliefs), tuple(waypoints), path.length, path.uncertainty)

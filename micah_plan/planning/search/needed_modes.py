@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 from scipy.sparse import csr_array
 
 from micah_plan.arrays import Floats
+from micah_plan.automaton.hybrid import Edge
 from micah_plan.planning.findings import why_disconnected, why_unreachable
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.search.leaves import leaves_of
@@ -17,6 +18,7 @@ from micah_plan.planning.search.mode_paths import cheapest_sequences
 from micah_plan.planning.search.path_beliefs import PathBeliefs
 from micah_plan.planning.search.roadmap import JoinedRoadmap, motions_of, roadmap_of, without_each_obstacle
 from micah_plan.planning.search.samples import Samples
+from micah_plan.planning.zero_time_transitions import ZeroTimeEdge
 from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import ModePurpose
 from micah_plan.task.problem import Problem
@@ -38,21 +40,15 @@ class OtherWays:
     beliefs: PathBeliefs
     deadline: Deadline
 
-    def purposes(self, modes: Sequence[str]) -> tuple[ModePurpose, ...]:
-        """Why each of the modes of a sequence is there but the one that it starts in, which every way visits."""
-        asked = (mode for mode in dict.fromkeys(modes) if mode != modes[0])
-        purposes = []
-        for mode in asked:
-            if mode not in self._known:
-                if self.deadline.is_over():
-                    break
-                self._known[mode] = self._purpose(mode)
-            purposes.append(self._known[mode])
-        return tuple(purposes)
-
-    @cached_property
-    def _known(self) -> dict[str, ModePurpose]:
-        return {}
+    def purposes(self, modes: Iterable[str]) -> dict[str, ModePurpose]:
+        """Why ways visit each of these modes, by its name, as far as there is time to tell."""
+        purposes = dict[str, ModePurpose]()
+        for mode in modes:
+            purpose = self._purpose(mode)
+            if self.deadline.is_over():  # what was not found in time says nothing
+                break
+            purposes[mode] = purpose
+        return purposes
 
     @cached_property
     def _easier(self) -> dict[str, dict[str, csr_array]]:
@@ -63,7 +59,7 @@ class OtherWays:
         samples, roadmap, automaton = self.samples, self.roadmap, self.problem.automaton
         if not samples.goals.keys() - {mode}:
             return ModePurpose(mode, is_goal=True)
-        kept = [i for i, edge in enumerate(automaton.edges) if edge.source != mode]
+        kept = [i for i, edge in enumerate(automaton.edges) if not _leaves(edge, mode)]
         goals = {name: vertices for name, vertices in samples.goals.items() if name != mode}
         exits = {new: samples.exits[old] for new, old in enumerate(kept) if old in samples.exits}
         ends = {new: roadmap.ends[old] for new, old in enumerate(kept) if old in roadmap.ends}
@@ -83,6 +79,11 @@ class OtherWays:
             in_the_way = in_the_way_of(reduced, self._easier, revisits, self.deadline)
             reason = why_disconnected(problem, self.limits, left, in_the_way)
         return ModePurpose(mode, why=reason.sentence)
+
+
+def _leaves(edge: Edge, mode: str) -> bool:
+    """Whether a transition leaves a mode, or passes through it."""
+    return mode == edge.source or (isinstance(edge, ZeroTimeEdge) and mode in edge.through)
 
 
 def with_other_ways(purposes: Sequence[ModePurpose]) -> tuple[ModePurpose, ...]:
