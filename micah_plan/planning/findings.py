@@ -51,9 +51,6 @@ _LARGER = tuple(2.0**k for k in range(1, 31))
 # Modes that one message describes.
 _MOST_NAMED = 4
 
-# In the order in which they are checked.
-_LEVELS: tuple[Level, ...] = ("start", "goal", "search", "optimisation", "verification", "arm")
-
 
 def endpoint_findings(problem: Problem) -> tuple[Finding, ...]:
     """What is wrong with the start, else with the goal, whatever leads from one to the other; empty if nothing is."""
@@ -440,12 +437,9 @@ def explain(problem: Problem, plan: Plan) -> Explanation:
 
     A plan file of an older version has no findings; then start and goal are checked again, and else its reason stands.
     """
-    found = plan.findings
-    if plan.outcome == "no_plan" and not found:
-        found = endpoint_findings(problem)
-    findings = tuple(sorted(found, key=lambda finding: _LEVELS.index(finding.level)))
-    if plan.outcome == "not_verified":  # what the roll-outs ran into is the reason; the boundaries may be the cause
-        findings = tuple(sorted(findings, key=lambda finding: finding.level not in ("verification", "arm")))
+    findings = plan.ranked_findings
+    if plan.outcome == "no_plan" and not findings:
+        findings = endpoint_findings(problem)
     level = None if plan.outcome == "solved" or not findings else findings[0].level
     lines = [_outcome_line(plan, level), *(line for finding in findings for line in finding_lines(finding))]
     lines += [f"mode '{mode}': {sentence}" for mode, sentence in purpose_sentences(plan)]

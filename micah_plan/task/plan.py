@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, get_args
 
 from micah_plan.arrays import Booleans, Floats
 from micah_plan.summaries import Summarised
@@ -11,6 +11,8 @@ from micah_plan.task.reason import Offer, Reason
 
 Outcome = Literal["solved", "no_plan", "not_verified"]
 Level = Literal["start", "goal", "search", "optimisation", "verification", "arm"]
+LEVELS: tuple[Level, ...] = get_args(Level)
+"""In the order of planning."""
 
 
 @dataclass(frozen=True)
@@ -216,6 +218,14 @@ class Plan(Summarised):
     def summary(self) -> str:
         """Outcome and reason in one line."""
         return f"Plan, {self.outcome}: {self.reason}"
+
+    @property
+    def ranked_findings(self) -> tuple[Finding, ...]:
+        """The findings in the order of planning; first what roll-outs or the arm ran into, where these refused it."""
+        ranked = sorted(self.findings, key=lambda finding: LEVELS.index(finding.level))
+        if self.outcome == "not_verified":  # that is the reason; the boundaries may be the cause
+            ranked.sort(key=lambda finding: finding.level not in ("verification", "arm"))
+        return tuple(ranked)
 
     def refused_for(self, finding: Finding, before: str = "", *, outcome: Outcome = "not_verified") -> Plan:
         """The plan refused for a finding more, whose sentence and remedy are the reason.

@@ -13,7 +13,6 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.errors import InputError, located_in
 from micah_plan.execution.mujoco.parameters import parameters_of
-from micah_plan.planning.findings import explain
 from micah_plan.planning.purposes import purpose_sentences
 from micah_plan.quantities import count, percent, percent_interval, plain, quantity, with_spread
 from micah_plan.recording.value import Recording
@@ -82,7 +81,7 @@ def plan_page(
     if plan.trajectory:
         plan = replace(plan, trajectory=plan.trajectory.of_first(problem.automaton.n))
     runs = _executed(plan, problem, executed, failures)
-    badge, found = _BADGES[plan.outcome], explain(problem, plan).findings
+    badge, found = _BADGES[plan.outcome], plan.ranked_findings
     reason = f"{found[0].sentence}; {found[0].remedy}" if found and plan.outcome != "solved" else plan.reason
     said = _Said(
         title=title,
