@@ -65,6 +65,7 @@ def model_page(automaton: HybridAutomaton, *, title: str = "Model") -> str:
         camera=camera(scene, np.concatenate([handle_path(automaton, keys, link.child) for link in automaton.links])),
         facts=_facts(automaton),
         legend=[*legend, *ground_legend(spacing)],
+        is_tinted=True,
         diagram=diagram_of(automaton.mode_names, automaton.edges, colors),
         details=[
             ("Modes", [_described(automaton, mode) for mode in automaton.modes]),

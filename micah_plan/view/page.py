@@ -162,6 +162,7 @@ class ScenePage:
         open_details: headings of details that are not folded away.
         diagram: of the automaton, whose box of the current mode is filled.
         fade: what is below the layers of runs that a slider goes between, e.g. before and after.
+        is_tinted: whether the object takes on the colour of the band that plays.
     """
 
     title: str
@@ -185,6 +186,7 @@ class ScenePage:
     open_details: Sequence[str] = ()
     diagram: Diagram | None = None
     fade: tuple[str, str] | None = None
+    is_tinted: bool = False
 
 
 def render_scene(page: ScenePage, scene: DrawnScene) -> str:
@@ -196,7 +198,8 @@ def render_scene(page: ScenePage, scene: DrawnScene) -> str:
         "commands": scene.encoded(),
         "camera": page.camera,
         "duration": page.timeline.duration,
-        "modes": [[round(band.start, 4), band.label] for band in page.timeline.lanes[0]],
+        "modes": [[round(band.start, 4), band.label, band.color] for band in page.timeline.lanes[0]],
+        "tinted": page.is_tinted,
         "readouts": [[time, list(lines)] for time, lines in page.timeline.readouts],
         "layers": {entry.layer: layer_path(entry.layer) for entry in page.legend if entry.layer},
         "hidden": list(page.hidden),

@@ -162,6 +162,7 @@ def _drawn(plan: Plan, problem: Problem, runs: tuple[ExecutedRun, ...], said: _S
         charts=plan_charts(plan, pre_release_problem(problem), drawn),
         runs=listed,
         shows_all_runs=len({run.recording for run in runs}) > 1,
+        is_tinted=plan.trajectory is not None,
     )
     return render_scene(page, scene)
 

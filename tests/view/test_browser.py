@@ -136,9 +136,22 @@ def test_what_plays_is_filled(show: Any) -> None:
     shown, filled = show(plan_page(solved(), problem())), ".chips .now"
     chips = shown.page.locator(".chips li").all_inner_texts()
     assert len(chips) > 1
-    for share, chip in ((0.0, chips[0]), (0.99, chips[-1])):
+    colors = []
+    for share, chip in ((0.0, chips[0]), (0.99, chips[-1]), (0.0, chips[0])):
         shown.drag_to(share)
         assert shown.page.locator(filled).all_inner_texts() == [chip]
+        colors.append(
+            shown.page.evaluate(
+                """() => {
+                  let color = null;
+                  viewer.scene_tree.find(["meshcat", "object"]).children["0_door"].object.traverse((o) => {
+                    if (o.material) color = o.material.color.getHexString();
+                  });
+                  return color;
+                }"""
+            )
+        )
+    assert colors[0] == colors[2] != colors[1]  # a share of the mode's colour
     model = show(model_page(door()))
     names = list(door().mode_names)
     for share, name in ((0.01, names[0]), (0.99, names[-1])):

@@ -252,7 +252,7 @@
     return lines;
   }
 
-  // The box and the chip of the mode at a time are filled.
+  // The box and the chip of the mode at a time are filled, and what moves of the object takes on a share of its colour.
   const boxes = [...document.querySelectorAll(".diagram .mode")];
   const chips = [...document.querySelectorAll(".chips li")];
   function showMode(time) {
@@ -260,6 +260,23 @@
     const mode = begun.length ? begun[begun.length - 1][1] : null;
     boxes.forEach((box) => box.classList.toggle("now", box.dataset.mode === mode));
     chips.forEach((chip, i) => chip.classList.toggle("now", i === begun.length - 1));
+    const isMode = begun.length && !(chips.length && begun.length > chips.length);  // behind a plan it is released
+    if (data.tinted) tint(isMode ? begun[begun.length - 1][2] : null);
+  }
+  const tintShare = 0.35;
+  let tinted = null;
+  function tint(color) {
+    if (color === tinted) return;
+    tinted = color;
+    for (const [name, part] of Object.entries(viewer.scene_tree.find(["meshcat", "object"]).children)) {
+      if (name !== "fixed") part.object.traverse((object) => {
+        if (!object.material) return;
+        const own = (object.userData.color ??= object.material.color.clone());
+        object.material.color.copy(own);
+        if (color) object.material.color.lerp(own.clone().set(color), tintShare);
+      });
+    }
+    viewer.set_dirty();
   }
 
   // What the camera saw at a time of the player.
