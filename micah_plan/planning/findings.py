@@ -129,22 +129,29 @@ def why_unreachable(problem: Problem, limits: Limits, samples: Samples) -> Reaso
     return _closed_edge(problem, limits, next(e for i, e in edges if e.source in reached and e.target not in reached))
 
 
-def why_disconnected(problem: Problem, limits: Limits, samples: Samples, in_the_way: tuple[str, ...]) -> Reason:
+def why_disconnected(
+    problem: Problem, limits: Limits, samples: Samples, in_the_way: tuple[str, ...], *, revisiting: bool = True
+) -> Reason:
     """Why the roadmaps do not connect start and goal although the transitions do.
 
     Args:
         in_the_way: constraints on the path and guards without any one of which they would be connected.
+        revisiting: whether it is asked if more revisits would do.
     """
     automaton = problem.automaton
-    edges = (automaton.edges[i] for i in samples.exits)
-    moved = np.any([automaton.mode(name).driven for name in _reachable(samples.start[0], edges)], axis=0)
+    edges = [automaton.edges[i] for i in samples.exits]
+    reached = _reachable(samples.start[0], edges)
+    leading_on = reached & _reachable(samples.goals, [replace(e, source=e.target, target=e.source) for e in edges])
+    moved = np.any([automaton.mode(name).driven for name in leading_on], axis=0)
     missed = problem.goal.misses(np.array(problem.start.mean))
     for (index, value, tolerance), apart in zip(problem.goal.target, missed, strict=True):
         start, coordinate = problem.start.mean[index], automaton.coordinates[index]
         if apart and not moved[index]:
+            is_moved = any(automaton.mode(name).driven[index] for name in reached)
+            which = "leads on to the goal" if is_moved else "can be reached"
             return Reason(
                 f"'{coordinate.name}' starts at {start:g} {coordinate.unit} and the goal is {value:g} ± {tolerance:g} "
-                f"{coordinate.unit}, but no mode that can be reached moves it",
+                f"{coordinate.unit}, but no mode that {which} moves it",
                 ("change the goal or the start",),
             )
     if (reason := _why_inside(problem, samples)) is not None:
@@ -155,7 +162,7 @@ def why_disconnected(problem: Problem, limits: Limits, samples: Samples, in_the_
             f"transitions led to the goal",
             (LONGER_SEARCH,),
         )
-    if (reason := _why_excluded(problem, limits, samples.start[0])) is not None:
+    if (reason := _why_excluded(problem, limits, samples.start[0], revisiting)) is not None:
         return reason
     if in_the_way:
         is_asked = in_the_way[0] in [constraint.name for constraint in problem.constraints]
@@ -210,7 +217,7 @@ def _deepest(automaton: HybridAutomaton, mode: str, point: Floats) -> tuple[Edge
     return edge, depth, unit
 
 
-def _why_excluded(problem: Problem, limits: Limits, start_mode: str) -> Reason | None:
+def _why_excluded(problem: Problem, limits: Limits, start_mode: str, revisiting: bool) -> Reason | None:
     """Why the goal is out of reach even with nothing in the way, if what inputs keep tells; else None."""
     automaton, revisits = problem.automaton, problem.settings.revisits
     leaves = [
@@ -220,7 +227,7 @@ def _why_excluded(problem: Problem, limits: Limits, start_mode: str) -> Reason |
     ]
     if not leaves or passage_exists(problem, limits, start_mode, revisits) is not False:
         return None
-    for more in range(revisits + 1, revisits + 1 + _MOST_MORE_REVISITS):
+    for more in range(revisits + 1, revisits + 1 + _MOST_MORE_REVISITS) if revisiting else ():
         if passage_exists(problem, limits, start_mode, more):
             times = "once" if revisits == 0 else f"{1 + revisits} times"
             sentence = f"no inputs lead to the goal in modes that are each entered at most {times}"
@@ -268,8 +275,9 @@ def _closed_edge(problem: Problem, limits: Limits, edge: Edge) -> Reason:
     return Reason(sentence, ("correct the reset or the invariant in the model",))
 
 
-def _reachable(start: str, edges: Iterable[Edge]) -> set[str]:
-    edges, reached = list(edges), {start}
+def _reachable(start: str | Iterable[str], edges: Iterable[Edge]) -> set[str]:
+    """The modes that edges lead to from one or some."""
+    edges, reached = list(edges), {start} if isinstance(start, str) else set(start)
     for _ in edges:  # no chain of transitions is longer
         reached |= {edge.target for edge in edges if edge.source in reached}
     return reached

@@ -23,6 +23,9 @@ from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import ModePurpose
 from micah_plan.task.problem import Problem
 
+# Linear programmes that are solved at most to tell why there is no way without a mode: a search may solve thousands.
+_PROGRAMMES = 50
+
 
 @dataclass(frozen=True, eq=False)
 class OtherWays:
@@ -73,11 +76,12 @@ class OtherWays:
             return ModePurpose(mode, without=without, steps_without=best.cost)
         model = replace(automaton, edges=tuple(automaton.edges[i] for i in kept))
         goal = replace(self.problem.goal, modes=tuple(goals))
-        problem = replace(self.problem, automaton=model, goal=goal)
+        settings = replace(self.problem.settings, search_limit=min(self.problem.settings.search_limit, _PROGRAMMES))
+        problem = replace(self.problem, automaton=model, goal=goal, settings=settings)
         left = replace(samples, exits=exits, goals=goals)
         if (reason := why_unreachable(problem, self.limits, left)) is None:
             in_the_way = in_the_way_of(reduced, self._easier, revisits, self.deadline)
-            reason = why_disconnected(problem, self.limits, left, in_the_way)
+            reason = why_disconnected(problem, self.limits, left, in_the_way, revisiting=False)
         return ModePurpose(mode, why=reason.sentence)
 
 
