@@ -157,7 +157,8 @@ class Interrupted:
 
 Interrupted()
 try:
-    time.sleep(0.5)
+    for _ in range(100):
+        time.sleep(0.02)
     print("nothing")
 except KeyboardInterrupt:
     print("interrupted")
