@@ -1,6 +1,6 @@
 """What each gate of `calibrate` decides: every answer without it, where it decided anything.
 
-    python -m benchmarks gates [--first-seed 500] [--kinds bias ...] [--controls 12] [--gates ties ...] [--jobs 1]
+    python -m benchmarks gates [--first-seed 500] [--kinds bias ...] [--controls 12] [--gates longer ...] [--jobs 1]
 
 Beside the density that ranks models, gates keep something out or give a verdict. First each case of `unseen_plants`,
 and of the recordings in ../shared/data (or $MICAH_DATA), is answered with a watch on every gate: did it decide
@@ -89,6 +89,7 @@ GATES: dict[str, Gate] = {
     "unconfirmed": Gate(competition, "_UNCONFIRMED", np.inf, "what one run shows alone is told"),
     "ties": Gate(competition, "simplest", _as_they_are, "the plainest of those that are tied"),
     "contradicted": Gate(trace, "_is_contradicted", _always(False), "one of few runs does not contradict it"),
+    "longer": Gate(trace, "_LONGER", np.inf, "roll-outs do not get longer"),
     "unclear commands": Gate(coordinate_data, "_is_unclear", _all_clear, "steps that noise decides about do not count"),
     "single steps": Gate(trace, "_is_noisier", _always(False), "single steps do not get longer"),
     "single": Gate(trace, "_is_single", _always(False), "one run of few motions confirms nothing"),

@@ -23,6 +23,8 @@ from micah_plan.summaries import Progress
 
 # A motion is one from end to end of at least this share of where the part was.
 _A_MOTION = 0.2
+# Roll-outs that are so many times as long as before are longer.
+_LONGER = 1.02
 A_LINE = ("gain", "bias")
 """Effects that make a line in the command."""
 # Single effects that other questions are asked of.
@@ -111,6 +113,7 @@ def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrac
         modes=len(modes),
         is_open=any(may_remember(data, finding) for finding in findings),
         is_contradicted=_is_contradicted(held_out, chosen),
+        is_longer=final is not nominal and _rolled(held_out, final) > _LONGER * _rolled(held_out, nominal),
         is_noisier=_is_noisier(held_out, final),
         is_single=_is_single(data),
         is_changing=_is_changing(chosen, innovation_test),
@@ -138,6 +141,11 @@ def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrac
         closest=closest,
         alternatives=alternatives,
     )
+
+
+def _rolled(held_out: HeldOut, model: Contender) -> float:
+    """Root mean square error of roll-outs of held-out rows [rad or m]."""
+    return float(np.sqrt(np.mean(held_out.rollout_errors(model) ** 2)))
 
 
 def _is_noisier(held_out: HeldOut, model: Contender) -> bool:

@@ -27,6 +27,7 @@ class Facts:
         effects: how many have a name; modes: how many the automaton lacks.
         is_open: whether an effect may come from this command or from earlier ones.
         is_contradicted: whether one of few runs is predicted no better by effects fitted to the others.
+        is_longer: whether roll-outs of held-out rows get longer with what was found.
         is_noisier: whether single steps of held-out rows get longer with what was found.
         is_single: whether there is one run of few motions alone, which no other run can confirm.
         is_following: whether innovations certainly follow something, and by more than a trifle.
@@ -43,6 +44,7 @@ class Facts:
     is_passing: bool = False
     is_corrected: bool = False
     is_contradicted: bool = False
+    is_longer: bool = False
     is_noisier: bool = False
     is_single: bool = False
     is_changing: bool = False
@@ -51,7 +53,7 @@ class Facts:
     @property
     def is_kept_out(self) -> bool:
         """Whether a wrong guess would do more harm than the model as it is."""
-        return self.is_open or self.is_contradicted
+        return self.is_open or self.is_contradicted or self.is_longer
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,10 @@ OUTCOMES: tuple[tuple[Outcome, Callable[[Facts], bool]], ...] = (
     (
         Outcome("remembered", "partly", "with runs like these the effect may as well come from earlier commands"),
         lambda f: f.is_open,
+    ),
+    (
+        Outcome("longer", "partly", "roll-outs of rows that were held out get longer with it"),
+        lambda f: f.is_longer,
     ),
     (
         Outcome("passing", "partly", "one run alone shows that there is more, and no other run can confirm it"),
