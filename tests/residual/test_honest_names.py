@@ -121,3 +121,23 @@ def test_what_makes_both_shorter_is_all(door) -> None:
     found = calibrate(door, plants.door_recording(plants.runs_of(plants.loose, 6, 90, 3)))
     assert found.verdict == "explained"
     assert found.after.one_step < found.before.one_step
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_what_makes_roll_outs_longer_is_not_added(door, seed) -> None:
+    """Commands that were written down with errors of their own: single steps are likelier if they are smoothed."""
+    rng = np.random.default_rng([seed, 7])
+    runs = []
+    for run in range(6):
+        side = 1.0 if run % 2 == 0 else -1.0
+        steps = 0.01 * rng.uniform(0.6, 1.2) * (1.0 + 0.3 * rng.standard_normal(90))
+        c = (0.1 if side > 0 else 1.1) + side * np.concatenate([[0.0], np.cumsum(steps[:-1])])
+        c = np.clip(c, 0.01, 1.19)
+        told = np.append(np.diff(c), 0.0) + 0.01 * rng.standard_normal(90)
+        runs.append((c + 0.003 * rng.standard_normal(90), told))
+    found = calibrate(door, plants.door_recording(runs))
+    assert found.verdict == "partly"
+    assert found.traces[0].outcome.name == "longer"
+    assert found.effects
+    assert not any(effect.is_added for effect in found.effects)
+    assert found.after == found.before
