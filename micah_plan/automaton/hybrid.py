@@ -40,7 +40,7 @@ class Coordinate:
     Attributes:
         name: e.g. the name of the part that it moves.
         unit: ``"rad"`` or ``"m"``; ``""`` for the place of an uncertain boundary, which nothing moves
-            (`augmented.with_boundary_states`).
+            (`drawn_thresholds.with_boundary_states`).
     """
 
     name: str
@@ -100,7 +100,7 @@ class Pin:
 
     Attributes:
         follows: another coordinate, never pinned, that adds to `value`: the place of an uncertain boundary
-            (`augmented.with_boundary_states`). None: none.
+            (`drawn_thresholds.with_boundary_states`). None: none.
     """
 
     coordinate: int

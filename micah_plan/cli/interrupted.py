@@ -5,13 +5,13 @@ from __future__ import annotations
 import _thread
 import json
 import sys
-import time
+import threading
 from typing import NoReturn
 
 INTERRUPTED = 130
 SENTENCE = "interrupted; no file was left half-written"
-# Long enough for the callback or finaliser that was interrupted to be over, on a busy machine too [s].
-_AGAIN_AFTER = 0.05
+# Long enough for the callback or finaliser that was interrupted to be over [s].
+_AGAIN_AFTER = 0.01
 
 
 def asks_for_json() -> bool:
@@ -38,15 +38,11 @@ def repeat_dropped_interruptions() -> None:
         if not issubclass(dropped.exc_type, KeyboardInterrupt):
             before(dropped)
         elif not sys.is_finalizing():
-            # A `Timer` is waited for until it runs: if it has rung by then, the hook itself would be interrupted.
-            _thread.start_new_thread(_interrupt_again, ())
+            again = threading.Timer(_AGAIN_AFTER, _thread.interrupt_main)
+            again.daemon = True
+            again.start()
 
     sys.unraisablehook = repeated
-
-
-def _interrupt_again() -> None:
-    time.sleep(_AGAIN_AFTER)
-    _thread.interrupt_main()
 
 
 def is_of_an_interruption(error: BaseException | None) -> bool:

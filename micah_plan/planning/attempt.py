@@ -52,8 +52,7 @@ class Attempt:
         try:
             return planner(self)
         except (NoWayError, TimeLimitError) as failed:
-            finding = Finding.of(level, failed.reason)
-            return replace(self.refused(str(failed.reason), (finding,)), before_remedy=f"{finding.sentence}; ")
+            return self.refused_for((Finding.of(level, failed.reason),))
 
     def solved(
         self,
@@ -75,6 +74,14 @@ class Attempt:
     def refused(self, reason: str, findings: tuple[Finding, ...], candidates: tuple[Candidate, ...] = ()) -> Plan:
         """No plan, for a reason that ends with its remedy; a wrong start or goal is found before anything else."""
         return self._plan("no_plan", reason, endpoint_findings(self.problem) or findings, candidates)
+
+    def refused_for(
+        self, findings: tuple[Finding, ...], before: str = "", candidates: tuple[Candidate, ...] = ()
+    ) -> Plan:
+        """No plan, for the first of some findings, whose sentence and remedy are the reason behind some words."""
+        first, *others = findings
+        plan = self._plan("no_plan", "", tuple(others), candidates).refused_for(first, before, outcome="no_plan")
+        return replace(plan, findings=endpoint_findings(self.problem) or plan.findings)
 
     def _plan(
         self, outcome: Outcome, reason: str, findings: tuple[Finding, ...], candidates: tuple[Candidate, ...]

@@ -181,9 +181,9 @@ def _chosen(attempt: Attempt, asked: Problem, tried: Sequence[_Tried]) -> Plan:
             tuple(finding for attempt_result in tried for finding in attempt_result.findings),
         )
         said = f"no mode sequence could be optimised; {' -> '.join(first.modes)}: "
-        refused = attempt.refused(f"{said}{first.message}", findings, candidates)
-        # Where there is no path at all, the message is the finding.
-        return refused if tried[0].path else replace(refused, before_remedy=f"{said}{findings[0].sentence}; ")
+        if tried[0].path is None:  # the message is the finding
+            return attempt.refused_for(findings, said, candidates)
+        return attempt.refused(f"{said}{first.message}", findings, candidates)
     plans = []
     for number, (path, sequence, price) in enumerate(sorted(paths, key=lambda priced: priced[2]), start=1):
         trajectory = trajectory_of(attempt.problem, attempt.limits, path)

@@ -14,7 +14,7 @@ def purpose_sentences(plan: Plan) -> tuple[tuple[str, str], ...]:
             continue
         sentence = _sentence(purpose, plan)
         before = next((mode for mode, said in told.items() if said == sentence), None)
-        told[purpose.mode] = sentence if before is None else f"is needed for the same reason as {before}"
+        told[purpose.mode] = sentence if before is None else f"is there for the same reason as {before}"
     return tuple(told.items())
 
 
@@ -22,7 +22,7 @@ def _sentence(purpose: ModePurpose, plan: Plan) -> str:
     if purpose.is_goal:
         return "the goal is in no other mode"
     if not purpose.without:
-        return f"without it there is no way: {purpose.why}"
+        return f"without it the search finds no way: {purpose.why}"
     way = " -> ".join(purpose.without)
     tried = next((one for one in plan.candidates if one.modes == purpose.without), None)
     if tried is None:

@@ -53,7 +53,7 @@ def verify(
         problem: what the plan is for.
         plan: as `pomdp_hd.plan` returned it; without a trajectory it is returned unchanged.
         trials: number of roll-outs; None: from the settings, but as many as can show the confidence
-            (`task.plan.least_trials`). 0 verifies nothing.
+            (`task.acceptance.least_trials`). 0 verifies nothing.
         seed: of the roll-outs.
         deadline: if it passes before they end, the plan is not verified.
         sequential: end early where some roll-outs suffice (`plain_answer`, `looks_of`): for decisions during an

@@ -147,7 +147,8 @@ def test_a_signal_while_ompl_is_loaded_is_handled_when_it_is() -> None:
 
 
 DROPPED = """
-import time
+import signal, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a process in the background of a shell ignores it
 from micah_plan.cli.interrupted import repeat_dropped_interruptions
 repeat_dropped_interruptions()
 
