@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
 from pathlib import Path
@@ -62,6 +63,15 @@ def test_links_of_a_notebook_lead_somewhere(name: str) -> None:
     )
     for target in re.findall(r"\]\(([^)\s#]+)", prose):
         assert (FOLDER / target).is_file(), target
+
+
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_what_a_notebook_imports_exists(name: str) -> None:
+    code = "".join(line for cell in stored(name)["cells"] if cell["cell_type"] == "code" for line in cell["source"])
+    imports = re.findall(r"^from (micah_plan\S*) import (.+)$", code, re.MULTILINE)
+    assert imports
+    for module, names in imports:
+        assert [each for each in names.split(", ") if not hasattr(importlib.import_module(module), each)] == []
 
 
 @pytest.mark.evidence  # the docs of every landing run the notebooks; here their numbers are those of the prose
