@@ -110,6 +110,12 @@ def notes_on(traces: Sequence[CoordinateTrace]) -> tuple[str, ...]:
         moving = u[np.abs(u) > 0.05 * data.command_size]
         if moving.size and (np.mean(moving > 0) < 0.05 or np.mean(moving > 0) > 0.95):
             notes.append(f"{name}: nearly all commands go one way; what depends on the direction cannot be seen")
+        if traced.average is not None:
+            notes.append(
+                f"{name}: steps follow averages of the commands over {count(traced.average.reach, 'row')} before and "
+                "after, as where poses were smoothed, or commands written down with errors: no part knows commands to "
+                "come, so none of it is added. Calibrate on poses as they were measured"
+            )
         if traced.outcome.verdict == "none":
             innovations = traced.held_out.errors(traced.nominal, "filter")[data.counted]
             nats = traced.held_out.competition.least
@@ -133,7 +139,8 @@ def notes_on(traces: Sequence[CoordinateTrace]) -> tuple[str, ...]:
             )
         if traced.facts.is_corrected:
             notes.append(f"{name}: the model has a correction without a name already, which no effect has replaced")
-        if traced.innovation_test is not None and traced.innovation_test.is_more and not traced.facts.smooth:
+        is_left = traced.innovation_test is not None and traced.innovation_test.is_more
+        if traced.innovation_test and is_left and not traced.facts.smooth and traced.average is None:
             share = percent(traced.innovation_test.share, 0)
             notes.append(
                 f"{name}: the residuals are not white: {share} of their variance follows {traced.innovation_test}"

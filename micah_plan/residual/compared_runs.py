@@ -23,10 +23,9 @@ Place = tuple[int, float]
 
 # A pause that is so many times the usual one, and so many standard deviations longer, is a missing row.
 _LONGER, _STDS_LONGER = 1.5, 6.0
-# Actions are stored at most so many rows late; commands before one's own that a motion may remember.
-_MOST_LATE, _PAST = 3, 2
-# Columns of a constant and commands, latest first: those up to a motion's own row, and as many up to the next.
-_COMPARED = (0, 2, 3, 4), (0, 1, 2, 3)
+# Actions are stored at most so many rows late; commands before one's own that a motion may remember, and commands on
+# both sides of it over which poses may have been smoothed.
+_MOST_LATE, _PAST, _BESIDE = 3, 2, 3
 _FEWEST_STEPS = 20
 # What a later row must foretell better per step [nats], and its share of all that commands do.
 _LATE_PER_ROW, _OWN_SHARE = 0.05, 0.3
@@ -61,7 +60,8 @@ def rows_late(runs: Sequence[Track]) -> int:
     """By how many rows actions are stored after those that they move.
 
     The action of a later row foretells a motion better than its own row's and those before it, and with their sign.
-    (Where commands follow what was measured, the next command foretells the noise of a motion with the other sign.)
+    (Where commands follow what was measured, the next command foretells the noise of a motion with the other sign;
+    where poses were smoothed, commands of rows before and after foretell it alike.)
     """
     late = 0
     while late < _MOST_LATE and any(_is_foretold_later(runs, late, i) for i in range(runs[0].x.shape[1])):
@@ -76,23 +76,29 @@ def _is_foretold_later(runs: Sequence[Track], late: int, i: int) -> bool:
         if track.u is None or track.u.shape[1] != track.x.shape[1]:
             return False
         dx, u = np.diff(track.x[:, i]), track.u[:, i]
-        steps = np.arange(_PAST, len(dx) - late - 1)
+        steps = np.arange(_BESIDE, len(dx) - late - _BESIDE)
         if len(steps):
-            designs.append(np.stack([u[steps + late + 1 - k] for k in range(_PAST + 2)], axis=1))
+            designs.append(np.stack([u[steps + late + k] for k in range(-_BESIDE, _BESIDE + 1)], axis=1))
             moved.append(dx[steps])
     if not designs:
         return False
     design, now = np.concatenate(designs), np.concatenate(moved)
     is_finite = np.isfinite(design).all(axis=1)
-    design, now = np.column_stack([np.ones(is_finite.sum()), design[is_finite]]), now[is_finite]
+    design, now = design[is_finite], now[is_finite]
     if len(now) < _FEWEST_STEPS or not np.any(now):
         return False
-    least = 1e-3 * float(np.std(now)) + ROUND_OFF
-    with_it, later = (robust_log_density(design[:, columns], now, FREEDOM, least) for columns in _COMPARED)
-    if later - with_it < max(LEAST_EVIDENCE, _LATE_PER_ROW * len(now)):
+    first = _BESIDE - _PAST
+    own, next_one = design[:, first : _BESIDE + 1], design[:, first + 1 : _BESIDE + 2]
+    alike = np.column_stack([design[:, _BESIDE], (design + design[:, ::-1])[:, :_BESIDE]])
+    ones, least = np.ones((len(now), 1)), 1e-3 * float(np.std(now)) + ROUND_OFF
+    up_to_own, up_to_next, on_both_sides, any_row = (
+        robust_log_density(np.hstack([ones, columns]), now, FREEDOM, least)
+        for columns in (own, next_one, alike, design)
+    )
+    if min(up_to_next - up_to_own, any_row - on_both_sides) < max(LEAST_EVIDENCE, _LATE_PER_ROW * len(now)):
         return False
-    response = np.linalg.lstsq(design[:, _COMPARED[1]], now, rcond=None)[0][1:]
-    return bool(response[0] > _OWN_SHARE * np.abs(response).sum())
+    response = np.linalg.lstsq(np.hstack([ones, next_one]), now, rcond=None)[0][1:]
+    return bool(response[-1] > _OWN_SHARE * np.abs(response).sum())
 
 
 def white_noise_of(x: Floats) -> Floats:

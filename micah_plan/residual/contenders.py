@@ -327,7 +327,7 @@ class Contenders:
             owners += [k] * len(others)
             tried += others
         for k in sorted(again):
-            others = [_noisy(fits[k], split) for split in _SPLITS]
+            others = with_other_noise(fits[k])
             others += [replace(fits[k], freedom=NORMAL)] if fits[k].freedom < NORMAL else []
             owners += [k] * len(others)
             tried += others
@@ -346,7 +346,7 @@ class Contenders:
         tried = [replace(contender.fit, freedom=freedom) for freedom in _FREEDOMS]
         best = min(self.screening.improved(tried, TO_THE_END), key=_tailed)
         for _ in range(_PROBED):
-            beside = [*self.screening.beside(best, _BESIDE_KEPT), *(_noisy(best, split) for split in _SPLITS)]
+            beside = [*self.screening.beside(best, _BESIDE_KEPT), *with_other_noise(best)]
             further = min(self.screening.improved(beside, TO_THE_END), key=_tailed)
             if _tailed(further) > _tailed(best) - NO_MENTION:
                 break
@@ -358,8 +358,7 @@ class Contenders:
     def _nominal(self) -> Contender:
         start = np.hstack([np.zeros((1, 0)), *(part.starts for part in self.as_told)])[0]
         begun = self._fit(Option(self.as_told, start[None]), start)
-        splits = [begun, *(_noisy(begun, split) for split in _SPLITS)]
-        tried = [replace(fit, freedom=freedom) for fit in splits for freedom in _FREEDOMS]
+        tried = [replace(fit, freedom=freedom) for fit in (begun, *with_other_noise(begun)) for freedom in _FREEDOMS]
         best = min(self.screening.improved(tried, TO_THE_END, within=self.within(self.screening)), key=_tailed)
         if self.screening is not self.fitting:
             (best,) = self.fitting.improved([best], TO_THE_END)
@@ -440,9 +439,9 @@ def _best_of_each(pairs: Iterable[tuple[Option, Fit]], most: int | None) -> list
     return [pair for ranked in of_base.values() for pair in ranked[:most]]
 
 
-def _noisy(fit: Fit, split: Sequence[float]) -> Fit:
-    """A fit with its noise split otherwise."""
-    return fit.with_noise(float(fit.noise[: len(STDS)].max()) + np.array(split))
+def with_other_noise(fit: Fit) -> list[Fit]:
+    """A fit with most of its noise in readings, in motion, and in what wanders: each may be an optimum of its own."""
+    return [fit.with_noise(float(fit.noise[: len(STDS)].max()) + np.array(split)) for split in _SPLITS]
 
 
 def _tailed(fit: Fit) -> float:

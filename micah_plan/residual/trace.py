@@ -9,6 +9,7 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.effects.registry import form
+from micah_plan.residual.averaged_commands import Average, likeliest_average, with_averages
 from micah_plan.residual.candidates import FOLLOW, GATES, MEMORY, UNNAMED, TermCandidate, indistinguishable
 from micah_plan.residual.competition import Standings
 from micah_plan.residual.contenders import TO_THE_END, Contender, begins_later, best_first
@@ -68,6 +69,7 @@ class CoordinateTrace:
         missing_modes: that the automaton lacks; a correction without a name is in their place (or see `calibrate`).
         closest: names of the effects that came closest, where a correction without a name predicts better.
         alternatives: the models of one effect that came closest.
+        average: of commands over rows before and after that steps follow; None: they follow commands as written.
     """
 
     data: CoordinateData
@@ -86,6 +88,7 @@ class CoordinateTrace:
     missing_modes: tuple[MissingMode, ...] = ()
     closest: tuple[str, ...] = ()
     alternatives: tuple[Contender, ...] = ()
+    average: Average | None = None
 
     @property
     def unexplained_fraction(self) -> float:
@@ -97,8 +100,18 @@ class CoordinateTrace:
 
 def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrace:
     """Find what a coordinate's model lacks."""
-    data, nominal = held_out.data, held_out.nominal
     standings = held_out.competition.search(progress or _silent)
+    average = likeliest_average(held_out.competition, standings)
+    if average is None:
+        return _traced(held_out, standings)
+    held_out = HeldOut(with_averages(held_out.data, average), held_out.data)
+    return _traced(held_out, held_out.competition.search(progress or _silent), average)
+
+
+def _traced(held_out: HeldOut, standings: Standings, average: Average | None = None) -> CoordinateTrace:
+    data, nominal = held_out.data, held_out.nominal
+    if average is not None:
+        standings = _without_trifles(held_out, standings)
     modes = _modes(held_out, standings) if standings.remaining else ()
     share = _share_left(standings)
     closest = standings.chosen.names if standings.chosen is not nominal and share > UNEXPLAINED and not modes else ()
@@ -121,10 +134,11 @@ def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrac
         is_following=innovation_test is not None and innovation_test.is_more,
         smooth=0.0 if modes else share,
         is_corrected=any(effect.name == UNNAMED for effect in data.effects),
+        is_averaged=average is not None,
     )
     alternatives = tuple(best_first(standings.singles)[:_MOST_ALTERNATIVES])
     return CoordinateTrace(
-        data=data,
+        data=held_out.told,
         held_out=held_out,
         nominal=nominal,
         chosen=chosen,
@@ -140,7 +154,17 @@ def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrac
         rollout_floor=held_out.rollout_floor(final),
         closest=closest,
         alternatives=alternatives,
+        average=average,
     )
+
+
+def _without_trifles(held_out: HeldOut, standings: Standings) -> Standings:
+    """What came out of averaged commands, without what does not make roll-outs of the written ones shorter.
+
+    Averages leave something of their own in single steps, which no part does.
+    """
+    is_shorter = _LONGER * _rolled(held_out, standings.chosen) < _rolled(held_out, standings.nominal)
+    return replace(standings, chosen=standings.chosen if is_shorter else standings.nominal, remaining=())
 
 
 def _rolled(held_out: HeldOut, model: Contender) -> float:

@@ -32,6 +32,7 @@ class Facts:
         is_single: whether there is one run of few motions alone, which no other run can confirm.
         is_following: whether innovations certainly follow something, and by more than a trifle.
         is_changing: whether effects began at different times: what changed twice may be changing still.
+        is_averaged: whether steps follow averages of commands over rows before and after.
         smooth: share of the explainable residual that a correction without a name takes out on top; 0: none.
         is_passing: whether one run alone shows that there is something more, or that it began.
         is_corrected: whether the model came with a correction without a name.
@@ -49,6 +50,7 @@ class Facts:
     is_single: bool = False
     is_changing: bool = False
     is_following: bool = False
+    is_averaged: bool = False
 
     @property
     def is_kept_out(self) -> bool:
@@ -71,6 +73,22 @@ class Outcome:
 
 OUTCOMES: tuple[tuple[Outcome, Callable[[Facts], bool]], ...] = (
     (Outcome("mode", "partly", "a mode of its own is missing"), lambda f: f.modes > 0),
+    (
+        Outcome(
+            "averaged",
+            "partly",
+            "steps follow averages of the commands over rows before and after, so effects are blurred",
+        ),
+        lambda f: f.is_averaged and f.effects > 0,
+    ),
+    (
+        Outcome(
+            "averaged alone",
+            "none",
+            "the model leaves noise alone, but for commands that are averaged over rows before and after",
+        ),
+        lambda f: f.is_averaged,
+    ),
     (
         Outcome("unnamed", "unexplained", "what is left follows something that no effect names"),
         lambda f: (

@@ -1,0 +1,152 @@
+"""Commands averaged over the rows around each: what a recording does that was smoothed, and no object.
+
+Poses that a filter without a delay smoothed move as the average of their commands over rows before and after; so does a
+part whose commands were written down with errors, since its own steps are more alike than what was written. No part
+knows commands that are still to come: what an average over both sides explains belongs to the recording, and is not
+added to a model. An effect that looks back (`lag`, `delay`, `follow`) imitates it badly, and is found all the same if
+nothing else competes.
+
+The weights are alike on both sides, found by least squares of measured steps, and add up to 1: how much of a command
+arrives is a gain, which is an effect.
+
+Sources: Savitzky and Golay, "Smoothing and differentiation of data by simplified least squares procedures", Analytical
+Chemistry 1964 (weights alike on both sides delay nothing); Schwarz, Annals of Statistics 1978 (what a weight costs).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from micah_plan.arrays import ROUND_OFF, Floats, Ints
+from micah_plan.residual.candidates import FOLLOW
+from micah_plan.residual.competition import Standings
+from micah_plan.residual.contenders import Contenders, best_first, with_other_noise
+from micah_plan.residual.coordinate_data import CoordinateData
+from micah_plan.residual.filtering import STDS
+from micah_plan.residual.fitting import Fitting
+from micah_plan.residual.likelihood import FREEDOM, robust_log_density
+
+# Rows on each side that are tried.
+_REACHES = (1, 2, 3, 4, 6, 8, 10)
+# Share of commands that must arrive for their weights to mean anything.
+_LEAST_GAIN = 0.1
+# Steps that tell a weight.
+_ROWS_PER_WEIGHT = 10
+# No step is told to less than this share of their std.
+_FINEST = 1e-3
+# Effects that are tried on averaged commands beside the model as it is, and rounds of their fits.
+_EFFECTS, _ROUNDS = 8, 6
+
+
+@dataclass(frozen=True, eq=False)
+class Average:
+    """Weights (k + 1,) of the command of a row itself, and of each of those so many rows before and after."""
+
+    weights: Floats
+
+    @property
+    def reach(self) -> int:
+        """Rows on each side."""
+        return len(self.weights) - 1
+
+
+def with_averages(data: CoordinateData, average: Average) -> CoordinateData:
+    """The data, and its whole runs, with averages of the commands; these are displacements then."""
+    runs = data if data.whole is None else data.whole
+    u, action = np.zeros(data.rows), np.zeros((data.rows, 3))
+    for s, steps in enumerate(_steps(runs)):
+        own = _number(runs)[s, :steps]
+        u[own] = _beside(runs.u[s, :steps], average.reach) @ _both_sides(average)
+        if runs.action is not None:
+            action[own] = _beside(runs.action[s, :steps], average.reach) @ _both_sides(average)
+
+    def changed_in(rows: CoordinateData) -> CoordinateData:
+        told = np.arange(rows.u.shape[1]) < _steps(rows)[:, None]
+        changed = np.where(told, u[_number(rows)], rows.u)
+        vectors = None if rows.action is None else np.where(told[:, :, None], action[_number(rows)], rows.action)
+        return replace(rows, u=changed, place=rows.place + changed - rows.u, action=vectors, meaning="displacement")
+
+    whole = None if data.whole is None else changed_in(data.whole)
+    return replace(changed_in(data), whole=whole)
+
+
+def _number(data: CoordinateData) -> Ints:
+    """(S, T) number of each row in the recording."""
+    return np.asarray(np.rint(data.order * data.rows), dtype=np.int64) % data.rows
+
+
+def _steps(data: CoordinateData) -> Ints:
+    """(S,) steps of each segment up to its last row that counts."""
+    return np.asarray(np.where(data.counted, np.arange(data.counted.shape[1]), 0).max(axis=1))
+
+
+def _beside(values: Floats, reach: int) -> Floats:
+    """(n, ..., 2 reach + 1) values (n, ...) of the rows around each; there are none outside."""
+    padded = np.pad(values, [(reach, reach), *[(0, 0)] * (values.ndim - 1)])
+    return np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=0)
+
+
+def _both_sides(average: Average) -> Floats:
+    return np.concatenate([average.weights[:0:-1], average.weights])
+
+
+def likeliest_average(contenders: Contenders, standings: Standings) -> Average | None:
+    """The average of commands that makes a recording likelier than all that acts on the commands as they were written.
+
+    None if there is none, or if commands are places, of which a response is as smooth.
+    """
+    nominal = standings.nominal
+    rivals = (standings.chosen, *standings.remaining)
+    average = None if contenders.has_places or rivals == (nominal,) else _average(contenders.data)
+    if average is None:
+        return None
+    data = with_averages(contenders.data, average)
+    of_weights = _cost_of(average.reach, int(data.counted.sum()))
+    least = max(model.evidence for model in rivals) + contenders.least + of_weights
+    fitting = Fitting(data)
+    fits = fitting.improved([nominal.fit, *with_other_noise(nominal.fit)], _ROUNDS)
+    quiet = min(fits, key=lambda fit: fit.loss)
+    # Something may be missing of the model as well.
+    effects = [model for model in best_first(standings.singles) if FOLLOW not in model.names][:_EFFECTS]
+    fits = [quiet, *fitting.improved([model.fit.with_noise(quiet.noise[: len(STDS)]) for model in effects], _ROUNDS)]
+    return average if max(weighed.evidence for weighed in fitting.weighed(fits)) > least else None
+
+
+def _average(data: CoordinateData) -> Average | None:
+    """Weights by least squares of measured steps; None if commands up to now foretell these as well, or not at all."""
+    of_past, of_both = [], list[tuple[float, Floats]]()
+    for reach in _REACHES:
+        around, now = _steps_and_commands(data, reach)
+        if len(now) < _ROWS_PER_WEIGHT * reach:
+            break
+        before, after = around[:, reach::-1], around[:, reach:].copy()
+        after[:, 1:] += before[:, 1:]
+        least, cost = _FINEST * float(np.std(now)) + ROUND_OFF, _cost_of(reach, len(now))
+        past, both = (np.column_stack([np.ones(len(now)), commands]) for commands in (before, after))
+        of_past.append(robust_log_density(past, now, FREEDOM, least) - cost)
+        weights = np.asarray(np.linalg.lstsq(both, now, rcond=None)[0][1:], dtype=float)
+        of_both.append((robust_log_density(both, now, FREEDOM, least) - cost, weights))
+    if not of_both:
+        return None
+    most, weights = max(of_both, key=lambda tried: tried[0])
+    gain = float(weights[0] + 2.0 * weights[1:].sum())
+    return Average(weights / gain) if most > max(of_past) and gain > _LEAST_GAIN else None
+
+
+def _steps_and_commands(data: CoordinateData, reach: int) -> tuple[Floats, Floats]:
+    """(n, 2 reach + 1) commands around each row, from one measurement to the next, and steps (n,) [rad or m]."""
+    runs, designs, moved = data.whole or data, list[Floats](), list[Floats]()
+    for s, steps in enumerate(_steps(runs)):
+        rows = np.flatnonzero(runs.is_measured[s, : steps + 1])
+        counts = runs.counted[s, rows[1:]]
+        so_far = np.cumsum(np.pad(_beside(runs.u[s, :steps], reach), [(1, 0), (0, 0)]), axis=0)
+        designs.append(np.diff(so_far[rows], axis=0)[counts])
+        moved.append(np.diff(runs.z[s, rows])[counts])
+    return np.concatenate(designs), np.concatenate(moved)
+
+
+def _cost_of(reach: int, rows: int) -> float:
+    """What so many weights cost [nats]."""
+    return 0.5 * reach * float(np.log(max(rows, 1)))
