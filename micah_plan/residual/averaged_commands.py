@@ -18,8 +18,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from micah_plan.arrays import ROUND_OFF, Floats, Ints
+from micah_plan.arrays import ROUND_OFF, Floats, Ints, Scalar
 from micah_plan.residual.candidates import FOLLOW
 from micah_plan.residual.competition import Standings
 from micah_plan.residual.contenders import Contenders, best_first, with_other_noise
@@ -82,7 +83,7 @@ def _steps(data: CoordinateData) -> Ints:
     return np.asarray(np.where(data.counted, np.arange(data.counted.shape[1]), 0).max(axis=1))
 
 
-def _beside(values: Floats, reach: int) -> Floats:
+def _beside(values: NDArray[Scalar], reach: int) -> NDArray[Scalar]:
     """(n, ..., 2 reach + 1) values (n, ...) of the rows around each; there are none outside."""
     padded = np.pad(values, [(reach, reach), *[(0, 0)] * (values.ndim - 1)])
     return np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=0)
@@ -99,7 +100,7 @@ def likeliest_average(contenders: Contenders, standings: Standings) -> Average |
     """
     nominal = standings.nominal
     rivals = (standings.chosen, *standings.remaining)
-    average = None if contenders.has_places or rivals == (nominal,) else _average(contenders.data)
+    average = None if contenders.has_places or rivals == (nominal,) else weights_of_steps(contenders.data)
     if average is None:
         return None
     data = with_averages(contenders.data, average)
@@ -114,7 +115,7 @@ def likeliest_average(contenders: Contenders, standings: Standings) -> Average |
     return average if max(weighed.evidence for weighed in fitting.weighed(fits)) > least else None
 
 
-def _average(data: CoordinateData) -> Average | None:
+def weights_of_steps(data: CoordinateData) -> Average | None:
     """Weights by least squares of measured steps; None if commands up to now foretell these as well, or not at all."""
     of_past, of_both = [], list[tuple[float, Floats]]()
     for reach in _REACHES:
@@ -139,11 +140,13 @@ def _steps_and_commands(data: CoordinateData, reach: int) -> tuple[Floats, Float
     """(n, 2 reach + 1) commands around each row, from one measurement to the next, and steps (n,) [rad or m]."""
     runs, designs, moved = data.whole or data, list[Floats](), list[Floats]()
     for s, steps in enumerate(_steps(runs)):
-        rows = np.flatnonzero(runs.is_measured[s, : steps + 1])
-        counts = runs.counted[s, rows[1:]]
+        rows, z = np.flatnonzero(runs.is_measured[s, : steps + 1]), runs.z[s, : steps + 1]
+        # What an end stops moves by no command.
+        is_free = (z > runs.lower + data.command_size) & (z < runs.upper - data.command_size)
+        counts = (runs.counted[s, : steps + 1] & _beside(is_free, reach).all(axis=1))[rows[1:]]
         so_far = np.cumsum(np.pad(_beside(runs.u[s, :steps], reach), [(1, 0), (0, 0)]), axis=0)
         designs.append(np.diff(so_far[rows], axis=0)[counts])
-        moved.append(np.diff(runs.z[s, rows])[counts])
+        moved.append(np.diff(z[rows])[counts])
     return np.concatenate(designs), np.concatenate(moved)
 
 

@@ -221,7 +221,7 @@ def coordinate_data_of(
                 segment[s, : piece.end - piece.first] = of_rows[piece.track][piece.first : piece.end]
             segment[:, 0] = -1
             ends = range_of(reference or automaton, link.coordinate)
-            whole = replace(whole, counted=segment >= 0, segment=segment, told=ends)
+            whole = replace(whole, counted=(segment >= 0) & whole.is_measured, segment=segment, told=ends)
             result.append(replace(data, told=ends, whole=whole))
     return tuple(result)
 

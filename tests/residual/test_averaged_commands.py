@@ -10,7 +10,7 @@ import pytest
 
 from micah_plan.automaton.tracks import tracks
 from micah_plan.recording.value import Recording
-from micah_plan.residual.averaged_commands import Average, with_averages
+from micah_plan.residual.averaged_commands import Average, weights_of_steps, with_averages
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.compared_runs import rows_late
 from micah_plan.residual.coordinate_data import CoordinateData, coordinate_data_of
@@ -104,3 +104,15 @@ def test_an_average_of_one_row_changes_nothing(door) -> None:
     np.testing.assert_allclose(same.u, data.u, atol=1e-12)
     np.testing.assert_allclose(same.action, data.action, atol=1e-12)
     np.testing.assert_allclose(same.whole.u, data.whole.u, atol=1e-12)
+
+
+def test_ends_move_by_no_command(door) -> None:
+    """Where a part rests at its end for long, weights are those of the rest of the way."""
+    runs = plants.runs_of(plants.honest, 3, 600, 0, noise=0.003)
+    recording = plants.door_recording(
+        [(np.convolve(np.pad(z, 2, mode="edge"), MEAN_OF_5, "valid"), u) for z, u in runs]
+    )
+    data = data_of(door, recording)
+    at_an_end = np.mean((data.z[data.counted] < 0.05) | (data.z[data.counted] > plants.LENGTH - 0.05))
+    assert at_an_end > 0.3
+    assert weights_of_steps(data).weights == pytest.approx([0.2, 0.2, 0.2], abs=0.01)

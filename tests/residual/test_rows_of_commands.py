@@ -110,3 +110,14 @@ def test_effects_are_sized_between_held_poses(door) -> None:
     found = calibrate(door, held(plants.door_recording(plants.runs_of(plants.feeble, 10, 60, 0), across=0.001), 3))
     sizes = {effect.effect.name: effect.effect.values[0] for effect in found.effects}
     assert sizes == {"gain": pytest.approx(0.1, abs=0.01), "bias": pytest.approx(0.004, abs=0.0003)}
+
+
+def test_rows_that_are_no_measurements_are_in_no_floor(door) -> None:
+    """A median of five poses is one of them again and again."""
+    runs = plants.runs_of(plants.honest, 5, 70, 0)
+    windows = [np.lib.stride_tricks.sliding_window_view(np.pad(z, 2, mode="edge"), 5) for z, _ in runs]
+    medians = [(np.median(around, axis=1), u) for around, (_, u) in zip(windows, runs, strict=True)]
+    found = calibrate(door, plants.door_recording(medians))
+    assert found.verdict == "none"
+    assert any("no measurements" in note for note in found.notes)
+    assert 0.5 * found.before.rollout < found.rollout_floor < 2.0 * found.before.rollout
