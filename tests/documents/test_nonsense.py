@@ -164,11 +164,11 @@ UNBOUNDED = (
 )
 NUMBERED = (
     pytest.param("models/microwave.yaml", marks=pytest.mark.slow),
-    pytest.param("models/cabinet.yaml", marks=pytest.mark.slow),
+    pytest.param("models/cabinet.yaml", marks=pytest.mark.evidence),
     "models/parts/drawer.yaml",
     "problems/drawer_open.yaml",
     "problems/microwave_close.yaml",
-    pytest.param("problems/stapler_on_books.yaml", marks=pytest.mark.slow),
+    pytest.param("problems/stapler_on_books.yaml", marks=pytest.mark.evidence),
     "problems/walled_domain.yaml",
     "problems/key_by_touch.yaml",
     "problems/explore_handle.yaml",

@@ -94,7 +94,7 @@ class WithoutLatch(HeldPlant):
         return first
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_a_latch_that_never_catches_is_pressed_again_until_it_stops_and_says_so():
     problem = load_problem(PROBLEM)
     plant = WithoutLatch(problem, replace(parameters_of(problem), joint_friction=0.09))

@@ -93,7 +93,7 @@ def test_a_machine_in_another_process_is_executed_on_and_says_no_truth(untrouble
     [
         "drop:4",
         "late:1",
-        *(pytest.param(one, marks=pytest.mark.slow) for one in ("drop:1", f"drop:{STEPS + 1}", "late:4")),
+        *(pytest.param(one, marks=pytest.mark.evidence) for one in ("drop:1", f"drop:{STEPS + 1}", "late:4")),
     ],
 )
 def test_a_lost_or_late_reply_changes_nothing(untroubled, fault) -> None:

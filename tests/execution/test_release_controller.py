@@ -108,7 +108,7 @@ pytestmark = requires("sim")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arm", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("arm", [False, pytest.param(True, marks=pytest.mark.evidence)])
 def test_in_mujoco_the_stapler_stands_on_the_books(arm: bool) -> None:
     problem, plan = solved(arm=arm)
     statistics = run_trials(problem, plan, plant="mujoco", trials=2, seed=3)

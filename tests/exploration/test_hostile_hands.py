@@ -85,7 +85,7 @@ def test_what_the_tracker_sees_too_is_one(later) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("stiffness", "force"), [(19_000.0, 10.0), pytest.param(19_000.0, 4.0, marks=pytest.mark.slow), (1500.0, 10.0)]
+    ("stiffness", "force"), [(19_000.0, 10.0), pytest.param(19_000.0, 4.0, marks=pytest.mark.evidence), (1500.0, 10.0)]
 )
 def test_the_first_push_is_safe_for_the_stiffest_hand(stiffness, force) -> None:
     hand = Held(stiffness=stiffness, friction=1e9)

@@ -65,8 +65,8 @@ def test_a_part_opened_and_shut_several_times_has_a_stop_each_time(kind: str, nu
     ("kind", "number", "variant", "missed"),
     [
         ("revolute", 6, "3 mm", 1),
-        pytest.param("prismatic", 24, "plain", 0, marks=pytest.mark.slow),
-        pytest.param("prismatic", 12, "late by 2 rows", 0, marks=pytest.mark.slow),
+        pytest.param("prismatic", 24, "plain", 0, marks=pytest.mark.evidence),
+        pytest.param("prismatic", 12, "late by 2 rows", 0, marks=pytest.mark.evidence),
     ],
 )
 def test_a_long_run_has_its_stops_too(kind: str, number: int, variant: str, missed: int) -> None:

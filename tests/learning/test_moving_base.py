@@ -50,7 +50,9 @@ def off_axis(joint) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "seed", [0, pytest.param(1, marks=pytest.mark.evidence), pytest.param(2, marks=pytest.mark.evidence)]
+)
 def test_that_two_free_bodies_are_joined_is_found_and_the_remedy_told(seed: int) -> None:
     """Which of the two stands on the other is a convention: both move freely."""
     learned = learn(recorded(pushed_about(0.5, seed), seed))

@@ -114,7 +114,9 @@ def test_an_outlier_at_the_end_is_no_segment(row: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("change", CHANGES)
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=pytest.mark.evidence if k else ()) for k, kind in enumerate(KINDS)]
+)
 def test_what_trackers_and_clocks_do_does_not_matter(kind: str, change: Change) -> None:
     for seed in range(2):
         original = planted(kind, seed)

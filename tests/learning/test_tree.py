@@ -283,8 +283,8 @@ class TestWithTheLearner:
         assert kinds(graph, "tray") == ["prismatic"]
 
     @pytest.mark.slow
-    @pytest.mark.parametrize("unseen", ["drawer", pytest.param("door", marks=pytest.mark.slow)])
-    @pytest.mark.parametrize("seed", [0, pytest.param(5, marks=pytest.mark.slow)])
+    @pytest.mark.parametrize("unseen", ["drawer", pytest.param("door", marks=pytest.mark.evidence)])
+    @pytest.mark.parametrize("seed", [0, pytest.param(5, marks=pytest.mark.evidence)])
     def test_a_part_that_is_unseen_for_a_third_of_the_time_carries_what_stands_on_it_and_nothing_else(
         self, unseen: str, seed: int
     ) -> None:

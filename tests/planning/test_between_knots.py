@@ -307,7 +307,9 @@ planner: {{max_step: {{hand: 0.12, grip: 0.01}}, revisits: {count}, max_knots: 2
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [2, pytest.param(4, marks=pytest.mark.slow), pytest.param(5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "count", [2, pytest.param(4, marks=pytest.mark.evidence), pytest.param(5, marks=pytest.mark.evidence)]
+)
 def test_one_hand_moves_several_things(tmp_path, count) -> None:
     problem = problem_of(tmp_path, *blocks(count))
     found = solve(problem)

@@ -246,6 +246,8 @@ SOLVABLE = {
     "race": RACE,
     "belt": BELT,
 }
+# What limits a step, what falls, what moves by itself, and what is let go; the others are evidence.
+BLOCKING = ("glass", "lid", "gate", "put down")
 
 
 def _problem(folder: Path, texts: tuple[str, str], *changes: tuple[str, str]) -> Problem:
@@ -263,7 +265,9 @@ def _succeeds(problem: Problem, answer: Plan, trials: int = 40) -> float:
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("name", SOLVABLE)
+@pytest.mark.parametrize(
+    "name", [name if name in BLOCKING else pytest.param(name, marks=pytest.mark.evidence) for name in SOLVABLE]
+)
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.evidence) for seed in (1, 2))])
 def test_what_a_person_does_is_planned_and_executed_as_predicted(tmp_path, name, seed) -> None:
     problem = _problem(tmp_path, SOLVABLE[name])

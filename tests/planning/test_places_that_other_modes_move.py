@@ -46,7 +46,7 @@ def test_a_part_is_met_where_it_is_believed_to_be_and_then_carried() -> None:
     assert execute(result, trials=100, seed=1).successes >= 95
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_a_guard_far_narrower_than_what_is_known_is_taken_by_who_passes_through_it() -> None:
     result = solve(gripping(0.0005))
     assert result.outcome == "solved", result.reason

@@ -172,7 +172,7 @@ def test_planning_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_twelve_dimensions_and_64_modes_are_solved() -> None:
     problem = cabinet_problem(doors=6, drawers=6, opened=12, steps=10)
     assert (problem.automaton.n, len(problem.automaton.modes)) == (12, 64)

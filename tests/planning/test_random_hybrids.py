@@ -21,7 +21,7 @@ from micah_plan.task.goal import Goal
 from micah_plan.task.plan import Plan
 from micah_plan.task.problem import Problem
 
-QUICK, BLOCKING, ALL = 3, 60, 200
+QUICK, BLOCKING, ALL = 3, 30, 200
 # Fresh roll-outs of a verified plan, and by how much their share may be smaller than what was asked: 4 standard errors.
 FRESH, SHORTFALL = 200, 0.08
 

@@ -101,7 +101,7 @@ def taken(problem: Problem, finding: Finding) -> list[Problem]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", [one if one in QUICK else pytest.param(one, marks=pytest.mark.slow) for one in FAILING]
+    "name", [one if one in QUICK else pytest.param(one, marks=pytest.mark.evidence) for one in FAILING]
 )
 def test_every_number_in_a_remedy_works_when_it_is_followed(name: str) -> None:
     problem = FAILING[name]()
@@ -311,7 +311,8 @@ def held(**mean: float) -> Problem:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "mean", [{"theta": 0.001}, *(pytest.param(one, marks=pytest.mark.slow) for one in ({"theta": -0.03}, {"z": 0.605}))]
+    "mean",
+    [{"theta": 0.001}, *(pytest.param(one, marks=pytest.mark.evidence) for one in ({"theta": -0.03}, {"z": 0.605}))],
 )
 def test_a_start_a_hair_outside_of_its_range_is_not_a_collision(mean: dict[str, float]) -> None:
     problem = held(**mean)

@@ -162,7 +162,7 @@ def many_doors() -> Problem:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("near", [1, 2])
+@pytest.mark.parametrize("near", [pytest.param(1, marks=pytest.mark.evidence), 2])
 def test_of_many_modes_those_near_the_plan_are_rolled_out_and_the_answer_is_the_same(
     many_doors: Problem, near: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

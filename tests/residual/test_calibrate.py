@@ -146,7 +146,7 @@ LIBRARY = {
     "one_sided": ("direction_gain",),
 }
 # One of each layer of a model, and one that comes later; the others are evidence.
-BLOCKING = ("late", "blocked", "stretched", "worn_half_way")
+BLOCKING = ("late", "stretched", "worn_half_way")
 
 
 @pytest.mark.parametrize(

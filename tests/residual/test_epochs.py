@@ -62,7 +62,7 @@ def weaker_from(first_run: int, row: int, *, in_each: bool = False):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("run", "row"), [(4, 25), pytest.param(0, 30, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("run", "row"), [(4, 25), pytest.param(0, 30, marks=pytest.mark.evidence)])
 def test_what_began_within_a_run_is_dated_to_a_few_rows(door, run, row) -> None:
     recording = plants.door_recording(plants.runs_of(weaker_from(run, row), 8, 50, 3))
     found = calibrate(door, recording)

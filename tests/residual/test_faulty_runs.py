@@ -28,7 +28,7 @@ def told(found):
 @pytest.mark.parametrize(("runs", "plant", "count", "verdict"), [
     ((5,), plants.honest, 9, "none"),
     pytest.param((2, 6), plants.honest, 9, "none", marks=pytest.mark.evidence),
-    pytest.param((5,), plants.weak, 14, "explained", marks=pytest.mark.slow),
+    pytest.param((5,), plants.weak, 14, "explained", marks=pytest.mark.evidence),
 ])  # fmt: skip
 def test_a_faulty_run_is_named_and_left_out(door, runs, plant, count, verdict) -> None:
     recording = plants.door_recording(plants.runs_of(slipping_in(runs, plant), count, 35, 1))

@@ -17,7 +17,7 @@ def weak_but_in(run: int):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (3, 4))])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.evidence) for seed in (3, 4))])
 def test_what_one_of_three_runs_contradicts_is_not_explained(door, seed) -> None:
     found = calibrate(door, plants.door_recording(plants.runs_of(weak_but_in(1), 3, 40, seed)))
     assert found.verdict == "partly"
@@ -28,7 +28,7 @@ def test_what_one_of_three_runs_contradicts_is_not_explained(door, seed) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.evidence)])
 def test_what_each_of_three_runs_bears_out_is(door, seed) -> None:
     found = calibrate(door, plants.door_recording(plants.runs_of(plants.weak, 3, 40, seed)))
     assert found.verdict == "explained"

@@ -59,7 +59,7 @@ def drawer_with_two_effects(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [2, *(pytest.param(one, marks=pytest.mark.slow) for one in (0, 1))])
+@pytest.mark.parametrize("seed", [2, *(pytest.param(one, marks=pytest.mark.evidence) for one in (0, 1))])
 def test_no_calibration_makes_the_rollout_worse(seed) -> None:
     slide = Segment(prismatic((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 0, 0, 9, 0.0, 0.4, (0.0, 0.4), 0.001, 0.003, 0.0, 1.0)
     drawer = build_automaton(KinematicGraph((KinematicEdge(BASE, "drawer", (slide,)),)))

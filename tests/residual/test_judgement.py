@@ -44,8 +44,8 @@ def test_the_floor_is_the_noise_whatever_the_model_lacks(door, plant) -> None:
     ("plant", "what"),
     [
         ("late", "earlier commands"),
-        pytest.param("short_steps", "the command", marks=pytest.mark.slow),
-        pytest.param("creeping", "a constant", marks=pytest.mark.slow),
+        pytest.param("short_steps", "the command", marks=pytest.mark.evidence),
+        pytest.param("creeping", "a constant", marks=pytest.mark.evidence),
     ],
 )
 def test_words_say_what_errors_follow(door, plant, what) -> None:
@@ -71,7 +71,7 @@ def led_by_readings(rng, rows=18):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, *(pytest.param(one, marks=pytest.mark.slow) for one in (1, 2))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(one, marks=pytest.mark.evidence) for one in (1, 2))])
 def test_prediction_and_calibration_agree_on_what_is_noise_in_a_closed_loop(door, seed) -> None:
     rng = np.random.default_rng(seed)
     recording = plants.door_recording([led_by_readings(rng) for _ in range(20)])

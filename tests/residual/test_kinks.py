@@ -9,7 +9,7 @@ from unseen_plants import answered
 from micah_plan.residual.calibrate import calibrate
 
 
-@pytest.mark.parametrize("seed", [4, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (6, 7, 9))])
+@pytest.mark.parametrize("seed", [4, *(pytest.param(seed, marks=pytest.mark.evidence) for seed in (6, 7, 9))])
 def test_a_delay_with_a_dead_zone_is_all_there_is(door, seed) -> None:
     """A threshold that is a little off leaves what a second effect, or noise, would explain."""
     found = calibrate(door, plants.door_recording(plants.runs_of(plants.late_and_sticky, 8, 40, seed)))
@@ -20,7 +20,7 @@ def test_a_delay_with_a_dead_zone_is_all_there_is(door, seed) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [700, 810])
+@pytest.mark.parametrize("seed", [700, pytest.param(810, marks=pytest.mark.evidence)])
 def test_a_slide_that_becomes_an_arc_has_no_limit_beside_its_delay(seed) -> None:
     """Near the change a noisy row does not tell whether a command meant metres or radians."""
     answer = answered(("slide then arc: delay", seed))

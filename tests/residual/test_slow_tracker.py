@@ -34,7 +34,7 @@ def test_a_part_that_does_as_told_lacks_nothing(door, period, first) -> None:
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize(("period", "first"), [(3, 1), (2, 0), (10 / 3, 0)])
+@pytest.mark.parametrize(("period", "first"), [(3, 1), (2, 0), pytest.param(10 / 3, 0, marks=pytest.mark.evidence)])
 def test_what_the_part_does_is_found_all_the_same(door, period, first) -> None:
     recording = seen_now_and_then(door_recording(runs_of(short_steps, RUNS, ROWS, 2)), period, first)
     (gain,) = calibrate(door, recording).effects

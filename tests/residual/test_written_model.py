@@ -69,7 +69,9 @@ def test_a_weak_motor_is_no_unit(door) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("runs", "rows", "is_left_out"), [(6, 50, True), (3, 80, False)])
+@pytest.mark.parametrize(
+    ("runs", "rows", "is_left_out"), [pytest.param(6, 50, True, marks=pytest.mark.evidence), (3, 80, False)]
+)
 def test_what_the_model_refused_before_is_not_laid_to_an_effect(door, runs, rows, is_left_out) -> None:
     begun = (np.array([1.5, 1.1, 1.06, 1.02, 1.0, 0.98]), np.array([-0.4, -0.05, -0.05, -0.05, -0.03, 0.0]))
     recording = plants.door_recording([*plants.runs_of(plants.short_steps, runs, rows, 0), begun])

@@ -64,7 +64,7 @@ def test_the_same_seed_gives_the_same_arm(problem: Problem, plan: Plan) -> None:
     assert again.arm.least_clearance == plan.arm.least_clearance
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_an_arm_too_far_away_makes_no_plan_and_says_why(problem: Problem) -> None:
     assert problem.robot is not None
     far = replace(problem, robot=replace(problem.robot, position=(0.15, 1.4, -0.15)))

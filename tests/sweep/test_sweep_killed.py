@@ -166,6 +166,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, lis
         shutil.rmtree(folder, ignore_errors=True)
 
 
+@pytest.mark.evidence
 def test_a_dask_cluster_that_loses_a_worker_gives_the_same_table(
     undisturbed: tuple[Path, bytes], cluster: tuple[str, list[subprocess.Popen[bytes]]], tmp_path: Path
 ) -> None:
@@ -187,6 +188,7 @@ def test_a_dask_cluster_that_loses_a_worker_gives_the_same_table(
     assert [worker.poll() for worker in workers[1:]] == [None, None]
 
 
+@pytest.mark.evidence
 @requires("sim")
 def test_other_planners_plants_and_orders_leave_no_trace_in_a_process(tmp_path: Path) -> None:
     names = [f"problems/{name}.yaml" for name in ("drawer_open", "microwave_close_by_arm", "drawer_behind_door")]
@@ -218,6 +220,7 @@ run_sweep(load_sweep({str(undisturbed[0])!r}), "r.csv", workers=1)
     assert lines_of(tmp_path / "r.csv") == 1, "no case was given up"
 
 
+@pytest.mark.evidence
 @requires("cluster")
 def test_no_scheduler_is_one_line(undisturbed: tuple[Path, bytes], tmp_path: Path) -> None:
     running = start(undisturbed[0], tmp_path / "r.csv", "--scheduler", "tcp://127.0.0.1:9")

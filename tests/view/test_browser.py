@@ -224,7 +224,7 @@ def test_a_chart_is_zoomed_by_dragging_and_whole_again_by_pressing_twice(show: A
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=pytest.mark.evidence)])
 def test_marks_are_drawn_in_their_colours_on_light_and_dark_pages(show: Any, scheme: str) -> None:
     shown = show(plan_page(solved(), problem()), size={"width": 1400, "height": 850}, scheme=scheme)
     (low, high) = (np.array(color) / 255 for color in ((0, 80, 140), (60, 160, 230)))
@@ -238,7 +238,7 @@ def test_marks_are_drawn_in_their_colours_on_light_and_dark_pages(show: Any, sch
         assert ink.sum() > 20, "words and guards in ink"
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_views_follow_the_object_and_panels_fold(show: Any) -> None:
     shown = show(plan_page(solved(), problem()), size={"width": 1400, "height": 850})
     page = shown.page
@@ -261,7 +261,7 @@ def test_views_follow_the_object_and_panels_fold(show: Any) -> None:
     assert page.locator("#panel").is_visible()
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_the_player_can_be_slow(show: Any) -> None:
     shown = show(plan_page(solved(), problem()))
     shown.page.select_option("#speed", "0.25")
@@ -383,7 +383,9 @@ def test_the_served_page_is_the_page(show: Any, browser: Browser) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("width", "height", "smallest"), [(1280, 720, 12.5), (1920, 1080, 15.0)])
+@pytest.mark.parametrize(
+    ("width", "height", "smallest"), [(1280, 720, 12.5), pytest.param(1920, 1080, 15.0, marks=pytest.mark.evidence)]
+)
 def test_letters_grow_with_the_window_and_nothing_is_cut(width: int, height: int, smallest: float, show: Any) -> None:
     shown = show(plan_page(solved(), problem()), size={"width": width, "height": height})
     sizes = shown.page.evaluate(

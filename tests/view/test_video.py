@@ -70,7 +70,7 @@ def test_the_scene_alone_has_the_commands_and_no_panels() -> None:
         bare_scene("<html></html>")
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 @requires("browser")
 def test_a_plan_is_filmed_and_photographed() -> None:
     if next(filter(None, map(shutil.which, filmed._BROWSERS)), None) is None:

@@ -45,7 +45,7 @@ def test_a_model_is_learned_from_points_before_a_moving_camera(name, kind) -> No
     assert kind in [segment.joint.kind for segment in segments]
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_axes_are_as_well_known_as_the_camera_of_the_first_frame() -> None:
     """All poses are told in that frame, so its error is that of every axis, however many frames there are."""
     found = [tilt_held(name, seed, 0.003) for name in ("door", "drawer") for seed in range(8)]
