@@ -4,7 +4,8 @@
 
 A door or a drawer follows actions that are scaled, turned and late, as a tracker with white noise sees it: opened and
 shut smoothly, at a constant speed all along, with a pause, to and fro at drawn speeds, and driven by a servo of first
-order that an encoder of 12 bits reads (its lag is a delay on average). `known` counts intervals that are narrower than
+order that an encoder of 12 bits reads (its lag is a delay on average), told displacements, or places that jump, as logs
+of joints with targets have them. `known` counts intervals that are narrower than
 half the gain, or than a tenth of the duration: by the others nothing is claimed.
 """
 
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from kinds_of_one_part import as_value
@@ -20,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from true_channel import QUANTILE, TrueChannel, misses
 
 from micah_plan.learning.learn import learn_graph
+from micah_plan.recording.commands import with_targets
 from micah_plan.recording.value import Recording
 
 ROWS, RATE = 240, 30.0
@@ -43,12 +46,19 @@ def _drawn(rng: np.random.Generator) -> Floats:
     return np.interp(np.arange(ROWS), np.linspace(0, ROWS, len(knots)), knots)
 
 
+def _jumping(rng: np.random.Generator) -> Floats:
+    """Places that a servo is sent to, each for a while."""
+    held = rng.integers(8, 40, ROWS // 8)
+    return np.repeat(rng.uniform(0.0, 1.0, len(held)), held)[:ROWS]
+
+
 MOTIONS: dict[str, Callable[[np.random.Generator], Floats]] = {
     "smooth": lambda _: _smooth(),
     "constant speed": lambda _: np.linspace(0.0, 1.0, ROWS),
     "with a pause": lambda _: _paused(),
     "drawn speeds": _drawn,
     "servo": _drawn,
+    "servo, places": _jumping,
 }
 
 
@@ -59,7 +69,7 @@ def recording_of(motion: str, seed: int) -> tuple[Recording, TrueChannel]:
     joint, travel = random_joint(kind, rng, np.array([0.6, 0.1, 0.3]))
     meant = travel * MOTIONS[motion](rng)
     noise = rng.uniform(3e-4, 1.5e-3)
-    if motion == "servo":
+    if motion.startswith("servo"):
         lag = rng.uniform(0.5, 3.0)
         c = np.empty(ROWS)
         c[0] = meant[0]
@@ -81,7 +91,11 @@ def recording_of(motion: str, seed: int) -> tuple[Recording, TrueChannel]:
     action = np.full((ROWS, 3), np.nan)
     action[:-1] = turn.inv().apply(tangent[:-1] * np.diff(meant)[:, None]) / gain
     truth = TrueChannel(as_value(joint), turn, float(gain), late / RATE)
-    return Recording(np.arange(ROWS) / RATE, position, quaternion, action), truth
+    recording = Recording(np.arange(ROWS) / RATE, position, quaternion, action)
+    if motion == "servo, places":
+        truth = replace(truth, delay=(late - 0.5) / RATE)  # since the place was told, not the middle of its row
+        recording = with_targets(replace(recording, action=None), joint_poses(joint, meant)[0])
+    return recording, truth
 
 
 def joint_poses(joint: TrueJoint, c: Floats) -> tuple[Floats, Rotation]:

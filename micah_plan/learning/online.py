@@ -483,7 +483,7 @@ def _joined(parts: list[WindowRows]) -> WindowRows | None:
     rows = np.concatenate([track.rows for track in tracks])
     time = np.concatenate([track.time for track in tracks])
     position = np.concatenate([track.position for track in tracks])
-    track = PartTrack(rows, time, position, column("quaternion"), column("action"))
+    track = PartTrack(rows, time, position, column("quaternion"), column("action"), first.meaning)
     return WindowRows(track, np.concatenate([part.last for part in parts]))
 
 

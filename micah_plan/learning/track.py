@@ -14,6 +14,7 @@ from micah_plan.automaton.graph import BASE
 from micah_plan.errors import InputError, shown
 from micah_plan.learning.dead_band import without_dead_band
 from micah_plan.learning.settings import FEWEST_ROWS
+from micah_plan.recording.commands import Meaning, command_meaning
 from micah_plan.recording.continuity import continuity
 from micah_plan.recording.value import Recording
 
@@ -30,6 +31,7 @@ class PartTrack:
         action: (n, 3) commanded displacement to the next row [m], in the part's frame where orientation was measured
             (there the direction of motion of every joint is constant), else in the base frame; 0 where it is missing.
             None if the run has no action at all.
+        meaning: of the actions, as the recording says (`recording.commands`); None: it does not say.
     """
 
     rows: Ints
@@ -37,6 +39,7 @@ class PartTrack:
     position: Floats
     quaternion: Floats | None
     action: Floats | None
+    meaning: Meaning | None = None
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -57,6 +60,7 @@ class PartTrack:
             self.position[index],
             None if self.quaternion is None else self.quaternion[index],
             None if self.action is None else self.action[index],
+            self.meaning,
         )
 
     def coarsened(self, size: int) -> PartTrack:
@@ -73,6 +77,7 @@ class PartTrack:
             np.add.reduceat(self.position, begins, axis=0) / counts,
             quaternion,
             None if self.action is None else np.add.reduceat(self.action, begins, axis=0),
+            self.meaning,
         )
 
     def followed_by(self, later: PartTrack) -> PartTrack:
@@ -87,6 +92,7 @@ class PartTrack:
             np.concatenate([self.position, later.position]),
             both(self.quaternion, later.quaternion),
             both(self.action, later.action),
+            self.meaning,
         )
 
 
@@ -139,7 +145,7 @@ def measured_track(recording: Recording, rows: Ints, index: Ints, where: str) ->
             action = Rotation.from_quat(quaternion).inv().apply(action)
     else:
         action = None
-    return PartTrack(rows, recording.time[index], position, quaternion, action)
+    return PartTrack(rows, recording.time[index], position, quaternion, action, command_meaning(recording))
 
 
 def _continuous(quaternion: Floats) -> Floats:

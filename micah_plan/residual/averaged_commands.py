@@ -133,7 +133,9 @@ def weights_of_steps(data: CoordinateData) -> Average | None:
         return None
     most, weights = max(of_both, key=lambda tried: tried[0])
     gain = float(weights[0] + 2.0 * weights[1:].sum())
-    return Average(weights / gain) if most > max(of_past) and gain > _LEAST_GAIN else None
+    # What counts the row itself more than once sharpens, as a response to places seems to do.
+    is_average = gain > _LEAST_GAIN and 0.0 < weights[0] < gain
+    return Average(weights / gain) if most > max(of_past) and is_average else None
 
 
 def _steps_and_commands(data: CoordinateData, reach: int) -> tuple[Floats, Floats]:

@@ -30,7 +30,8 @@ def regularity(data: CoordinateData) -> float:
     What blurs a measurement is in a displacement that leads to a place, and in the place that a displacement leads to.
     """
     whole = data.whole or data
-    starts = whole.counted_starts
+    # Commands of rows without a measurement are as regular as the others.
+    starts = whole.counted_starts if whole.segment is None else earlier_rows(whole.segment >= 0, -1)
     starts[:, :_MEMORY] = False
     if starts.sum() <= _MEMORY + 1:
         return 0.0

@@ -5,6 +5,8 @@ with the action seen through a channel). Time counts in shares of the run, and w
 the sampling rate nor the unit of time matters. A servo of first order makes each action little by little: then a is
 what it makes of the actions, and the delay that is reported includes the mean of its lag.
 
+Commanded places are in the frame of the poses, and what they command from row to row is the way from one to the next.
+
 Priors: see channel_search for R and g; delay ~ N(0, 0.08²) of the run's duration. Actions before the first and after
 the last row are unknown: steps that they would govern count as moving freely. Noise in the actions themselves, other
 than what the random walk takes up, makes the gain too small, as in every regression. A gain that varies along
@@ -23,8 +25,9 @@ from micah_plan.automaton.certainty import ActionChannel
 from micah_plan.automaton.joint import Joint
 from micah_plan.learning.actions.anchored_actions import with_anchored_actions
 from micah_plan.learning.actions.channel_search import Posterior, Quadratic, climb, integrate, scan
-from micah_plan.learning.actions.command_path import CommandPath, command_of
+from micah_plan.learning.actions.command_path import CommandPath, command_of, commanded_places
 from micah_plan.learning.actions.configuration_steps import (
+    INEXACT,
     ConfigurationSteps,
     StepNoise,
     configuration_steps,
@@ -43,6 +46,13 @@ _NEAR_ROWS = 8  # on each side of no delay, tried first as well
 _SPREAD = 0.75  # rows, std, that actions are smoothed by: errors average out at all delays alike
 _FIRST_LAGS = (0.5, 1.0, 2.0, 4.0, 8.0)  # rows, time constants of servos
 _NEARER = (1.4, 1.2, 1.1, 1.05, 1.025)  # times the best so far
+_AROUND = (
+    0.5,
+    0.25,
+    0.12,
+    0.06,
+    0.03,
+)  # rows beside the best delay so far: what is not laid to one is laid to the other
 _WITHIN_A_ROW = 0.1  # rows: how a command acts from one row to the next is in no log
 _LAG_ODDS = 5.0  # nats that a lag must be ahead by to be looked at: it has a number of its own, and a beginning
 _RIDGE = 1e-9  # of the trace: maps of actions that these steps do not tell are none
@@ -112,7 +122,7 @@ def estimate_channel(
     if track.action is None or not joint.moves:
         return None
     counted = np.ones(len(track), dtype=bool) if inlier is None else inlier
-    command = command_of(with_anchored_actions(joint, pieces, track, counted))
+    command = commanded_places(joint, track) or command_of(with_anchored_actions(joint, pieces, track, counted))
     if command is None:
         return None
     white = max(white_std, 1e-9) ** 2
@@ -127,15 +137,15 @@ def estimate_channel(
     score = posterior.log_evidence - np.log(2 + len(_FIRST_LAGS)) - fit_noise(steps, steps.size, extra).log_density
     if score <= least_log_odds:
         return None
-    channel = _reported(mode, posterior, track, command.lag, _explained(steps, command, mode, noises[0][0]))
+    channel = _reported(mode, posterior, track, command, _explained(steps, command, mode, noises[0][0]))
     # A gain that may as well be none is no estimate.
     return channel if channel.covariance[3][3] < channel.gain**2 else None
 
 
-def _quadratic(steps: ConfigurationSteps, predictors: Floats, noise: StepNoise) -> Quadratic:
+def _quadratic(steps: ConfigurationSteps, predictors: Floats, noise: StepNoise, frame_std: float) -> Quadratic:
     """Likelihood for predictors (d, 9, m) of d delays."""
     solved = noise.solve(predictors.reshape(-1, len(steps))).reshape(predictors.shape)
-    return Quadratic(np.matmul(predictors, solved.transpose(0, 2, 1)), np.matmul(solved, steps.size))
+    return Quadratic(np.matmul(predictors, solved.transpose(0, 2, 1)), np.matmul(solved, steps.size), frame_std)
 
 
 def _searches(
@@ -175,16 +185,17 @@ def _started(
         score, start = found(command, subset, delays)
         tried += [(score - _AVERAGED * len(steps), start), found(command.smoothed(_SPREAD), subset, delays)]
     # A log begins in the middle of a motion, or at rest.
-    begun = [command, replace(command, before=np.zeros(3))]
+    begun = [command, replace(command, before=np.zeros_like(command.before))]
     # What is not laid to the lag is a delay that is shorter than without one.
     delays = max(tried, key=_score)[1][1] + command.row * _LEFT_BY_LAGS
-    if _may_lag(steps, begun, delays[::2], walk):
+    if command.is_of_places or _may_lag(steps, begun, delays[::2], walk):
         score, start = max(
             (found(each.lagging(lag), steps, delays) for each in begun for lag in _FIRST_LAGS), key=_score
         )
-        for further in _NEARER:
+        for further, around in zip(_NEARER, _AROUND, strict=True):
             lag, before = start[0].lag / command.row, replace(command, before=start[0].before)
-            nearer = [found(before.lagging(rows), steps, delays) for rows in (lag * further, lag / further)]
+            closer = start[1] + command.row * around * np.linspace(-1.0, 1.0, 5)
+            nearer = [found(before.lagging(rows), steps, closer) for rows in (lag * further, lag, lag / further)]
             score, start = max((score, start), *nearer, key=_score)
         tried.append((score - _AVERAGED * len(steps), start))
     return max(tried, key=_score)[1]
@@ -203,7 +214,7 @@ def _may_lag(steps: ConfigurationSteps, begun: Sequence[CommandPath], delays: Fl
 
     def explained(filtered: CommandPath) -> float:
         """Log density of the steps with the best linear map, above that with none [nats]."""
-        quadratic = _quadratic(steps, steps.predictors(filtered, delays), noise)
+        quadratic = _quadratic(steps, steps.predictors(filtered, delays), noise, filtered.frame_std)
         ridge = np.eye(9) * (_RIDGE * np.trace(quadratic.normal, axis1=1, axis2=2)[:, None, None] + VANISHING)
         best = np.linalg.solve(quadratic.normal + ridge, quadratic.target[:, :, None])[:, :, 0]
         return float(0.5 * np.einsum("di,di->d", best, quadratic.target).max())
@@ -220,7 +231,7 @@ def _searched(
     normals, targets, rotations, gains, delays, densities = [], [], [], [], [], []
     for share in _WALK_SHARES:
         noise = step_noise_of(steps, steps.size, inexact(steps), share * walk, steps.white)
-        quadratic = _quadratic(steps, predictors, noise)
+        quadratic = _quadratic(steps, predictors, noise, command.frame_std)
         index, rotation, log_gain = scan(quadratic, log_prior)
         normals.append(quadratic.normal[index])
         targets.append(quadratic.target[index])
@@ -228,7 +239,7 @@ def _searched(
         gains.append(log_gain)
         delays.append(tried[index])
         densities.append(noise.log_density + log_prior[index])
-    starts = Quadratic(np.concatenate(normals), np.concatenate(targets))
+    starts = Quadratic(np.concatenate(normals), np.concatenate(targets), command.frame_std)
     channels, _ = climb(starts, np.concatenate(rotations), np.concatenate(gains))
     best = int(np.argmax(channels.score + np.concatenate(densities)))
     return float(np.concatenate(delays)[best]), channels.rotation[best], float(channels.log_gain[best])
@@ -302,7 +313,7 @@ def _weighed(
     noises = [step_noise_of(steps, steps.size, extra, float(walk), white) for walk in walks]
     predictors = steps.predictors(command, np.array([delay]))[0]
     solved = np.stack([noise.solve(predictors) for noise in noises])
-    every = Quadratic(np.matmul(solved, predictors.T), np.matmul(solved, steps.size))
+    every = Quadratic(np.matmul(solved, predictors.T), np.matmul(solved, steps.size), command.frame_std)
     channels, information = climb(every, np.tile(rotation, (len(noises), 1)), np.full(len(noises), log_gain), 5)
     density = np.array([noise.log_density for noise in noises]) + 0.5 * np.log(walks)
     return noises, density + channels.score - 0.5 * np.linalg.slogdet(information)[1]
@@ -313,14 +324,14 @@ def _explored(
 ) -> _Mode:
     """The mode over a grid of delays, starting everywhere at one rotation and gain."""
     d = len(delays)
-    quadratic = _quadratic(steps, steps.predictors(command, delays), noise)
+    quadratic = _quadratic(steps, steps.predictors(command, delays), noise, command.frame_std)
     channels, information = climb(quadratic, np.tile(rotation, (d, 1)), np.full(d, log_gain))
     score = channels.score - 0.5 * (delays / DELAY_STD) ** 2 - 0.5 * np.linalg.slogdet(information)[1]
     log_weight = score - np.logaddexp.reduce(score)
     weight = np.exp(log_weight)
     delay = float(weight @ delays)
     near = int(np.argmin(np.abs(delays - delay) - 1e-3 * weight))
-    at = _quadratic(steps, steps.predictors(command, np.array([delay])), noise)
+    at = _quadratic(steps, steps.predictors(command, np.array([delay])), noise, command.frame_std)
     best, there = climb(at, channels.rotation[near : near + 1], channels.log_gain[near : near + 1], 4)
     turns = rotation_vector(times(channels.rotation, conjugate(best.rotation)))
     return _Mode(delay, best.rotation[0], float(best.log_gain[0]), there[0], delays, log_weight, turns)
@@ -334,7 +345,7 @@ def _integrated(
     spacing = delays[1] - delays[0]
     log_prior = -0.5 * (delays / DELAY_STD) ** 2 + np.log(spacing / (DELAY_STD * np.sqrt(2 * np.pi)))
     predictors = steps.predictors(command, delays)
-    quadratics = [_quadratic(steps, predictors, noise) for noise, _ in noises]
+    quadratics = [_quadratic(steps, predictors, noise, command.frame_std) for noise, _ in noises]
     walks = np.array([noise.walk for noise, _ in noises])
     log_walk = 0.5 * np.log(walks) + np.log(_spacings(walks)) - np.log(2 * np.sqrt(none))
     density = np.array([noise.log_density for noise, _ in noises]) + log_walk
@@ -344,12 +355,15 @@ def _integrated(
     every = Quadratic(
         np.concatenate([quadratic.normal for quadratic in quadratics]),
         np.concatenate([quadratic.target for quadratic in quadratics]),
+        command.frame_std,
     )
     log_weight = (density[:, None] + log_prior).ravel()
     return integrate(every, log_weight, mode.rotation, mode.log_gain, covariance, len(noises), likely)
 
 
-def _reported(mode: _Mode, posterior: Posterior, track: PartTrack, lag: float, explained: float) -> ActionChannel:
+def _reported(
+    mode: _Mode, posterior: Posterior, track: PartTrack, command: CommandPath, explained: float
+) -> ActionChannel:
     covariance = np.zeros((_NUMBERS, _NUMBERS))
     weight, square = posterior.delays, posterior.square
     offset = mode.delays[::2] - mode.delay
@@ -360,12 +374,14 @@ def _reported(mode: _Mode, posterior: Posterior, track: PartTrack, lag: float, e
         covariance[:4, :4] = square
         covariance[:4, 4] = covariance[4, :4] = cross
     covariance[4, 4] = weight @ offset**2 + (_WITHIN_A_ROW / len(track)) ** 2
+    if command.is_of_places:  # the same after each of them, so that no number of rows makes up for it
+        covariance[3, 3] += (INEXACT + 1.0 - explained) ** 2
     gain = float(np.exp(mode.log_gain))
     units = np.array([1.0, 1.0, 1.0, gain, track.duration])
     covariance *= np.outer(units, units)
     x, y, z = (float(v) for v in rotation_vector(mode.rotation))
     rows = tuple(tuple(float(v) for v in row) for row in covariance)
-    return ActionChannel((x, y, z), gain, (mode.delay + lag) * track.duration, rows, explained)
+    return ActionChannel((x, y, z), gain, (mode.delay + command.lag) * track.duration, rows, explained)
 
 
 def _spacings(walks: Floats) -> Floats:

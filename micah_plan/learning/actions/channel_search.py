@@ -5,7 +5,8 @@ of rows, rotations and gains are searched and integrated over N and b alone, for
 exp(e) R: e is in the base frame, where rotations that no recording tells apart (about the direction of a prismatic
 joint) lie on a straight line.
 
-Priors: a rotation by θ has density ∝ exp(-θ²/2σ²) on the group of rotations (σ = 1.3 rad); ln g ~ N(0, 1.5²).
+Priors: a rotation by θ has density ∝ exp(-θ²/2σ²) on the group of rotations (σ = 1.3 rad where the frame is not
+known); ln g ~ N(0, 1.5²).
 """
 
 from __future__ import annotations
@@ -22,7 +23,6 @@ from micah_plan.learning.joints.quaternions import rotation_matrix, rotation_qua
 
 ROTATION_STD = 1.3  # rad; frames are mostly right, but reversed ones exist
 LOG_GAIN_STD = 1.5
-_PRECISION = np.array([ROTATION_STD**-2] * 3 + [LOG_GAIN_STD**-2])
 _GRID_ROTATIONS = 600
 _PARTS = 4  # that products over the grid are computed in
 _DAMPING = 1e-3
@@ -43,13 +43,20 @@ class Quadratic:
     Attributes:
         normal: (d, 9, 9) N.
         target: (d, 9) b.
+        rotation_std: of the prior of R [rad].
     """
 
     normal: Floats
     target: Floats
+    rotation_std: float = ROTATION_STD
 
     def take(self, index: NDArray[np.intp] | slice) -> Quadratic:
-        return Quadratic(self.normal[index], self.target[index])
+        return Quadratic(self.normal[index], self.target[index], self.rotation_std)
+
+    @property
+    def precision(self) -> Floats:
+        """(4,) of the prior of (e, ln g)."""
+        return np.array([self.rotation_std**-2] * 3 + [LOG_GAIN_STD**-2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +83,13 @@ def scan(quadratic: Quadratic, log_prior: Floats) -> tuple[NDArray[np.intp], Flo
     Returns:
         Up to 4 indices of delays (k,), the best first, with quaternions (k, 4) and ln gains (k,).
     """
-    quaternions, monomials, entries, log_turned = _rotation_grid()
+    quaternions, monomials, entries, squared_angles = _rotation_grid()
     # In parts: waking a second thread of the linear algebra costs more than such a product.
     folded = _folded(quadratic.normal)
     squares = np.concatenate([folded @ part.T for part in np.array_split(monomials, _PARTS)], axis=1)
     along = np.maximum(quadratic.target @ entries.T, 0.0)
-    score = 0.5 * along**2 / np.maximum(squares, 1e-300) + log_prior[:, None] + log_turned
+    score = 0.5 * along**2 / np.maximum(squares, 1e-300) + log_prior[:, None]
+    score -= 0.5 * squared_angles / quadratic.rotation_std**2
     best = np.argmax(score, axis=1)
     every = np.arange(len(best))
     remaining = score[every, best]
@@ -128,9 +136,10 @@ def _expanded(quadratic: Quadratic, rotation: Floats, log_gain: Floats) -> tuple
     jacobian = np.concatenate([turned, m[:, None]], axis=1)
     pulled = np.matmul(quadratic.normal, m[..., None])[..., 0]
     prior = np.concatenate([rotation_vector(rotation), log_gain[:, None]], axis=1)
-    score = np.sum(m * (quadratic.target - 0.5 * pulled), axis=1) - 0.5 * (prior**2) @ _PRECISION
-    slope = np.matmul(jacobian, (quadratic.target - pulled)[..., None])[..., 0] - prior * _PRECISION
-    information = jacobian @ quadratic.normal @ jacobian.transpose(0, 2, 1) + np.diag(_PRECISION)
+    precision = quadratic.precision
+    score = np.sum(m * (quadratic.target - 0.5 * pulled), axis=1) - 0.5 * (prior**2) @ precision
+    slope = np.matmul(jacobian, (quadratic.target - pulled)[..., None])[..., 0] - prior * precision
+    information = jacobian @ quadratic.normal @ jacobian.transpose(0, 2, 1) + np.diag(precision)
     return score, slope, information
 
 
@@ -187,11 +196,12 @@ def integrate(
         likely: the most likely group.
     """
     center, first = np.zeros(3), covariance
+    widest = min(quadratic.rotation_std, 1.0) ** 2 * np.eye(3)
     best = len(log_weight) // groups * likely
     likely_delays = slice(best, best + len(log_weight) // groups)
     for part, draws in ((likely_delays, 3 * _DRAWS), (slice(None), _DRAWS), (slice(None), 5 * _DRAWS)):
         turns, log_density = _draws(
-            draws, [(center, covariance * 1.3), (np.zeros(3), first * 1.7), (np.zeros(3), np.eye(3))]
+            draws, [(center, covariance * 1.3), (np.zeros(3), first * 1.7), (np.zeros(3), widest)]
         )
         angle = np.linalg.norm(turns, axis=1)
         halves = np.sinc(0.5 * angle / np.pi) ** 2
@@ -199,9 +209,11 @@ def integrate(
         drawn = times(rotation_quaternion(turns), rotation)
         log_value, gains, spread = _over_gains(quadratic.take(part), rotation_matrix(drawn).reshape(-1, 9))
         log_value = (
-            log_value + log_weight[part, None] - 0.5 * np.sum(rotation_vector(drawn) ** 2, axis=1) * _PRECISION[0]
+            log_value
+            + log_weight[part, None]
+            - 0.5 * np.sum(rotation_vector(drawn) ** 2, axis=1) / quadratic.rotation_std**2
         )
-        log_value += log_volume - log_density - np.log(_rotation_volume())
+        log_value += log_volume - log_density - np.log(_rotation_volume(quadratic.rotation_std))
         top = float(log_value.max())
         weight = np.exp(log_value - top)
         total = float(weight.sum())
@@ -229,7 +241,7 @@ def _over_gains(quadratic: Quadratic, entries: Floats) -> tuple[Floats, Floats, 
     """(d, k) ln of the integral over gains for each rotation, and mode and variance of ln g."""
     squares = np.maximum(_folded(quadratic.normal) @ _monomials(entries).T, 0.0)
     along = quadratic.target @ entries.T
-    precision = _PRECISION[3]
+    precision = quadratic.precision[3]
     log_gain = np.clip(np.log(np.maximum(along, 1e-300) / np.maximum(squares, 1e-300)), -4.0, 4.0)
     for _ in range(4):
         gain = np.exp(log_gain)
@@ -270,7 +282,7 @@ def _rotation_grid() -> tuple[Floats, Floats, Floats, Floats]:
     """Evenly spread rotations (Alexa, "Super-Fibonacci spirals", CVPR 2022), the identity first.
 
     Returns:
-        (k, 4) quaternions, (k, 45) monomials and (k, 9) entries of their matrices, (k,) ln prior.
+        (k, 4) quaternions, (k, 45) monomials and (k, 9) entries of their matrices, (k,) squared angles [rad²].
     """
     s = np.arange(_GRID_ROTATIONS) + 0.5
     inner, outer = np.sqrt(s / _GRID_ROTATIONS), np.sqrt(1 - s / _GRID_ROTATIONS)
@@ -278,12 +290,11 @@ def _rotation_grid() -> tuple[Floats, Floats, Floats, Floats]:
     spiral = np.stack([inner * np.sin(alpha), inner * np.cos(alpha), outer * np.sin(beta), outer * np.cos(beta)], 1)
     quaternions = np.concatenate([[[0.0, 0.0, 0.0, 1.0]], spiral])
     entries = rotation_matrix(quaternions).reshape(-1, 9)
-    log_prior = -0.5 * np.sum(rotation_vector(quaternions) ** 2, axis=1) * _PRECISION[0]
-    return quaternions, _monomials(entries), entries, log_prior
+    return quaternions, _monomials(entries), entries, np.sum(rotation_vector(quaternions) ** 2, axis=1)
 
 
-@lru_cache(maxsize=1)
-def _rotation_volume() -> float:
+@lru_cache(maxsize=4)
+def _rotation_volume(std: float) -> float:
     """∫ exp(-θ²/2σ²) over all rotations, in rad³ about the identity."""
-    angle = np.linspace(0, np.pi, 2001)
-    return float(np.trapezoid(8 * np.pi * (1 - np.cos(angle)) * np.exp(-0.5 * (angle / ROTATION_STD) ** 2), angle))
+    angle = np.linspace(0, min(np.pi, 12.0 * std), 2001)
+    return float(np.trapezoid(8 * np.pi * (1 - np.cos(angle)) * np.exp(-0.5 * (angle / std) ** 2), angle))

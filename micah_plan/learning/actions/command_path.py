@@ -10,43 +10,56 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats
+from micah_plan.automaton.joint import Joint
+from micah_plan.automaton.kinematics import inverse, jacobian
+from micah_plan.learning.actions.channel_search import ROTATION_STD
 from micah_plan.learning.track import PartTrack
 
 _BETWEEN = 4  # points per row that it is smoothed at
 _LONGEST_GAPS = 16  # mean rows per median row
+_MOVES = 0.1  # of the largest step, of rows in which a part is moved
+_STAYS = 0.1  # of a usual step, by which a place that is held moves
+_BRIEF = 0.01  # of a row, in which a command changes
+_SAME_FRAME = 0.02  # rad, by which the frames of places and poses differ
 
 
 @dataclass(frozen=True, eq=False)
 class CommandPath:
-    """The running sum of the actions of a run as a path in time, base frame; beyond its ends it goes on as there.
+    """What the actions of a run command as a path in time; beyond its ends it goes on as there.
+
+    Displacements add up to a path in the base frame (k = 3); places are configurations of the joint (k = 1).
 
     Attributes:
         time: (n,) of the points that are known, as a share of the run's duration: rows are at 0 to 1.
-        path: (n, 3) what was commanded until then [m].
-        before, after: (3,) rates before the first and after the last of them [m per run].
+        path: (n, k) what was commanded until then [m; of places rad or m].
+        before, after: (k,) rates before the first and after the last of them [per run].
+        row: how long a row usually is [share of the duration].
         lag: by how much later it is on average than what was commanded [share of the duration].
+        frame_std: by how much its frame may be turned against that of the poses [rad].
     """
 
     time: Floats
     path: Floats
     before: Floats
     after: Floats
+    row: float
     lag: float = 0.0
+    frame_std: float = ROTATION_STD
+
+    @property
+    def is_of_places(self) -> bool:
+        """Whether it leads along the joint from one commanded place to the next."""
+        return bool(self.path.shape[1] == 1)
 
     def at(self, time: Floats) -> Floats:
-        """(..., 3) what was commanded until the given times (...)."""
-        path = np.stack([np.interp(time, self.time, self.path[:, i]) for i in range(3)], axis=-1)
+        """(..., k) what was commanded until the given times (...)."""
+        path = np.stack([np.interp(time, self.time, column) for column in self.path.T], axis=-1)
         early, late = np.minimum(time - self.time[0], 0.0), np.maximum(time - self.time[-1], 0.0)
         if early.min(initial=0.0) < 0:
             path += early[..., None] * self.before
         if late.max(initial=0.0) > 0:
             path += late[..., None] * self.after
         return path
-
-    @property
-    def row(self) -> float:
-        """How long a row usually is, as a share of the duration."""
-        return max(float(np.median(np.diff(self.time))), 1 / (_LONGEST_GAPS * len(self.time)))
 
     def lagging(self, rows: float) -> CommandPath:
         """The same as what a servo of first order makes of it, with a time constant of so many rows."""
@@ -73,11 +86,57 @@ class CommandPath:
         return replace(self, time=fine[inside], path=path[inside])
 
 
-def command_of(track: PartTrack) -> CommandPath | None:
-    """What the run's actions command; None where there are none."""
+def commanded_places(joint: Joint, track: PartTrack) -> CommandPath | None:
+    """Where a run's actions lead along a joint, each place until the next is commanded; None if they are no places.
+
+    An action may be the straight way to a place, or the way along the joint's tangent that is as long as its arc. Read
+    as what it is, a place that is held is the same from row to row, however far the part has come. That tells places
+    where a recording does not: a displacement leads further with each row.
+    """
+    action = _in_base_frame(track)
+    if action is None or track.meaning == "displacement":
+        return None
+    at = inverse(joint, track.position, track.rotation)
+    at = np.unwrap(at) if joint.turns else at
+    straight = inverse(joint, track.position + action)
+    if joint.turns:
+        straight = at + np.angle(np.exp(1j * (straight - at)))
+    along = at + np.einsum("ij,ij->i", leverage(joint, at), action)
+    places = min((straight[:-1], along[:-1]), key=lambda read: float(np.abs(np.diff(read)).sum()))
+    if track.meaning is None:
+        moved = np.abs(np.diff(at[:-1]))
+        is_moving = moved > _MOVES * moved.max(initial=0.0)
+        if not np.median(np.abs(np.diff(places))[is_moving]) < _STAYS * np.median(moved[is_moving]):
+            return None
+    time, still = (track.time - track.time[0]) / track.duration, np.zeros(1)
+    until = time[1:] - _BRIEF * np.diff(time)
+    return CommandPath(
+        np.stack([time[:-1], until], axis=1).ravel(),
+        np.repeat(places, 2)[:, None],
+        still,
+        still,
+        _usual_row(time),
+        frame_std=_SAME_FRAME,
+    )
+
+
+def _usual_row(time: Floats) -> float:
+    """How long a row usually is, given when rows begin (n,)."""
+    return max(float(np.median(np.diff(time))), 1 / (_LONGEST_GAPS * len(time)))
+
+
+def _in_base_frame(track: PartTrack) -> Floats | None:
+    """(n, 3) actions of a run [m]; None where there are none."""
     if track.action is None or track.duration <= 0 or not np.any(track.action):
         return None
-    action = track.action if track.quaternion is None else Rotation.from_quat(track.quaternion).apply(track.action)
+    return track.action if track.quaternion is None else Rotation.from_quat(track.quaternion).apply(track.action)
+
+
+def command_of(track: PartTrack) -> CommandPath | None:
+    """What the run's actions command as displacements; None where there are none."""
+    action = _in_base_frame(track)
+    if action is None:
+        return None
     time = (track.time - track.time[0]) / track.duration
     path = np.concatenate([np.zeros((1, 3)), np.cumsum(action[:-1], axis=0)])
     edge = min(max(3, len(time) // 32), len(time) - 1)
@@ -86,7 +145,17 @@ def command_of(track: PartTrack) -> CommandPath | None:
         path,
         (path[edge] - path[0]) / (time[edge] - time[0]),
         (path[-1] - path[-1 - edge]) / (time[-1] - time[-1 - edge]),
+        _usual_row(time),
     )
+
+
+def leverage(joint: Joint, c: Floats) -> Floats:
+    """(m, 3) rows that J⁻¹ multiplies a displacement by; 0 where the part's origin is on the axis."""
+    if joint.kind == "prismatic":
+        return np.broadcast_to(np.array(joint.axis), (len(c), 3))
+    direction = jacobian(joint, c)[:, 3:]
+    squared = np.sum(direction**2, axis=1, keepdims=True)
+    return np.asarray(direction / np.maximum(squared, 1e-12))
 
 
 def with_delayed_actions(track: PartTrack, delay: float) -> PartTrack:

@@ -17,16 +17,17 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import VANISHING, Booleans, Floats
 from micah_plan.automaton.joint import Joint
-from micah_plan.automaton.kinematics import inverse, jacobian
-from micah_plan.learning.actions.command_path import CommandPath
+from micah_plan.automaton.kinematics import inverse
+from micah_plan.learning.actions.command_path import CommandPath, leverage
 from micah_plan.learning.track import PartTrack
 
 Rows = NDArray[np.intp]
 
+INEXACT = 0.02
+"""Share of a step by which no part makes it more exactly."""
 _WHITE_SPREAD = 0.4  # std of ln r about what the caller believes of the white variance r
 _WALK_DECADES = np.arange(-9.0, 1.1)  # ln-grid of the random walk's variance, of the mean squared step
 _REFINEMENTS = 4
-_INEXACT = 0.02  # of a step
 _CALM = 64  # windows per run that configurations are averaged over
 
 
@@ -57,6 +58,8 @@ class ConfigurationSteps:
         ends = np.concatenate([self.start, self.end])
         path = command.at(ends - delays[:, None])
         commanded = path[:, len(self) :] - path[:, : len(self)]
+        if commanded.shape[-1] == 1:  # along the joint, in the direction that it has there
+            commanded = commanded * (self.leverage / np.maximum(np.sum(self.leverage**2, axis=1), VANISHING)[:, None])
         product = self.leverage.T[None, :, None, :] * commanded.transpose(0, 2, 1)[:, None, :, :]
         return product.reshape(len(delays), 9, len(self))
 
@@ -106,7 +109,7 @@ def configuration_steps(
     linked = np.ones(max(len(size) - 1, 0), dtype=bool)
     ends = np.cumsum(lengths)[:-1]
     linked[ends[(ends > 0) & (ends < len(size))] - 1] = False
-    return ConfigurationSteps(start, end, size, _leverage(joint, halfway), linked, white / group)
+    return ConfigurationSteps(start, end, size, leverage(joint, halfway), linked, white / group)
 
 
 def configurations_along(
@@ -172,22 +175,13 @@ def step_noise_of(steps: ConfigurationSteps, residual: Floats, extra: Floats, wa
 
 def inexact(steps: ConfigurationSteps) -> Floats:
     """(m,) variance of steps that no part makes more exactly than by a share of them."""
-    return np.asarray((_INEXACT * steps.size) ** 2)
+    return np.asarray((INEXACT * steps.size) ** 2)
 
 
 def _averaged(value: Floats, group: int) -> Floats:
     """Means of groups of rows; a last group that is not full is left out."""
     full = len(value) // group * group
     return np.asarray(value[:full].reshape(-1, group).mean(axis=1))
-
-
-def _leverage(joint: Joint, c: Floats) -> Floats:
-    """(m, 3) rows that J⁻¹ multiplies a displacement by; 0 where the part's origin is on the axis."""
-    if joint.kind == "prismatic":
-        return np.broadcast_to(np.array(joint.axis), (len(c), 3))
-    direction = jacobian(joint, c)[:, 3:]
-    squared = np.sum(direction**2, axis=1, keepdims=True)
-    return np.asarray(direction / np.maximum(squared, 1e-12))
 
 
 def _running_mean(value: Floats, half: int) -> Floats:
