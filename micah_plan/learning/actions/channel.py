@@ -46,13 +46,9 @@ _NEAR_ROWS = 8  # on each side of no delay, tried first as well
 _SPREAD = 0.75  # rows, std, that actions are smoothed by: errors average out at all delays alike
 _FIRST_LAGS = (0.5, 1.0, 2.0, 4.0, 8.0)  # rows, time constants of servos
 _NEARER = (1.4, 1.2, 1.1, 1.05, 1.025)  # times the best so far
-_AROUND = (
-    0.5,
-    0.25,
-    0.12,
-    0.06,
-    0.03,
-)  # rows beside the best delay so far: what is not laid to one is laid to the other
+# Rows beside the best delay of places so far: a delay makes up for a lag.
+_AROUND = (0.5, 0.25, 0.12, 0.06, 0.03)
+_BESIDE = np.linspace(-1.0, 1.0, 5)
 _WITHIN_A_ROW = 0.1  # rows: how a command acts from one row to the next is in no log
 _LAG_ODDS = 5.0  # nats that a lag must be ahead by to be looked at: it has a number of its own, and a beginning
 _RIDGE = 1e-9  # of the trace: maps of actions that these steps do not tell are none
@@ -194,7 +190,8 @@ def _started(
         )
         for further, around in zip(_NEARER, _AROUND, strict=True):
             lag, before = start[0].lag / command.row, replace(command, before=start[0].before)
-            closer = start[1] + command.row * around * np.linspace(-1.0, 1.0, 5)
+            # Displacements do not tell by which part of a row they are late.
+            closer = start[1] + command.row * around * _BESIDE if command.is_of_places else delays
             nearer = [found(before.lagging(rows), steps, closer) for rows in (lag * further, lag, lag / further)]
             score, start = max((score, start), *nearer, key=_score)
         tried.append((score - _AVERAGED * len(steps), start))

@@ -208,11 +208,8 @@ def integrate(
         log_volume = np.where(angle < np.pi, np.log(np.maximum(halves, 1e-300)), -np.inf)
         drawn = times(rotation_quaternion(turns), rotation)
         log_value, gains, spread = _over_gains(quadratic.take(part), rotation_matrix(drawn).reshape(-1, 9))
-        log_value = (
-            log_value
-            + log_weight[part, None]
-            - 0.5 * np.sum(rotation_vector(drawn) ** 2, axis=1) / quadratic.rotation_std**2
-        )
+        prior = -0.5 * np.sum(rotation_vector(drawn) ** 2, axis=1) / quadratic.rotation_std**2
+        log_value = log_value + log_weight[part, None] + prior
         log_value += log_volume - log_density - np.log(_rotation_volume(quadratic.rotation_std))
         top = float(log_value.max())
         weight = np.exp(log_value - top)

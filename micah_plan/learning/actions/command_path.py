@@ -106,7 +106,9 @@ def commanded_places(joint: Joint, track: PartTrack) -> CommandPath | None:
     if track.meaning is None:
         moved = np.abs(np.diff(at[:-1]))
         is_moving = moved > _MOVES * moved.max(initial=0.0)
-        if not np.median(np.abs(np.diff(places))[is_moving]) < _STAYS * np.median(moved[is_moving]):
+        if not is_moving.any() or not np.median(np.abs(np.diff(places))[is_moving]) < _STAYS * np.median(
+            moved[is_moving]
+        ):
             return None
     time, still = (track.time - track.time[0]) / track.duration, np.zeros(1)
     until = time[1:] - _BRIEF * np.diff(time)
