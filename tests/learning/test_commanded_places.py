@@ -49,6 +49,16 @@ def channel_of(recording: Recording) -> ActionChannel | None:
     return edge.certainty.channel
 
 
+def test_a_long_way_round_is_one_way() -> None:
+    """Places alone do not tell in which turn they are."""
+    rng = np.random.default_rng(1)
+    goals = np.repeat(np.cumsum(rng.choice([-1.0, 1.0], 12) * rng.uniform(2.5, 4.5, 12)), 20)
+    found = channel_of(servo(goals))
+    assert found is not None
+    assert found.gain == pytest.approx(1.0, abs=0.05)
+    assert found.explained > 0.97
+
+
 @pytest.mark.parametrize("is_said", [True, False])
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
 def test_a_servo_gets_where_it_is_sent_as_late_as_it_is(seed: int, is_said: bool) -> None:
@@ -74,6 +84,17 @@ def test_ways_along_the_tangent_are_as_long_as_their_arcs() -> None:
     assert found is not None
     assert found.gain == pytest.approx(1.0, abs=0.06)
     assert np.linalg.norm(found.frame_rotation) < 0.05
+
+
+def test_rows_without_a_place_keep_the_one_before() -> None:
+    recording = servo(jumps(5))
+    action = np.array(recording.action)
+    action[::7] = np.nan
+    every, some = channel_of(recording), channel_of(replace(recording, action=action))
+    assert every is not None
+    assert some is not None
+    assert some.gain == pytest.approx(every.gain, abs=0.02)
+    assert some.delay == pytest.approx(every.delay, abs=0.3 / RATE)
 
 
 def test_a_place_that_never_changes_explains_no_motion() -> None:

@@ -19,6 +19,7 @@ _BETWEEN = 4  # points per row that it is smoothed at
 _LONGEST_GAPS = 16  # mean rows per median row
 _MOVES = 0.1  # of the largest step, of rows in which a part is moved
 _STAYS = 0.1  # of a usual step, by which a place that is held moves
+_SAME_PLACE = 0.5  # rad, by which a place that moves on is still where it was
 _BRIEF = 0.01  # of a row, in which a command changes
 _SAME_FRAME = 0.02  # rad, by which the frames of places and poses differ
 
@@ -100,9 +101,12 @@ def commanded_places(joint: Joint, track: PartTrack) -> CommandPath | None:
     at = np.unwrap(at) if joint.turns else at
     straight = inverse(joint, track.position + action)
     if joint.turns:
-        straight = at + np.angle(np.exp(1j * (straight - at)))
+        straight = _in_which_turn(straight, at)
     along = at + np.einsum("ij,ij->i", leverage(joint, at), action)
-    places = min((straight[:-1], along[:-1]), key=lambda read: float(np.abs(np.diff(read)).sum()))
+    # A row without an action says nothing, or that the part is there: the place of the row before holds.
+    rows = np.arange(len(at) - 1)
+    latest = np.maximum.accumulate(np.where(np.any(action[:-1], axis=1), rows, 0))
+    places = min((straight[latest], along[latest]), key=lambda read: float(np.abs(np.diff(read)).sum()))
     if track.meaning is None:
         moved = np.abs(np.diff(at[:-1]))
         is_moving = moved > _MOVES * moved.max(initial=0.0)
@@ -120,6 +124,19 @@ def commanded_places(joint: Joint, track: PartTrack) -> CommandPath | None:
         _usual_row(time),
         frame_std=_SAME_FRAME,
     )
+
+
+def _in_which_turn(place: Floats, at: Floats) -> Floats:
+    """Commanded angles (n,) [rad] in the turn that each is meant in: the part gets there from where it is (n,).
+
+    While a part is on a long way to a place, the place is in the turn that it is in when the part is there.
+    """
+    meant: Floats = np.asarray(at + np.angle(np.exp(1j * (place - at))))
+    for k in range(len(meant) - 2, -1, -1):
+        further = float(np.angle(np.exp(1j * (meant[k] - meant[k + 1]))))
+        if abs(further) < _SAME_PLACE:
+            meant[k] = meant[k + 1] + further
+    return meant
 
 
 def _usual_row(time: Floats) -> float:
