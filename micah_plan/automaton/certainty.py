@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from micah_plan.automaton.joint import JointKind, Vector3
 from micah_plan.quantities import count, percent
+from micah_plan.recording.commands import Meaning
 
 LOW_PROBABILITY = 0.6  # less sure answers are worth a warning where they are used
 CHANNEL_NAMES = ("frame_rotation_1", "frame_rotation_2", "frame_rotation_3", "gain", "delay")
@@ -78,6 +79,8 @@ class Deviation:
 class ActionChannel:
     """The command that a recorded action a stands for: gain · R(frame_rotation) a, `delay` later.
 
+    Of actions that lead to places, a is the way from one commanded place to the next.
+
     Attributes:
         frame_rotation: rotation vector from the frame in which the actions were given to the base frame [rad].
         gain: displacement made per displacement recorded.
@@ -86,6 +89,7 @@ class ActionChannel:
             after it. What the recording does not determine (a rotation about the joint's direction of motion) keeps its
             prior spread.
         explained: share of the variance of the part's steps that the actions explain, 0 to 1.
+        commands: what the actions were taken for.
     """
 
     frame_rotation: Vector3
@@ -93,6 +97,7 @@ class ActionChannel:
     delay: float
     covariance: tuple[tuple[float, ...], ...]
     explained: float
+    commands: Meaning = "displacement"
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from micah_plan.documents.fields import (
 from micah_plan.documents.joint import check_size, standard_deviations
 from micah_plan.documents.layout import Document, Scope, doc
 from micah_plan.documents.located import KeyPath, Located
+from micah_plan.recording.commands import Meaning
 
 # Probabilities may be rounded: by the writer to 6 decimals, by a person to fewer.
 _SUM_TOLERANCE = 1e-3
@@ -100,6 +101,7 @@ class ActionsDocument(Document):
     delay: Place = doc("Time from the recorded action to the motion [s].")
     covariance: Matrix = doc("(5, 5), of frame_rotation (3), gain and delay.")
     explained: Probability = doc("Share of the variance of the part's steps that the actions explain, 0 to 1.")
+    commands: Meaning = doc("What the actions were taken for: ways to go, or places to get to.", "displacement")
 
     def check(self, at: Located) -> None:
         at = at.at("covariance")

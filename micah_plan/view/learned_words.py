@@ -161,10 +161,13 @@ def action_words(channel: ActionChannel) -> str:
         "delay": (with_spread(channel.delay, std["delay"], "s"), True),
         "frame rotation": (in_degrees(turned, spread), spread < _OPEN),
     }
+    if channel.commands == "position":
+        del told["frame rotation"]
     words = [", ".join(f"{name} {text}" for name, (text, is_told) in told.items() if is_told)]
     left_open = [name for name, (_, is_told) in told.items() if not is_told]
     words += [f"{' and '.join(left_open)} not determined by this motion"] if left_open else []
-    return f"{'; '.join(words)}; they explain {percent(channel.explained, 0)} of the steps"
+    places = "places to get to; " if channel.commands == "position" else ""
+    return f"{places}{'; '.join(words)}; they explain {percent(channel.explained, 0)} of the steps"
 
 
 def channel_turn(channel: ActionChannel) -> tuple[float, float]:

@@ -149,7 +149,8 @@ def segments(draw: st.DrawFn) -> LearnedSegment:
 def channels(draw: st.DrawFn) -> ActionChannel:
     root = np.array(draw(rows(5, 5, st.floats(-1, 1))))
     covariance = tuple(map(tuple, (root @ root.T).tolist()))
-    return ActionChannel(draw(VECTORS), draw(MODERATE), draw(MODERATE), covariance, draw(st.floats(0, 1)))
+    commands = draw(st.sampled_from(["displacement", "position"]))
+    return ActionChannel(draw(VECTORS), draw(MODERATE), draw(MODERATE), covariance, draw(st.floats(0, 1)), commands)
 
 
 @st.composite

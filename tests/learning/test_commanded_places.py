@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import micah_plan
 from micah_plan.automaton.certainty import ActionChannel
 from micah_plan.learning.learn import learn_graph
 from micah_plan.recording.commands import with_commands, with_targets
 from micah_plan.recording.value import Recording
+from micah_plan.residual.prediction import rmse
 
 RADIUS, RATE, ROWS, LAG = 0.1, 10.0, 240, 1.8
 COUNT = 2.0 * np.pi / 4096  # rad, of an encoder
@@ -118,3 +120,16 @@ def test_displacements_are_none_of_places() -> None:
     assert told is not None
     assert said is not None
     assert told.gain == said.gain == pytest.approx(1.3, rel=0.1)
+
+
+@pytest.mark.parametrize("is_said", [True, False])
+def test_another_run_is_predicted_as_late_as_this_one_was(is_said: bool) -> None:
+    recordings = [servo(jumps(seed)) for seed in (5, 9)]
+    first, second = recordings if is_said else map(unsaid, recordings)
+    model = micah_plan.learn(first).automaton
+    sizes = []
+    for as_learned in (False, True):
+        runs = micah_plan.predict(model, second, actions_as_learned=as_learned).runs
+        sizes.append(rmse([run.rollout.configuration for run in runs]))
+    assert sizes[1] < 0.6 * sizes[0]
+    assert sizes[1] == pytest.approx(0.05, abs=0.01)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from micah_plan.automaton.effects.form import Parameter
-from micah_plan.automaton.effects.memories import LONGEST_DELAY
+from micah_plan.automaton.effects.memories import AS_COMMANDED, LONGEST_DELAY, Follow, is_as_commanded
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
@@ -89,17 +89,29 @@ def with_learned_channel(automaton: HybridAutomaton, period: float) -> HybridAut
     Raises:
         InputError: if learning found no channel: the model was not learned, or without actions.
     """
-    effects: list[Effect] = []
+    effects, is_known = list[Effect](), False
     for edge in automaton.learned:
         channel = None if edge.certainty is None else edge.certainty.channel
         links = [link for link in automaton.links if (link.parent, link.child) == (edge.parent, edge.child)]
         if channel is None or not links:
             continue
-        name = automaton.coordinates[links[0].coordinate].name
+        name, is_known = automaton.coordinates[links[0].coordinate].name, True
         turn = tuple((f"rotation_{k + 1}", value) for k, value in enumerate(channel.frame_rotation))
         steps = min(max(channel.delay, 0.0) / period, float(LONGEST_DELAY))  # motion before its action: no effect
+        if channel.commands == "position":
+            automaton = _late(automaton, name, steps)
+            continue
         effects += [Effect("frame_rotation", name, turn), Effect("gain", name, (("gain", channel.gain),))]
         effects += [Effect("delay", name, (("steps", steps),))]
-    if not effects:
+    if not is_known:
         raise InputError("the model holds no action channel", remedy="learn it from a recording with actions")
     return with_effect(automaton, *effects)
+
+
+def _late(automaton: HybridAutomaton, coordinate: str, steps: float) -> HybridAutomaton:
+    """The automaton whose coordinate gets to commanded places so late, unless it knows better how it gets there."""
+    own = [effect for effect in automaton.effects if effect.coordinate == coordinate and effect.name == Follow.name]
+    if not all(map(is_as_commanded, own)):
+        return automaton
+    automaton = replace(automaton, effects=tuple(effect for effect in automaton.effects if effect not in own))
+    return with_effect(automaton, Effect(Follow.name, coordinate, (*(dict(AS_COMMANDED) | {"delay": steps}).items(),)))

@@ -37,6 +37,7 @@ from micah_plan.learning.actions.configuration_steps import (
 )
 from micah_plan.learning.joints.quaternions import conjugate, rotation_matrix, rotation_vector, times
 from micah_plan.learning.track import PartTrack
+from micah_plan.recording.commands import Meaning
 
 DELAY_STD = 0.08  # of the run's duration
 LEAST_LOG_ODDS = 5.0  # of the channel against none, 150 : 1
@@ -378,7 +379,8 @@ def _reported(
     covariance *= np.outer(units, units)
     x, y, z = (float(v) for v in rotation_vector(mode.rotation))
     rows = tuple(tuple(float(v) for v in row) for row in covariance)
-    return ActionChannel((x, y, z), gain, (mode.delay + command.lag) * track.duration, rows, explained)
+    commands: Meaning = "position" if command.is_of_places else "displacement"
+    return ActionChannel((x, y, z), gain, (mode.delay + command.lag) * track.duration, rows, explained, commands)
 
 
 def _spacings(walks: Floats) -> Floats:
