@@ -48,6 +48,8 @@ def learn_acted_run(
     channel = _channel(learned, track)
     if channel is None:
         return learned, None
+    if channel.commands == "position":  # the way that is left says when the part is there, and later says nothing
+        return learned, channel
     std = float(np.sqrt(channel.covariance[CHANNEL_NAMES.index("delay")][CHANNEL_NAMES.index("delay")]))
     step = segmented_run.steps.size * track.duration / len(track)
     if abs(channel.delay) > max(_SURE * std, _STEP_SHARE * step):

@@ -8,6 +8,9 @@ moved the part elsewhere. So where readings repeat to the last digit, the model 
 
 competes with one probability for all actions, and actions within the likeliest D are left out. D is at most some
 counts, of which the smallest step of the part tells the size: a part that is only pushed gently is stopped.
+
+A part that was sent to a place and is some counts beside it, or as far as noise tells, has arrived: nothing more is
+asked of it, and no density needs to say so.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import betaln
 
-from micah_plan.arrays import Booleans, Floats
+from micah_plan.arrays import Booleans, Floats, white_std
 
 _FEWEST = 12
 """Rows at rest though something is asked for."""
@@ -25,6 +28,8 @@ _COARSE = 0.3
 """Of a usual step, a count: if all steps are one count, a slow hand cannot be told from a coarse one."""
 _AHEAD = 3.0
 """Nats: what a dead band must be ahead by."""
+_RESTS = 0.05
+"""Share of rows that repeat the one before to the last digit, from which on readings are counts."""
 _IDLE, _ALIVE = (0.5, 9.5), (0.5, 0.5)
 
 
@@ -47,6 +52,21 @@ def without_dead_band(position: Floats, quaternion: Floats | None, action: Float
         return action
     widest = _dead_band(asked[asks], moves[asks], _MOST_COUNTS * count)
     return np.where(np.append(asked <= widest, False)[:, None], 0.0, action)
+
+
+def without_arrived(position: Floats, action: Floats) -> Floats:
+    """Actions (n, 3) that lead to places, without those of rows in which the part is there; 0 there.
+
+    Args:
+        position: (n, 3) [m].
+        action: ways to commanded places, in any frame; 0 where there is none.
+    """
+    steps = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    if not steps.any():
+        return action
+    is_coarse = float(np.mean(steps == 0.0)) > _RESTS
+    finest = float(steps[steps > 0.0].min()) if is_coarse else float(np.linalg.norm(white_std(position, 3)))
+    return np.where((np.linalg.norm(action, axis=1) <= _MOST_COUNTS * finest)[:, None], 0.0, action)
 
 
 def _dead_band(asked: Floats, moves: Booleans, most: float) -> float:

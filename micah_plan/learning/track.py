@@ -12,11 +12,14 @@ from scipy.spatial.transform import Rotation
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.graph import BASE
 from micah_plan.errors import InputError, shown
-from micah_plan.learning.dead_band import without_dead_band
+from micah_plan.learning.dead_band import without_arrived, without_dead_band
 from micah_plan.learning.settings import FEWEST_ROWS
 from micah_plan.recording.commands import Meaning, command_meaning
 from micah_plan.recording.continuity import continuity
 from micah_plan.recording.value import Recording
+
+# Of the largest step: rows in which a part moves. Of a usual step: by how much a place that is held changes.
+_MOVES, _STAYS = 0.1, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +122,24 @@ def part_track(recording: Recording, run: int, part: str) -> PartTrack:
     track = measured_track(recording, rows, rows, where)
     if track.action is None:
         return track
+    if tells_places(track):
+        return replace(track, action=without_arrived(track.position, track.action))
     return replace(track, action=without_dead_band(track.position, track.quaternion, track.action))
+
+
+def tells_places(track: PartTrack) -> bool:
+    """Whether a run's actions lead to places: as the recording says, or as the places show."""
+    if track.action is None or track.meaning is not None:
+        return track.action is not None and track.meaning == "position"
+    ways = track.action if track.rotation is None else track.rotation.apply(track.action)
+    return are_held(track.position + ways, track.position)
+
+
+def are_held(places: Floats, at: Floats) -> bool:
+    """Whether places (n, k) that actions lead to stay while the part moves on (n, k): a displacement leads further."""
+    changed, moved = (np.linalg.norm(np.diff(rows[:-1], axis=0), axis=1) for rows in (places, at))
+    is_moving = moved > _MOVES * moved.max(initial=0.0)
+    return bool(is_moving.any() and np.median(changed[is_moving]) < _STAYS * np.median(moved[is_moving]))
 
 
 def measured_track(recording: Recording, rows: Ints, index: Ints, where: str) -> PartTrack:

@@ -133,3 +133,35 @@ def test_another_run_is_predicted_as_late_as_this_one_was(is_said: bool) -> None
         sizes.append(rmse([run.rollout.configuration for run in runs]))
     assert sizes[1] < 0.6 * sizes[0]
     assert sizes[1] == pytest.approx(0.05, abs=0.01)
+
+
+def coarse(goals, bits: int, noise: float, seed: int, end: float = np.inf) -> Recording:
+    """A servo that rests two counts short of its places, or at an end, read by an encoder with noise [counts]."""
+    rng, count = np.random.default_rng(seed), 2.0 * np.pi / 2**bits
+    c = np.empty(len(goals))
+    c[0] = goals[0]
+    for k in range(1, len(c)):
+        way = goals[k - 1] - c[k - 1]
+        short = np.sign(way) * min(abs(way), 2.0 * count)
+        c[k] = min(c[k - 1] + (way - short) * (1.0 - np.exp(-1.0 / LAG)), end)
+    read = count * np.round(c / count + noise * rng.standard_normal(len(c)))
+    quaternion = Rotation.from_rotvec(np.outer(read, [0.0, 0.0, 1.0])).as_quat()
+    return with_targets(Recording(np.arange(len(c)) / RATE, lever(read), quaternion), lever(goals))
+
+
+@pytest.mark.parametrize(("bits", "noise"), [(12, 0.0), (10, 0.0), (10, 0.5), (10, 1.0)])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))])
+def test_a_servo_that_has_arrived_is_at_no_stop(bits: int, noise: float, seed: int) -> None:
+    (edge,) = learn_graph(coarse(jumps(seed), bits, noise, seed)).edges
+    assert [segment.joint.kind for segment in edge.segments] == ["revolute"]
+
+
+@pytest.mark.parametrize(("bits", "noise"), [(12, 0.0), (10, 0.5)])
+def test_a_servo_that_is_sent_beyond_an_end_is(bits: int, noise: float) -> None:
+    goals = np.repeat([0.0, 0.2, -0.3, 0.9, 0.1], [20, 25, 25, 60, 30])
+    (edge,) = learn_graph(coarse(goals, bits, noise, 0, end=0.4)).edges
+    # Whether it is held where it rests in the end, nothing tells.
+    assert [segment.joint.kind for segment in edge.segments[:3]] == ["revolute", "rigid", "revolute"]
+    held = edge.segments[1]
+    assert 70 <= held.start <= 76
+    assert held.end == pytest.approx(130, abs=2)

@@ -13,12 +13,10 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import inverse, jacobian
 from micah_plan.learning.actions.channel_search import ROTATION_STD
-from micah_plan.learning.track import PartTrack
+from micah_plan.learning.track import PartTrack, are_held
 
 _BETWEEN = 4  # points per row that it is smoothed at
 _LONGEST_GAPS = 16  # mean rows per median row
-_MOVES = 0.1  # of the largest step, of rows in which a part is moved
-_STAYS = 0.1  # of a usual step, by which a place that is held moves
 _SAME_PLACE = 0.5  # rad, by which a place that moves on is still where it was
 _BRIEF = 0.01  # of a row, in which a command changes
 _SAME_FRAME = 0.02  # rad, by which the frames of places and poses differ
@@ -107,13 +105,8 @@ def commanded_places(joint: Joint, track: PartTrack) -> CommandPath | None:
     rows = np.arange(len(at) - 1)
     latest = np.maximum.accumulate(np.where(np.any(action[:-1], axis=1), rows, 0))
     places = min((straight[latest], along[latest]), key=lambda read: float(np.abs(np.diff(read)).sum()))
-    if track.meaning is None:
-        moved = np.abs(np.diff(at[:-1]))
-        is_moving = moved > _MOVES * moved.max(initial=0.0)
-        if not is_moving.any() or not np.median(np.abs(np.diff(places))[is_moving]) < _STAYS * np.median(
-            moved[is_moving]
-        ):
-            return None
+    if track.meaning is None and not are_held(np.append(places, places[-1])[:, None], at[:, None]):
+        return None
     time, still = (track.time - track.time[0]) / track.duration, np.zeros(1)
     until = time[1:] - _BRIEF * np.diff(time)
     return CommandPath(
