@@ -139,10 +139,8 @@ def notes_on(traces: Sequence[CoordinateTrace]) -> tuple[str, ...]:
             )
         if traced.facts.is_corrected:
             notes.append(f"{name}: the model has a correction without a name already, which no effect has replaced")
-        is_left = traced.innovation_test is not None and traced.innovation_test.is_more
-        if traced.innovation_test and is_left and not traced.facts.smooth and traced.average is None:
-            share = percent(traced.innovation_test.share, 0)
-            notes.append(
-                f"{name}: the residuals are not white: {share} of their variance follows {traced.innovation_test}"
-            )
+        left = traced.innovation_test
+        if left is not None and left.is_more and not traced.facts.smooth and traced.average is None:
+            share = percent(left.share, 0)
+            notes.append(f"{name}: the residuals are not white: {share} of their variance follows {left}")
     return tuple(notes)

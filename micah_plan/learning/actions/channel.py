@@ -191,9 +191,10 @@ def _started(
         )
         for further, around in zip(_NEARER, _AROUND, strict=True):
             lag, before = start[0].lag / command.row, replace(command, before=start[0].before)
-            # Displacements do not tell by which part of a row they are late.
-            closer = start[1] + command.row * around * _BESIDE if command.is_of_places else delays
-            nearer = [found(before.lagging(rows), steps, closer) for rows in (lag * further, lag, lag / further)]
+            lags, closer = [lag * further, lag / further], delays
+            if command.is_of_places:  # displacements do not tell by which part of a row they are late
+                lags, closer = [*lags, lag], start[1] + command.row * around * _BESIDE
+            nearer = [found(before.lagging(rows), steps, closer) for rows in lags]
             score, start = max((score, start), *nearer, key=_score)
         tried.append((score - _AVERAGED * len(steps), start))
     return max(tried, key=_score)[1]
