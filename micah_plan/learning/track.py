@@ -132,12 +132,12 @@ def tells_places(track: PartTrack) -> bool:
     if track.action is None or track.meaning is not None:
         return track.action is not None and track.meaning == "position"
     ways = track.action if track.rotation is None else track.rotation.apply(track.action)
-    return are_held(track.position + ways, track.position)
+    return are_held((track.position + ways)[:-1], track.position[:-1])  # the last row commands nothing
 
 
 def are_held(places: Floats, at: Floats) -> bool:
     """Whether places (n, k) that actions lead to stay while the part moves on (n, k): a displacement leads further."""
-    changed, moved = (np.linalg.norm(np.diff(rows[:-1], axis=0), axis=1) for rows in (places, at))
+    changed, moved = (np.linalg.norm(np.diff(rows, axis=0), axis=1) for rows in (places, at))
     is_moving = moved > _MOVES * moved.max(initial=0.0)
     return bool(is_moving.any() and np.median(changed[is_moving]) < _STAYS * np.median(moved[is_moving]))
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from micah_plan.arrays import ROUND_OFF, Floats, Ints, Scalar
+from micah_plan.arrays import Floats, Ints, Scalar
 from micah_plan.residual.candidates import FOLLOW
 from micah_plan.residual.competition import Standings
 from micah_plan.residual.contenders import Contenders, best_first, with_other_noise
@@ -35,8 +35,6 @@ _REACHES = (1, 2, 3, 4, 6, 8, 10)
 _LEAST_GAIN = 0.1
 # Steps that tell a weight.
 _ROWS_PER_WEIGHT = 10
-# No step is told to less than this share of their std.
-_FINEST = 1e-3
 # Effects that are tried on averaged commands beside the model as it is, and rounds of their fits.
 _EFFECTS, _ROUNDS = 8, 6
 
@@ -124,11 +122,11 @@ def weights_of_steps(data: CoordinateData) -> Average | None:
             break
         before, after = around[:, reach::-1], around[:, reach:].copy()
         after[:, 1:] += before[:, 1:]
-        least, cost = _FINEST * float(np.std(now)) + ROUND_OFF, _cost_of(reach, len(now))
+        cost = _cost_of(reach, len(now))
         past, both = (np.column_stack([np.ones(len(now)), commands]) for commands in (before, after))
-        of_past.append(robust_log_density(past, now, FREEDOM, least) - cost)
+        of_past.append(robust_log_density(past, now, FREEDOM) - cost)
         weights = np.asarray(np.linalg.lstsq(both, now, rcond=None)[0][1:], dtype=float)
-        of_both.append((robust_log_density(both, now, FREEDOM, least) - cost, weights))
+        of_both.append((robust_log_density(both, now, FREEDOM) - cost, weights))
     if not of_both:
         return None
     most, weights = max(of_both, key=lambda tried: tried[0])

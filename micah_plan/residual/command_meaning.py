@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from micah_plan.arrays import ROUND_OFF, earlier_rows
+from micah_plan.arrays import earlier_rows
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.likelihood import robust_log_density
 
@@ -20,8 +20,8 @@ CONTAINED = ("gain", "bias", "delay", "lag", "dead_zone", "spring")
 """Names of the effects that the response to places (`follow`) has in itself."""
 # Commands before one that its regularity is judged by.
 _MEMORY = 2
-# Degrees of freedom of what is not foretold (a few jumps decide nothing), and the least of it, as a share of all.
-_FREEDOM, _FINEST = 2.0, 1e-3
+# Degrees of freedom of what is not foretold: a few jumps decide nothing.
+_FREEDOM = 2.0
 
 
 def regularity(data: CoordinateData) -> float:
@@ -40,5 +40,5 @@ def regularity(data: CoordinateData) -> float:
         before = [earlier_rows(series, k + 1)[starts] for k in range(_MEMORY)]
         now = series[starts]
         design = np.stack([np.ones(len(now)), *before], axis=1)
-        forms.append(robust_log_density(design, now, _FREEDOM, _FINEST * float(np.std(now)) + ROUND_OFF))
+        forms.append(robust_log_density(design, now, _FREEDOM))
     return forms[1] - forms[0]

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from micah_plan.arrays import ROUND_OFF, Floats, Ints, robust_std, white_std
+from micah_plan.arrays import Floats, Ints, robust_std, white_std
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import Track, tracks
 from micah_plan.recording.value import Recording
@@ -90,10 +90,9 @@ def _is_foretold_later(runs: Sequence[Track], late: int, i: int) -> bool:
     first = _BESIDE - _PAST
     own, next_one = design[:, first : _BESIDE + 1], design[:, first + 1 : _BESIDE + 2]
     alike = np.column_stack([design[:, _BESIDE], (design + design[:, ::-1])[:, :_BESIDE]])
-    ones, least = np.ones((len(now), 1)), 1e-3 * float(np.std(now)) + ROUND_OFF
+    ones = np.ones((len(now), 1))
     up_to_own, up_to_next, on_both_sides, any_row = (
-        robust_log_density(np.hstack([ones, columns]), now, FREEDOM, least)
-        for columns in (own, next_one, alike, design)
+        robust_log_density(np.hstack([ones, columns]), now, FREEDOM) for columns in (own, next_one, alike, design)
     )
     if min(up_to_next - up_to_own, any_row - on_both_sides) < max(LEAST_EVIDENCE, _LATE_PER_ROW * len(now)):
         return False

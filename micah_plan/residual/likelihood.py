@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import gammaln
 
-from micah_plan.arrays import Floats
+from micah_plan.arrays import ROUND_OFF, Floats
 
 FEWEST_ROWS = 8
 """Rows that a run needs to show its noise, and a recording to be compared."""
@@ -22,12 +22,13 @@ FREEDOM = 4.0
 _REGRESSION_ROUNDS = 30
 
 
-def robust_log_density(design: Floats, now: Floats, freedom: float, least: float) -> float:
+def robust_log_density(design: Floats, now: Floats, freedom: float, finest: float = 1e-3) -> float:
     """Log density of values (N,) about the best linear prediction from a design (N, k), with a scale of its own [nats].
 
     Args:
-        least: the smallest scale.
+        finest: the smallest scale, as a share of the values' std: what is exact but for digits decides nothing.
     """
+    least = finest * float(np.std(now)) + ROUND_OFF
     weight, residual, scale = np.ones(len(now)), now, least
     for _ in range(_REGRESSION_ROUNDS):
         root = np.sqrt(weight)

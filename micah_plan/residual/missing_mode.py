@@ -167,7 +167,7 @@ def _held_out(e: Floats, design: Floats, held: Ints) -> Floats:
 
 def _log_density(residual: Floats) -> float:
     """Log density [nats] of residuals under Student's t with their own scale: the measure that all are compared by."""
-    return robust_log_density(np.zeros((len(residual), 0)), residual, FREEDOM, ROUND_OFF)
+    return robust_log_density(np.zeros((len(residual), 0)), residual, FREEDOM, 0.0)
 
 
 def _evidence(line: Floats, e: Floats) -> tuple[Floats, Floats]:

@@ -105,7 +105,7 @@ def commanded_places(joint: Joint, track: PartTrack) -> CommandPath | None:
     rows = np.arange(len(at) - 1)
     latest = np.maximum.accumulate(np.where(np.any(action[:-1], axis=1), rows, 0))
     places = min((straight[latest], along[latest]), key=lambda read: float(np.abs(np.diff(read)).sum()))
-    if track.meaning is None and not are_held(np.append(places, places[-1])[:, None], at[:, None]):
+    if track.meaning is None and not are_held(places[:, None], at[:-1, None]):
         return None
     time, still = (track.time - track.time[0]) / track.duration, np.zeros(1)
     until = time[1:] - _BRIEF * np.diff(time)
@@ -124,12 +124,12 @@ def _in_which_turn(place: Floats, at: Floats) -> Floats:
 
     While a part is on a long way to a place, the place is in the turn that it is in when the part is there.
     """
-    meant: Floats = np.asarray(at + np.angle(np.exp(1j * (place - at))))
-    for k in range(len(meant) - 2, -1, -1):
-        further = float(np.angle(np.exp(1j * (meant[k] - meant[k + 1]))))
-        if abs(further) < _SAME_PLACE:
-            meant[k] = meant[k + 1] + further
-    return meant
+    nearest = at + np.angle(np.exp(1j * (place - at)))
+    further = np.angle(np.exp(1j * np.diff(nearest)))
+    on = np.concatenate([[0.0], np.cumsum(further)])
+    ends = np.append(np.flatnonzero(np.abs(further) >= _SAME_PLACE), len(place) - 1)
+    end = ends[np.searchsorted(ends, np.arange(len(place)))]
+    return np.asarray(on + nearest[end] - on[end])
 
 
 def _usual_row(time: Floats) -> float:
