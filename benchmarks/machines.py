@@ -1,4 +1,4 @@
-"""Machines that labs have and the other benchmarks lack: speed limits, hydraulics, encoders, digits, velocity commands.
+"""Machines that labs have and the other benchmarks lack: limits, hydraulics, encoders, digits, velocity commands.
 
     python -m benchmarks machines [--seeds 2] [--kinds "speed limit" ...] [--guess]
 
@@ -12,6 +12,7 @@ unless --guess is given.
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -42,6 +43,7 @@ class Machine:
         kind: what commands are. late: rows by which they are stored late; negative: early.
         frozen: share of the rows in stretches of ten that repeat the reading before them.
         most: largest velocity [rad/s or m/s].
+        delay_s: by how much later a command acts.
     """
 
     law: Callable[[float, float, float], float]
@@ -54,6 +56,7 @@ class Machine:
     late: int = 0
     frozen: float = 0.0
     most: float = np.inf
+    delay_s: float = 0.0
 
     @property
     def reach(self) -> float:
@@ -69,6 +72,27 @@ def servo(stiffness: float, damping: float) -> Callable[[float, float, float], f
 def first_order(rate: float) -> Callable[[float, float, float], float]:
     """A velocity proportional to what is left of the way [1/s]."""
     return lambda x, _, goal: rate * (goal - x)
+
+
+def limited_torque(stiffness: float, damping: float, most: float) -> Callable[[float, float, float], float]:
+    """A spring of limited pull and a damper [1/s^2, 1/s, rad/s^2]."""
+    return lambda x, v, goal: float(np.clip(stiffness * (goal - x), -most, most)) - damping * v
+
+
+def profile(most: float, acceleration: float) -> Callable[[float, float, float], float]:
+    """Speeds up and brakes evenly, to a stop at the goal [rad/s, rad/s^2]."""
+
+    def law(x: float, v: float, goal: float) -> float:
+        wanted = np.sign(goal - x) * min(np.sqrt(2.0 * acceleration * abs(goal - x)), most)
+        return float(np.clip((wanted - v) / _TICK_S, -acceleration, acceleration))
+
+    return law
+
+
+def slow(x: float, v: float, command: float) -> float:
+    """Nine tenths of the commanded velocity."""
+    del x, v
+    return 0.9 * command
 
 
 def slow_one_way(x: float, v: float, command: float) -> float:
@@ -88,6 +112,13 @@ def valve(gain: float, lag_s: float, neutral: float, dead: float) -> Callable[[f
     return law
 
 
+def curved_valve(x: float, v: float, command: float) -> float:
+    """A cylinder whose flow is small for small commands beyond a dead zone."""
+    del x
+    beyond = max(abs(command) - 0.02, 0.0)
+    return (float(np.sign(command)) * beyond * (0.4 + 4.0 * beyond) - v) / 0.1
+
+
 def _bits(number: int) -> float:
     """Grid of an encoder of so many bits a turn [rad]."""
     return 2.0 * np.pi / 2**number
@@ -96,6 +127,12 @@ def _bits(number: int) -> float:
 KINDS: dict[str, Machine] = {
     "speed limit": Machine(first_order(12.0), 10.0, is_first_order=True, most=0.9),
     "speed limit, 100 Hz": Machine(first_order(12.0), 100.0, is_first_order=True, most=0.9),
+    "speed limit, late, 20 Hz": Machine(first_order(400.0), 20.0, is_first_order=True, most=1.2, delay_s=0.09),
+    "speed limit, late, 60 Hz": Machine(first_order(400.0), 60.0, is_first_order=True, most=1.2, delay_s=0.09),
+    "second order, speed limit": Machine(servo(150.0, 24.0), 30.0, most=0.9, delay_s=0.05),
+    "limited torque": Machine(limited_torque(120.0, 14.0, 6.0)),
+    "profile of speeds, 20 Hz": Machine(profile(0.7, 2.0), 20.0),
+    "profile of speeds, 50 Hz": Machine(profile(0.8, 3.0)),
     "encoder of 6 bits": Machine(servo(60.0, 12.0), 20.0, grid=_bits(6)),
     "encoder of 8 bits, 10 Hz": Machine(servo(60.0, 12.0), 10.0, grid=_bits(8)),
     "encoder of 12 bits, 200 Hz": Machine(servo(60.0, 9.0), 200.0, 400, grid=_bits(12)),
@@ -107,6 +144,8 @@ KINDS: dict[str, Machine] = {
     "hydraulics, neutral off": Machine(valve(0.8, 0.1, 0.015, 0.03), 10.0, slides=True, kind="velocity"),
     "velocity motor with lag": Machine(valve(1.0, 0.08, 0.0, 0.0), kind="velocity"),
     "velocity motor, slow one way": Machine(slow_one_way, is_first_order=True, kind="velocity"),
+    "velocity motor, late": Machine(slow, 20.0, is_first_order=True, kind="velocity", delay_s=0.02),
+    "hydraulics, curved": Machine(curved_valve, 20.0, slides=True, kind="velocity"),
     "goals stored early": Machine(servo(60.0, 12.0), 20.0, late=-1),
     "goals stored late": Machine(servo(60.0, 12.0), 20.0, late=1),
     "frozen tracker": Machine(servo(60.0, 12.0), 20.0, grid=0.002, frozen=0.15),
@@ -125,8 +164,9 @@ def simulated(machine: Machine, rng: np.random.Generator) -> Run:
             goal = rng.uniform(0.1, 0.9) * reach
             speed = rng.uniform(0.1, 0.8) * reach
         command[row] = np.clip(3.0 * (goal - x), -speed, speed) if is_velocity else goal
-        for _ in range(round(1.0 / (machine.rate * _TICK_S))):
-            told = machine.law(x, v, command[row])
+        for tick in range(round(1.0 / (machine.rate * _TICK_S))):
+            acts = max(row + math.floor(((tick + 0.5) * _TICK_S - machine.delay_s) * machine.rate), 0)
+            told = machine.law(x, v, command[acts])
             v = told if machine.is_first_order else v + _TICK_S * told
             v = float(np.clip(v, -machine.most, machine.most))
             x = float(np.clip(x + _TICK_S * v, 0.0, reach))

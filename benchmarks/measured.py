@@ -58,7 +58,7 @@ def model_of(name: str, recording: Recording) -> HybridAutomaton:
 
 
 def described(found: FoundEffect) -> str:
-    values = ", ".join(f"{name} {value:.3g}" for name, value in found.effect.parameters)
+    values = ", ".join(f"{name} {value:.3g}" for name, value, *_ in found.rows)
     where = f" in {', '.join(found.effect.modes)}" if found.effect.modes else ""
     tied = f" (or {', '.join(found.tied)})" if found.tied else ""
     return f"`{found.effect.name}` {values}{where}{tied}" + ("" if found.is_added else ", not added")

@@ -176,8 +176,7 @@ def _effect_row(row: FoundEffect) -> tuple[str, ...]:
     from micah_plan.residual.calibrate import began
 
     effect = row.effect
-    units = dict(zip([name for name, _ in effect.parameters], row.units, strict=True))
-    values = [(name, value, units[name]) for name, value in effect.parameters]
+    values = [(name, value, unit) for name, value, unit, *_ in row.rows]
     values += [(name, value, "s") for name, value in row.derived]
     name = f"{effect.name} ({effect.coordinate})" + ("" if row.is_added else ", not added")
     name += f", began {began(effect.since)}" if effect.since else ""
@@ -207,14 +206,13 @@ def _error_lines(calibration: Calibration) -> list[str]:
 
 def _effect(entry: FoundEffect) -> dict[str, Any]:
     effect, since = entry.effect, entry.effect.since
-    names = [name for name, _ in effect.parameters]
     return {
         "name": effect.name,
-        "parameters": dict(effect.parameters) | dict(entry.derived),
-        "units": dict(zip(names, entry.units, strict=True)) | {name: "s" for name, _ in entry.derived},
+        "parameters": {name: value for name, value, *_ in entry.rows} | dict(entry.derived),
+        "units": {name: unit for name, _, unit, *_ in entry.rows} | {name: "s" for name, _ in entry.derived},
         "evidence": entry.evidence,
         "is_added": entry.is_added,
-        "interval_95": {name: list(pair) for name, pair in zip(names, entry.interval, strict=True)},
+        "interval_95": {name: [low, high] for name, _, _, low, high in entry.rows},
         "coordinate": effect.coordinate,
         "modes": list(effect.modes),
         "since": None if since is None else {"run": since.run, "time_s": since.time},

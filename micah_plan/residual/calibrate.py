@@ -298,7 +298,7 @@ def effect_of(
     pairs = tuple(zip([parameter.name for parameter in effect_form.parameters], values, strict=True))
     since = _since(data, part.starts[0])
     ends = () if interval is None else interval[:count]
-    spread = tuple(float(high - low) / (2.0 * INTERVAL_STDS) for low, high in ends)
+    spread = tuple(float(high - low) / (2.0 * INTERVAL_STDS) if high > low else 0.0 for low, high in ends)
     return Effect(effect_form.name, data.coordinate, pairs, spread, part.term.modes, since=since, tied=tied)
 
 

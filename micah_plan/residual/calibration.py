@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -47,6 +48,12 @@ class FoundEffect:
     source: str
     experiment: str
     is_added: bool = True
+
+    @property
+    def rows(self) -> tuple[tuple[str, float, str, float, float], ...]:
+        """(name, value, unit, ends of its interval) of each parameter, without limits that there are none of."""
+        every = zip(self.effect.parameters, self.units, self.interval, strict=True)
+        return tuple((name, value, unit, *ends) for (name, value), unit, ends in every if math.isfinite(value))
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from typing import final
 import numpy as np
 
 from micah_plan.arrays import Floats
-from micah_plan.automaton.effects.fit_start import FitStart
+from micah_plan.automaton.effects.fit_start import FitStart, step_sizes
 from micah_plan.automaton.effects.forces import SMOOTH_BUMPS
 from micah_plan.automaton.effects.form import EffectForm, Memory, Operations, Parameter, Value, Values
 from micah_plan.automaton.effects.memories import AS_COMMANDED
@@ -36,6 +36,10 @@ NEVER_GATED = (-np.inf, -np.inf)
 _REACHABLE = 0.5
 # Commands that differ by less than this share of their size are the same, except for their digits.
 _DIGITS = 1e-3
+# Where fits of machines with limits begin: delays [steps]; shares with momenta; the quantile of steps that limits cut.
+_DELAYS = (0.5, 1.5, 2.5, 4.0, 6.0, 9.0)
+_RESPONSES = ((0.6, 0.0), (0.2, 0.0), (0.1, 0.5), (0.05, 0.9), (0.02, 0.8))
+_FASTEST = 0.98
 
 
 @dataclass(frozen=True)
@@ -189,7 +193,7 @@ def variants(part: TermCandidate) -> list[TermCandidate]:
 
 
 def follows(data: CoordinateData) -> list[TermCandidate]:
-    """Responses to commands that are places: first order, late, second order, and with a dead zone and a delay.
+    """Responses to commands that are places: of first order, late, of second order, with a dead zone, and with limits.
 
     None where most commands lead to where the part cannot be, or all are the same: places are then the measured ones.
     """
@@ -200,15 +204,17 @@ def follows(data: CoordinateData) -> list[TermCandidate]:
         return []
     if np.mean((places > low - (high - low)) & (places < high + (high - low))) < _REACHABLE:
         return []
-    share, offset, gain, delay, momentum, width = range(6)
+    share, offset, gain, delay, momentum, width, pull, acceleration, speed = range(9)
+    fastest = max(step_sizes(data, _FASTEST), default=size)
 
     def begun(free: Sequence[int], starts: Sequence[Mapping[int, float]]) -> TermCandidate:
-        values = np.repeat([[0.5, 0.0, 1.0, 0.0, 0.0, 0.0, *NEVER_GATED]], len(starts), axis=0)
+        values = np.repeat([[0.5, *(value for _, value in AS_COMMANDED[1:]), *NEVER_GATED]], len(starts), axis=0)
         for row, start in zip(values, starts, strict=True):
             for column, value in start.items():
                 parameter = form(FOLLOW).parameters[column]
                 row[column] = min(max(value, parameter.lower), parameter.upper)
         large = {share: 0.3, offset: 0.3 * size, gain: 0.1, delay: 1.0, momentum: 0.3, width: 0.2 * size}
+        large |= dict.fromkeys((pull, acceleration, speed), 0.3 * fastest)
         return TermCandidate(Term(form(FOLLOW)), values, tuple(free), np.array([large[k] for k in free]))
 
     regressed = [_regressed(data, late) for late in range(3)]
@@ -222,12 +228,21 @@ def follows(data: CoordinateData) -> list[TermCandidate]:
     ]
     delayed += [{**one, width: w * size} for one in regressed for w in (0.001, 0.1, 0.3)]
     late_ones = [{share: s, delay: late} for s in (0.5, 0.15) for late in (1.0, 2.0, 3.0)]
+    slow = [{delay: d, share: s, momentum: m} for d in _DELAYS for s, m in _RESPONSES]
+    at_once = [one for one in slow if not one[momentum]]
+    pulled = [one | {pull: k * fastest * (1.0 - one[momentum])} for one in slow for k in (1.0, 0.4)]
+    profiles = [one | {speed: fastest, acceleration: k * fastest} for one in at_once for k in (0.3, 0.1)]
+    whole = (share, offset, gain, delay, momentum, width)
     return [
         begun((share,), first),
         begun((share, offset), first),
         begun((share, delay), late_ones),
         begun((share, offset, gain, momentum), second),
-        begun((share, offset, gain, delay, momentum, width), delayed),
+        begun(whole, delayed),
+        begun((share, delay, pull), [one | {pull: k * fastest} for one in at_once for k in (1.0, 0.4)]),
+        begun((*whole, pull), pulled),
+        begun((*whole, speed), [one | {speed: fastest} for one in slow]),
+        begun((share, delay, acceleration, speed), profiles),
     ]
 
 

@@ -291,7 +291,7 @@ class Competition(Contenders):
             for head in heads
             for part in library
             if are_compatible(head, part)
-            for option in (on_top(head, part), *_before(head, part), *_with_share(head, part, library))
+            for option in (on_top(head, part), *_before(head, part))
         ]
         return self.fitted(options, most=_SECONDS, restarted=RESTARTED)
 
@@ -374,24 +374,6 @@ def _before(head: Contender, part: TermCandidate) -> list[Option]:
     others, count = head.parts[:-1], len(part.starts)
     before, behind = ([np.repeat(each.starts, count, axis=0) for each in parts] for parts in (others, last))
     return [Option((*others, part, *last), np.hstack([*before, part.starts, *behind]), head)]
-
-
-def _with_share(head: Contender, part: TermCandidate, library: Sequence[TermCandidate]) -> list[Option]:
-    """A response to places and an effect on the command once more, from where the response alone begins.
-
-    What a response without the effect makes up for it by (a motor of limited speed seems to have a momentum) is no
-    place to begin with both.
-    """
-    if FOLLOW not in head.names or part.term.form.layer != "command":
-        return []
-    k = head.names.index(FOLLOW)
-    begun = [each.starts for each in library if each.name == FOLLOW and each.free == head.parts[k].free]
-    if not begun:
-        return []
-    starts = np.repeat(begun[0], len(part.starts), axis=0)
-    parts = [np.repeat(each.starts, len(starts), axis=0) for each in head.parts]
-    parts[k] = starts
-    return [Option((*head.parts, part), np.hstack([*parts, np.tile(part.starts, (len(begun[0]), 1))]), head)]
 
 
 def are_compatible(head: Contender, part: TermCandidate) -> bool:

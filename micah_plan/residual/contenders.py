@@ -216,7 +216,8 @@ class Contenders:
                 scale.append(float(large))
                 low.append(max(parameter.lower, bounds[0]))
                 high.append(min(parameter.upper, bounds[1]))
-                centre.append(float(of_part[column]) if parameter.neutral is None else parameter.neutral)
+                neutral = parameter.neutral if not parameter.is_limit else None
+                centre.append(float(of_part[column]) if neutral is None else neutral)
                 std.append(loose * float(large))
             first += part.term.size
             odds += self.odds_of_places if part.name == FOLLOW else 0.0
@@ -278,7 +279,7 @@ class Contenders:
         Args:
             first: rounds with the noise of the base, of the `keep` best starts.
             most: options of each base that go on; None: all.
-            restarted: of the best, so many go on from other noise as well, and all that take commands for places.
+            restarted: of the best, so many go on from other noise as well, and of those that take commands for places.
             rounds: of those that go on.
         """
         if not options:
@@ -298,9 +299,9 @@ class Contenders:
             rest = [
                 [fit for of_option, fit in ended if of_option is option and fit is not best] for option, best in pairs
             ]
-        again = set(sorted(range(len(pairs)), key=lambda k: pairs[k][1].loss)[:restarted])
-        if restarted:
-            again |= {k for k, (option, _) in enumerate(pairs) if _is_first_of_places(option)}
+        ranked = sorted(range(len(pairs)), key=lambda k: pairs[k][1].loss)
+        of_places = [k for k in ranked if _is_first_of_places(pairs[k][0])]
+        again = {*ranked[:restarted], *of_places[:restarted]}
         ready = self._from_other_noise(searched, [fit for _, fit in pairs], rest, again, rounds)
         chosen = [
             (option, fit)

@@ -3,8 +3,10 @@
 A hypothesis is a model (terms with their parameters) with noise of its own. The state is the configuration c and a
 measurement error d that wanders: c⁺ = F(c, v, memory) + w, d⁺ = ρ d + e, seen as h(c) + d + ν. Each step is a Kalman
 prediction and update, so every residual is an innovation, white if the hypothesis is right (Kailath, Sayed and Hassibi,
-"Linear Estimation", ch. 9). A row is worth the density of Student's t, and a far one moves the state less (Agamennoni,
-Nieto and Nebot, "Approximate inference in state-space models with heavy-tailed noise", IEEE TSP 2012).
+"Linear Estimation", ch. 9). A row is worth the density of Student's t. A far one moves the state less (Agamennoni,
+Nieto and Nebot, "Approximate inference in state-space models with heavy-tailed noise", IEEE TSP 2012), and leaves it
+less certain (Roth, Ozkan and Gustafsson, "A Student's t filter for heavy tailed process and measurement noise", ICASSP
+2013): if the next rows agree with it, it was the part that moved.
 
 All hypotheses of a model go through the rows side by side, in a loop that is compiled (`row_loop`).
 """
@@ -35,6 +37,7 @@ from micah_plan.residual.row_loop import (
     go_through,
 )
 from micah_plan.residual.step_program import model_program
+from micah_plan.symbolic.formula_lines import Neutral
 
 Kind = Literal["filter", "one_step", "rollout"]
 _KINDS: dict[Kind, int] = {"filter": FILTER, "one_step": ONE_STEP, "rollout": ROLLOUT}
@@ -80,6 +83,18 @@ class ModelBatch:
         """Whether each term acts since a place or a time only, in some of the hypotheses."""
         gates = (self.values[:, columns.stop - GATES : columns.stop] for columns in term_columns(self.model))
         return tuple(bool((own != -np.inf).any()) for own in gates)
+
+    @cached_property
+    def neutral(self) -> tuple[Neutral, ...]:
+        """Which parameters of each term have their neutral values in all of the hypotheses."""
+        starts = (columns.start for columns in term_columns(self.model))
+        return tuple(
+            tuple(
+                parameter.neutral is not None and bool((self.values[:, start + k] == parameter.neutral).all())
+                for k, parameter in enumerate(term.form.parameters)
+            )
+            for term, start in zip(self.model, starts, strict=True)
+        )
 
     def terms(self, layer: Layer) -> list[tuple[EffectForm, Floats]]:
         """Forms of a layer with their parameters (k, B)."""
@@ -162,12 +177,12 @@ def _gone_through(
         at[start : start + count] = before + np.arange(count)
     shape = sum(wanted), int(number.max()) + 1
     total, error, variance = np.zeros(len(at)), np.zeros(shape), np.ones(shape)
-    rows, alike = _rows_given(data, number), dict[tuple[Model, tuple[bool, ...]], list[int]]()
+    rows, alike = _rows_given(data, number), dict[tuple[Model, tuple[bool, ...], tuple[Neutral, ...]], list[int]]()
     for k, batch in enumerate(batches):
-        alike.setdefault((batch.model, batch.gated), []).append(k)
+        alike.setdefault((batch.model, batch.gated, batch.neutral), []).append(k)
     # All hypotheses of a model share its instructions.
-    for (model, gated), own in alike.items():
-        batch, program = _joined([batches[k] for k in own]), model_program(model, gated)
+    for instructions, own in alike.items():
+        batch, program = _joined([batches[k] for k in own]), model_program(*instructions)
         per_hypothesis = _per_hypothesis(data, batch)
         of = np.concatenate([np.arange(first[k], first[k] + sizes[k]) for k in own])
         total[of] = go_through(

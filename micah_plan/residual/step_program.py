@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from micah_plan.residual.row_loop import (
     Programs,
 )
 from micah_plan.symbolic.formula_lines import (
+    Neutral,
     at_rest_line,
     command_line,
     force_line,
@@ -54,19 +56,29 @@ class ModelProgram:
 
 
 @lru_cache(maxsize=1024)
-def model_program(model: Model, gated: tuple[bool, ...]) -> ModelProgram:
+def model_program(model: Model, gated: tuple[bool, ...], neutral: tuple[Neutral, ...]) -> ModelProgram:
     """The instructions of a model.
 
     Args:
         gated: whether each term acts since a place or a time only.
+        neutral: which parameters of each term have their neutral values throughout.
     """
-    return _Assembly(model, gated).assembled()
+    return _Assembly(model, gated, neutral).assembled()
+
+
+class _Acting(NamedTuple):
+    """A term as it acts: registers of its parameters and gates, whether these shut it, and what of it is neutral."""
+
+    term: Term
+    values: list[int]
+    is_gated: bool
+    neutral: Neutral
 
 
 class _Assembly:
     """Programs as they grow."""
 
-    def __init__(self, model: Model, gated: Sequence[bool]) -> None:
+    def __init__(self, model: Model, gated: Sequence[bool], neutral: Sequence[Neutral]) -> None:
         self.registers = FIRST_OWN
         self.once, self.constants = list[Instruction](), list[tuple[int, float]]()
         self.rest, self.ends, self.step, self.reading = (list[Instruction]() for _ in range(4))
@@ -75,16 +87,16 @@ class _Assembly:
         self.one, self.zero = self._own(2)
         self.constants += [(self.one, 1.0), (self.zero, 0.0)]
         values = [self.parameters[entries] for entries in term_columns(model)]
-        self.terms = list(zip(model, values, gated, strict=True))
+        self.terms = list(map(_Acting, model, values, gated, neutral))
         self.follows_places = any(term.form.layer == "place" for term in model)
         # How much the command changes with the configuration, where places are told.
         self.steepness = self._own(1)[0]
 
     def assembled(self) -> ModelProgram:
         self._say_step()
-        for term, values, is_gated in self._of("guard"):
+        for term, values, is_gated, neutral in self._of("guard"):
             acts = self._acts(self.ends, term, values, is_gated)
-            low, high = self._called(self.ends, stops_line(term.form), (LOW, HIGH), values)
+            low, high = self._called(self.ends, stops_line(term.form, neutral), (LOW, HIGH), values)
             self._blend(self.ends, LOW, low, acts)
             self._blend(self.ends, HIGH, high, acts)
         self.ends.append((Operation.FMAX, HIGH, HIGH, LOW))
@@ -104,25 +116,25 @@ class _Assembly:
     def _say_step(self) -> None:
         step, steep = self.step, self.steepness
         step.append(_move(steep, self.zero))
-        for term, values, _ in self._of("place"):
-            memory = self._memory_of(term.form, values)
+        for term, values, _, neutral in self._of("place"):
+            memory = self._memory_of(term.form, values, neutral)
             out, slope, *after = self._called(
-                step, response_line(term.form), (PLACE_OF_PART, COMMANDED_PLACE, *memory), values
+                step, response_line(term.form, neutral), (PLACE_OF_PART, COMMANDED_PLACE, *memory), values
             )
             step += [_move(COMMAND, out), _move(steep, slope), *map(_move, memory, after)]
-        for term, values, is_gated in self._of("memory"):
-            memory, acts = self._memory_of(term.form, values), self._acts(step, term, values, is_gated)
-            out, slope, *after = self._called(step, memory_line(term.form), (COMMAND, *memory), values)
+        for term, values, is_gated, neutral in self._of("memory"):
+            memory, acts = self._memory_of(term.form, values, neutral), self._acts(step, term, values, is_gated)
+            out, slope, *after = self._called(step, memory_line(term.form, neutral), (COMMAND, *memory), values)
             self._pass_on(out, slope, acts)
             step += map(_move, memory, after)
-        for term, values, is_gated in self._of("command"):
+        for term, values, is_gated, neutral in self._of("command"):
             acts = self._acts(step, term, values, is_gated)
-            out, slope = self._called(step, command_line(term.form), (COMMAND,), values)
+            out, slope = self._called(step, command_line(term.form, neutral), (COMMAND,), values)
             self._pass_on(out, slope, acts)
         step += [(Operation.ADD, FREE, PLACE_OF_PART, COMMAND), (Operation.ADD, SLOPE, self.one, steep)]
-        for term, values, is_gated in self._of("force"):
+        for term, values, is_gated, neutral in self._of("force"):
             acts = self._acts(step, term, values, is_gated)
-            added, along, across = self._called(step, force_line(term.form), (PLACE_OF_PART, COMMAND), values)
+            added, along, across = self._called(step, force_line(term.form, neutral), (PLACE_OF_PART, COMMAND), values)
             step += [(Operation.MUL, across, across, steep), (Operation.ADD, along, along, across)]
             for register, change in ((FREE, added), (SLOPE, along)):
                 gated_change = [] if acts is None else [(Operation.IF_ELSE_ZERO, change, acts, change)]
@@ -132,9 +144,9 @@ class _Assembly:
         reading = self.reading
         if self._of("sensor"):
             reading += [_move(OFFSET, self.zero), _move(STEEPNESS, self.one)]
-        for term, values, is_gated in self._of("sensor"):
+        for term, values, is_gated, neutral in self._of("sensor"):
             acts = self._acts(reading, term, values, is_gated)
-            offset, steepness = self._called(reading, reading_line(term.form), (OFFSET, TIME), values)
+            offset, steepness = self._called(reading, reading_line(term.form, neutral), (OFFSET, TIME), values)
             reading.append((Operation.MUL, steepness, steepness, STEEPNESS))
             self._blend(reading, OFFSET, offset, acts)
             self._blend(reading, STEEPNESS, steepness, acts)
@@ -146,15 +158,15 @@ class _Assembly:
             self.step.append((Operation.MUL, slope, slope, self.steepness))
             self._blend(self.step, self.steepness, slope, acts)
 
-    def _memory_of(self, form: EffectForm, values: Sequence[int]) -> list[int]:
+    def _memory_of(self, form: EffectForm, values: Sequence[int], neutral: Neutral) -> list[int]:
         """Registers of the memory, which begins at rest."""
-        begun = self._called(self.rest, at_rest_line(form), (PLACE_OF_PART,), values)
+        begun = self._called(self.rest, at_rest_line(form, neutral), (PLACE_OF_PART,), values)
         memory = self._own(len(begun))
         self.rest += map(_move, memory, begun)
         return memory
 
-    def _of(self, layer: Layer) -> list[tuple[Term, list[int], bool]]:
-        return [entry for entry in self.terms if entry[0].form.layer == layer]
+    def _of(self, layer: Layer) -> list[_Acting]:
+        return [acting for acting in self.terms if acting.term.form.layer == layer]
 
     def _own(self, count: int) -> list[int]:
         first, self.registers = self.registers, self.registers + count

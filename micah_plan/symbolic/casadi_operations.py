@@ -13,6 +13,7 @@ class CasadiOperations:
     maximum = staticmethod(ca.fmax)
     sign = staticmethod(ca.sign)
     abs = staticmethod(ca.fabs)
+    sqrt = staticmethod(ca.sqrt)
     exp = staticmethod(ca.exp)
     sin = staticmethod(ca.sin)
     cos = staticmethod(ca.cos)

@@ -1,4 +1,7 @@
-"""The formulas of effects as instructions, each with its exact slope: read once by CasADi, with symbols throughout."""
+"""The formulas of effects as instructions, each with its exact slope: read once by CasADi.
+
+Parameters are symbols, but for those that are neutral: they are numbers, of which a formula leaves little.
+"""
 
 from __future__ import annotations
 
@@ -7,77 +10,85 @@ from functools import lru_cache
 
 import casadi as ca
 
-from micah_plan.automaton.effects.form import EffectForm
+from micah_plan.automaton.effects.form import EffectForm, Value
 from micah_plan.symbolic.casadi_operations import CasadiOperations
 from micah_plan.symbolic.straight_line import StraightLine, straight_line
 
-# Forms whose instructions are kept: those of the library, and as many of users.
-_KEPT = 256
+# Forms whose instructions are kept: those of the library, and as many of users, with some of their parameters neutral.
+_KEPT = 1024
+
+Neutral = tuple[bool, ...]
+"""Whether each parameter of a form has its neutral value."""
 
 
-def _symbols(form: EffectForm, *names: str) -> tuple[list[ca.SX], list[ca.SX]]:
-    """Symbols of inputs, and of the parameters."""
-    return [ca.SX.sym(name) for name in names], [ca.SX.sym(parameter.name) for parameter in form.parameters]
+def _symbols(form: EffectForm, neutral: Neutral, *names: str) -> tuple[list[ca.SX], list[ca.SX], list[Value]]:
+    """Symbols of inputs, and of the parameters; and the parameters as the formula gets them."""
+    symbols = [ca.SX.sym(parameter.name) for parameter in form.parameters]
+    given = [
+        parameter.neutral if is_neutral else symbol
+        for parameter, symbol, is_neutral in zip(form.parameters, symbols, neutral, strict=True)
+    ]
+    return [ca.SX.sym(name) for name in names], symbols, given
 
 
-def _memory(form: EffectForm, c: ca.SX, p: Sequence[ca.SX]) -> list[ca.SX]:
+def _memory(form: EffectForm, c: ca.SX, p: Sequence[Value]) -> list[ca.SX]:
     return [ca.SX.sym(f"memory_{k}") for k in range(len(form.at_rest_in(c, p)))]
 
 
 @lru_cache(maxsize=_KEPT)
-def at_rest_line(form: EffectForm) -> StraightLine:
+def at_rest_line(form: EffectForm, neutral: Neutral) -> StraightLine:
     """Memory of a part that rests at c."""
-    (c,), p = _symbols(form, "c")
-    return straight_line([c], p, form.at_rest_in(c, p))
+    (c,), symbols, p = _symbols(form, neutral, "c")
+    return straight_line([c], symbols, form.at_rest_in(c, p))
 
 
 @lru_cache(maxsize=_KEPT)
-def response_line(form: EffectForm) -> StraightLine:
+def response_line(form: EffectForm, neutral: Neutral) -> StraightLine:
     """Command out of a place, its slope along the configuration, and the memory after it."""
-    (c, place), p = _symbols(form, "c", "place")
+    (c, place), symbols, p = _symbols(form, neutral, "c", "place")
     memory = _memory(form, c, p)
     out, after = form.respond(CasadiOperations(), c, place - c, tuple(memory), p)
-    return straight_line([c, place, *memory], p, [out, _slope(out, c), *after])
+    return straight_line([c, place, *memory], symbols, [out, _slope(out, c), *after])
 
 
 @lru_cache(maxsize=_KEPT)
-def memory_line(form: EffectForm) -> StraightLine:
+def memory_line(form: EffectForm, neutral: Neutral) -> StraightLine:
     """Command that comes out of one that goes in, its slope along that, and the memory after it."""
-    (v,), p = _symbols(form, "v")
+    (v,), symbols, p = _symbols(form, neutral, "v")
     memory = _memory(form, ca.SX(0.0), p)
     out, after = form.remember(CasadiOperations(), v, tuple(memory), p)
-    return straight_line([v, *memory], p, [out, _slope(out, v), *after])
+    return straight_line([v, *memory], symbols, [out, _slope(out, v), *after])
 
 
 @lru_cache(maxsize=_KEPT)
-def command_line(form: EffectForm) -> StraightLine:
+def command_line(form: EffectForm, neutral: Neutral) -> StraightLine:
     """What is left of a command, and its slope along that."""
-    (v,), p = _symbols(form, "v")
+    (v,), symbols, p = _symbols(form, neutral, "v")
     out = form.command(CasadiOperations(), v, p)
-    return straight_line([v], p, [out, _slope(out, v)])
+    return straight_line([v], symbols, [out, _slope(out, v)])
 
 
 @lru_cache(maxsize=_KEPT)
-def force_line(form: EffectForm) -> StraightLine:
+def force_line(form: EffectForm, neutral: Neutral) -> StraightLine:
     """What is added to a motion, and its slopes along configuration and command."""
-    (c, v), p = _symbols(form, "c", "v")
+    (c, v), symbols, p = _symbols(form, neutral, "c", "v")
     added = form.force(CasadiOperations(), c, v, p)
-    return straight_line([c, v], p, [added, _slope(added, c), _slope(added, v)])
+    return straight_line([c, v], symbols, [added, _slope(added, c), _slope(added, v)])
 
 
 @lru_cache(maxsize=_KEPT)
-def stops_line(form: EffectForm) -> StraightLine:
+def stops_line(form: EffectForm, neutral: Neutral) -> StraightLine:
     """Ends of the range."""
-    (low, high), p = _symbols(form, "low", "high")
-    return straight_line([low, high], p, form.stops(CasadiOperations(), low, high, p))
+    (low, high), symbols, p = _symbols(form, neutral, "low", "high")
+    return straight_line([low, high], symbols, form.stops(CasadiOperations(), low, high, p))
 
 
 @lru_cache(maxsize=_KEPT)
-def reading_line(form: EffectForm) -> StraightLine:
+def reading_line(form: EffectForm, neutral: Neutral) -> StraightLine:
     """What is read of a configuration, and its slope along that."""
-    (c, time), p = _symbols(form, "c", "time")
+    (c, time), symbols, p = _symbols(form, neutral, "c", "time")
     read = form.measured(CasadiOperations(), c, time, p)
-    return straight_line([c, time], p, [read, _slope(read, c)])
+    return straight_line([c, time], symbols, [read, _slope(read, c)])
 
 
 def _slope(expression: ca.SX, symbol: ca.SX) -> ca.SX:

@@ -82,7 +82,7 @@ def _headline(calibration: Calibration) -> str:
 def _values(effect: FoundEffect) -> str:
     """The parameters of an effect, each with its spread where it was fitted."""
     texts = []
-    for (name, value), unit, (low, high) in zip(effect.effect.parameters, effect.units, effect.interval, strict=True):
+    for name, value, unit, low, high in effect.rows:
         std = (high - low) / (2.0 * INTERVAL_STDS)
         number = with_spread(value, std, unit, degrees=False) if std > 0 else quantity(value, unit, degrees=False)
         texts.append(f"{name} {number}")
@@ -105,8 +105,7 @@ def _badge(calibration: Calibration) -> tuple[str, Status]:
 def _parameters(calibration: Calibration) -> Table:
     rows: list[tuple[str, ...]] = []
     for effect in calibration.effects:
-        values = zip(effect.effect.parameters, effect.units, effect.interval, strict=True)
-        for order, ((name, value), unit, (low, high)) in enumerate(values):
+        for order, (name, value, unit, low, high) in enumerate(effect.rows):
             first = (
                 (f"{effect.effect.name} ({effect.effect.coordinate})", plain(effect.evidence))
                 if order == 0

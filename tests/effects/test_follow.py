@@ -20,6 +20,7 @@ from micah_plan.residual.prediction import predict_recording
 from micah_plan.symbolic.compiled import compiled_mode
 
 NAMES = ("share", "offset", "gain", "delay", "momentum", "width")
+LIMITS = ("pull", "acceleration", "speed")
 SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.3, 0.0, 0.1))
 SLIDE = prismatic((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
@@ -30,19 +31,33 @@ def part(joint):
 
 
 def following(joint, *values):
-    return with_effect(part(joint), Effect("follow", "part", tuple(zip(NAMES, values, strict=True))))
+    """With six values, or nine: with limits."""
+    names = (NAMES + LIMITS)[: len(values)]
+    return with_effect(part(joint), Effect("follow", "part", tuple(zip(names, values, strict=True))))
 
 
-def servo(start, places, share, offset, gain, delay, momentum, width):
-    """Where a part goes after places: (K + 1,). The places before the first are where it starts."""
+def servo(start, places, share, offset, gain, delay, momentum, width, *limits):
+    """Where a part goes after places: (K + 1,). The places before the first are where it starts.
+
+    The pull of a step is the mean over its instants, in each of which the place is that of `delay` steps before.
+    """
+    most_pull, acceleration, most = limits or (np.inf,) * 3
     c, speed, seen = start, 0.0, [start] * 20
     gone = [c]
     for place in places:
         seen.insert(0, place)
-        late = float(np.interp(delay, range(20), seen[:20]))
-        away = gain * late + offset - c
-        pull = 0.0 if abs(away) <= width else away - width if away > 0 else away + width
-        speed = momentum * speed + share * pull
+        pulls = []
+        for instant in (np.arange(1000) + 0.5) / 1000.0:
+            away = gain * seen[int(np.ceil(delay - instant))] + offset - c
+            beyond = 0.0 if abs(away) <= width else away - width if away > 0 else away + width
+            braked = share * beyond
+            if np.isfinite(acceleration):  # s + (s - a) + (s - 2 a) + ... are s (s + a) / (2 a)
+                most_braked = max(np.roots([1.0, acceleration, -2.0 * acceleration * abs(beyond)]).real)
+                braked = np.clip(braked, -most_braked, most_braked)
+            pulls.append(np.clip(braked, -most_pull, most_pull))
+        wanted = momentum * speed + float(np.mean(pulls))
+        wanted = speed + float(np.clip(wanted - speed, -acceleration, acceleration))
+        speed = float(np.clip(wanted, -most, most))
         c += speed
         gone.append(c)
     return np.array(gone)
@@ -56,12 +71,14 @@ VALUES = st.tuples(
     st.floats(0.0, 0.6),
     st.sampled_from([0.0, 0.03]),
 )
+BOUNDED = st.tuples(*(st.sampled_from([np.inf, 0.3, 0.05]) for _ in LIMITS))
 PLACES = st.lists(st.floats(-0.8, 0.8), min_size=1, max_size=20)
 
 
 @settings(max_examples=60)
-@given(values=VALUES, places=PLACES, start=st.floats(-0.5, 0.5))
-def test_steps_with_the_memory_beside_or_in_the_state_are_those_of_a_servo(values, places, start) -> None:
+@given(values=VALUES, limits=BOUNDED | st.just(()), places=PLACES, start=st.floats(-0.5, 0.5))
+def test_steps_with_the_memory_beside_or_in_the_state_are_those_of_a_servo(values, limits, places, start) -> None:
+    values += limits
     automaton = following(SWING, *values)
     whole, channel = with_memory_states(automaton), InputChannel(automaton)
     beside, inside = np.array([start]), np.array([start, *memory_at_rest(whole, [start] + [0.0] * (whole.n - 1))])
@@ -72,9 +89,9 @@ def test_steps_with_the_memory_beside_or_in_the_state_are_those_of_a_servo(value
 
 
 @settings(max_examples=30)
-@given(values=VALUES, seed=st.integers(0, 99))
-def test_the_compiled_step_is_that_of_the_automaton(values, seed) -> None:
-    whole, rng = with_memory_states(following(SWING, *values)), np.random.default_rng(seed)
+@given(values=VALUES, limits=BOUNDED, seed=st.integers(0, 99))
+def test_the_compiled_step_is_that_of_the_automaton(values, limits, seed) -> None:
+    whole, rng = with_memory_states(following(SWING, *values, *limits)), np.random.default_rng(seed)
     x, u = 0.3 * rng.standard_normal(whole.n), 0.2 * rng.standard_normal(1)
     compiled = compiled_mode(whole, "revolute").step(ca.DM(x), ca.DM(u))
     np.testing.assert_allclose(np.array(compiled).ravel(), step(whole, "revolute", x, u).x, atol=1e-12)

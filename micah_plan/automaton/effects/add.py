@@ -22,10 +22,19 @@ def with_effect(automaton: HybridAutomaton, *effects: Effect) -> HybridAutomaton
         InputError: for an unknown effect, coordinate, mode or set of parameters.
     """
     for effect in effects:
+        effect = _with_every_limit(effect)
         check_effect(automaton, effect)
         rebuilt = form(effect.name).rebuilt(automaton, automaton.index(effect.coordinate), effect.values)
         automaton = replace(rebuilt, effects=(*automaton.effects, effect))
     return automaton
+
+
+def _with_every_limit(effect: Effect) -> Effect:
+    """The effect with the limits that were left out, behind what was given: there are none of these."""
+    given = [name for name, _ in effect.parameters]
+    left_out = [(p.name, np.inf) for p in form(effect.name).parameters if p.is_limit and p.name not in given]
+    std = (*effect.std, *(0.0 for _ in left_out)) if effect.std else ()
+    return replace(effect, parameters=(*effect.parameters, *left_out), std=std)
 
 
 def check_effect(automaton: HybridAutomaton, effect: Effect) -> None:
@@ -61,7 +70,7 @@ def _impossible(effect: Effect) -> list[tuple[float, Parameter]]:
     return [
         (value, parameter)
         for value, parameter in pairs
-        if not (np.isfinite(value) and parameter.lower <= value <= parameter.upper)
+        if not ((np.isfinite(value) or value == parameter.neutral) and parameter.lower <= value <= parameter.upper)
     ]
 
 

@@ -55,6 +55,7 @@ class Operations(Protocol):
     def maximum(self, a: Value, b: Value, /) -> Value: ...
     def sign(self, a: Value, /) -> Value: ...
     def abs(self, a: Value, /) -> Value: ...
+    def sqrt(self, a: Value, /) -> Value: ...
     def exp(self, a: Value, /) -> Value: ...
     def sin(self, a: Value, /) -> Value: ...
     def cos(self, a: Value, /) -> Value: ...
@@ -67,7 +68,8 @@ class Parameter:
     Attributes:
         unit: ``"1"``, ``"step"``, ``"rad"``, or ``"coordinate"`` for the coordinate's own unit (rad or m), which may
             be combined: ``"coordinate/s"``, ``"m/coordinate"``.
-        neutral: value at which the form has no effect whatever the others are; None if another one's decides.
+        neutral: value at which the form has no effect whatever the others are; None if another one's decides. Infinite
+            for a limit, which may be left out where there is none.
         lower, upper: bounds of a sensible value.
     """
 
@@ -76,6 +78,11 @@ class Parameter:
     neutral: float | None = None
     lower: float = -float("inf")
     upper: float = float("inf")
+
+    @property
+    def is_limit(self) -> bool:
+        """Whether it is a limit, of which there may be none."""
+        return self.neutral == float("inf")
 
     def unit_for(self, coordinate_unit: str) -> str:
         """The unit for a coordinate in rad or m."""

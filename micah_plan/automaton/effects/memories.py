@@ -15,9 +15,14 @@ LONGEST_DELAY = 12
 """The longest delay [steps]."""
 
 
+def _is_number(value: Value) -> bool:
+    """Whether it is no expression and no array."""
+    return isinstance(value, float | int)
+
+
 def _steps_kept(delay: Value) -> int:
     """How many commands a delay keeps: of a number what it needs, of an expression or an array what any needs."""
-    return math.ceil(delay) if isinstance(delay, float | int) else LONGEST_DELAY
+    return math.ceil(delay) if _is_number(delay) else LONGEST_DELAY
 
 
 @final
@@ -36,7 +41,7 @@ class Delay(EffectForm):
     def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
         sent = (v, *memory)
         # Of a number, only the whole steps before and after it count.
-        ages = range(int(p[0]), min(int(p[0]) + 2, len(sent))) if isinstance(p[0], float | int) else range(len(sent))
+        ages = range(int(p[0]), min(int(p[0]) + 2, len(sent))) if _is_number(p[0]) else range(len(sent))
         late = 0.0 * v
         for age in ages:
             late = late + ops.maximum(0.0, 1.0 - ops.abs(p[0] - age)) * sent[age]
@@ -137,16 +142,23 @@ class StickSlip(EffectForm):
 class Follow(EffectForm):
     """Commands are places r_t = c_t + v_t, and the part goes after them, wherever it is:
 
-    c_(t+1) - c_t = momentum (c_t - c_(t-1)) + share z(gain r_(t-delay) + offset - c_t), with
-    z(e) = sign(e) max(|e| - width, 0).
+    w_t = momentum (c_t - c_(t-1)) + the mean of z(gain r + offset - c_t) over the step, r being `delay` steps old,
+    z(e) = sign(e) min(share max(|e| - width, 0), pull, the step from which `acceleration` stops it within that way),
+    c_(t+1) - c_t = w_t, but at most `acceleration` beside the step before, and at most `speed` in size.
 
     First order without a momentum, second order with one. A place stays where it is in the base frame: what the part
-    missed before is made up for. With all parameters neutral the part is at the place after each step.
+    missed before is made up for. A delay that ends within a step has the older place for a share of it, and then the
+    newer one. `pull` is what a motor's voltage or torque allows, against friction that `momentum` tells of;
+    `acceleration` and `speed` are those of a profile that a controller keeps to. With all parameters neutral the part
+    is at the place after each step.
     """
 
     name = "follow"
     sentence = "Commands are places: the part goes a share of the way to the commanded place in each step."
-    source = "Astrom and Wittenmark, Computer-Controlled Systems, 3rd ed., ch. 2; Hogan, Impedance control, 1985"
+    source = (
+        "Astrom and Wittenmark, Computer-Controlled Systems, 3rd ed., ch. 2; Hogan, Impedance control, 1985; "
+        "Biagiotti and Melchiorri, Trajectory Planning, 2008, ch. 4 (filters with limits of speed and acceleration)"
+    )
     parameters = (
         Parameter("share", "1", 1.0, 0.0, 2.0),
         Parameter("offset", "coordinate", 0.0),
@@ -154,18 +166,67 @@ class Follow(EffectForm):
         Parameter("delay", "step", 0.0, 0.0, float(LONGEST_DELAY)),
         Parameter("momentum", "1", 0.0, -0.5, 0.995),
         Parameter("width", "coordinate", 0.0, 0.0),
+        Parameter("pull", "coordinate", math.inf, 0.0),
+        Parameter("acceleration", "coordinate", math.inf, 1e-9),
+        Parameter("speed", "coordinate", math.inf, 0.0),
     )
     experiments = (("gain", "command places that stay where they are for many rows, and not displacements"),)
     is_sought = False
 
     def at_rest_in(self, c: Value, p: Values) -> Memory:
-        return (c, *(c,) * _steps_kept(p[3]))
+        return (c, *(c,) * _steps_kept(p[3]), *(() if _is_number(p[3]) else (c,)))
 
     def respond(self, ops: Operations, c: Value, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
-        late, line = Delay().remember(ops, c + v, memory[1:], p[3:4])
-        away = p[2] * late + p[1] - c
-        beyond = ops.maximum(away - p[5], 0.0) + ops.minimum(away + p[5], 0.0)
-        return p[4] * (c - memory[0]) + p[0] * beyond, (c, *line)
+        share, offset, gain, delay, momentum, width, most, acceleration, speed = p
+        before, in_force, line = c - memory[0], *_in_force(ops, (c + v, *memory[1:]), delay)
+
+        def pull(place: Value) -> Value:
+            away = gain * place + offset - c
+            beyond = ops.maximum(away - width, 0.0) + ops.minimum(away + width, 0.0)
+            asked = share * beyond
+            if _is_limit(acceleration):
+                asked = _limited(ops, asked, _in_time(ops, ops.abs(beyond), acceleration))
+            return _limited(ops, asked, most)
+
+        step = momentum * before + sum(part * pull(place) for part, place in in_force)
+        step = before + _limited(ops, step - before, acceleration) if _is_limit(acceleration) else step
+        return _limited(ops, step, speed), (c, *line)
+
+
+def _is_limit(most: Value) -> bool:
+    """Whether a parameter is a limit: an expression or an array may be one, infinity is none."""
+    return not (_is_number(most) and math.isinf(most))
+
+
+def _limited(ops: Operations, value: Value, most: Value) -> Value:
+    """A value that is at most so large, either way."""
+    return ops.maximum(ops.minimum(value, most), -most) if _is_limit(most) else value
+
+
+def _in_time(ops: Operations, way: Value, acceleration: Value) -> Value:
+    """The largest of steps that get less by `acceleration` each, and lead no farther than a way together."""
+    half = 0.5 * acceleration
+    return ops.sqrt(half * half + 2.0 * acceleration * way) - half
+
+
+def _in_force(ops: Operations, sent: Values, delay: Value) -> tuple[list[tuple[Value, Value]], Values]:
+    """(share of a step, place in force then) of places (the newest first) that act `delay` steps later; those to keep.
+
+    Args:
+        sent: the newest place, and those that were kept; behind them, if the delay is no number, the one in force last.
+    """
+    if _is_number(delay):
+        whole = int(delay)
+        late = delay - whole
+        return [(1.0 - late, sent[whole]), *([(late, sent[whole + 1])] if late else [])], sent[:-1]
+    *places, older = sent
+    newer: Value = 0.0
+    age_in_force: Value = 0.0
+    for age, place in enumerate(places):
+        is_newer = ops.where(delay >= age, ops.where(delay < age + 1, 1.0, 0.0), 0.0)
+        newer, age_in_force = newer + is_newer * place, age_in_force + age * is_newer
+    late = delay - age_in_force
+    return [(1.0 - late, newer), (late, older)], (*places[:-1], newer)
 
 
 AS_COMMANDED = tuple((parameter.name, float(parameter.neutral or 0.0)) for parameter in Follow.parameters)
