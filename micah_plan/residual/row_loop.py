@@ -360,18 +360,19 @@ def _let_go(r: Floats, state: Floats, per_hypothesis: Floats, surely: float) -> 
 
 @_compiled
 def _take_in(r: Floats, state: Floats, per_hypothesis: Floats, is_bounded: bool) -> None:
-    """Take a measurement in: a far one less."""
+    """Take a measurement in: a far one moves the state less, and leaves it less certain, as Student's t has it."""
     for j in range(r.shape[1]):
         steep, error, variance = r[STEEPNESS, j], state[_ERROR, j], state[_VARIANCE, j]
         of_both, is_gone = state[_OF_BOTH, j], state[_IS_GONE, j] != 0.0
         to_place, to_reading = steep * state[_OF_PLACE, j] + of_both, steep * of_both + state[_OF_READING, j]
         freedom = per_hypothesis[FREEDOM, j]
-        weight = min((freedom + 1.0) / (error * error / variance + freedom), 1.0) / variance
+        far = max((error * error / variance + freedom) / (freedom + 1.0), 1.0)
+        weight = 1.0 / (far * variance)
         place = r[PLACE_OF_PART, j] + to_place * weight * error
-        of_place = state[_OF_PLACE, j] - to_place * weight * to_place
-        of_both -= to_place * weight * to_reading
+        of_place = (state[_OF_PLACE, j] - to_place * weight * to_place) * far
+        of_both = (of_both - to_place * weight * to_reading) * far
         state[_WANDERED, j] += to_reading * weight * error
-        state[_OF_READING, j] -= to_reading * weight * to_reading
+        state[_OF_READING, j] = (state[_OF_READING, j] - to_reading * weight * to_reading) * far
         state[_OF_BOTH, j] = 0.0 if is_gone else of_both
         state[_OF_PLACE, j] = per_hypothesis[WHITE, j] * state[_NOISE, j] / steep**2 if is_gone else of_place
         place = (state[_READ, j] - r[OFFSET, j]) / steep if is_gone else place
