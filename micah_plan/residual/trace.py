@@ -12,7 +12,7 @@ from micah_plan.automaton.effects.registry import form
 from micah_plan.residual.averaged_commands import Average, likeliest_average, with_averages
 from micah_plan.residual.candidates import FOLLOW, GATES, MEMORY, UNNAMED, TermCandidate, indistinguishable
 from micah_plan.residual.competition import Standings
-from micah_plan.residual.contenders import TO_THE_END, Contender, begins_later, best_first
+from micah_plan.residual.contenders import NO_MENTION, TO_THE_END, Contender, begins_later, best_first
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.filtering import filtered
 from micah_plan.residual.fitting import ENOUGH_INDEPENDENT, Fitting
@@ -199,7 +199,7 @@ def _final(held_out: HeldOut, standings: Standings, chosen: Contender) -> Conten
 
 
 def _is_contradicted(held_out: HeldOut, named: Contender) -> bool:
-    """Whether one of few runs is predicted no better by effects that were fitted to the others.
+    """Whether one of few runs is evidence against effects that were fitted to the others.
 
     Rows of one run share what is particular to it, so few runs show what many rows of them do not.
     """
@@ -211,7 +211,7 @@ def _is_contradicted(held_out: HeldOut, named: Contender) -> bool:
         held, rest = (data.of_segments(np.flatnonzero(is_of)) for is_of in (data.run == run, data.run != run))
         fits = [Fitting(rest).improved([model.fit], TO_THE_END)[0] for model in (named, base)]
         with_it, without = (float(filtered(held, [fit.hypotheses(fit.vector[None])]).total[0]) for fit in fits)
-        if with_it <= without:
+        if with_it < without - NO_MENTION:
             return True
     return False
 

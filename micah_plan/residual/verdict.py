@@ -26,7 +26,7 @@ class Facts:
     Attributes:
         effects: how many have a name; modes: how many the automaton lacks.
         is_open: whether an effect may come from this command or from earlier ones.
-        is_contradicted: whether one of few runs is predicted no better by effects fitted to the others.
+        is_contradicted: whether one of few runs is evidence against effects fitted to the others.
         is_longer: whether roll-outs of held-out rows get longer with what was found.
         is_noisier: whether single steps of held-out rows get longer with what was found.
         is_single: whether there is one run of few motions alone, which no other run can confirm.
@@ -116,7 +116,7 @@ OUTCOMES: tuple[tuple[Outcome, Callable[[Facts], bool]], ...] = (
         Outcome(
             "contradicted",
             "partly",
-            "one of so few runs is predicted no better by what the others show, so more runs must tell",
+            "one of so few runs is predicted worse by what the others show, so more runs must tell",
         ),
         lambda f: f.is_contradicted,
     ),

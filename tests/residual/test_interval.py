@@ -23,7 +23,7 @@ def interval_of(door, plant, name, seed, goals=None):
 
 
 def test_the_interval_of_a_threshold_is_as_wide_as_the_commands_around_it_are_apart(door) -> None:
-    (low, median, high), data = interval_of(door, plants.sticky, "dead_zone", 2)
+    (low, median, high), data = interval_of(door, plants.sticky, "dead_zone", 0)
     assert low < median < high
     assert low < 0.02 < high
     sizes = np.sort(np.abs(data.u[data.counted_starts]))
