@@ -43,7 +43,7 @@ WEIGHTS = (-1.0, 0.0, 0.0, 0.5, 1.0)
 PLACES = (-1.0, -0.2, 0.0, 0.3)
 EFFECTS = ("gain", "bias", "delay", "lag", "backlash", "dead_zone", "saturation", "spring", "limit", "guard_shift",
            "direction_gain", "follow", "sensor_scale", "sensor_offset", "drift", "latch", "gravity",
-           "stick_slip")  # fmt: skip
+           "stick_slip", "ramp")  # fmt: skip
 PROBLEM = """
 format: micah-plan/problem/1
 model: model.yaml

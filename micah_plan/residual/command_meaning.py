@@ -16,7 +16,7 @@ from micah_plan.arrays import earlier_rows
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.likelihood import robust_log_density
 
-CONTAINED = ("gain", "bias", "delay", "lag", "dead_zone", "spring", "saturation")
+CONTAINED = ("gain", "bias", "delay", "lag", "dead_zone", "spring", "saturation", "ramp")
 """Names of the effects that the response to places (`follow`) has in itself."""
 # Commands before one that its regularity is judged by.
 _MEMORY = 2

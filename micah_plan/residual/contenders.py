@@ -279,7 +279,7 @@ class Contenders:
         Args:
             first: rounds with the noise of the base, of the `keep` best starts.
             most: options of each base that go on; None: all.
-            restarted: of the best, so many go on from other noise as well, and of those that take commands for places.
+            restarted: of the best, so many go on from other noise as well, and all that take commands for places.
             rounds: of those that go on.
         """
         if not options:
@@ -300,8 +300,8 @@ class Contenders:
                 [fit for of_option, fit in ended if of_option is option and fit is not best] for option, best in pairs
             ]
         ranked = sorted(range(len(pairs)), key=lambda k: pairs[k][1].loss)
-        of_places = [k for k in ranked if _is_first_of_places(pairs[k][0])]
-        again = {*ranked[:restarted], *of_places[:restarted]}
+        of_places = [k for k in ranked if restarted and _is_first_of_places(pairs[k][0])]
+        again = {*ranked[:restarted], *of_places}
         ready = self._from_other_noise(searched, [fit for _, fit in pairs], rest, again, rounds)
         chosen = [
             (option, fit)
@@ -423,9 +423,9 @@ def _best_starts(fitting: Fitting, every: Sequence[Sequence[Fit]], keep: int) ->
 
 
 def _is_first_of_places(option: Option) -> bool:
-    """Whether commands become places with it: the noise of displacements says nothing of theirs."""
-    is_before = option.base is not None and FOLLOW in option.base.names
-    return not is_before and any(part.name == FOLLOW for part in option.parts)
+    """Whether it is the first to say how the part gets to places: the noise of one without it says nothing of its."""
+    is_before = option.base is not None and any(part.name == FOLLOW and part.free for part in option.base.parts)
+    return not is_before and any(part.name == FOLLOW and part.free for part in option.parts)
 
 
 def _best_of_each(pairs: Iterable[tuple[Option, Fit]], most: int | None) -> list[tuple[Option, Fit]]:

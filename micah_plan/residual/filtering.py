@@ -3,10 +3,11 @@
 A hypothesis is a model (terms with their parameters) with noise of its own. The state is the configuration c and a
 measurement error d that wanders: c⁺ = F(c, v, memory) + w, d⁺ = ρ d + e, seen as h(c) + d + ν. Each step is a Kalman
 prediction and update, so every residual is an innovation, white if the hypothesis is right (Kailath, Sayed and Hassibi,
-"Linear Estimation", ch. 9). A row is worth the density of Student's t. A far one moves the state less (Agamennoni,
-Nieto and Nebot, "Approximate inference in state-space models with heavy-tailed noise", IEEE TSP 2012), and leaves it
-less certain (Roth, Ozkan and Gustafsson, "A Student's t filter for heavy tailed process and measurement noise", ICASSP
-2013): if the next rows agree with it, it was the part that moved.
+"Linear Estimation", ch. 9). A row is worth the density of Student's t, and a far one moves the state less (Agamennoni,
+Nieto and Nebot, "Approximate inference in state-space models with heavy-tailed noise", IEEE TSP 2012). Where the log of
+a run begins, the part may still do what it was told before: there a far row leaves the state less certain (Roth, Ozkan
+and Gustafsson, "A Student's t filter for heavy tailed process and measurement noise", ICASSP 2013), so that the filter
+finds it again.
 
 All hypotheses of a model go through the rows side by side, in a loop that is compiled (`row_loop`).
 """

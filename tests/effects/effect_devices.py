@@ -39,6 +39,17 @@ class FirstOrder:
         return self._out
 
 
+class Slewed:
+    """A speed that is turned up or down, by so much at once."""
+
+    def __init__(self, change: float) -> None:
+        self._change, self._speed = change, 0.0
+
+    def send(self, v: Any) -> Any:
+        self._speed = np.clip(v, self._speed - self._change, self._speed + self._change)
+        return self._speed
+
+
 class Play:
     """A part that stands still while the drive moves from one of its two stops to the other."""
 
@@ -77,7 +88,7 @@ class ByForm:
         return out
 
 
-DEVICES = {"delay": Line, "lag": FirstOrder, "backlash": Play, "stick_slip": Grip}
+DEVICES = {"delay": Line, "lag": FirstOrder, "ramp": Slewed, "backlash": Play, "stick_slip": Grip}
 
 
 def device(effect: Effect) -> Any:

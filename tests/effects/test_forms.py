@@ -38,6 +38,7 @@ SAMPLES = {
     "unexplained": (0.0, 1.0, 0.1, 0.2, 0.1, 0.01, *np.linspace(-0.02, 0.02, 12), *np.linspace(-0.1, 0.1, 12)),
     "delay": (1.5,),
     "lag": (2.0,),
+    "ramp": (0.03,),
     "backlash": (0.03, 1.0),
     "stick_slip": (0.05,),
 }
@@ -106,7 +107,7 @@ def test_an_effect_of_one_mode_acts_only_there(door) -> None:
     assert step(changed, "revolute", [0.3], [0.1]).x[0] == pytest.approx(0.4)
 
 
-@pytest.mark.parametrize("name", ["delay", "lag", "backlash"])
+@pytest.mark.parametrize("name", ["delay", "lag", "ramp", "backlash"])
 def test_a_channel_with_memory_ends_where_it_was_sent(door, name) -> None:
     changed = with_effect(door, effect(name))
     channel = InputChannel(changed)

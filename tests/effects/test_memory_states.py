@@ -39,6 +39,7 @@ EFFECTS = {
     "fractional delay": ("delay", (1.3,)),
     "short delay": ("delay", (0.4,)),
     "lag": ("lag", (1.7,)),
+    "ramp": ("ramp", (0.025,)),
     "backlash": ("backlash", (0.06, 1.0)),
     "stick-slip": ("stick_slip", (0.0735,)),
     "open backlash": ("backlash", (0.06, -0.5)),

@@ -129,6 +129,12 @@ def slow(c, u, k, memory):
     return c + memory["v"]
 
 
+def ramping(c, u, k, memory):
+    before = memory.get("v", 0.0)
+    memory["v"] = before + min(max(u - before, -0.012), 0.012)
+    return c + memory["v"]
+
+
 def weak(c, u, k, memory):
     return c + min(max(u, -0.025), 0.025)
 

@@ -137,6 +137,7 @@ LIBRARY = {
     "sprung": ("spring", "gravity"),
     "loose": ("backlash",),
     "slow": ("lag",),
+    "ramping": ("ramp",),
     "weak": ("saturation",),
     "creeping": ("bias",),
     "magnetic": ("latch",),

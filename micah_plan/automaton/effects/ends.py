@@ -30,7 +30,7 @@ class Limit(EffectForm):
     sentence = "The motion is stopped inside of the range that the model knows."
     source = "Lygeros, Sastry and Tomlin, Hybrid systems: an invariant that is smaller than modelled"
     parameters = (Parameter("at", "coordinate"), Parameter("side", "1", None, -1.0, 1.0))
-    complexity_rank = 11
+    complexity_rank = 12
     experiments = (
         (
             "guard_shift",
@@ -66,7 +66,7 @@ class GuardShift(EffectForm):
     sentence = "The threshold at which the motion changes lies elsewhere than in the model."
     source = "Lygeros, Sastry and Tomlin, Hybrid systems: guards"
     parameters = (Parameter("shift", "coordinate", 0.0), Parameter("side", "1", None, -1.0, 1.0))
-    complexity_rank = 10
+    complexity_rank = 11
 
     def stops(self, ops: Operations, lower: Value, upper: Value, p: Values) -> tuple[Value, Value]:
         return ops.where(p[1] < 0, lower + p[0], lower), ops.where(p[1] > 0, upper + p[0], upper)
@@ -100,7 +100,7 @@ class GuardHysteresis(EffectForm):
     sentence = "A threshold that was crossed in one direction takes more to be crossed in the other."
     source = "Goebel, Sanfelice and Teel, Hybrid dynamical systems, 2009: hysteresis"
     parameters = (Parameter("width", "coordinate", 0.0, 0.0),)
-    complexity_rank = 13
+    complexity_rank = 14
     experiments = (("guard_shift", "go through the threshold in both directions"),)
 
     def release(self, p: Values) -> Value:

@@ -79,7 +79,7 @@ class Latch(EffectForm):
         Parameter("at", "coordinate"),
         Parameter("reach", "coordinate", None, 1e-6),
     )
-    complexity_rank = 12
+    complexity_rank = 13
     experiments = (("spring", "visit places far from the attraction: a spring pulls on, a latch lets go"),)
 
     def force(self, ops: Operations, c: Value, v: Value, p: Values) -> Value:

@@ -42,7 +42,7 @@ _HOOKS: dict[str, Layer] = {
     "release": "guard",
     "measured": "sensor",
 }
-_HIGHEST_RANK = 17
+_HIGHEST_RANK = 18
 # What is large for a parameter that is no displacement.
 _LARGE = 0.3
 

@@ -28,7 +28,7 @@ class FrameRotation(EffectForm):
     sentence = "Actions are given in a frame that is turned against the base frame."
     source = "Murray, Li and Sastry, ch. 2: exponential coordinates of rotations"
     parameters = tuple(Parameter(f"rotation_{k}", "rad", 0.0, -3.2, 3.2) for k in (1, 2, 3))
-    complexity_rank = 16
+    complexity_rank = 17
     experiments = (
         (
             "gain",

@@ -7,7 +7,7 @@ from typing import final
 
 import numpy as np
 
-from micah_plan.automaton.effects.fit_start import FitStart, Shown
+from micah_plan.automaton.effects.fit_start import FitStart, Shown, step_sizes
 from micah_plan.automaton.effects.form import EffectForm, Memory, Operations, Parameter, Value, Values
 from micah_plan.automaton.effects.value import Effect
 
@@ -77,6 +77,35 @@ class Lag(EffectForm):
 
 
 @final
+class Ramp(EffectForm):
+    """A drive whose steps change by at most so much: out_t = out_(t-1) + the change to v_t, cut to `change`."""
+
+    name = "ramp"
+    sentence = "The drive speeds up and slows down by at most so much per step, however the command changes."
+    source = "Biagiotti and Melchiorri, Trajectory Planning, 2008, ch. 4 (filters with limits); Khalil, section 1.2.7"
+    parameters = (Parameter("change", "coordinate", None, 0.0),)
+    complexity_rank = 8
+    experiments = (
+        (
+            "lag",
+            "command a small and a large step: a lag takes as long for both, a ramp longer for the large one",
+        ),
+        ("delay", "command one large step after a rest: a delay moves all at once, a ramp gradually"),
+    )
+
+    def at_rest(self, p: Values) -> Memory:
+        return (0.0 * p[0],)
+
+    def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
+        out = memory[0] + _limited(ops, v - memory[0], p[0])
+        return out, (out,)
+
+    def begun(self, data: Shown) -> FitStart | None:
+        fastest = max(step_sizes(data, 0.98), default=0.0)
+        return FitStart([[k * fastest] for k in (0.03, 0.1, 0.3, 0.6)], (0,), [0.1 * fastest]) if fastest else None
+
+
+@final
 class Backlash(EffectForm):
     """Play of a width between drive and part; the memory is where the drive is within it.
 
@@ -88,7 +117,7 @@ class Backlash(EffectForm):
     sentence = "When the direction reverses, a part of the motion is lost before the part follows."
     source = "Nordin and Gutman, Controlling mechanical systems with backlash, Automatica 2002 (play model)"
     parameters = (Parameter("width", "coordinate", 0.0, 0.0), Parameter("side", "1", None, -1.0, 1.0))
-    complexity_rank = 8
+    complexity_rank = 9
     experiments = (
         ("delay", "reverse slowly: play loses the same distance at any speed, a delay less"),
         ("lag", "reverse slowly: play loses the same distance at any speed, a lag less"),
@@ -117,7 +146,7 @@ class StickSlip(EffectForm):
         "Karnopp, Computer simulation of stick-slip friction, ASME J. Dynamic Systems 1985 (without the slip's time)"
     )
     parameters = (Parameter("grip", "coordinate", 0.0, 0.0),)
-    complexity_rank = 9
+    complexity_rank = 10
     experiments = (("backlash", "command many small steps one way: with play all but the first arrive"),)
 
     def at_rest(self, p: Values) -> Memory:

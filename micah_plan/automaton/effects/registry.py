@@ -9,7 +9,8 @@ from micah_plan.errors import OF_YOUR_OWN, InputError, shown
 # In the order of lists and reports: of the command, the joint, ends and guards, geometry, the sensor.
 _LIBRARY: tuple[EffectForm, ...] = (
     *(commands.Gain(), commands.Bias(), memories.Follow(), geometry.FrameRotation(), memories.Delay(), memories.Lag()),
-    *(commands.DirectionGain(), commands.Saturation(), commands.DeadZone(), memories.Backlash(), memories.StickSlip()),
+    *(memories.Ramp(), commands.DirectionGain(), commands.Saturation(), commands.DeadZone()),
+    *(memories.Backlash(), memories.StickSlip()),
     *(forces.Spring(), forces.Gravity(), forces.Latch(), ends.Limit()),
     *(geometry.ScrewPitch(), geometry.AxisOffset(), ends.GuardShift(), ends.GuardHysteresis()),
     *(sensors.SensorScale(), sensors.SensorOffset(), sensors.Drift(), forces.Unexplained()),

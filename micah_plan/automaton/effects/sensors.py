@@ -16,7 +16,7 @@ class SensorScale(EffectForm):
     sentence = "The sensor's unit is off by a factor."
     source = "Siciliano et al., Robotics, ch. 5: sensor calibration"
     parameters = (Parameter("scale", "1", 1.0, 0.2, 5.0),)
-    complexity_rank = 15
+    complexity_rank = 16
     experiments = (
         (
             "gain",
@@ -60,7 +60,7 @@ class Drift(EffectForm):
     sentence = "The reading wanders away at a constant rate while the part may rest."
     source = "Titterton and Weston, Strapdown inertial navigation, ch. 4"
     parameters = (Parameter("rate", "coordinate/s", 0.0),)
-    complexity_rank = 14
+    complexity_rank = 15
     experiments = (
         ("bias", "let the part rest against a stop: a sensor that drifts goes on, a bias does not"),
         ("guard_shift", "rest at the end for a while: a drifting reading goes on"),
