@@ -157,6 +157,7 @@ def simulated(machine: Machine, rng: np.random.Generator) -> Run:
     """One run: readings (T,), and goals [rad or m] or velocities [rad/s or m/s] (T,)."""
     reach, x, v = machine.reach, rng.uniform(0.2, 0.8) * machine.reach, 0.0
     is_velocity, goal, speed = machine.kind == "velocity", x, 0.0
+    rest = 0.0 if is_velocity else x
     z, command = np.zeros(machine.rows), np.zeros(machine.rows)
     for row in range(machine.rows):
         z[row] = np.round(x / machine.grid) * machine.grid
@@ -165,8 +166,8 @@ def simulated(machine: Machine, rng: np.random.Generator) -> Run:
             speed = rng.uniform(0.1, 0.8) * reach
         command[row] = np.clip(3.0 * (goal - x), -speed, speed) if is_velocity else goal
         for tick in range(round(1.0 / (machine.rate * _TICK_S))):
-            acts = max(row + math.floor(((tick + 0.5) * _TICK_S - machine.delay_s) * machine.rate), 0)
-            told = machine.law(x, v, command[acts])
+            acts = row + math.floor(((tick + 0.5) * _TICK_S - machine.delay_s) * machine.rate)
+            told = machine.law(x, v, command[acts] if acts >= 0 else rest)
             v = told if machine.is_first_order else v + _TICK_S * told
             v = float(np.clip(v, -machine.most, machine.most))
             x = float(np.clip(x + _TICK_S * v, 0.0, reach))

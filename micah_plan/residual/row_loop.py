@@ -30,8 +30,8 @@ WHITE, PROCESS, MOTION, WANDER, FREEDOM, BESIDE_LOW, BESIDE_HIGH, RELEASE_LOW, R
 _WANDERED, _OF_PLACE, _OF_BOTH, _OF_READING, _ERROR, _VARIANCE = range(6)
 _LOW_BEFORE, _HIGH_BEFORE, _AT_LOW, _AT_HIGH, _IS_GONE = range(6, 11)
 _READ, _NOISE, _EFFORT, _POWER, _DENSITY, _PRODUCT, _TOTAL, _STATES = range(11, 19)
-# Rows of a segment in which the part may still do what it was told before the first: as long as a delay may be.
-_NEW = 12
+# Rows of a segment in which the part may still do what it was told before the first.
+_NEW = 1
 # Densities of so many rows are multiplied before the logarithm is taken: each is between 1e-12 and 1e12 per rad or m.
 _MULTIPLIED = 8
 
