@@ -30,8 +30,6 @@ WHITE, PROCESS, MOTION, WANDER, FREEDOM, BESIDE_LOW, BESIDE_HIGH, RELEASE_LOW, R
 _WANDERED, _OF_PLACE, _OF_BOTH, _OF_READING, _ERROR, _VARIANCE = range(6)
 _LOW_BEFORE, _HIGH_BEFORE, _AT_LOW, _AT_HIGH, _IS_GONE = range(6, 11)
 _READ, _NOISE, _EFFORT, _POWER, _DENSITY, _PRODUCT, _TOTAL, _STATES = range(11, 19)
-# Rows of a segment in which the part may still do what it was told before the first.
-_NEW = 1
 # Densities of so many rows are multiplied before the logarithm is taken: each is between 1e-12 and 1e12 per rad or m.
 _MULTIPLIED = 8
 
@@ -361,10 +359,11 @@ def _let_go(r: Floats, state: Floats, per_hypothesis: Floats, surely: float) -> 
 
 
 @_compiled
-def _take_in(r: Floats, state: Floats, per_hypothesis: Floats, is_bounded: bool, is_new: bool) -> None:
+def _take_in(r: Floats, state: Floats, per_hypothesis: Floats, is_bounded: bool, is_first: bool) -> None:
     """Take a measurement in: a far one moves the state less.
 
-    In the first rows of a segment (`is_new`) it also leaves the state less certain, as Student's t has it.
+    After the first step it also leaves the state less certain, as Student's t has it: the part may still do what it was
+    told before the log.
     """
     for j in range(r.shape[1]):
         steep, error, variance = r[STEEPNESS, j], state[_ERROR, j], state[_VARIANCE, j]
@@ -373,7 +372,7 @@ def _take_in(r: Floats, state: Floats, per_hypothesis: Floats, is_bounded: bool,
         freedom = per_hypothesis[FREEDOM, j]
         far = max((error * error / variance + freedom) / (freedom + 1.0), 1.0)
         weight = 1.0 / (far * variance)
-        far = far if is_new else 1.0
+        far = far if is_first else 1.0
         place = r[PLACE_OF_PART, j] + to_place * weight * error
         of_place = (state[_OF_PLACE, j] - to_place * weight * to_place) * far
         of_both = (of_both - to_place * weight * to_reading) * far
@@ -536,7 +535,7 @@ def go_through(
             if settings.kind == FILTER:
                 _find_density(state, own, settings.anywhere)
                 _multiply(rows.number, state, hypotheses, first, t + 1)
-                _take_in(r, state, own, settings.is_bounded, t < _NEW)
+                _take_in(r, state, own, settings.is_bounded, t == 0)
             elif settings.kind == ONE_STEP:
                 _take_as_measured(r, state, own, settings.unseen)
         _write(rows.number, errors, at, first, error)

@@ -126,7 +126,7 @@ class Reference:
             far = max((self.freedom + e**2 / S) / (self.freedom + 1.0), 1.0)
             gain = P @ h / S / far
             c, d = c + gain[0] * e, d + gain[1] * e
-            P = (far if t < 1 else 1.0) * (P - np.outer(gain, P @ h))
+            P = (far if t == 0 else 1.0) * (P - np.outer(gain, P @ h))
             if gone:
                 c, P[0, 0], P[0, 1], P[1, 0] = (data.z[s, t + 1] - zero) / h[0], white / h[0] ** 2, 0.0, 0.0
             c = min(max(c, low), high)
