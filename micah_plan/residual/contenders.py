@@ -193,7 +193,8 @@ class Contenders:
         self._blur = float(np.log(max(data.blur, 1e-7)))
         finest = float(np.log(max(data.resolution, _FINEST * float(np.ptp(data.visited)), ROUND_OFF)))
         self._finest = (finest, *(finest - 2.0,) * (len(STDS) - 1), -np.inf, -np.inf)
-        self.noise, self.freedom = np.array([*(self._blur + _NOISE_START), 0.0, 0.0]), NORMAL
+        self.noise = np.maximum([*(self._blur + _NOISE_START), 0.0, 0.0], self._finest)
+        self.freedom = NORMAL
         return self._nominal()
 
     # -- fits

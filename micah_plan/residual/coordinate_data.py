@@ -38,6 +38,8 @@ _SHORTEST = 5
 UNSEEN = 1e9
 # Readings of one value, on average, from which on they are counts; std of what a count leaves out, at the least.
 _REPEATED, _OF_A_COUNT = 2.0, 0.5 / math.sqrt(12.0)
+# Readings are whole counts apart, and where a part moves fast between rests few are one count apart.
+_ONE_COUNT = 0.1
 # Correlation of place and time from which on they say the same.
 _ALIKE = 0.95
 
@@ -138,7 +140,7 @@ class CoordinateData:
         values, count = np.unique(self.z[self.counted & self.is_measured], return_counts=True)
         if len(values) < 2 or count.mean() < _REPEATED:
             return 0.0
-        return float(np.median(np.diff(values))) * _OF_A_COUNT
+        return float(np.quantile(np.diff(values), _ONE_COUNT)) * _OF_A_COUNT
 
     @property
     def is_measured(self) -> Booleans:

@@ -14,18 +14,19 @@ from micah_plan.automaton.effects.value import Effect
 from micah_plan.documents.model import model_text, usable_model
 from micah_plan.recording.commands import with_commands
 from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.examined import examined
 from micah_plan.residual.prediction import predict_recording, rmse
 
 _INSTANTS, _NOISE = 100, 0.0005
 
 
-def servo_run(rows, seed, law, delay=0.0):
+def servo_run(rows, seed, law, delay=0.0, noise=_NOISE):
     """(z, u) of a run: `law`(way, speed) is by how much the speed, per row, changes in an instant."""
     rng = np.random.default_rng(seed)
     c = goal = float(rng.uniform(0.3, 0.9))
     goals, z, speed = [goal] * 20, np.zeros(rows), 0.0
     for k in range(rows):
-        z[k] = c + _NOISE * rng.standard_normal()
+        z[k] = c + noise * rng.standard_normal()
         if k > 1 and rng.random() < 0.04:
             goal = float(rng.uniform(0.1, 1.1))
         goals.append(goal)
@@ -82,6 +83,23 @@ def test_limits_of_servos_are_found_and_roll_outs_of_unseen_runs_are_short(door,
 
 
 _NEUTRAL = (("offset", 0.0), ("gain", 1.0), ("delay", 0.0), ("momentum", 0.0), ("width", 0.0))
+
+
+def test_a_part_that_rests_in_digits_is_seen_as_well_as_they_say(door) -> None:
+    """Most rows repeat the one before: a model that gives up all others would else be surer of these than a true one.
+
+    Between rests it moves fast, so that hardly any two of its readings are one digit apart.
+    """
+    runs = [servo_run(150, seed, at_once(0.06), 1.8, noise=0.0) for seed in range(4)]
+    places = [z + u for z, u in runs]
+    read = [np.round(z / 0.0005) * 0.0005 for z, _ in runs]
+    recording = plants.door_recording([(z, place - z) for z, place in zip(read, places, strict=True)])
+    (model,) = examined(door, with_commands(recording, "position")).models
+    of_a_digit = 0.0005 / np.sqrt(12.0)
+    assert 0.49 * of_a_digit < model.data.resolution < 1.01 * of_a_digit
+    assert np.exp(model.nominal.fit.noise[0]) >= 0.99 * model.data.resolution
+    found = calibrate(door, with_commands(recording, "position"))
+    assert [(effect.effect.name, effect.is_added) for effect in found.effects] == [("follow", True)]
 
 
 def test_a_servo_without_limits_has_none_in_its_file(door) -> None:
