@@ -89,6 +89,12 @@ def profile(most: float, acceleration: float) -> Callable[[float, float, float],
     return law
 
 
+def ramped(x: float, v: float, command: float) -> float:
+    """A motor that gets to the commanded velocity by 1.5 rad/s² at most."""
+    del x
+    return float(np.clip((command - v) / _TICK_S, -1.5, 1.5))
+
+
 def slow(x: float, v: float, command: float) -> float:
     """Nine tenths of the commanded velocity."""
     del x, v
@@ -145,7 +151,9 @@ KINDS: dict[str, Machine] = {
     "velocity motor with lag": Machine(valve(1.0, 0.08, 0.0, 0.0), kind="velocity"),
     "velocity motor, slow one way": Machine(slow_one_way, is_first_order=True, kind="velocity"),
     "velocity motor, late": Machine(slow, 20.0, is_first_order=True, kind="velocity", delay_s=0.02),
+    "velocity motor, ramped": Machine(ramped, 20.0, kind="velocity"),
     "hydraulics, curved": Machine(curved_valve, 20.0, slides=True, kind="velocity"),
+    "servo, late by 15 rows": Machine(servo(60.0, 12.0), 100.0, 300, delay_s=0.15),
     "goals stored early": Machine(servo(60.0, 12.0), 20.0, late=-1),
     "goals stored late": Machine(servo(60.0, 12.0), 20.0, late=1),
     "frozen tracker": Machine(servo(60.0, 12.0), 20.0, grid=0.002, frozen=0.15),
