@@ -102,7 +102,7 @@ def test_what_the_loop_cannot_do_is_refused() -> None:
 def test_slopes_are_those_of_the_formulas(form) -> None:
     """Against central differences, away from kinks."""
     lines = {"command": command_line, "force": force_line, "memory": memory_line}
-    line, rng = lines[form.layer](form), np.random.default_rng(5)
+    line, rng = lines[form.layer](form, (False,) * len(form.parameters)), np.random.default_rng(5)
     p = np.array([[np.clip(0.37, q.lower, q.upper)] * 50 for q in form.parameters])
     at = rng.uniform(-0.9, 0.9, (line.inputs, 50))
     value, *slopes = evaluated(line, at, p)[: 3 if form.layer == "force" else 2]
@@ -113,3 +113,19 @@ def test_slopes_are_those_of_the_formulas(form) -> None:
         is_smooth = np.abs(above - 2.0 * value + below) < 1e-9
         assert is_smooth.mean() > 0.9
         np.testing.assert_allclose(slope[is_smooth], ((above - below) / 2e-6)[is_smooth], atol=1e-5)
+
+
+@pytest.mark.parametrize("form", [form for form in forms() if form.layer in ("command", "force")])
+def test_what_is_neutral_gives_the_same_as_a_number(form) -> None:
+    """Each parameter alone, with values and slopes of the whole formula at its neutral value."""
+    line_of = {"command": command_line, "force": force_line}[form.layer]
+    none, rng = (False,) * len(form.parameters), np.random.default_rng(6)
+    p = np.array([np.clip(rng.uniform(0.1, 0.6, 40), q.lower, q.upper) for q in form.parameters])
+    for k, parameter in enumerate(form.parameters):
+        if parameter.neutral is None:
+            continue
+        p[k] = parameter.neutral
+        whole, less = (line_of(form, own) for own in (none, (*none[:k], True, *none[k + 1 :])))
+        at = rng.uniform(-0.9, 0.9, (whole.inputs, 40))
+        np.testing.assert_allclose(evaluated(less, at, p), evaluated(whole, at, p), atol=1e-15)
+        assert len(less.each) <= len(whole.each)
