@@ -49,8 +49,11 @@ def test_a_true_model_is_true_whichever_row_its_commands_are_stored_in(door, row
 @pytest.mark.slow
 def test_effects_are_found_in_commands_that_are_stored_late(door) -> None:
     found = calibrate(door, stored_late(plants.door_recording(plants.runs_of(plants.feeble, 10, 50, 0)), 1))
-    sizes = {effect.effect.name: effect.effect.values[0] for effect in found.effects}
-    assert sizes == {"gain": pytest.approx(0.1, abs=0.01), "bias": pytest.approx(0.004, abs=0.0003)}
+    scaled, pushed = sorted(found.effects, key=lambda effect: effect.effect.name == "bias")
+    # Steps of a tenth are so small that a limit of them does as well: one of the two is written, and the other named.
+    assert "gain" in (scaled.effect.name, *scaled.tied)
+    assert pushed.effect.name == "bias"
+    assert pushed.effect.values[0] == pytest.approx(0.004, abs=0.0003)
 
 
 def loop(kind, seed, noise, count=5, rows=80):
