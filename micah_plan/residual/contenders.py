@@ -193,8 +193,9 @@ class Contenders:
         self._blur = float(np.log(max(data.blur, 1e-7)))
         finest = float(np.log(max(data.resolution, _FINEST * float(np.ptp(data.visited)), ROUND_OFF)))
         self._finest = (finest, *(finest - 2.0,) * (len(STDS) - 1), -np.inf, -np.inf)
-        self.noise = np.maximum([*(self._blur + _NOISE_START), 0.0, 0.0], self._finest)
-        self.freedom = NORMAL
+        self.noise, self.freedom = np.array([*(self._blur + _NOISE_START), 0.0, 0.0]), NORMAL
+        if data.resolution:  # nothing is likelier than rests that are seen better than digits allow: none begins there
+            self.noise = np.maximum(self.noise, self._finest)
         return self._nominal()
 
     # -- fits
