@@ -301,9 +301,9 @@ class Contenders:
             rest = [
                 [fit for of_option, fit in ended if of_option is option and fit is not best] for option, best in pairs
             ]
-        ranked = sorted(range(len(pairs)), key=lambda k: pairs[k][1].loss)
-        of_places = [k for k in ranked if restarted and _is_first_of_places(pairs[k][0])]
-        again = {*ranked[:restarted], *of_places}
+        again = set(sorted(range(len(pairs)), key=lambda k: pairs[k][1].loss)[:restarted])
+        if restarted:
+            again |= {k for k, (option, _) in enumerate(pairs) if _is_first_of_places(option)}
         ready = self._from_other_noise(searched, [fit for _, fit in pairs], rest, again, rounds)
         chosen = [
             (option, fit)

@@ -18,6 +18,7 @@ from micah_plan.residual.examined import examined
 from micah_plan.residual.prediction import predict_recording, rmse
 
 _INSTANTS, _NOISE = 100, 0.0005
+_NEUTRAL = (("offset", 0.0), ("gain", 1.0), ("delay", 0.0), ("momentum", 0.0), ("width", 0.0))
 
 
 def servo_run(rows, seed, law, delay=0.0, noise=_NOISE):
@@ -80,9 +81,6 @@ def test_limits_of_servos_are_found_and_roll_outs_of_unseen_runs_are_short(door,
     )
     assert after < 0.1 * before
     assert usable_model(model_text(found.automaton).encode(), "model") == found.automaton
-
-
-_NEUTRAL = (("offset", 0.0), ("gain", 1.0), ("delay", 0.0), ("momentum", 0.0), ("width", 0.0))
 
 
 def test_a_part_that_rests_in_digits_is_seen_as_well_as_they_say(door) -> None:
