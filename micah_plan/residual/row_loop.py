@@ -30,6 +30,8 @@ WHITE, PROCESS, MOTION, WANDER, FREEDOM, BESIDE_LOW, BESIDE_HIGH, RELEASE_LOW, R
 _WANDERED, _OF_PLACE, _OF_BOTH, _OF_READING, _ERROR, _VARIANCE = range(6)
 _LOW_BEFORE, _HIGH_BEFORE, _AT_LOW, _AT_HIGH, _IS_GONE = range(6, 11)
 _READ, _NOISE, _EFFORT, _POWER, _DENSITY, _PRODUCT, _TOTAL, _STATES = range(11, 19)
+# Values of a delay line: a power of 2.
+LINE = 32
 # Densities of so many rows are multiplied before the logarithm is taken: each is between 1e-12 and 1e12 per rad or m.
 _MULTIPLIED = 8
 
@@ -115,8 +117,8 @@ class Settings(NamedTuple):
 
 
 @_compiled
-def evaluate(code: Ints, r: Floats, in_mode: Booleans, mode: Ints) -> None:
-    """Instructions on registers (R, lanes), of rows in modes (lanes,)."""
+def evaluate(code: Ints, r: Floats, in_mode: Booleans, mode: Ints, t: int) -> None:
+    """Instructions on registers (R, lanes), of rows in modes (lanes,), the t-th of their segments."""
     lanes = r.shape[1]
     for k in range(code.shape[0]):
         operation = code[k, 0]
@@ -172,6 +174,14 @@ def evaluate(code: Ints, r: Floats, in_mode: Booleans, mode: Ints) -> None:
         elif operation == Operation.IN_MODES:
             for j in range(lanes):
                 o[j] = 1.0 if in_mode[code[k, 2], mode[j]] else 0.0
+        elif operation == Operation.KEEP:
+            kept = r[code[k, 1] + t % LINE]
+            for j in range(lanes):
+                kept[j] = a[j]
+        elif operation == Operation.EARLIER:
+            line = r[code[k, 2] : code[k, 2] + LINE]
+            for j in range(lanes):
+                o[j] = line[(t - int(b[j])) % LINE, j]
         else:
             _evaluate_rare(operation, o, a, b)
 
@@ -509,25 +519,25 @@ def go_through(
         errors, variances = np.zeros((last + 1, lanes)), np.ones((last + 1, lanes))
         own = _in_all_segments(per_hypothesis, lanes)
         _load(r, programs.constants, programs.parameters, values)
-        evaluate(programs.once, r, rows.in_mode, mode)
+        evaluate(programs.once, r, rows.in_mode, mode, 0)
         _look_at(rows, r, state, mode, first, hypotheses, 0)
         _take_ends(rows.ends, rows.last, r, per_hypothesis, first, 0)
-        evaluate(programs.ends, r, rows.in_mode, mode)
-        evaluate(programs.reading, r, rows.in_mode, mode)
+        evaluate(programs.ends, r, rows.in_mode, mode, 0)
+        evaluate(programs.reading, r, rows.in_mode, mode, 0)
         _begin(r, state, own)
-        evaluate(programs.rest, r, rows.in_mode, mode)
+        evaluate(programs.rest, r, rows.in_mode, mode, 0)
         for t in range(last):
-            evaluate(programs.step, r, rows.in_mode, mode)
+            evaluate(programs.step, r, rows.in_mode, mode, t)
             if rows.ends.shape[2] > 1 or programs.ends.shape[0] > 1:
                 _take_ends(rows.ends, rows.last, r, per_hypothesis, first, t)
-                evaluate(programs.ends, r, rows.in_mode, mode)
+                evaluate(programs.ends, r, rows.in_mode, mode, t)
             if settings.is_held:
                 _hold(r, state, own)
             _move(r, state, own, settings.is_bounded, settings.stays, settings.held_variance)
             if t == 0 and settings.kind == FILTER:
                 _go_on(state, rows.goes_on, first, hypotheses)
             _look_at(rows, r, state, mode, first, hypotheses, t + 1)
-            evaluate(programs.reading, r, rows.in_mode, mode)
+            evaluate(programs.reading, r, rows.in_mode, mode, t + 1)
             _compare(r, state, own)
             _note(state, errors[t + 1], variances[t + 1])
             if settings.is_held and settings.kind != ROLLOUT:

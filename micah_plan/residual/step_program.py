@@ -20,6 +20,7 @@ from micah_plan.residual.row_loop import (
     FIRST_OWN,
     FREE,
     HIGH,
+    LINE,
     LOW,
     OFFSET,
     ORDER,
@@ -34,6 +35,7 @@ from micah_plan.symbolic.formula_lines import (
     at_rest_line,
     command_line,
     force_line,
+    is_late,
     memory_line,
     reading_line,
     response_line,
@@ -118,13 +120,16 @@ class _Assembly:
         step.append(_move(steep, self.zero))
         for term, values, _, neutral in self._of("place"):
             memory = self._memory_of(term.form, values, neutral)
-            out, slope, *after = self._called(
-                step, response_line(term.form, neutral), (PLACE_OF_PART, COMMANDED_PLACE, *memory), values
-            )
+            sent, given, _ = self._in_force(COMMANDED_PLACE, PLACE_OF_PART, term.form, values, neutral)
+            line = response_line(term.form, neutral)
+            out, slope, *after = self._called(step, line, (PLACE_OF_PART, *sent, *memory), given)
             step += [_move(COMMAND, out), _move(steep, slope), *map(_move, memory, after)]
         for term, values, is_gated, neutral in self._of("memory"):
             memory, acts = self._memory_of(term.form, values, neutral), self._acts(step, term, values, is_gated)
-            out, slope, *after = self._called(step, memory_line(term.form, neutral), (COMMAND, *memory), values)
+            sent, given, is_now = self._in_force(COMMAND, self.zero, term.form, values, neutral)
+            out, slope, *after = self._called(step, memory_line(term.form, neutral), (*sent, *memory), given)
+            if is_now is not None:
+                step.append((Operation.MUL, slope, slope, is_now))
             self._pass_on(out, slope, acts)
             step += map(_move, memory, after)
         for term, values, is_gated, neutral in self._of("command"):
@@ -157,6 +162,33 @@ class _Assembly:
         if self.follows_places:
             self.step.append((Operation.MUL, slope, slope, self.steepness))
             self._blend(self.step, self.steepness, slope, acts)
+
+    def _in_force(
+        self, sent: int, at_rest: int, form: EffectForm, values: Sequence[int], neutral: Neutral
+    ) -> tuple[Sequence[int], Sequence[int], int | None]:
+        """What acts of what is commanded, parameters with what a late command needs, and whether the newest acts now.
+
+        Args:
+            at_rest: register of what was commanded before the first row.
+        """
+        if not is_late(form, neutral) or form.late_by is None:
+            return (sent,), values, None
+        delay, size = values[form.late_by], len(form.parameters)
+        whole, before, late, is_now, newer, older = self._own(6)
+        line = self._own(LINE)
+        self.once += [
+            (Operation.FLOOR, whole, delay, delay),
+            (Operation.ADD, before, whole, self.one),
+            (Operation.SUB, late, delay, whole),
+            (Operation.LT, is_now, whole, self.one),
+        ]
+        self.rest += [_move(place, at_rest) for place in line]
+        self.step += [
+            (Operation.KEEP, line[0], sent, sent),
+            (Operation.EARLIER, newer, line[0], whole),
+            (Operation.EARLIER, older, line[0], before),
+        ]
+        return (newer, older), [*values[:size], late], is_now
 
     def _memory_of(self, form: EffectForm, values: Sequence[int], neutral: Neutral) -> list[int]:
         """Registers of the memory, which begins at rest."""

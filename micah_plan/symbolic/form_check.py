@@ -92,12 +92,18 @@ def _checked(form: EffectForm, p: list[float]) -> dict[str, Floats]:
 
 
 def _by_casadi(form: EffectForm, p: list[float]) -> list[dict[str, Floats]]:
-    """Values of all hooks: with numbers for the parameters, as in plans, and with symbols, as in calibrations."""
+    """Values of all hooks: with numbers for the parameters, as in plans, and with symbols, as in calibrations.
+
+    Delays are numbers throughout: calibrations ask for the formula of what is in force.
+    """
     c, v = ca.SX.sym("c"), ca.SX.sym("v")
     symbols = [ca.SX.sym(parameter.name) for parameter in form.parameters]
     every = []
     try:
-        for given in (list[Value](p), list[Value](symbols)):
+        fitted = [
+            value if k == form.late_by else symbol for k, (value, symbol) in enumerate(zip(p, symbols, strict=True))
+        ]
+        for given in (list[Value](p), fitted):
             read = {name: ca.SX(value) for name, value in _outputs(form, CasadiOperations(), given, c, v).items()}
             straight_line([c, v], symbols, list(read.values()))
             function = ca.Function("read", [c, v, *symbols], list(read.values()))

@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import casadi as ca
 
-from micah_plan.automaton.effects.form import EffectForm, Value
+from micah_plan.automaton.effects.form import EffectForm, InForce, Value
 from micah_plan.symbolic.casadi_operations import CasadiOperations
 from micah_plan.symbolic.straight_line import StraightLine, straight_line
 
@@ -31,22 +31,39 @@ def _symbols(form: EffectForm, neutral: Neutral, *names: str) -> tuple[list[ca.S
     return [ca.SX.sym(name) for name in names], symbols, given
 
 
+def is_late(form: EffectForm, neutral: Neutral) -> bool:
+    """Whether commands act later.
+
+    Its lines have the newer and the older command in force where others have the command, and behind the parameters
+    the share of a step that has the older one.
+    """
+    return form.late_by is not None and not neutral[form.late_by]
+
+
+def _rest(form: EffectForm, c: ca.SX, p: Sequence[Value]) -> list[Value]:
+    """Memory of a part that rests at c, without the commands that a delay keeps."""
+    return list(form.at_rest_in(c, [0.0 if k == form.late_by else value for k, value in enumerate(p)]))
+
+
 def _memory(form: EffectForm, c: ca.SX, p: Sequence[Value]) -> list[ca.SX]:
-    return [ca.SX.sym(f"memory_{k}") for k in range(len(form.at_rest_in(c, p)))]
+    return [ca.SX.sym(f"memory_{k}") for k in range(len(_rest(form, c, p)))]
 
 
 @lru_cache(maxsize=_KEPT)
 def at_rest_line(form: EffectForm, neutral: Neutral) -> StraightLine:
-    """Memory of a part that rests at c."""
+    """Memory of a part that rests at c, without the commands that a delay keeps."""
     (c,), symbols, p = _symbols(form, neutral, "c")
-    return straight_line([c], symbols, form.at_rest_in(c, p))
+    return straight_line([c], symbols, _rest(form, c, p))
 
 
 @lru_cache(maxsize=_KEPT)
 def response_line(form: EffectForm, neutral: Neutral) -> StraightLine:
     """Command out of a place, its slope along the configuration, and the memory after it."""
-    (c, place), symbols, p = _symbols(form, neutral, "c", "place")
+    (c, place, older, late), symbols, p = _symbols(form, neutral, "c", "place", "older", "late")
     memory = _memory(form, c, p)
+    if is_late(form, neutral):
+        out, after = form.respond_late(CasadiOperations(), c, InForce(place, older, late), tuple(memory), p)
+        return straight_line([c, place, older, *memory], [*symbols, late], [out, _slope(out, c), *after])
     out, after = form.respond(CasadiOperations(), c, place - c, tuple(memory), p)
     return straight_line([c, place, *memory], symbols, [out, _slope(out, c), *after])
 
@@ -54,8 +71,11 @@ def response_line(form: EffectForm, neutral: Neutral) -> StraightLine:
 @lru_cache(maxsize=_KEPT)
 def memory_line(form: EffectForm, neutral: Neutral) -> StraightLine:
     """Command that comes out of one that goes in, its slope along that, and the memory after it."""
-    (v,), symbols, p = _symbols(form, neutral, "v")
+    (v, older, late), symbols, p = _symbols(form, neutral, "v", "older", "late")
     memory = _memory(form, ca.SX(0.0), p)
+    if is_late(form, neutral):
+        out, after = form.remember_late(CasadiOperations(), InForce(v, older, late), tuple(memory), p)
+        return straight_line([v, older, *memory], [*symbols, late], [out, _slope(out, v), *after])
     out, after = form.remember(CasadiOperations(), v, tuple(memory), p)
     return straight_line([v, *memory], symbols, [out, _slope(out, v), *after])
 

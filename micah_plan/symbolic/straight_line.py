@@ -19,11 +19,13 @@ Instruction = tuple[int, int, int, int]
 
 
 class Operation(IntEnum):
-    """Operations of instructions: CasADi's on scalars, by its names, and two that programs have beside them.
+    """Operations of instructions: CasADi's on scalars, by its names, and four that programs have beside them.
 
     Their numbers are their own and stay: compiled code that is kept on disk has them in it, and outlives a release of
     CasADi. `SELECT` leaves its result as it is where the first argument is 0, and else takes the second. `IN_MODES`
-    says whether the row's mode is one of a set of modes, whose number is its first argument.
+    says whether the row's mode is one of a set of modes, whose number is its first argument. `KEEP` takes a value into
+    a delay line, whose first register is its result; `EARLIER` gives the value of a delay line (its first argument)
+    from so many rows ago.
     """
 
     ASSIGN = 0
@@ -67,12 +69,14 @@ class Operation(IntEnum):
     ATAN2 = 38
     SELECT = 39
     IN_MODES = 40
+    KEEP = 41
+    EARLIER = 42
 
 
 _OF_CASADI = {
     getattr(ca, f"OP_{operation.name}"): operation
     for operation in Operation
-    if operation not in (Operation.SELECT, Operation.IN_MODES)
+    if operation not in (Operation.SELECT, Operation.IN_MODES, Operation.KEEP, Operation.EARLIER)
 }
 
 

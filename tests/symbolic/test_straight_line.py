@@ -50,7 +50,7 @@ def evaluated(line, inputs, parameters):
     for register, value in line.constants:
         r[int(register)] = value
     for code in (line.once, line.each):
-        evaluate(code, r, np.zeros((0, 1), dtype=bool), np.zeros(r.shape[1], dtype=np.int64))
+        evaluate(code, r, np.zeros((0, 1), dtype=bool), np.zeros(r.shape[1], dtype=np.int64), 0)
     first = line.inputs + line.parameters + line.kept
     return r[first : first + line.results]
 
@@ -103,7 +103,9 @@ def test_slopes_are_those_of_the_formulas(form) -> None:
     """Against central differences, away from kinks."""
     lines = {"command": command_line, "force": force_line, "memory": memory_line}
     line, rng = lines[form.layer](form, (False,) * len(form.parameters)), np.random.default_rng(5)
-    p = np.array([[np.clip(0.37, q.lower, q.upper)] * 50 for q in form.parameters])
+    # Of a command that acts late, the line has one parameter more: the share of a step that has the older one.
+    p = np.full((line.parameters, 50), 0.37)
+    p[: len(form.parameters)] = [[np.clip(0.37, q.lower, q.upper)] * 50 for q in form.parameters]
     at = rng.uniform(-0.9, 0.9, (line.inputs, 50))
     value, *slopes = evaluated(line, at, p)[: 3 if form.layer == "force" else 2]
     for k, slope in enumerate(slopes):

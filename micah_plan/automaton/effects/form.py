@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Protocol
 
 from micah_plan.automaton.hybrid import HybridAutomaton
 
@@ -30,6 +30,19 @@ Value = Any
 """A float, a NumPy array or a CasADi expression."""
 Values = Sequence[Value]
 Memory = tuple[Value, ...]
+
+
+class InForce(NamedTuple):
+    """What was commanded a while ago and acts in a step.
+
+    Attributes:
+        newer, older: displacements or places; `late` of the step has the older one, and then the newer.
+    """
+
+    newer: Value
+    older: Value
+    late: Value
+
 
 # The layer that each hook is of. A form that only changes the automaton itself (`rebuilt`) is of geometry.
 _HOOKS: dict[str, Layer] = {
@@ -102,6 +115,9 @@ class EffectForm:
         experiments: (name of another effect, what would tell it from this one).
         is_sought: whether `calibrate` tries it as it tries any: not what it seeks in another way, nor what is added by
             hand only.
+        late_by: number of the parameter that says how many steps later a command acts; None: it acts at once. Such a
+            form keeps its last commands behind the rest of its memory, and its formula is `remember_late` or
+            `respond_late`.
     """
 
     name: ClassVar[str]
@@ -113,6 +129,7 @@ class EffectForm:
     complexity_rank: ClassVar[int] = _HIGHEST_RANK
     experiments: ClassVar[tuple[tuple[str, str], ...]] = ()
     is_sought: ClassVar[bool] = True
+    late_by: ClassVar[int | None] = None
 
     def __init_subclass__(cls) -> None:
         hooks = {layer: None for hook, layer in _HOOKS.items() if getattr(cls, hook) is not getattr(EffectForm, hook)}
@@ -158,6 +175,14 @@ class EffectForm:
     def respond(self, ops: Operations, c: Value, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
         """(command that comes out, memory after) at configuration c of a command that leads to the place c + v."""
         return self.remember(ops, v, memory, p)
+
+    def remember_late(self, ops: Operations, sent: InForce, memory: Memory, p: Values) -> tuple[Value, Memory]:
+        """(command that comes out, memory after, but for the commands that are kept) of commands that act late."""
+        return sent.newer, memory
+
+    def respond_late(self, ops: Operations, c: Value, sent: InForce, memory: Memory, p: Values) -> tuple[Value, Memory]:
+        """`remember_late` at configuration c, of places."""
+        return self.remember_late(ops, sent, memory, p)
 
     def command(self, ops: Operations, v: Value, p: Values) -> Value:
         """The part of a command v that reaches the joint."""

@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 
 from micah_plan.automaton.effects.fit_start import FitStart, Shown, step_sizes
-from micah_plan.automaton.effects.form import EffectForm, Memory, Operations, Parameter, Value, Values
+from micah_plan.automaton.effects.form import EffectForm, InForce, Memory, Operations, Parameter, Value, Values
 from micah_plan.automaton.effects.value import Effect
 
 LONGEST_DELAY = 12
@@ -20,9 +20,15 @@ def _is_number(value: Value) -> bool:
     return isinstance(value, float | int)
 
 
-def _steps_kept(delay: Value) -> int:
-    """How many commands a delay keeps: of a number what it needs, of an expression or an array what any needs."""
-    return math.ceil(delay) if _is_number(delay) else LONGEST_DELAY
+def _kept(value: Value, delay: float) -> Memory:
+    """What a delay keeps if the same was commanded for long."""
+    return (value,) * math.ceil(delay)
+
+
+def _in_force(value: Value, kept: Memory, delay: float) -> tuple[InForce, Memory]:
+    """What acts `delay` steps after it was commanded, and what is kept then, the newest first."""
+    sent, whole = (value, *kept), int(delay)
+    return InForce(sent[whole], sent[math.ceil(delay)], delay - whole), sent[:-1]
 
 
 @final
@@ -34,18 +40,17 @@ class Delay(EffectForm):
     source = "Laakso et al., Splitting the unit delay, IEEE Signal Processing Magazine 1996 (linear interpolation)"
     parameters = (Parameter("steps", "step", 0.0, 0.0, float(LONGEST_DELAY)),)
     complexity_rank = 6
+    late_by = 0
 
     def at_rest(self, p: Values) -> Memory:
-        return (0.0,) * _steps_kept(p[0])
+        return _kept(0.0, p[0])
 
     def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
-        sent = (v, *memory)
-        # Of a number, only the whole steps before and after it count.
-        ages = range(int(p[0]), min(int(p[0]) + 2, len(sent))) if _is_number(p[0]) else range(len(sent))
-        late = 0.0 * v
-        for age in ages:
-            late = late + ops.maximum(0.0, 1.0 - ops.abs(p[0] - age)) * sent[age]
-        return late, sent[:-1]
+        sent, kept = _in_force(v, memory, p[0])
+        return self.remember_late(ops, sent, (), p)[0], kept
+
+    def remember_late(self, ops: Operations, sent: InForce, memory: Memory, p: Values) -> tuple[Value, Memory]:
+        return (1.0 - sent.late) * sent.newer + sent.late * sent.older, ()
 
     def begun(self, data: Shown) -> FitStart | None:
         return FitStart([[0.4], [1.0], [2.0], [3.5], [6.0]], (0,), [1.0])
@@ -201,13 +206,19 @@ class Follow(EffectForm):
     )
     experiments = (("gain", "command places that stay where they are for many rows, and not displacements"),)
     is_sought = False
+    late_by = 3
 
     def at_rest_in(self, c: Value, p: Values) -> Memory:
-        return (c, *(c,) * _steps_kept(p[3]), *(() if _is_number(p[3]) else (c,)))
+        return (c, *_kept(c, p[3]))
 
     def respond(self, ops: Operations, c: Value, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
-        share, offset, gain, delay, momentum, width, most, acceleration, speed = p
-        before, in_force, line = c - memory[0], *_in_force(ops, (c + v, *memory[1:]), delay)
+        sent, kept = _in_force(c + v, memory[1:], p[3])
+        step, own = self.respond_late(ops, c, sent, memory[:1], p)
+        return step, (*own, *kept)
+
+    def respond_late(self, ops: Operations, c: Value, sent: InForce, memory: Memory, p: Values) -> tuple[Value, Memory]:
+        share, offset, gain, _, momentum, width, most, acceleration, speed = p
+        before = c - memory[0]
 
         def pull(place: Value) -> Value:
             away = gain * place + offset - c
@@ -217,9 +228,11 @@ class Follow(EffectForm):
                 asked = _limited(ops, asked, _in_time(ops, ops.abs(beyond), acceleration))
             return _limited(ops, asked, most)
 
-        step = momentum * before + sum(part * pull(place) for part, place in in_force)
+        is_whole = _is_number(sent.late) and not sent.late
+        pulled = pull(sent.newer) if is_whole else (1.0 - sent.late) * pull(sent.newer) + sent.late * pull(sent.older)
+        step = momentum * before + pulled
         step = before + _limited(ops, step - before, acceleration) if _is_limit(acceleration) else step
-        return _limited(ops, step, speed), (c, *line)
+        return _limited(ops, step, speed), (c,)
 
 
 def _is_limit(most: Value) -> bool:
@@ -236,26 +249,6 @@ def _in_time(ops: Operations, way: Value, acceleration: Value) -> Value:
     """The largest of steps that get less by `acceleration` each, and lead no farther than a way together."""
     half = 0.5 * acceleration
     return ops.sqrt(half * half + 2.0 * acceleration * way) - half
-
-
-def _in_force(ops: Operations, sent: Values, delay: Value) -> tuple[list[tuple[Value, Value]], Values]:
-    """(share of a step, place in force then) of places (the newest first) that act `delay` steps later; those to keep.
-
-    Args:
-        sent: the newest place, and those that were kept; behind them, if the delay is no number, the one in force last.
-    """
-    if _is_number(delay):
-        whole = int(delay)
-        late = delay - whole
-        return [(1.0 - late, sent[whole]), *([(late, sent[whole + 1])] if late else [])], sent[:-1]
-    *places, older = sent
-    newer: Value = 0.0
-    age_in_force: Value = 0.0
-    for age, place in enumerate(places):
-        is_newer = ops.where(delay >= age, ops.where(delay < age + 1, 1.0, 0.0), 0.0)
-        newer, age_in_force = newer + is_newer * place, age_in_force + age * is_newer
-    late = delay - age_in_force
-    return [(1.0 - late, newer), (late, older)], (*places[:-1], newer)
 
 
 AS_COMMANDED = tuple((parameter.name, float(parameter.neutral or 0.0)) for parameter in Follow.parameters)
