@@ -34,6 +34,7 @@ class Track:
         action: (T-1, l, 3) commanded displacement of each part's origin relative to its parent [m]; None as `u`.
         believed: (T, n) configuration that the controller believed, NaN where it is not told; None if it never is.
         is_outside: whether `x` was measured by something else than the controller's own sensor, such as a ruler.
+        led_from: (T, n) configurations that commands lead from, where their rows are not those of the commands.
         is_measured: (T,) rows whose poses are measurements, see `recording.continuity`; the others have their commands.
     """
 
@@ -47,10 +48,13 @@ class Track:
     action: Floats | None = None
     believed: Floats | None = None
     is_outside: bool = False
+    led_from: Floats | None = None
 
     @property
     def origin(self) -> Floats:
         """(T, n) configurations that commands lead from: believed ones, where the log was measured from outside."""
+        if self.led_from is not None:
+            return self.led_from
         if self.believed is None or not self.is_outside:
             return self.x
         return np.asarray(np.where(np.isfinite(self.believed), self.believed, self.x))

@@ -6,29 +6,23 @@ those are not consecutive, as time stamps show.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
-from micah_plan.arrays import Floats, Ints, robust_std, white_std
+from micah_plan.arrays import Booleans, Floats, Ints, robust_std, white_std
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import Track, tracks
 from micah_plan.recording.value import Recording
-from micah_plan.residual.likelihood import FEWEST_ROWS, FREEDOM, LEAST_EVIDENCE, robust_log_density
+from micah_plan.residual.likelihood import FEWEST_ROWS
+from micah_plan.residual.stored_late import is_regular_in_places, rows_late
 
 Place = tuple[int, float]
 """Of a part in its recording: number of its run's place, and its first time in that run [s]."""
 
 # A pause that is so many times the usual one, and so many standard deviations longer, is a missing row.
 _LONGER, _STDS_LONGER = 1.5, 6.0
-# Actions are stored at most so many rows late; commands before one's own that a motion may remember, and commands on
-# both sides of it over which poses may have been smoothed.
-_MOST_LATE, _PAST, _BESIDE = 3, 2, 3
-_FEWEST_STEPS = 20
-# What a later row must foretell better per step [nats], and its share of all that commands do.
-_LATE_PER_ROW, _OWN_SHARE = 0.05, 0.3
 
 
 def read_tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[tuple[Track, ...], int]:
@@ -45,59 +39,21 @@ def read_tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[tuple
         rows = np.flatnonzero(track.is_measured)
         measured.append(rows_of(track, int(rows[0]), int(rows[-1]) + 1) if len(rows) else track)
     late = rows_late(measured)
-    return tuple(_taken_back(track, late) for track in measured if len(track.time) > late), late
+    led = np.array([late > 0 and is_regular_in_places(measured, i) for i in range(automaton.n)])
+    return tuple(_taken_back(track, late, led) for track in measured if len(track.time) > late), late
 
 
-def _taken_back(track: Track, late: int) -> Track:
-    """A run whose actions are stored `late` rows after those that they move: the last rows then have none."""
+def _taken_back(track: Track, late: int, led: Booleans) -> Track:
+    """A run whose actions are stored `late` rows after those that they move: the last rows then have none.
+
+    Args:
+        led: (n,) whether commands mean places: they lead there from the poses that they were stored with.
+    """
     if not late or track.u is None or track.action is None:
         return track
     shorter = rows_of(track, 0, len(track.time) - late)
-    return replace(shorter, u=track.u[late:], action=track.action[late:])
-
-
-def rows_late(runs: Sequence[Track]) -> int:
-    """By how many rows actions are stored after those that they move.
-
-    The action of a later row foretells a motion better than its own row's and those before it, and with their sign.
-    (Where commands follow what was measured, the next command foretells the noise of a motion with the other sign;
-    where poses were smoothed, commands of rows before and after foretell it alike.)
-    """
-    late = 0
-    while late < _MOST_LATE and any(_is_foretold_later(runs, late, i) for i in range(runs[0].x.shape[1])):
-        late += 1
-    return late
-
-
-def _is_foretold_later(runs: Sequence[Track], late: int, i: int) -> bool:
-    """Whether a coordinate's motion follows the command `late` + 1 rows later, rather than those up to `late`."""
-    designs, moved = [], []
-    for track in runs:
-        if track.u is None or track.u.shape[1] != track.x.shape[1]:
-            return False
-        dx, u = np.diff(track.x[:, i]), track.u[:, i]
-        steps = np.arange(_BESIDE, len(dx) - late - _BESIDE)
-        if len(steps):
-            designs.append(np.stack([u[steps + late + k] for k in range(-_BESIDE, _BESIDE + 1)], axis=1))
-            moved.append(dx[steps])
-    if not designs:
-        return False
-    design, now = np.concatenate(designs), np.concatenate(moved)
-    is_finite = np.isfinite(design).all(axis=1)
-    design, now = design[is_finite], now[is_finite]
-    if len(now) < _FEWEST_STEPS or not np.any(now):
-        return False
-    first = _BESIDE - _PAST
-    own, next_one = design[:, first : _BESIDE + 1], design[:, first + 1 : _BESIDE + 2]
-    alike = np.column_stack([design[:, _BESIDE], (design + design[:, ::-1])[:, :_BESIDE]])
-    ones = np.ones((len(now), 1))
-    up_to_own, up_to_next, on_both_sides, any_row = (
-        robust_log_density(np.hstack([ones, columns]), now, FREEDOM) for columns in (own, next_one, alike, design)
-    )
-    if min(up_to_next - up_to_own, any_row - on_both_sides) < max(LEAST_EVIDENCE, _LATE_PER_ROW * len(now)):
-        return False
-    response = np.linalg.lstsq(np.hstack([ones, next_one]), now, rcond=None)[0][1:]
-    return bool(response[-1] > _OWN_SHARE * np.abs(response).sum())
+    led_from = np.where(led, track.origin[late:], shorter.origin)
+    return replace(shorter, u=track.u[late:], action=track.action[late:], led_from=led_from)
 
 
 def white_noise_of(x: Floats) -> Floats:
@@ -141,6 +97,7 @@ def _taken(track: Track, rows: slice | Ints, u: Floats | None, action: Floats | 
         u=u,
         action=action,
         believed=None if track.believed is None else track.believed[rows],
+        led_from=None if track.led_from is None else track.led_from[rows],
         is_measured=track.is_measured[rows],
     )
 

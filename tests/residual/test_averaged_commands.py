@@ -12,8 +12,8 @@ from micah_plan.automaton.tracks import tracks
 from micah_plan.recording.value import Recording
 from micah_plan.residual.averaged_commands import Average, weights_of_steps, with_averages
 from micah_plan.residual.calibrate import calibrate
-from micah_plan.residual.compared_runs import rows_late
 from micah_plan.residual.coordinate_data import CoordinateData, coordinate_data_of
+from micah_plan.residual.stored_late import rows_late
 
 MEAN_OF_5 = np.full(5, 0.2)
 # Savitzky and Golay, 1964: a parabola through nine points.

@@ -11,9 +11,9 @@ import pytest
 from micah_plan.automaton.tracks import tracks
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
-from micah_plan.residual.compared_runs import rows_late
 from micah_plan.residual.judgement import judge
 from micah_plan.residual.prediction import predict_recording, rmse
+from micah_plan.residual.stored_late import rows_late
 
 
 def stored_late(recording: Recording, rows: int) -> Recording:
@@ -124,3 +124,26 @@ def test_rows_that_are_no_measurements_are_in_no_floor(door) -> None:
     assert found.verdict == "none"
     assert any("no measurements" in note for note in found.notes)
     assert 0.5 * found.before.rollout < found.rollout_floor < 2.0 * found.before.rollout
+
+
+@pytest.mark.parametrize("late", [0, 1, 2])
+def test_goals_that_are_stored_late_stay_the_places_that_they_were(door, late) -> None:
+    """Each leads from the pose beside which it was stored, whichever row it moves."""
+    rng = np.random.default_rng(5)
+    runs = []
+    for _ in range(5):
+        goal = np.repeat(rng.uniform(0.1, 1.1, 12), 8)
+        z = np.zeros(len(goal))
+        z[0] = goal[0]
+        for k in range(len(z) - 1):
+            z[k + 1] = z[k] + 0.35 * (goal[k] - z[k])
+        stored = goal[np.maximum(np.arange(len(goal)) - late, 0)]
+        seen = z + 0.0005 * rng.standard_normal(len(z))
+        runs.append((seen, stored - seen))
+    recording = plants.door_recording(runs)
+    found = calibrate(door, recording)
+    (effect,) = found.effects
+    assert effect.effect.name == "follow"
+    assert effect.effect.values[0] == pytest.approx(0.35, abs=0.01)
+    errors = [run.rollout.configuration for run in predict_recording(found.automaton, recording)]
+    assert rmse(errors) < 0.002
