@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -97,7 +96,7 @@ class EffectDocument(Document):
     name: Name = doc("Name of a registered form, e.g. `gain`.")
     coordinate: Annotated[Name, named("coordinate")] = doc("Coordinate that it acts on.")
     parameters: Annotated[dict[Name, float], ITEMS] = doc(
-        "All parameters of the form, in its units; limits that there are none of are left out."
+        "All parameters of the form, in its units; neutral options are left out."
     )
     std: dict[Name, NonNegative] = doc("Their standard deviations, if estimated.", dict)
     modes: ModeNames = doc("Modes in which it acts; absent: in all.", tuple)
@@ -108,19 +107,19 @@ class EffectDocument(Document):
     def meanings(self, at: Located, scope: Scope) -> dict[str, Any]:
         own = super().meanings(at, scope)
         with at.at("name").locating_errors():
-            known = form(self.name).parameters
-        names, limits = [p.name for p in known], [p.name for p in known if p.is_limit]
+            known = form(self.name)
+        names, options = [p.name for p in known.parameters], known.options()
         for k, other in enumerate(self.tied):
             with at.at("tied", k).locating_errors():
                 form(other)
-        values = at.at("parameters").in_order(dict.fromkeys(limits, math.inf) | self.parameters, names, "parameter")
-        stds = dict.fromkeys(limits, 0.0) | self.std
+        values = at.at("parameters").in_order(options | self.parameters, names, "parameter")
+        stds = dict.fromkeys(options, 0.0) | self.std
         std = at.at("std").in_order(stds, names, "parameter") if self.std else ()
         return own | {"parameters": tuple(zip(names, values, strict=True)), "std": std}
 
     @classmethod
     def written(cls, value: Effect, scope: Scope) -> Mapping[str, Any]:
-        kept = [name for name, amount in value.parameters if math.isfinite(amount)]
+        kept = form(value.name).stated(value.parameters)
         std = dict(zip([name for name, _ in value.parameters], value.std, strict=True)) if value.std else {}
         given = [pair for pair in value.parameters if pair[0] in kept]
         return {**vars(value), "parameters": given, "std": {name: std[name] for name in kept if std}}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -51,9 +50,13 @@ class FoundEffect:
 
     @property
     def rows(self) -> tuple[tuple[str, float, str, float, float], ...]:
-        """(name, value, unit, ends of its interval) of each parameter, without limits that there are none of."""
-        every = zip(self.effect.parameters, self.units, self.interval, strict=True)
-        return tuple((name, value, unit, *ends) for (name, value), unit, ends in every if math.isfinite(value))
+        """(name, value, unit, ends of its interval) of each parameter, without options that are neutral."""
+        every, stated = zip(self.effect.parameters, self.units, self.interval, strict=True), self._stated
+        return tuple((name, value, unit, *ends) for (name, value), unit, ends in every if name in stated)
+
+    @property
+    def _stated(self) -> list[str]:
+        return form(self.effect.name).stated(self.effect.parameters)
 
 
 @dataclass(frozen=True)

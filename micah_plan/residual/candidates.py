@@ -16,7 +16,7 @@ from typing import final
 import numpy as np
 
 from micah_plan.arrays import Floats
-from micah_plan.automaton.effects.fit_start import FitStart, step_sizes
+from micah_plan.automaton.effects.fit_start import FitStart
 from micah_plan.automaton.effects.forces import SMOOTH_BUMPS
 from micah_plan.automaton.effects.form import EffectForm, Memory, Operations, Parameter, Value, Values
 from micah_plan.automaton.effects.memories import AS_COMMANDED
@@ -32,14 +32,6 @@ UNNAMED = "unexplained"
 # Gating columns after a term's own parameters: since which place in the recording (0 to 1) and since when in a run [s].
 GATES = 2
 NEVER_GATED = (-np.inf, -np.inf)
-# Share of commands that lead to where the part can be, give or take the range that was seen, if they are places.
-_REACHABLE = 0.5
-# Commands that differ by less than this share of their size are the same, except for their digits.
-_DIGITS = 1e-3
-# Where fits of machines with limits begin: delays [steps]; shares with momenta; the quantile of steps that limits cut.
-_DELAYS = (0.5, 1.5, 2.5, 4.0, 6.0, 9.0)
-_RESPONSES = ((0.6, 0.0), (0.2, 0.0), (0.1, 0.5), (0.05, 0.9), (0.02, 0.8))
-_FASTEST = 0.98
 
 
 @dataclass(frozen=True)
@@ -190,79 +182,6 @@ def variants(part: TermCandidate) -> list[TermCandidate]:
     fixed = [k for k in range(part.starts.shape[1]) if k not in part.free]
     kinds = np.unique(part.starts[:, fixed], axis=0)
     return [replace(part, starts=part.starts[(part.starts[:, fixed] == kind).all(axis=1)]) for kind in kinds]
-
-
-def follows(data: CoordinateData) -> list[TermCandidate]:
-    """Responses to commands that are places: of first order, late, of second order, with a dead zone, and with limits.
-
-    None where most commands lead to where the part cannot be, or all are the same: places are then the measured ones.
-    """
-    size = data.command_size
-    low, high = data.visited
-    places = (data.z + data.u)[data.counted_starts]
-    if np.ptp(data.u[data.counted_starts]) <= _DIGITS * size:
-        return []
-    if np.mean((places > low - (high - low)) & (places < high + (high - low))) < _REACHABLE:
-        return []
-    share, offset, gain, delay, momentum, width, pull, acceleration, speed = range(9)
-    fastest = max(step_sizes(data, _FASTEST), default=size)
-
-    def begun(free: Sequence[int], starts: Sequence[Mapping[int, float]]) -> TermCandidate:
-        values = np.repeat([[0.5, *(value for _, value in AS_COMMANDED[1:]), *NEVER_GATED]], len(starts), axis=0)
-        for row, start in zip(values, starts, strict=True):
-            for column, value in start.items():
-                parameter = form(FOLLOW).parameters[column]
-                row[column] = min(max(value, parameter.lower), parameter.upper)
-        large = {share: 0.3, offset: 0.3 * size, gain: 0.1, delay: 1.0, momentum: 0.3, width: 0.2 * size}
-        large |= dict.fromkeys((pull, acceleration, speed), 0.3 * fastest)
-        return TermCandidate(Term(form(FOLLOW)), values, tuple(free), np.array([large[k] for k in free]))
-
-    regressed = [_regressed(data, late) for late in range(3)]
-    first = [{share: 0.9}, {share: 0.4}, {share: 0.1}, {share: 0.02}]
-    second = [{share: 0.5, momentum: 0.2}, {share: 0.1, momentum: 0.7}, {share: 0.01, momentum: 0.9}, *regressed[:1]]
-    delayed = [
-        {share: s, momentum: m, width: w * size, delay: late}
-        for s, m in ((0.6, 0.0), (0.2, 0.6))
-        for w in (0.02, 0.5)
-        for late in (0.05, 1.0)
-    ]
-    delayed += [{**one, width: w * size} for one in regressed for w in (0.001, 0.1, 0.3)]
-    late_ones = [{share: s, delay: late} for s in (0.5, 0.15) for late in (1.0, 2.0, 3.0)]
-    slow = [{delay: d, share: s, momentum: m} for d in _DELAYS for s, m in _RESPONSES]
-    at_once = [one for one in slow if not one[momentum]]
-    pulled = [one | {pull: k * fastest * (1.0 - one[momentum])} for one in slow for k in (1.0, 0.4)]
-    profiles = [one | {speed: fastest, acceleration: k * fastest} for one in at_once for k in (0.3, 0.1)]
-    whole = (share, offset, gain, delay, momentum, width)
-    return [
-        begun((share,), first),
-        begun((share, offset), first),
-        begun((share, delay), late_ones),
-        begun((share, offset, gain, momentum), second),
-        begun(whole, delayed),
-        begun((share, delay, pull), [one | {pull: k * fastest} for one in at_once for k in (1.0, 0.4)]),
-        begun((*whole, pull), pulled),
-        begun((*whole, speed), [one | {speed: fastest} for one in slow]),
-        begun((share, delay, acceleration, speed), profiles),
-    ]
-
-
-def _regressed(data: CoordinateData, late: int) -> dict[int, float]:
-    """Parameters of `follow` by least squares of measured steps, with places so many rows late and up to one more.
-
-    Where fits begin: a delay between two rows is a share of the place in each.
-    """
-    first = late + 1
-    rows = data.z.shape[1] - 1
-    now, before, after = data.z[:, first:rows], data.z[:, first - 1 : rows - 1], data.z[:, first + 1 :]
-    places = [data.place[:, first - lag : rows - lag] for lag in (late, late + 1)]
-    counts = data.counted[:, first + 1 :] & data.is_measured[:, first:rows] & data.is_measured[:, first - 1 : rows - 1]
-    terms = [np.ones(counts.sum()), (now - before)[counts], *(place[counts] for place in places), now[counts]]
-    offset, momentum, *of_places, of_part = np.linalg.lstsq(np.stack(terms, axis=1), (after - now)[counts], rcond=None)[
-        0
-    ].tolist()
-    share, whole = max(-of_part, 1e-4), sum(of_places)
-    between = min(max(of_places[1] / whole, 0.01), 1.0) if whole > 0.0 else 0.01
-    return {0: share, 1: offset / share, 2: whole / share, 3: late + between, 4: momentum}
 
 
 def at_commanded_places() -> TermCandidate:

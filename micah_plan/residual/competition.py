@@ -22,7 +22,6 @@ from micah_plan.residual.candidates import (
     candidates,
     columns,
     earlier_commands,
-    follows,
     gated,
     smooth,
     variants,
@@ -40,12 +39,14 @@ from micah_plan.residual.contenders import (
     on_top,
 )
 from micah_plan.residual.likelihood import TIE
+from micah_plan.residual.responses import follows
 from micah_plan.summaries import Progress
 
 # Models that a second effect is tried on; of these effects, how many are fitted to the end.
 _HEADS, _SECONDS = 4, 6
 # Models of displacements that may be rivals of places with something that began.
 _RIVALS = 2
+_RESPONSES_POLISHED = 3
 _MOST_CHANGES = 3
 # Rows that a smooth function of the configuration needs at least.
 _ROWS_FOR_SMOOTH = 60
@@ -91,6 +92,7 @@ class Competition(Contenders):
         data, nominal, library = self.data, self.nominal, self._library()
         progress(f"{data.coordinate}: single effects", 0.1)
         singles = self.fitted([self._single(part) for part in library], restarted=RESTARTED)
+        singles = self._with_polished_responses(singles)
         singles += self._in_modes(singles)
         progress(f"{data.coordinate}: since when", 0.3)
         later = self._later(singles, library)
@@ -123,6 +125,12 @@ class Competition(Contenders):
         )
         remaining = (*passing, *self._worth([*loose, *corrected], chosen))
         return Standings(nominal, chosen, near, tuple(every), remaining, tuple(loose))
+
+    def _with_polished_responses(self, singles: Sequence[Contender]) -> list[Contender]:
+        """The same with the likeliest responses to places fitted to the end: of several optima the first is rarely one
+        that a bound may be asked of."""
+        best = [model for model in best_first(singles) if FOLLOW in model.names][:_RESPONSES_POLISHED]
+        return [self.polished(model) if model in best else model for model in singles]
 
     def _with_a_second(
         self, alone: Contender, near: tuple[Contender, ...], every: Sequence[Contender], pairs: Sequence[Contender]
@@ -303,13 +311,13 @@ class Competition(Contenders):
         return self.fitted([Option(tuple(parts), start)], first=0)[0].evidence
 
     def _pruned(self, contender: Contender) -> Contender:
-        """Without effects, and without beginnings of effects, that do not earn their place."""
+        """Without effects, beginnings of effects, and options of them, that do not earn their place."""
         parts, options = contender.parts, []
         for k, part in enumerate(parts):
             before, after = parts[:k], parts[k + 1 :]
             rests = [(*before, *after)] if len(parts) > 1 else []
             rests += [(*before, always(part), *after)] if begins_later(part) else []
-            rests += [(*before, plain, *after) for plain in self._special_cases(part)]
+            rests += [(*before, plain, *after) for plain in (*self._special_cases(part), *_with_less(part))]
             options += [Option(rest, np.hstack([each.starts for each in rest])) for rest in rests]
         simpler = [
             model
@@ -346,6 +354,19 @@ class Competition(Contenders):
             if part.name != MEMORY or FOLLOW not in model.names
         ]
         return self.fitted(options, first=2, keep=1, rounds=_ROUNDS_OF_CORRECTIONS)
+
+
+def _with_less(part: TermCandidate) -> list[TermCandidate]:
+    """An effect without one of its options."""
+    options, fewer = part.term.form.options(), []
+    for k, parameter in enumerate(part.term.form.parameters):
+        if k in part.free and parameter.name in options:
+            kept = [at for at, column in enumerate(part.free) if column != k]
+            starts = part.starts.copy()
+            starts[:, k] = options[parameter.name]
+            free = tuple(part.free[at] for at in kept)
+            fewer.append(replace(part, starts=starts, free=free, scale=part.scale[kept]))
+    return fewer
 
 
 def _of_commands(head: Contender) -> set[str]:

@@ -59,7 +59,7 @@ RESTARTED, TO_THE_END = 5, 20
 # How often at most a fit goes on from where one parameter is elsewhere, and from how many such places.
 _PROBED, _BESIDE_KEPT = 5, 8
 # Logs by which the noise of a start may be less than that of the model that it begins with.
-_QUIETER = (0.0, 1.5, 3.0, 4.5)
+_QUIETER = (0.0, 2.0, 4.0, 6.0, 8.0)
 # Rows of a long recording that are searched; models that are then fitted to all, and in how many rounds.
 _SCREENED_ROWS, _VERIFIED, _ON_ALL_ROUNDS = 600, 10, 4
 # A fit that is so many times what an effect must add behind the best has no chance of a tie.
@@ -173,6 +173,7 @@ class Contenders:
         heard = np.clip(_HEARD * regularity(data), -_MOST_HEARD, _MOST_HEARD) if is_open else 0.0
         self.odds_of_places = -float(heard)
         self._densities: dict[Contender, Floats] = {}
+        self._fitted_to_the_end: dict[Contender, Contender] = {}
         self.nominal = self._begun_with(data)
         if np.ptp(data.noise[data.is_measured]):  # something else than the model's sensor may have measured
             as_modelled = self.nominal
@@ -346,6 +347,12 @@ class Contenders:
         threshold that is a little off leaves. So the fit goes on from where one parameter is elsewhere, and from other
         noise, until nothing is likelier.
         """
+        if contender not in self._fitted_to_the_end:
+            better = self._fitted_further(contender)
+            self._fitted_to_the_end |= {contender: better, better: better}
+        return self._fitted_to_the_end[contender]
+
+    def _fitted_further(self, contender: Contender) -> Contender:
         tried = [replace(contender.fit, freedom=freedom) for freedom in _FREEDOMS]
         best = min(self.screening.improved(tried, TO_THE_END), key=_tailed)
         for _ in range(_PROBED):
@@ -356,6 +363,7 @@ class Contenders:
             best = further
         if self.screening is not self.fitting:
             (best,) = self.fitting.improved([best], TO_THE_END)
+            best = min(best, contender.fit, key=_tailed)  # what is best in some rows need not be so in all
         return self._contender(contender.parts, self.fitting.weighed([best])[0])
 
     def _nominal(self) -> Contender:

@@ -13,15 +13,20 @@ import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints, earlier_rows, robust_std
 from micah_plan.automaton.effects.ends import range_of
+from micah_plan.automaton.effects.memories import LONGEST_DELAY
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
-from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.link_motion import LinkMotion, link_motions
 from micah_plan.automaton.tracks import Track, in_base_frame, measuring_links
 from micah_plan.recording.commands import Meaning
 from micah_plan.residual.compared_runs import sections
 from micah_plan.residual.row_ends import RowsSeen, row_ends, rows_as_seen
 
+# Commands before a segment that a delay may still have to carry out.
+_STILL_TO_COME = LONGEST_DELAY + 1
+# Rows on either side that tell how fast a part moves.
+_BESIDE = 3
 # Rows before a segment from the middle of a run: they bring filter and memories up to date and are not counted (a speed
 # that is nine tenths of that before has become a twentieth of the error by then).
 WARM_UP = 30
@@ -57,6 +62,9 @@ class CoordinateData:
         z: (S, T) measured configuration [rad or m].
         u: (S, T) command from each row to the next, projected on the joint [rad or m]; 0 where there is none.
         place: (S, T) to which the command of each row leads if it means a place [rad or m].
+        earlier: (2, S, k) `u` and `place` of the rows before each segment, the last first; NaN where there are none.
+        moving: (S,) by how much the part moved on in a row about the first of a segment, by a straight line through the
+            measurements there; 0 where a run begins.
         counted: (S, T) whether the step to this row counts; never at column 0.
         time: (S, T) since the start of the run [s].
         order: (S, T) place in the recording, from 0 to 1.
@@ -87,6 +95,8 @@ class CoordinateData:
     z: Floats
     u: Floats
     place: Floats
+    earlier: Floats
+    moving: Floats
     counted: Booleans
     time: Floats
     order: Floats
@@ -189,7 +199,8 @@ class CoordinateData:
         cut = {name: getattr(self, name)[chosen][:, :longest] for name in names}
         ends = None if self.row_ends is None else self.row_ends[:, chosen][:, :, :longest]
         action = None if self.action is None else self.action[chosen][:, :longest]
-        return replace(self, **cut, run=self.run[chosen], row_ends=ends, action=action, whole=None, segment=None)
+        cut |= {"run": self.run[chosen], "earlier": self.earlier[:, chosen], "moving": self.moving[chosen]}
+        return replace(self, **cut, row_ends=ends, action=action, whole=None, segment=None)
 
     @property
     def visited(self) -> tuple[float, float]:
@@ -230,9 +241,13 @@ def coordinate_data_of(
 
 @dataclass(frozen=True)
 class _Piece:
-    """Rows of a track: read from `first` on, counted after `start`, up to `end`; `order` of the track's first row."""
+    """Rows of a track: read from `first` on, counted after `start`, up to `end`; `order` of the track's first row.
+
+    Without a gap, they go on from row `begun`.
+    """
 
     track: int
+    begun: int
     first: int
     start: int
     end: int
@@ -249,7 +264,7 @@ def _pieces(tracks: tuple[Track, ...], cuts: Callable[[int, int], list[tuple[int
                 measured = np.flatnonzero(track.is_measured[a + first : a + end])
                 begin = a + first + int(measured[0]) if len(measured) else a + end
                 if a + end - max(a + start, begin) > 1:
-                    pieces.append(_Piece(number, begin, max(a + start, begin), a + end, passed / total))
+                    pieces.append(_Piece(number, a, begin, max(a + start, begin), a + end, passed / total))
         passed += len(track.time)
     return pieces
 
@@ -269,28 +284,27 @@ def _coordinate_data(
     vectors = len(automaton.links) == 1 and all(track.action is not None for track in tracks)
     moving, path = next(mode for mode in automaton.modes if mode.driven[i]), link_motions(automaton)[link]
     for s, piece in enumerate(kept):
-        track, first, start, end = tracks[piece.track], piece.first, piece.start, piece.end
+        track, seen, first, end = tracks[piece.track], rows_measured[piece.track], piece.first, piece.end
         rows, count = slice(first, end), end - first
         z[s, :count], z[s, count:] = track.x[rows, i], track.x[end - 1, i]
-        mode[s, :count] = rows_measured[piece.track].modes[rows]
-        noise[s, :count] = np.where(track.is_measured[rows], rows_measured[piece.track].stds[rows, i] ** 2, np.inf)
-        if track.u is not None:
-            u[s, :count] = np.vstack([track.u, 0 * track.u[:1]])[rows] @ moving.B[i]
-        place[s, :count], place[s, count:] = track.origin[rows, i], z[s, -1]
-        asked = None if track.action is None else in_base_frame(automaton, i, track.action[rows, link])
-        place[s] += u[s] if asked is None else _aimed(path, z[s], asked)
+        mode[s, :count] = seen.modes[rows]
+        noise[s, :count] = np.where(track.is_measured[rows], seen.stds[rows, i] ** 2, np.inf)
+        u[s, :count], place[s, :count] = _commanded(automaton, track, measuring, rows, moving)
+        place[s, count:] = z[s, -1]
         time[s, :count] = track.time[rows] - track.time[0]
         order[s, :count] = piece.order + np.arange(first, end) / total
         # Where a sensor sees nothing there is nothing to compare with.
-        counted[s, start - first + 1 : count] = np.isfinite(noise[s, start - first + 1 : count])
+        own = slice(piece.start - first + 1, count)
+        counted[s, own] = np.isfinite(noise[s, own])
         if ends is not None:
-            own = row_ends(automaton, track.x[rows], mode[s, :count], i)
-            ends[0, s, :count], ends[1, s, :count] = own.low, own.high
-            counted[s, 1:count] &= ~own.leaves_open(z[s, :count], u[s, :count])[:-1]
-        if asked is not None:
-            counted[s, :count] &= ~_is_unclear(path, z[s, :count], asked, rows_measured[piece.track].stds[rows, i])
-        if vectors and track.action is not None:
-            action[s, : min(count, len(track.action) - first)] = track.action[first:end, link]
+            at = row_ends(automaton, track.x[rows], mode[s, :count], i)
+            ends[:, s, :count] = at.low, at.high
+            counted[s, 1:count] &= ~at.leaves_open(z[s, :count], u[s, :count])[:-1]
+        if track.action is not None:
+            told = track.action[rows, link]
+            action[s, : len(told)] = told
+            asked = in_base_frame(automaton, i, told)
+            counted[s, :count] &= ~_is_unclear(path, z[s, :count], asked, seen.stds[rows, i])
     return CoordinateData(
         coordinate=automaton.coordinates[i].name,
         index=i,
@@ -298,6 +312,7 @@ def _coordinate_data(
         z=z,
         u=u,
         place=place,
+        **_before(automaton, tracks, measuring, kept, moving),
         counted=counted,
         time=time,
         order=order,
@@ -314,6 +329,46 @@ def _coordinate_data(
         is_outside=all(track.is_outside for track in tracks),
         effects=_on_motion(automaton, automaton.coordinates[i].name),
     )
+
+
+def _before(
+    automaton: HybridAutomaton, tracks: tuple[Track, ...], measuring: tuple[int, int], kept: list[_Piece], mode: Mode
+) -> dict[str, Any]:
+    """What was commanded before each segment, and how fast the part moved where it begins."""
+    earlier = [_earlier(automaton, tracks[piece.track], measuring, piece, mode) for piece in kept]
+    moving = [_speed_at(tracks[piece.track], piece, measuring[1]) for piece in kept]
+    return {"earlier": np.stack(earlier, axis=1), "moving": np.array(moving)}
+
+
+def _earlier(automaton: HybridAutomaton, track: Track, measuring: tuple[int, int], piece: _Piece, mode: Mode) -> Floats:
+    """(2, k) what `_commanded` gives of the rows before a segment, the last first; NaN where there are none."""
+    begun = max(piece.begun, piece.first - _STILL_TO_COME)
+    earlier = np.full((2, _STILL_TO_COME), np.nan)
+    earlier[:, : piece.first - begun] = _commanded(automaton, track, measuring, slice(begun, piece.first), mode)[
+        :, ::-1
+    ]
+    return earlier
+
+
+def _commanded(automaton: HybridAutomaton, track: Track, measuring: tuple[int, int], rows: slice, mode: Mode) -> Floats:
+    """(2, k) displacements that are commanded in some rows, and places to which they lead."""
+    link, i = measuring
+    displacement, origin = np.zeros(rows.stop - rows.start), track.origin[rows, i]
+    if track.u is not None:
+        displacement = np.vstack([track.u, 0 * track.u[:1]])[rows] @ mode.B[i]
+    if track.action is None:
+        return np.stack([displacement, origin + displacement])
+    asked = in_base_frame(automaton, i, track.action[rows, link])
+    return np.stack([displacement, origin + _aimed(link_motions(automaton)[link], origin, asked)])
+
+
+def _speed_at(track: Track, piece: _Piece, i: int) -> float:
+    """By how much coordinate i moves on in a row where a segment begins; 0 where a run does, or measurements lack."""
+    rows = np.arange(max(piece.begun, piece.first - _BESIDE), min(piece.first + _BESIDE + 1, piece.end))
+    rows = rows[track.is_measured[rows]]
+    if piece.first == piece.begun or len(rows) <= _BESIDE:
+        return 0.0
+    return float(np.polyfit(rows, track.x[rows, i], 1)[0])
 
 
 def _relative(variance: Floats, counted: Booleans) -> Floats:

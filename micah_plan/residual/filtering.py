@@ -241,6 +241,9 @@ def _rows_given(data: CoordinateData, number: Ints) -> RowsGiven:
         ends=np.zeros((2, 1, 1)),
         # What moves on need not have begun here: the second row of a segment that goes on is taken as measured.
         goes_on=_own(np.where(data.goes_on, data.command_size**2, 0.0)),
+        moving=_own(data.moving),
+        # Those of hypotheses that read actions in another frame are a little different.
+        earlier=_own(data.earlier),
         in_mode=np.zeros((0, len(data.modes)), dtype=bool),
         last=data.z.shape[1] - 1 - np.argmax((number >= 0)[:, ::-1], axis=1),
         number=_own(number),

@@ -29,7 +29,7 @@ WHITE, PROCESS, MOTION, WANDER, FREEDOM, BESIDE_LOW, BESIDE_HIGH, RELEASE_LOW, R
 # The state of each hypothesis beside its registers, and what the row has.
 _WANDERED, _OF_PLACE, _OF_BOTH, _OF_READING, _ERROR, _VARIANCE = range(6)
 _LOW_BEFORE, _HIGH_BEFORE, _AT_LOW, _AT_HIGH, _IS_GONE = range(6, 11)
-_READ, _NOISE, _EFFORT, _POWER, _DENSITY, _PRODUCT, _TOTAL, _STATES = range(11, 19)
+_READ, _NOISE, _EFFORT, _POWER, _DENSITY, _PRODUCT, _TOTAL, _UNHEARD, _STATES = range(11, 20)
 # Values of a delay line: a power of 2.
 LINE = 32
 # Densities of so many rows are multiplied before the logarithm is taken: each is between 1e-12 and 1e12 per rad or m.
@@ -57,6 +57,8 @@ class Programs(NamedTuple):
         registers: how many there are.
         constants: (c, 2) register and value.
         parameters: (k,) registers of them.
+        lines: (k, 3) first register of each delay line, what it keeps (0 displacements, 1 places), and the register of
+            its delay.
     """
 
     once: Ints
@@ -67,6 +69,7 @@ class Programs(NamedTuple):
     registers: int
     constants: Floats
     parameters: Ints
+    lines: Ints
 
 
 class RowsGiven(NamedTuple):
@@ -76,6 +79,9 @@ class RowsGiven(NamedTuple):
         effort: squared commands, over their usual size. moved: (1, S, T), or (B, S, T) of each hypothesis: commands.
         ends: (2, S, T), or (2, 1, 1) if they are always the same. goes_on: (S,) variance that the second row has
             beside its own.
+        moving: (S,) by how much the part moved on into the first row.
+        earlier: (2, S, k) displacements and places that were commanded in the rows before the first, the last first;
+            NaN where there are none.
         in_mode: (k, modes) in which modes the k sets of modes are. last: (S,) last row that counts.
         number: (S, T) column of the results in which a row is; -1: in none.
     """
@@ -90,6 +96,8 @@ class RowsGiven(NamedTuple):
     mode: Ints
     ends: Floats
     goes_on: Floats
+    moving: Floats
+    earlier: Floats
     in_mode: Booleans
     last: Ints
     number: Ints
@@ -162,9 +170,6 @@ def evaluate(code: Ints, r: Floats, in_mode: Booleans, mode: Ints, t: int) -> No
         elif operation == Operation.LE:
             for j in range(lanes):
                 o[j] = 1.0 if a[j] <= b[j] else 0.0
-        elif operation == Operation.NOT:
-            for j in range(lanes):
-                o[j] = 1.0 if a[j] == 0.0 else 0.0
         elif operation == Operation.SIGN:
             for j in range(lanes):
                 o[j] = 1.0 if a[j] > 0.0 else (-1.0 if a[j] < 0.0 else a[j])
@@ -175,15 +180,18 @@ def evaluate(code: Ints, r: Floats, in_mode: Booleans, mode: Ints, t: int) -> No
             for j in range(lanes):
                 o[j] = 1.0 if in_mode[code[k, 2], mode[j]] else 0.0
         elif operation == Operation.KEEP:
-            kept = r[code[k, 1] + t % LINE]
-            for j in range(lanes):
-                kept[j] = a[j]
+            r[code[k, 1] + t % LINE] = a
         elif operation == Operation.EARLIER:
-            line = r[code[k, 2] : code[k, 2] + LINE]
-            for j in range(lanes):
-                o[j] = line[(t - int(b[j])) % LINE, j]
+            _look_back(r[code[k, 2] : code[k, 2] + LINE], b, t, o)
         else:
             _evaluate_rare(operation, o, a, b)
+
+
+@_compiled
+def _look_back(line: Floats, rows: Floats, t: int, o: Floats) -> None:
+    """The values that a delay line (LINE, lanes) has kept so many rows (lanes,) ago."""
+    for j in range(len(o)):
+        o[j] = line[(t - int(rows[j])) % LINE, j]
 
 
 @_compiled
@@ -209,6 +217,8 @@ def _evaluate_rare(operation: int, o: Floats, a: Floats, b: Floats) -> None:
             o[j] = np.power(x, y)
         elif operation == Operation.AND:
             o[j] = 1.0 if x != 0.0 and y != 0.0 else 0.0
+        elif operation == Operation.NOT:
+            o[j] = 1.0 if x == 0.0 else 0.0
         elif operation == Operation.TWICE:
             o[j] = x + x
         elif operation == Operation.EQ:
@@ -293,6 +303,29 @@ def _begin(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
 
 
 @_compiled
+def _remember(
+    programs: Programs, rows: RowsGiven, r: Floats, state: Floats, mode: Ints, hypotheses: int, first: int
+) -> None:
+    """Fill memories as of the row before the first, and delay lines with what was commanded until then.
+
+    Where a run begins nothing is known of that: the part rests, but may do anything as long as commands are late.
+    """
+    for j in range(r.shape[1]):
+        r[PLACE_OF_PART, j] -= rows.moving[first + j // hypotheses]
+    evaluate(programs.rest, r, rows.in_mode, mode, 0)
+    for j in range(r.shape[1]):
+        segment = first + j // hypotheses
+        r[PLACE_OF_PART, j] += rows.moving[segment]
+        for k in range(programs.lines.shape[0]):
+            known = rows.earlier[programs.lines[k, 1], segment]
+            if np.isnan(known[0]):
+                state[_UNHEARD, j] = max(state[_UNHEARD, j], r[programs.lines[k, 2], j])
+            for ago in range(LINE - 1):
+                if not np.isnan(known[ago]):
+                    r[programs.lines[k, 0] + LINE - 1 - ago, j] = known[ago]
+
+
+@_compiled
 def _hold(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
     """Hold the part at its lower or upper end: until a command releases it, or the end is gone."""
     for j in range(r.shape[1]):
@@ -369,11 +402,11 @@ def _let_go(r: Floats, state: Floats, per_hypothesis: Floats, surely: float) -> 
 
 
 @_compiled
-def _take_in(r: Floats, state: Floats, per_hypothesis: Floats, is_bounded: bool, is_first: bool) -> None:
+def _take_in(r: Floats, state: Floats, per_hypothesis: Floats, is_bounded: bool, t: int) -> None:
     """Take a measurement in: a far one moves the state less.
 
-    After the first step it also leaves the state less certain, as Student's t has it: the part may still do what it was
-    told before the log.
+    In the first steps it also leaves the state less certain, as Student's t has it: the part may still do what it was
+    told before the log, as long as commands are late.
     """
     for j in range(r.shape[1]):
         steep, error, variance = r[STEEPNESS, j], state[_ERROR, j], state[_VARIANCE, j]
@@ -382,7 +415,7 @@ def _take_in(r: Floats, state: Floats, per_hypothesis: Floats, is_bounded: bool,
         freedom = per_hypothesis[FREEDOM, j]
         far = max((error * error / variance + freedom) / (freedom + 1.0), 1.0)
         weight = 1.0 / (far * variance)
-        far = far if is_first else 1.0
+        far = far if t <= state[_UNHEARD, j] else 1.0
         place = r[PLACE_OF_PART, j] + to_place * weight * error
         of_place = (state[_OF_PLACE, j] - to_place * weight * to_place) * far
         of_both = (of_both - to_place * weight * to_reading) * far
@@ -525,7 +558,7 @@ def go_through(
         evaluate(programs.ends, r, rows.in_mode, mode, 0)
         evaluate(programs.reading, r, rows.in_mode, mode, 0)
         _begin(r, state, own)
-        evaluate(programs.rest, r, rows.in_mode, mode, 0)
+        _remember(programs, rows, r, state, mode, hypotheses, first)
         for t in range(last):
             evaluate(programs.step, r, rows.in_mode, mode, t)
             if rows.ends.shape[2] > 1 or programs.ends.shape[0] > 1:
@@ -545,7 +578,7 @@ def go_through(
             if settings.kind == FILTER:
                 _find_density(state, own, settings.anywhere)
                 _multiply(rows.number, state, hypotheses, first, t + 1)
-                _take_in(r, state, own, settings.is_bounded, t == 0)
+                _take_in(r, state, own, settings.is_bounded, t)
             elif settings.kind == ONE_STEP:
                 _take_as_measured(r, state, own, settings.unseen)
         _write(rows.number, errors, at, first, error)

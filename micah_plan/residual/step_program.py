@@ -84,7 +84,7 @@ class _Assembly:
         self.registers = FIRST_OWN
         self.once, self.constants = list[Instruction](), list[tuple[int, float]]()
         self.rest, self.ends, self.step, self.reading = (list[Instruction]() for _ in range(4))
-        self.mode_sets = list[tuple[str, ...]]()
+        self.mode_sets, self.lines = list[tuple[str, ...]](), list[tuple[int, int, int]]()
         self.parameters = self._own(columns(model))
         self.one, self.zero = self._own(2)
         self.constants += [(self.one, 1.0), (self.zero, 0.0)]
@@ -112,6 +112,7 @@ class _Assembly:
             registers=self.registers,
             constants=np.array(self.constants, dtype=float).reshape(-1, 2),
             parameters=np.array(self.parameters, dtype=np.int64),
+            lines=np.array(self.lines, dtype=np.int64).reshape(-1, 3),
         )
         return ModelProgram(programs, tuple(self.mode_sets))
 
@@ -119,14 +120,15 @@ class _Assembly:
         step, steep = self.step, self.steepness
         step.append(_move(steep, self.zero))
         for term, values, _, neutral in self._of("place"):
-            memory = self._memory_of(term.form, values, neutral)
-            sent, given, _ = self._in_force(COMMANDED_PLACE, PLACE_OF_PART, term.form, values, neutral)
+            memory, earlier = self._memory_of(term.form, values, neutral)
+            sent, given, _ = self._in_force(COMMANDED_PLACE, earlier, term.form, values, neutral)
             line = response_line(term.form, neutral)
             out, slope, *after = self._called(step, line, (PLACE_OF_PART, *sent, *memory), given)
             step += [_move(COMMAND, out), _move(steep, slope), *map(_move, memory, after)]
         for term, values, is_gated, neutral in self._of("memory"):
-            memory, acts = self._memory_of(term.form, values, neutral), self._acts(step, term, values, is_gated)
-            sent, given, is_now = self._in_force(COMMAND, self.zero, term.form, values, neutral)
+            memory, earlier = self._memory_of(term.form, values, neutral)
+            acts = self._acts(step, term, values, is_gated)
+            sent, given, is_now = self._in_force(COMMAND, earlier, term.form, values, neutral)
             out, slope, *after = self._called(step, memory_line(term.form, neutral), (*sent, *memory), given)
             if is_now is not None:
                 step.append((Operation.MUL, slope, slope, is_now))
@@ -164,25 +166,26 @@ class _Assembly:
             self._blend(self.step, self.steepness, slope, acts)
 
     def _in_force(
-        self, sent: int, at_rest: int, form: EffectForm, values: Sequence[int], neutral: Neutral
+        self, sent: int, earlier: Sequence[int], form: EffectForm, values: Sequence[int], neutral: Neutral
     ) -> tuple[Sequence[int], Sequence[int], int | None]:
         """What acts of what is commanded, parameters with what a late command needs, and whether the newest acts now.
 
         Args:
-            at_rest: register of what was commanded before the first row.
+            earlier: register of what was commanded before the first row, if commands act later.
         """
         if not is_late(form, neutral) or form.late_by is None:
             return (sent,), values, None
         delay, size = values[form.late_by], len(form.parameters)
         whole, before, late, is_now, newer, older = self._own(6)
         line = self._own(LINE)
+        self.lines.append((line[0], int(form.layer == "place"), delay))
         self.once += [
             (Operation.FLOOR, whole, delay, delay),
             (Operation.ADD, before, whole, self.one),
             (Operation.SUB, late, delay, whole),
             (Operation.LT, is_now, whole, self.one),
         ]
-        self.rest += [_move(place, at_rest) for place in line]
+        self.rest += [_move(place, at_rest) for place in line for at_rest in earlier]
         self.step += [
             (Operation.KEEP, line[0], sent, sent),
             (Operation.EARLIER, newer, line[0], whole),
@@ -190,12 +193,13 @@ class _Assembly:
         ]
         return (newer, older), [*values[:size], late], is_now
 
-    def _memory_of(self, form: EffectForm, values: Sequence[int], neutral: Neutral) -> list[int]:
-        """Registers of the memory, which begins at rest."""
+    def _memory_of(self, form: EffectForm, values: Sequence[int], neutral: Neutral) -> tuple[list[int], list[int]]:
+        """Registers of the memory, which begins at rest, and of what was commanded before, if commands act later."""
         begun = self._called(self.rest, at_rest_line(form, neutral), (PLACE_OF_PART,), values)
-        memory = self._own(len(begun))
+        size = len(begun) - is_late(form, neutral)
+        memory = self._own(size)
         self.rest += map(_move, memory, begun)
-        return memory
+        return memory, begun[size:]
 
     def _of(self, layer: Layer) -> list[_Acting]:
         return [acting for acting in self.terms if acting.term.form.layer == layer]

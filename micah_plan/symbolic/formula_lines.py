@@ -51,9 +51,10 @@ def _memory(form: EffectForm, c: ca.SX, p: Sequence[Value]) -> list[ca.SX]:
 
 @lru_cache(maxsize=_KEPT)
 def at_rest_line(form: EffectForm, neutral: Neutral) -> StraightLine:
-    """Memory of a part that rests at c, without the commands that a delay keeps."""
+    """Memory of a part that rests at c; of one whose commands act later, what was commanded before is last of it."""
     (c,), symbols, p = _symbols(form, neutral, "c")
-    return straight_line([c], symbols, _rest(form, c, p))
+    kept = [form.commanded_at_rest(c, p)] if is_late(form, neutral) else []
+    return straight_line([c], symbols, [*_rest(form, c, p), *kept])
 
 
 @lru_cache(maxsize=_KEPT)

@@ -20,7 +20,7 @@ from micah_plan.residual.prediction import predict_recording
 from micah_plan.symbolic.compiled import compiled_mode
 
 NAMES = ("share", "offset", "gain", "delay", "momentum", "width")
-LIMITS = ("pull", "acceleration", "speed")
+LIMITS = ("pull", "acceleration", "speed", "friction")
 SWING = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.3, 0.0, 0.1))
 SLIDE = prismatic((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
@@ -31,18 +31,18 @@ def part(joint):
 
 
 def following(joint, *values):
-    """With six values, or nine: with limits."""
+    """With six values, or up to ten: with limits and friction."""
     names = (NAMES + LIMITS)[: len(values)]
     return with_effect(part(joint), Effect("follow", "part", tuple(zip(names, values, strict=True))))
 
 
 def servo(start, places, share, offset, gain, delay, momentum, width, *limits):
-    """Where a part goes after places: (K + 1,). The places before the first are where it starts.
+    """Where a part goes after places: (K + 1,). Those before the first keep it where it starts.
 
     The pull of a step is the mean over its instants, in each of which the place is that of `delay` steps before.
     """
-    most_pull, acceleration, most = limits or (np.inf,) * 3
-    c, speed, seen = start, 0.0, [start] * 20
+    most_pull, acceleration, most, friction = (*limits, 0.0)[:4] if limits else (*(np.inf,) * 3, 0.0)
+    c, speed, seen = start, 0.0, [(start - offset) / gain] * 40
     gone = [c]
     for place in places:
         seen.insert(0, place)
@@ -56,6 +56,8 @@ def servo(start, places, share, offset, gain, delay, momentum, width, *limits):
                 braked = np.clip(braked, -most_braked, most_braked)
             pulls.append(np.clip(braked, -most_pull, most_pull))
         wanted = momentum * speed + float(np.mean(pulls))
+        # Friction takes as much from a motion, but turns none around.
+        wanted = wanted - friction if wanted > friction else wanted + friction if wanted < -friction else 0.0
         wanted = speed + float(np.clip(wanted - speed, -acceleration, acceleration))
         speed = float(np.clip(wanted, -most, most))
         c += speed
@@ -67,11 +69,11 @@ VALUES = st.tuples(
     st.floats(0.05, 1.2),
     st.floats(-0.05, 0.05),
     st.floats(0.8, 1.1),
-    st.sampled_from([0.0, 0.4, 1.0, 2.7]),
+    st.sampled_from([0.0, 0.4, 1.0, 2.7, 23.0, 29.8]),
     st.floats(0.0, 0.6),
     st.sampled_from([0.0, 0.03]),
 )
-BOUNDED = st.tuples(*(st.sampled_from([np.inf, 0.3, 0.05]) for _ in LIMITS))
+BOUNDED = st.tuples(*(st.sampled_from([np.inf, 0.3, 0.05]) for _ in LIMITS[:3]), st.sampled_from([0.0, 0.02]))
 PLACES = st.lists(st.floats(-0.8, 0.8), min_size=1, max_size=20)
 
 
@@ -86,6 +88,18 @@ def test_steps_with_the_memory_beside_or_in_the_state_are_those_of_a_servo(value
         beside = step(automaton, "revolute", beside, channel.pass_on([place - beside[0]], "revolute", beside)).x
         inside = step(whole, "revolute", inside, [place - inside[0]]).x
         np.testing.assert_allclose([beside[0], inside[0]], expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("delay", [3.0, 4.6, 30.0])
+def test_a_part_that_rests_beside_its_goal_stays_until_a_command_arrives(delay) -> None:
+    """It hangs 0.1 below its goal, which was given before: only what is commanded now moves it."""
+    automaton = following(SWING, 0.4, -0.1, 0.9, delay, 0.3, 0.0)
+    channel, x = InputChannel(automaton), np.array([0.2])
+    whole = int(delay)
+    for _ in range(whole + 1):
+        assert x == pytest.approx(0.2)
+        x = step(automaton, "revolute", x, channel.pass_on([0.9 - x[0]], "revolute", x)).x
+    assert x > 0.2 + 0.05 * (whole + 1 - delay)
 
 
 @settings(max_examples=30)

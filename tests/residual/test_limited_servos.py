@@ -25,7 +25,7 @@ def servo_run(rows, seed, law, delay=0.0, noise=_NOISE):
     """(z, u) of a run: `law`(way, speed) is by how much the speed, per row, changes in an instant."""
     rng = np.random.default_rng(seed)
     c = goal = float(rng.uniform(0.3, 0.9))
-    goals, z, speed = [goal] * 20, np.zeros(rows), 0.0
+    goals, z, speed = [goal] * 40, np.zeros(rows), 0.0
     for k in range(rows):
         z[k] = c + noise * rng.standard_normal()
         if k > 1 and rng.random() < 0.04:
@@ -35,7 +35,7 @@ def servo_run(rows, seed, law, delay=0.0, noise=_NOISE):
             told = goals[len(goals) - 1 + int(np.floor((instant + 0.5) / _INSTANTS - delay))]
             speed += law(told - c, speed)
             c += speed / _INSTANTS
-    return z, np.array(goals[20:]) - z
+    return z, np.array(goals[40:]) - z
 
 
 def told(law, delay, seeds):
@@ -53,6 +53,16 @@ def torque(most):
     return lambda way, speed: (float(np.clip(0.12 * way, -most, most)) - 0.4 * speed) / _INSTANTS
 
 
+def rubbing(friction):
+    """The same, limited by nothing, with friction: it brakes what moves, and holds what rests."""
+
+    def law(way, speed):
+        free = speed + (0.12 * way - 0.4 * speed) / _INSTANTS
+        return float(np.sign(free) * max(abs(free) - friction / _INSTANTS, 0.0)) - speed
+
+    return law
+
+
 def profile(way, speed):
     """Speeds up and brakes with 0.0025 rad per row and row, at most 0.025 rad per row, to a stop at the goal."""
     wanted = np.sign(way) * min(np.sqrt(2.0 * 0.0025 * abs(way)), 0.025)
@@ -65,6 +75,8 @@ def profile(way, speed):
         pytest.param(at_once(0.05), 1.8, {"delay": 1.8, "pull": 0.05}, id="speed and delay"),
         pytest.param(at_once(0.03), 6.4, {"delay": 6.4, "pull": 0.03}, id="long delay", marks=pytest.mark.slow),
         pytest.param(torque(0.01), 0.0, {"pull": 0.0082, "momentum": 0.67}, id="torque", marks=pytest.mark.slow),
+        pytest.param(torque(1.0), 24.3, {"delay": 24.3, "momentum": 0.67}, id="delay over many rows"),
+        pytest.param(rubbing(0.004), 0.0, {"friction": 0.0033, "momentum": 0.67}, id="friction"),
         pytest.param(profile, 0.0, {"acceleration": 0.0025, "speed": 0.025}, id="profile"),
     ],
 )

@@ -9,10 +9,11 @@ from extras import requires
 
 from micah_plan.automaton.tracks import tracks
 from micah_plan.residual.calibrate import calibrate
-from micah_plan.residual.candidates import candidates, follows
+from micah_plan.residual.candidates import candidates
 from micah_plan.residual.competition import Competition
 from micah_plan.residual.coordinate_data import coordinate_data_of
 from micah_plan.residual.prediction import predict_recording, rmse
+from micah_plan.residual.responses import follows
 
 
 def servo_run(rows, seed, *, share, momentum=0.0, late=0, short=0.0, noise=0.002):

@@ -82,6 +82,14 @@ class Reference:
             there += term.form.force(np, c, v, p) if self.acts(term, gates, t) else 0.0
         return float(there), float(v), after
 
+    def begun(self, term, c, p):
+        """The memory at the first row: of commands before it, where they are known."""
+        memory, delay = term.form.at_rest_in(c, p), term.form.late_by
+        kept = 0 if delay is None else math.ceil(p[delay])
+        known = self.data.earlier[int(term.form.layer == "place"), self.s, :kept]
+        late = [own if np.isnan(one) else one for own, one in zip(memory[len(memory) - kept :], known, strict=True)]
+        return (*memory[: len(memory) - kept], *late)
+
     def rows(self, kind):
         """(T,) errors and variances."""
         data, s = self.data, self.s
@@ -90,7 +98,10 @@ class Reference:
         zero, one = self.read(0.0, 0), self.read(1.0, 0)
         low, high = self.ends(0)
         c = min(max((data.z[s, 0] - zero) / (one - zero), low), high)
-        self.memory = {k: term.form.at_rest_in(c, p) for k, (term, p, _) in enumerate(self.terms)}
+        self.memory = {k: self.begun(term, c - data.moving[s], p) for k, (term, p, _) in enumerate(self.terms)}
+        # As long as commands from before the log may act that nobody knows.
+        delays = [p[term.form.late_by] for term, p, _ in self.terms if term.form.late_by is not None]
+        unheard = max(delays, default=0.0) if np.isnan(data.earlier[0, s, 0]) else 0.0
         P = np.array([[self.white * data.noise[s, 0] / (one - zero) ** 2, 0.0], [0.0, self.wander]])
         d, at, before = 0.0, [c <= low, c >= high], (low, high)
         for t in range(count - 1):
@@ -126,7 +137,7 @@ class Reference:
             far = max((self.freedom + e**2 / S) / (self.freedom + 1.0), 1.0)
             gain = P @ h / S / far
             c, d = c + gain[0] * e, d + gain[1] * e
-            P = (far if t == 0 else 1.0) * (P - np.outer(gain, P @ h))
+            P = (far if t <= unheard else 1.0) * (P - np.outer(gain, P @ h))
             if gone:
                 c, P[0, 0], P[0, 1], P[1, 0] = (data.z[s, t + 1] - zero) / h[0], white / h[0] ** 2, 0.0, 0.0
             c = min(max(c, low), high)

@@ -22,17 +22,17 @@ def with_effect(automaton: HybridAutomaton, *effects: Effect) -> HybridAutomaton
         InputError: for an unknown effect, coordinate, mode or set of parameters.
     """
     for effect in effects:
-        effect = _with_every_limit(effect)
+        effect = _with_options(effect)
         check_effect(automaton, effect)
         rebuilt = form(effect.name).rebuilt(automaton, automaton.index(effect.coordinate), effect.values)
         automaton = replace(rebuilt, effects=(*automaton.effects, effect))
     return automaton
 
 
-def _with_every_limit(effect: Effect) -> Effect:
-    """The effect with the limits that were left out, behind what was given: there are none of these."""
+def _with_options(effect: Effect) -> Effect:
+    """The effect with the parameters that were left out, behind what was given."""
     given = [name for name, _ in effect.parameters]
-    left_out = [(p.name, np.inf) for p in form(effect.name).parameters if p.is_limit and p.name not in given]
+    left_out = [pair for pair in form(effect.name).options().items() if pair[0] not in given]
     std = (*effect.std, *(0.0 for _ in left_out)) if effect.std else ()
     return replace(effect, parameters=(*effect.parameters, *left_out), std=std)
 

@@ -13,7 +13,7 @@ beside others, and what would tell it from them: all that there is of an effect 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Protocol
 
@@ -31,19 +31,6 @@ Value = Any
 Values = Sequence[Value]
 Memory = tuple[Value, ...]
 
-
-class InForce(NamedTuple):
-    """What was commanded a while ago and acts in a step.
-
-    Attributes:
-        newer, older: displacements or places; `late` of the step has the older one, and then the newer.
-    """
-
-    newer: Value
-    older: Value
-    late: Value
-
-
 # The layer that each hook is of. A form that only changes the automaton itself (`rebuilt`) is of geometry.
 _HOOKS: dict[str, Layer] = {
     "frame_command": "frame",
@@ -58,6 +45,18 @@ _HOOKS: dict[str, Layer] = {
 _HIGHEST_RANK = 18
 # What is large for a parameter that is no displacement.
 _LARGE = 0.3
+
+
+class InForce(NamedTuple):
+    """What was commanded a while ago and acts in a step.
+
+    Attributes:
+        newer, older: displacements or places; `late` of the step has the older one, and then the newer.
+    """
+
+    newer: Value
+    older: Value
+    late: Value
 
 
 class Operations(Protocol):
@@ -82,8 +81,9 @@ class Parameter:
         unit: ``"1"``, ``"step"``, ``"rad"``, or ``"coordinate"`` for the coordinate's own unit (rad or m), which may
             be combined: ``"coordinate/s"``, ``"m/coordinate"``.
         neutral: value at which the form has no effect whatever the others are; None if another one's decides. Infinite
-            for a limit, which may be left out where there is none.
+            for a limit.
         lower, upper: bounds of a sensible value.
+        is_optional: whether it may be left out, and is neutral then.
     """
 
     name: str
@@ -91,6 +91,7 @@ class Parameter:
     neutral: float | None = None
     lower: float = -float("inf")
     upper: float = float("inf")
+    is_optional: bool = False
 
     @property
     def is_limit(self) -> bool:
@@ -116,8 +117,8 @@ class EffectForm:
         is_sought: whether `calibrate` tries it as it tries any: not what it seeks in another way, nor what is added by
             hand only.
         late_by: number of the parameter that says how many steps later a command acts; None: it acts at once. Such a
-            form keeps its last commands behind the rest of its memory, and its formula is `remember_late` or
-            `respond_late`.
+            form keeps its last commands behind the rest of its memory, `commanded_at_rest` before the first, and its
+            formula is `remember_late` or `respond_late`.
     """
 
     name: ClassVar[str]
@@ -137,6 +138,17 @@ class EffectForm:
         cls.layers = (*hooks, "geometry") if changes else tuple(hooks)
         if cls.layers:
             cls.layer = cls.layers[0]
+
+    @classmethod
+    def options(cls) -> dict[str, float]:
+        """The parameters that may be left out, with the values that they have then."""
+        return {each.name: each.neutral for each in cls.parameters if each.is_optional and each.neutral is not None}
+
+    @classmethod
+    def stated(cls, values: Iterable[tuple[str, float]]) -> list[str]:
+        """The names of parameters (name, value) that are not left out in files and reports: all but neutral options."""
+        options = cls.options()
+        return [name for name, value in values if name not in options or value != options[name]]
 
     def begun(self, data: Shown) -> FitStart | None:
         """Where its fit begins on a recording; None if that cannot show it."""
@@ -175,6 +187,10 @@ class EffectForm:
     def respond(self, ops: Operations, c: Value, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
         """(command that comes out, memory after) at configuration c of a command that leads to the place c + v."""
         return self.remember(ops, v, memory, p)
+
+    def commanded_at_rest(self, c: Value, p: Values) -> Value:
+        """What was commanded before, if the part rests in configuration c: the displacement, or the place."""
+        return 0.0
 
     def remember_late(self, ops: Operations, sent: InForce, memory: Memory, p: Values) -> tuple[Value, Memory]:
         """(command that comes out, memory after, but for the commands that are kept) of commands that act late."""

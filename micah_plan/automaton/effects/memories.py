@@ -11,18 +11,13 @@ from micah_plan.automaton.effects.fit_start import FitStart, Shown, step_sizes
 from micah_plan.automaton.effects.form import EffectForm, InForce, Memory, Operations, Parameter, Value, Values
 from micah_plan.automaton.effects.value import Effect
 
-LONGEST_DELAY = 12
+LONGEST_DELAY = 30
 """The longest delay [steps]."""
 
 
 def _is_number(value: Value) -> bool:
     """Whether it is no expression and no array."""
     return isinstance(value, float | int)
-
-
-def _kept(value: Value, delay: float) -> Memory:
-    """What a delay keeps if the same was commanded for long."""
-    return (value,) * math.ceil(delay)
 
 
 def _in_force(value: Value, kept: Memory, delay: float) -> tuple[InForce, Memory]:
@@ -43,7 +38,8 @@ class Delay(EffectForm):
     late_by = 0
 
     def at_rest(self, p: Values) -> Memory:
-        return _kept(0.0, p[0])
+        kept: Memory = (0.0,) * math.ceil(p[0])
+        return kept
 
     def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
         sent, kept = _in_force(v, memory, p[0])
@@ -53,7 +49,7 @@ class Delay(EffectForm):
         return (1.0 - sent.late) * sent.newer + sent.late * sent.older, ()
 
     def begun(self, data: Shown) -> FitStart | None:
-        return FitStart([[0.4], [1.0], [2.0], [3.5], [6.0]], (0,), [1.0])
+        return FitStart([[steps] for steps in (0.4, 1.0, 2.0, 3.5, 6.0, 9.0, 13.0, 18.0, 25.0)], (0,), [1.0])
 
 
 @final
@@ -178,11 +174,13 @@ class Follow(EffectForm):
 
     w_t = momentum (c_t - c_(t-1)) + the mean of z(gain r + offset - c_t) over the step, r being `delay` steps old,
     z(e) = sign(e) min(share max(|e| - width, 0), pull, the step from which `acceleration` stops it within that way),
-    c_(t+1) - c_t = w_t, but at most `acceleration` beside the step before, and at most `speed` in size.
+    c_(t+1) - c_t = sign(w_t) max(|w_t| - friction, 0), at most `acceleration` beside the step before, and at most
+    `speed` in size.
 
     First order without a momentum, second order with one. A place stays where it is in the base frame: what the part
     missed before is made up for. A delay that ends within a step has the older place for a share of it, and then the
-    newer one. `pull` is what a motor's voltage or torque allows, against friction that `momentum` tells of;
+    newer one. `width` is the controller's dead zone; `friction` (Coulomb's, implicit in the step) brakes what moves and
+    holds what rests. `pull` is what a motor's voltage or torque allows, against friction that `momentum` tells of;
     `acceleration` and `speed` are those of a profile that a controller keeps to. With all parameters neutral the part
     is at the place after each step.
     """
@@ -191,25 +189,30 @@ class Follow(EffectForm):
     sentence = "Commands are places: the part goes a share of the way to the commanded place in each step."
     source = (
         "Astrom and Wittenmark, Computer-Controlled Systems, 3rd ed., ch. 2; Hogan, Impedance control, 1985; "
-        "Biagiotti and Melchiorri, Trajectory Planning, 2008, ch. 4 (filters with limits of speed and acceleration)"
+        "Biagiotti and Melchiorri, Trajectory Planning, 2008, ch. 4 (filters with limits of speed and acceleration); "
+        "Kikuuwe et al., Fixed-step friction simulation, IROS 2005 (Coulomb's friction, implicit in a step)"
     )
     parameters = (
         Parameter("share", "1", 1.0, 0.0, 2.0),
         Parameter("offset", "coordinate", 0.0),
-        Parameter("gain", "1", 1.0, 0.0, 3.0),
+        Parameter("gain", "1", 1.0, 1e-3, 3.0),
         Parameter("delay", "step", 0.0, 0.0, float(LONGEST_DELAY)),
         Parameter("momentum", "1", 0.0, -0.5, 0.995),
         Parameter("width", "coordinate", 0.0, 0.0),
-        Parameter("pull", "coordinate", math.inf, 0.0),
-        Parameter("acceleration", "coordinate", math.inf, 1e-9),
-        Parameter("speed", "coordinate", math.inf, 0.0),
+        Parameter("pull", "coordinate", math.inf, 0.0, is_optional=True),
+        Parameter("acceleration", "coordinate", math.inf, 1e-9, is_optional=True),
+        Parameter("speed", "coordinate", math.inf, 0.0, is_optional=True),
+        Parameter("friction", "coordinate", 0.0, 0.0, is_optional=True),
     )
     experiments = (("gain", "command places that stay where they are for many rows, and not displacements"),)
     is_sought = False
     late_by = 3
 
     def at_rest_in(self, c: Value, p: Values) -> Memory:
-        return (c, *_kept(c, p[3]))
+        return (c, *(self.commanded_at_rest(c, p),) * math.ceil(p[3]))
+
+    def commanded_at_rest(self, c: Value, p: Values) -> Value:
+        return (c - p[1]) / p[2]
 
     def respond(self, ops: Operations, c: Value, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
         sent, kept = _in_force(c + v, memory[1:], p[3])
@@ -217,7 +220,7 @@ class Follow(EffectForm):
         return step, (*own, *kept)
 
     def respond_late(self, ops: Operations, c: Value, sent: InForce, memory: Memory, p: Values) -> tuple[Value, Memory]:
-        share, offset, gain, _, momentum, width, most, acceleration, speed = p
+        share, offset, gain, _, momentum, width, most, acceleration, speed, friction = p
         before = c - memory[0]
 
         def pull(place: Value) -> Value:
@@ -231,6 +234,8 @@ class Follow(EffectForm):
         is_whole = _is_number(sent.late) and not sent.late
         pulled = pull(sent.newer) if is_whole else (1.0 - sent.late) * pull(sent.newer) + sent.late * pull(sent.older)
         step = momentum * before + pulled
+        if not (_is_number(friction) and not friction):
+            step = ops.maximum(step - friction, 0.0) + ops.minimum(step + friction, 0.0)
         step = before + _limited(ops, step - before, acceleration) if _is_limit(acceleration) else step
         return _limited(ops, step, speed), (c,)
 
