@@ -96,7 +96,7 @@ WHERE = {
     "sensor": "the reading",
     "geometry": "the joint's geometry",
 }
-MOST_PARAMETERS = 10  # forms with more are corrections without a name
+MOST_PARAMETERS = 12
 
 HALF_SPACES = """
 ## Half-spaces and expressions
@@ -192,7 +192,7 @@ def _effects_page() -> str:
         for each in form.parameters:
             bounds = f"{_bound(each.lower)} to {_bound(each.upper)}"
             bounds = "any" if bounds == "-∞ to ∞" else bounds
-            neutral = "" if each.neutral is None else "∞, left out" if each.is_limit else f"{each.neutral:g}"
+            neutral = "" if each.neutral is None else _bound(each.neutral) + ", left out" * each.is_optional
             lines.append(f"| `{each.name}` | {each.unit} | {bounds} | {neutral} |")
         table = "\n".join(lines)
         sections.append(f"## `{form.name}` {{#{form.name}}}\n\n{said}\n\n{table}\n\nSource: {form.source}.\n")

@@ -180,7 +180,7 @@ class Follow(EffectForm):
     First order without a momentum, second order with one. A place stays where it is in the base frame: what the part
     missed before is made up for. A delay that ends within a step has the older place for a share of it, and then the
     newer one. `width` is the controller's dead zone; `friction` (Coulomb's, implicit in the step) brakes what moves and
-    holds what rests. `pull` is what a motor's voltage or torque allows, against friction that `momentum` tells of;
+    holds what rests. `pull` is what a motor's voltage or torque allows, against damping that `momentum` tells of;
     `acceleration` and `speed` are those of a profile that a controller keeps to. With all parameters neutral the part
     is at the place after each step.
     """
