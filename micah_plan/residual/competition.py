@@ -336,8 +336,10 @@ class Competition(Contenders):
         return [replace(plain, term=replace(plain.term, modes=part.term.modes), starts=starts)]
 
     def _odds(self, simpler: Contender, contender: Contender) -> float:
-        """What a model must be ahead of a simpler one [nats]: with an effect more, or only since some row."""
-        return self.least if len(simpler.parts) < len(contender.parts) else TIE
+        """What a model must be ahead of a simpler one [nats]: with one more effect, option or beginning."""
+        if len(simpler.parts) < len(contender.parts):
+            return self.least
+        return NO_MENTION if simpler.names == contender.names and _free(simpler) < _free(contender) else TIE
 
     def corrected(self, models: Sequence[Contender]) -> list[Contender]:
         """Models with corrections that have no name on top.
@@ -367,6 +369,10 @@ def _with_less(part: TermCandidate) -> list[TermCandidate]:
             free = tuple(part.free[at] for at in kept)
             fewer.append(replace(part, starts=starts, free=free, scale=part.scale[kept]))
     return fewer
+
+
+def _free(model: Contender) -> int:
+    return sum(len(part.free) for part in model.parts)
 
 
 def _of_commands(head: Contender) -> set[str]:

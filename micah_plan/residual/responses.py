@@ -63,6 +63,7 @@ def follows(data: CoordinateData) -> list[TermCandidate]:
         ((SHARE,), [{SHARE: share} for share in (0.9, 0.4, 0.1, 0.02)]),
         ((SHARE, OFFSET), [{SHARE: share} for share in (0.9, 0.4, 0.1, 0.02)]),
         ((SHARE, DELAY), [{SHARE: share, DELAY: late} for share in (0.5, 0.15) for late in lates]),
+        ((SHARE, FRICTION), [{SHARE: s, FRICTION: k * s * size} for s in (0.9, 0.4, 0.1) for k in (0.03, 0.3)]),
         ((SHARE, OFFSET, GAIN, MOMENTUM), second),
         ((*_WHOLE, WIDTH), delayed),
         ((*_WHOLE, FRICTION), rubbing),

@@ -110,8 +110,7 @@ def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrac
 
 def _traced(held_out: HeldOut, standings: Standings, average: Average | None = None) -> CoordinateTrace:
     data, nominal = held_out.data, held_out.nominal
-    if average is not None:
-        standings = _without_trifles(held_out, standings)
+    standings = _without_trifles(held_out, standings) if average is not None else _goes_far(held_out, standings)
     modes = _modes(held_out, standings) if standings.remaining else ()
     share = _share_left(standings)
     closest = standings.chosen.names if standings.chosen is not nominal and share > UNEXPLAINED and not modes else ()
@@ -165,6 +164,16 @@ def _without_trifles(held_out: HeldOut, standings: Standings) -> Standings:
     """
     is_shorter = _LONGER * _rolled(held_out, standings.chosen) < _rolled(held_out, standings.nominal)
     return replace(standings, chosen=standings.chosen if is_shorter else standings.nominal, remaining=())
+
+
+def _goes_far(held_out: HeldOut, standings: Standings) -> Standings:
+    """What came out, with a near rival in its place if roll-outs get longer with the best, and not with that one."""
+    longest = _LONGER * _rolled(held_out, standings.nominal)
+    if standings.chosen is standings.nominal or _rolled(held_out, standings.chosen) <= longest:
+        return standings
+    rivals = [model for model in best_first(standings.near) if model.names != standings.chosen.names]
+    able = (model for model in rivals if _rolled(held_out, model) <= longest)
+    return replace(standings, chosen=next(able, standings.chosen))
 
 
 def _rolled(held_out: HeldOut, model: Contender) -> float:
