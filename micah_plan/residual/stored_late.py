@@ -83,11 +83,11 @@ def is_regular_in_places(runs: Sequence[Track], i: int) -> bool:
     What blurs a measurement is in a displacement that leads to a place, and in the place that a displacement leads to.
     The mean root of second differences tells: a few jumps count little in it.
     """
-    rough = [
-        np.mean(np.sqrt(np.abs(np.concatenate([np.diff(series(track, i), 2) for track in runs]))))
-        for series in (_places, _displacements)
-    ]
-    return bool(rough[0] < _MORE_REGULAR * rough[1])
+    bends = [np.concatenate([np.diff(series(track, i), 2) for track in runs]) for series in (_places, _displacements)]
+    if len(bends[0]) < _FEWEST_STEPS:
+        return False
+    rough, other = (float(np.mean(np.sqrt(np.abs(bend)))) for bend in bends)
+    return rough < _MORE_REGULAR * other
 
 
 def _goes_to_a_later_place(runs: Sequence[Track], late: int, i: int) -> bool:
