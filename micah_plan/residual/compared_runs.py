@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints, robust_std, white_std
+from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import Track, tracks
 from micah_plan.recording.value import Recording
@@ -39,7 +40,13 @@ def read_tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[tuple
         rows = np.flatnonzero(track.is_measured)
         measured.append(rows_of(track, int(rows[0]), int(rows[-1]) + 1) if len(rows) else track)
     late = rows_late(measured)
-    led = np.array([late > 0 and is_regular_in_places(measured, i) for i in range(automaton.n)])
+    told = {effect.coordinate for effect in automaton.effects if form(effect.name).layer == "place"}
+    led = np.array(
+        [
+            late > 0 and (each.name in told or is_regular_in_places(measured, i))
+            for i, each in enumerate(automaton.coordinates)
+        ]
+    )
     return tuple(_taken_back(track, late, led) for track in measured if len(track.time) > late), late
 
 

@@ -35,6 +35,7 @@ def rows_late(runs: Sequence[Track]) -> int:
     (Where commands follow what was measured, the next command foretells the noise of a motion with the other sign;
     where poses were smoothed, commands of rows before and after foretell it alike.)
     """
+    # Goals that lead on from where the part is foretell where it is: what commands are said to mean is not enough.
     coordinates, late = range(runs[0].x.shape[1]), 0
     if any(track.u is None or track.u.shape[1] != track.x.shape[1] for track in runs):
         return 0
@@ -84,7 +85,7 @@ def is_regular_in_places(runs: Sequence[Track], i: int) -> bool:
     The mean root of second differences tells: a few jumps count little in it.
     """
     bends = [np.concatenate([np.diff(series(track, i), 2) for track in runs]) for series in (_places, _displacements)]
-    if len(bends[0]) < _FEWEST_STEPS:
+    if min(map(len, bends)) < _FEWEST_STEPS:
         return False
     rough, other = (float(np.mean(np.sqrt(np.abs(bend)))) for bend in bends)
     return rough < _MORE_REGULAR * other

@@ -12,8 +12,8 @@ from micah_plan.automaton.tracks import tracks
 from micah_plan.recording.value import Recording
 from micah_plan.residual.averaged_commands import Average, weights_of_steps, with_averages
 from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.compared_runs import read_tracks
 from micah_plan.residual.coordinate_data import CoordinateData, coordinate_data_of
-from micah_plan.residual.stored_late import rows_late
 
 MEAN_OF_5 = np.full(5, 0.2)
 # Savitzky and Golay, 1964: a parabola through nine points.
@@ -78,7 +78,7 @@ def test_smoothed_poses_are_not_taken_for_commands_stored_late(door, rows) -> No
         own = np.flatnonzero(recording.run == run)
         late[own[rows:]] = recording.action[own[: len(own) - rows]]
         late[own[:rows]], late[own[-1]] = 0.0, np.nan
-    assert rows_late(tracks(door, replace(recording, action=late))) == rows
+    assert read_tracks(door, replace(recording, action=late))[1] == rows
 
 
 def test_averages_are_those_of_whole_runs(door) -> None:

@@ -8,12 +8,12 @@ import numpy as np
 import planted_effects as plants
 import pytest
 
-from micah_plan.automaton.tracks import tracks
+from micah_plan.recording.commands import with_commands
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.compared_runs import read_tracks
 from micah_plan.residual.judgement import judge
 from micah_plan.residual.prediction import predict_recording, rmse
-from micah_plan.residual.stored_late import rows_late
 
 
 def stored_late(recording: Recording, rows: int) -> Recording:
@@ -83,18 +83,24 @@ def loop(kind, seed, noise, count=5, rows=80):
 @pytest.mark.parametrize("kind", ["displaced", "slow", "servo", "wave"])
 @pytest.mark.parametrize("noise", [0.0003, 0.003, 0.01])
 def test_commands_that_follow_what_was_measured_are_not_taken_for_late(door, kind, noise) -> None:
-    assert [rows_late(tracks(door, loop(kind, seed, noise))) for seed in range(3)] == [0, 0, 0]
+    assert [read_tracks(door, loop(kind, seed, noise))[1] for seed in range(3)] == [0, 0, 0]
 
 
 @pytest.mark.parametrize("plant", [plants.late, plants.slow, plants.loose, plants.sticky, plants.worn_half_way])
 def test_no_effect_is_taken_for_commands_stored_late(door, plant) -> None:
     for seed in range(2):
-        assert rows_late(tracks(door, plants.door_recording(plants.runs_of(plant, 6, 50, seed)))) == 0
+        assert read_tracks(door, plants.door_recording(plants.runs_of(plant, 6, 50, seed)))[1] == 0
 
 
 @pytest.mark.parametrize("kind", ["displaced", "servo"])
 def test_late_commands_of_a_closed_loop_are_noticed(door, kind) -> None:
-    assert rows_late(tracks(door, stored_late(loop(kind, 0, 0.003), 1))) == 1
+    assert read_tracks(door, stored_late(loop(kind, 0, 0.003), 1))[1] == 1
+
+
+def test_goals_that_lead_on_from_the_part_are_not_taken_for_late(door) -> None:
+    """They are places, and foretell where the part is, since they were made of that."""
+    recording = with_commands(loop("displaced", 1, 0.0003), "position")
+    assert read_tracks(door, recording)[1] == 0
 
 
 @pytest.mark.slow
