@@ -30,7 +30,7 @@ WHITE, PROCESS, MOTION, WANDER, FREEDOM, BESIDE_LOW, BESIDE_HIGH, RELEASE_LOW, R
 _WANDERED, _OF_PLACE, _OF_BOTH, _OF_READING, _ERROR, _VARIANCE = range(6)
 _LOW_BEFORE, _HIGH_BEFORE, _AT_LOW, _AT_HIGH, _IS_GONE = range(6, 11)
 _READ, _NOISE, _EFFORT, _POWER, _DENSITY, _PRODUCT, _TOTAL, _UNHEARD, _STATES = range(11, 20)
-# Values of a delay line: a power of 2.
+# Values of a delay line: a power of 2, and more than the longest delay has before and after it.
 LINE = 32
 # Densities of so many rows are multiplied before the logarithm is taken: each is between 1e-12 and 1e12 per rad or m.
 _MULTIPLIED = 8
@@ -320,7 +320,7 @@ def _remember(
             known = rows.earlier[programs.lines[k, 1], segment]
             if np.isnan(known[0]):
                 state[_UNHEARD, j] = max(state[_UNHEARD, j], r[programs.lines[k, 2], j])
-            for ago in range(LINE - 1):
+            for ago in range(min(len(known), LINE - 1)):
                 if not np.isnan(known[ago]):
                     r[programs.lines[k, 0] + LINE - 1 - ago, j] = known[ago]
 

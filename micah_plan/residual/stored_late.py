@@ -58,11 +58,7 @@ def _is_foretold_later(runs: Sequence[Track], late: int, i: int) -> bool:
         if len(steps):
             designs.append(np.stack([u[steps + late + k] for k in range(-_BESIDE, _BESIDE + 1)], axis=1))
             moved.append(dx[steps])
-    if not designs:
-        return False
-    design, now = np.concatenate(designs), np.concatenate(moved)
-    is_finite = np.isfinite(design).all(axis=1)
-    design, now = design[is_finite], now[is_finite]
+    design, now = _finite_rows(designs, moved)
     if len(now) < _FEWEST_STEPS or not np.any(now):
         return False
     first = _BESIDE - _PAST
@@ -102,11 +98,7 @@ def _goes_to_a_later_place(runs: Sequence[Track], late: int, i: int) -> bool:
             ways = [place[steps + late + k] - z[steps] for k in range(-_PAST, 2)]
             designs.append(np.stack([np.ones(len(steps)), *speeds, *ways], axis=1))
             moved.append(z[steps + 1] - z[steps])
-    if not designs:
-        return False
-    design, now = np.concatenate(designs), np.concatenate(moved)
-    is_finite = np.isfinite(design).all(axis=1)
-    design, now = design[is_finite], now[is_finite]
+    design, now = _finite_rows(designs, moved)
     if len(now) < _FEWEST_STEPS or not np.any(now):
         return False
     up_to_own, up_to_next = (robust_log_density(columns, now, FREEDOM) for columns in (design[:, :-1], design))
@@ -114,6 +106,15 @@ def _goes_to_a_later_place(runs: Sequence[Track], late: int, i: int) -> bool:
         return False
     to_places = np.linalg.lstsq(design, now, rcond=None)[0][1 + _PAST :]
     return bool(to_places[-1] > _OWN_SHARE_OF_PLACES * np.abs(to_places).sum())
+
+
+def _finite_rows(designs: Sequence[Floats], moved: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """Regressors (n, k) and motions (n,) of all runs, without rows in which a regressor is not told."""
+    if not designs:
+        return np.zeros((0, 0)), np.zeros(0)
+    design, now = np.concatenate(designs), np.concatenate(moved)
+    is_finite = np.isfinite(design).all(axis=1)
+    return design[is_finite], now[is_finite]
 
 
 def _displacements(track: Track, i: int) -> Floats:

@@ -13,11 +13,13 @@ import planted_effects as plants
 import pytest
 from scipy.stats import t as student_t
 
+from micah_plan.automaton.effects.memories import LONGEST_DELAY
 from micah_plan.automaton.effects.registry import form, forms
 from micah_plan.automaton.tracks import tracks
 from micah_plan.residual.candidates import NEVER_GATED, Term
 from micah_plan.residual.coordinate_data import coordinate_data_of
 from micah_plan.residual.filtering import ModelBatch, errors, filtered, noiseless_data
+from micah_plan.residual.row_loop import LINE
 
 # So small that no kink of a formula is within it.
 STEP = 1e-8
@@ -217,6 +219,12 @@ def test_ends_may_be_those_of_each_row(data, names) -> None:
     for kind in ("filter", "one_step", "rollout"):
         compared(other, batch, kind)
     assert np.abs(errors(other, [batch], "filter")[0] - errors(data, [batch], "filter")[0]).max() > 0.01
+
+
+def test_a_delay_line_holds_the_longest_delay(data) -> None:
+    """The newest command, and those before and after a delay that ends within a row."""
+    assert LONGEST_DELAY + 2 <= LINE
+    assert data.earlier.shape[2] == LONGEST_DELAY + 1
 
 
 def test_densities_are_those_of_students_t_or_of_a_row_anywhere(data) -> None:
