@@ -212,6 +212,8 @@ class Fitting:
     def beside(self, fit: Fit, count: int) -> list[Fit]:
         """The likeliest so many of the fits with one parameter of the model elsewhere, near or far."""
         k = fit.free.of_model
+        if not k:
+            return []
         jumps = (_ELSEWHERE[:, None, None] * np.diag(fit.free.scale[:k])).reshape(-1, k)
         vectors = fit.moved(jumps)
         (losses,) = self.losses([fit], [vectors])

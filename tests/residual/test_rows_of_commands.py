@@ -153,3 +153,16 @@ def test_goals_that_are_stored_late_stay_the_places_that_they_were(door, late) -
     assert effect.effect.values[0] == pytest.approx(0.35, abs=0.01)
     errors = [run.rollout.configuration for run in predict_recording(found.automaton, recording)]
     assert rmse(errors) < 0.002
+
+
+def test_rows_in_the_wrong_order_are_no_reason_to_fail(door) -> None:
+    """Said to be places: what is left, after all effects are dropped, is that the part is there at once."""
+    runs = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        goal, z = np.repeat(rng.uniform(0.1, 1.1, 10), 8), np.full(80, 0.5)
+        for k in range(79):
+            z[k + 1] = z[k] + 0.3 * (goal[k] - z[k])
+        runs.append((z[::-1], (goal - z)[::-1]))
+    found = calibrate(door, with_commands(plants.door_recording(runs), "position"))
+    assert found.verdict != "none"
