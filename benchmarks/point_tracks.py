@@ -116,7 +116,8 @@ def tilt_held(name: str, seed: int, noise: float) -> tuple[bool, float] | None:
         return None
     first = int(np.flatnonzero(found.bodies[0].is_seen)[0])
     truth = camera_turn(first / (FRAMES - 1)).apply(direction)
-    off = np.array(axis_basis(joint.axis)) @ (truth * np.sign(truth @ np.array(joint.axis)))
+    # What the covariance has is turns about the two directions, not ways along them.
+    off = axis_basis(joint.axis) @ np.cross(joint.axis, truth * np.sign(truth @ np.array(joint.axis)))
     tilts = [joint.covariance.names.index(f"axis_{k}") for k in (1, 2)]
     covariance = np.array(joint.covariance.matrix)[np.ix_(tilts, tilts)]
     return bool(off @ np.linalg.solve(covariance, off) < chi2.ppf(0.95, 2)), float(np.linalg.norm(off))

@@ -120,6 +120,14 @@ class CoordinateData:
     whole: CoordinateData | None = None
     segment: Ints | None = None
 
+    def __post_init__(self) -> None:
+        shape = self.z.shape
+        of_rows = (self.u, self.place, self.counted, self.time, self.order, self.mode, self.noise)
+        of_segments = (self.earlier.swapaxes(0, 1), self.moving, self.run)
+        # The compiled loop does not look whether a row that it reads is there.
+        if any(rows.shape != shape for rows in of_rows) or any(len(own) != len(self.z) for own in of_segments):
+            raise ValueError(f"all rows must be in {shape[0]} segments of {shape[1]}")
+
     def measured_alike(self) -> CoordinateData:
         """The data, and its whole runs, with all measurements equally precise."""
         whole = None if self.whole is None else self.whole.measured_alike()

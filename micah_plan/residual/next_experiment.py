@@ -40,6 +40,8 @@ _MOST_RIVALS = 4
 _PIECES, _STEPS, _KEPT = 6, 8, 4
 _LEAST_SIZE, _GOLDEN = 0.6, 0.5 * (np.sqrt(5.0) - 1.0)
 _PLACES = (0.15, 0.5, 0.85)
+# Digits behind the point to which motions are compared: far above what processors add up differently.
+_DIGITS_OF_WORTH = 6
 # Step of a difference quotient, as a share of what is large for a parameter.
 _DIFFERENCE = 0.02
 # Share of the width by which a motion may be predicted to leave what was seen and is no end.
@@ -211,7 +213,8 @@ def _best_commands(data: CoordinateData, rivals: Sequence[_Rival], start: float)
         evidence, is_inside = _told_apart(data, rivals, start, tried)
         # A pair that is told apart already is worth little more: what counts is that all pairs are.
         worth = np.log1p(evidence / LEAST_EVIDENCE).sum(axis=0) - np.where(is_inside, 0.0, np.inf)
-        order = np.argsort(-worth, kind="stable")[:_KEPT]
+        # A motion and its mirror image often tell as much: the first is taken, not whichever rounding makes larger.
+        order = np.argsort(-np.round(worth, _DIGITS_OF_WORTH), kind="stable")[:_KEPT]
         kept = tried[order]
     return kept[0], evidence[:, order[0]]
 
@@ -257,6 +260,8 @@ def _imagined(data: CoordinateData, start: float, commands: Floats) -> Coordinat
         z=np.full(shape, start),
         u=u,
         place=start + u,
+        earlier=np.full((2, count, data.earlier.shape[2]), np.nan),
+        moving=np.zeros(count),
         counted=counted,
         time=np.tile(data.period * np.arange(steps + 1), (count, 1)),
         order=np.ones(shape),

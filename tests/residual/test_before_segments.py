@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import planted_effects as plants
 import pytest
@@ -57,6 +59,14 @@ def test_chosen_segments_keep_what_was_before_them(recorded) -> None:
     some = data.of_segments(np.array([1, 3]))
     np.testing.assert_array_equal(some.earlier, data.earlier[:, [1, 3]])
     np.testing.assert_array_equal(some.moving, data.moving[[1, 3]])
+
+
+@pytest.mark.parametrize("change", [{"moving": np.zeros(1)}, {"u": np.zeros((1, ROWS))}, {"run": np.zeros(0)}])
+def test_rows_of_other_segments_are_refused(recorded, change) -> None:
+    """The compiled loop would read what is behind them in memory."""
+    _, data = recorded
+    with pytest.raises(ValueError, match="all rows must be in"):
+        replace(data, **change)
 
 
 def test_a_gap_ends_what_is_known(door) -> None:
