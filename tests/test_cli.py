@@ -216,6 +216,7 @@ def test_without_a_plan_the_exit_code_is_1(micah, tmp_path, repository):
     told = only_json(explained)
     assert told["level"] == "search"
     assert told["findings"] == found["findings"]
+    assert told["findings"][0]["code"] == "no_transition_to_goal"
     assert "add the missing transition to the model" in told["findings"][0]["remedy"]
     assert told["lines"] == micah("explain", tmp_path / "plan.json").stdout.splitlines()
 

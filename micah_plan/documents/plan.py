@@ -55,6 +55,7 @@ from micah_plan.task.plan import (
     Trajectory,
 )
 from micah_plan.task.problem import Problem
+from micah_plan.task.reason import Code
 
 PLAN_FORMAT = "micah-plan/plan/1"
 LARGEST_PLAN_BYTES = 64 * 1024 * 1024
@@ -80,6 +81,7 @@ class FindingDocument(Document):
     makes = Finding
 
     level: Level = doc("Level at which it was found.")
+    code: Code | Literal[""] = doc("What is wrong, for programmes.", "")
     sentence: str = doc("What is wrong.")
     remedy: str = doc("The nearest change that could help.")
     modes: Names = doc("The mode sequence that it is about; empty: all.")

@@ -39,7 +39,7 @@ from micah_plan.planning.transcription.rows import Row, Shortfall, unit_of
 from micah_plan.quantities import percent, plain, quantity
 from micah_plan.task.plan import Finding, Level, Outcome, Plan
 from micah_plan.task.problem import Problem
-from micah_plan.task.reason import Offer, Reason, one_of
+from micah_plan.task.reason import Code, Offer, Reason, one_of
 from micah_plan.task.start import is_final, modes_to_be_in, start_mode
 
 LEAST_CONFIDENCE = 0.5
@@ -102,6 +102,7 @@ def _goal_findings(problem: Problem) -> Iterator[Finding]:
             way = moved_target(index, nearest)
             yield Finding(
                 "goal",
+                "goal_outside_range",
                 f"the goal {name} = {value:g} ± {tolerance:g} {unit} misses the range {texts} {unit} by "
                 f"{quantity(missing, unit)}",
                 way.words,
@@ -120,6 +121,7 @@ def why_unreachable(problem: Problem, limits: Limits, samples: Samples) -> Reaso
     if not set(samples.goals) & _reachable(samples.start[0], (edge for _, edge in edges)):
         goals = ", ".join(f"'{name}'" for name in samples.goals)
         return Reason(
+            "no_transition_to_goal",
             f"no transitions lead from the start's mode '{samples.start[0]}' to a mode with the goal ({goals})",
             ("change the goal or add the missing transition to the model",),
         )
@@ -150,6 +152,7 @@ def why_disconnected(
             is_moved = any(automaton.mode(name).driven[index] for name in reached)
             which = "leads on to the goal" if is_moved else "can be reached"
             return Reason(
+                "coordinate_not_moved",
                 f"'{coordinate.name}' starts at {start:g} {coordinate.unit} and the goal is {value:g} ± {tolerance:g} "
                 f"{coordinate.unit}, but no mode that {which} moves it",
                 ("change the goal or the start",),
@@ -158,6 +161,7 @@ def why_disconnected(
         return reason
     if samples.is_cut_short:
         return Reason(
+            "search_limit_reached",
             f"the search stopped after {problem.settings.search_limit:,} linear programmes, before any sequence of "
             f"transitions led to the goal",
             (LONGER_SEARCH,),
@@ -169,8 +173,9 @@ def why_disconnected(
         others = f" (or without {', '.join(map(repr, in_the_way[1:]))})" if in_the_way[1:] else ""
         remedy = "relax it" if is_asked else "make room there, or let the object change its mode first"
         sentence = f"the modes that can be reached lead to the goal only without '{in_the_way[0]}'{others}"
-        return Reason(sentence, (remedy,))
+        return Reason("constraint_in_the_way", sentence, (remedy,))
     return Reason(
+        "not_connected",
         f"the roadmaps ({problem.settings.samples_per_mode} states per mode) do not connect the start to the goal: "
         f"guards of other transitions are in the way, or there are too few states",
         (MORE_STATES,),
@@ -184,7 +189,7 @@ def _why_inside(problem: Problem, samples: Samples) -> Reason | None:
     if (inside := _deepest(automaton, mode, start)) is not None:
         edge, depth, unit = inside
         sentence = f"the start lies inside '{edge.guard.name}' ('{edge.name}'), {quantity(depth, unit)} deep"
-        return Reason(sentence, ("move the start or what is there",))
+        return Reason("start_in_obstacle", sentence, ("move the start or what is there",))
     names = list[str]()
     for name, numbers in samples.goals.items():
         # On leaves that nothing reaches the goal has no states; nor does it count to be stuck.
@@ -197,7 +202,8 @@ def _why_inside(problem: Problem, samples: Samples) -> Reason | None:
             names.append(f"'{inside[0].guard.name}' ('{inside[0].name}')")
     if not names:
         return None
-    return Reason(f"the goal lies inside {' and '.join(dict.fromkeys(names))}", ("move the goal or what is there",))
+    sentence = f"the goal lies inside {' and '.join(dict.fromkeys(names))}"
+    return Reason("goal_in_obstacle", sentence, ("move the goal or what is there",))
 
 
 def _deepest(automaton: HybridAutomaton, mode: str, point: Floats) -> tuple[Edge, float, str] | None:
@@ -231,7 +237,7 @@ def _why_excluded(problem: Problem, limits: Limits, start_mode: str, revisiting:
         if passage_exists(problem, limits, start_mode, more):
             times = "once" if revisits == 0 else f"{1 + revisits} times"
             sentence = f"no inputs lead to the goal in modes that are each entered at most {times}"
-            return Reason(sentence, (more_revisits("raise revisits", more),))
+            return Reason("too_few_revisits", sentence, (more_revisits("raise revisits", more),))
     # Of modes that nothing leaves nobody asks what they keep.
     words = [
         f"'{leave.mode.name}' keeps {' and '.join(leave.kept_words(automaton.coordinate_names))}"
@@ -240,6 +246,7 @@ def _why_excluded(problem: Problem, limits: Limits, start_mode: str, revisiting:
     ]
     kept = ", ".join(words[:_MOST_NAMED] + ["..."] * (len(words) > _MOST_NAMED))
     return Reason(
+        "inputs_keep_coordinates",
         f"no inputs lead to the goal, even with nothing in the way: what the inputs of a mode cannot change stays as "
         f"it was when the mode was entered ({kept})",
         ("change the goal or the start",),
@@ -258,7 +265,7 @@ def _no_mode_holds_goal(problem: Problem, limits: Limits) -> Reason:
         ranges.append(f"'{name}' allows {', '.join(texts)}")
     among = "the goal's modes" if goal.modes else "the modes"
     sentence = f"the goal {wanted} lies in the range of none of {among} ({'; '.join(ranges)})"
-    return Reason(sentence, ("move the goal into a range",))
+    return Reason("goal_in_no_mode", sentence, ("move the goal into a range",))
 
 
 def _closed_edge(problem: Problem, limits: Limits, edge: Edge) -> Reason:
@@ -268,11 +275,11 @@ def _closed_edge(problem: Problem, limits: Limits, edge: Edge) -> Reason:
         for factor in _LARGER:
             larger = replace(limits, max_step=factor * limits.max_step)
             if not guard_states(problem, larger, edge).is_empty:
-                return Reason(f"{where} with inputs up to max_step", (larger_steps(factor),))
+                return Reason("guard_unreachable", f"{where} with inputs up to max_step", (larger_steps(factor),))
         ways = ("correct the guard, or the invariant or the inputs of the mode",)
-        return Reason(f"{where}, whatever max_step is", ways)
+        return Reason("guard_empty", f"{where}, whatever max_step is", ways)
     sentence = f"the reset of '{edge.name}' leads out of the invariant of mode '{edge.target}'"
-    return Reason(sentence, ("correct the reset or the invariant in the model",))
+    return Reason("reset_outside_mode", sentence, ("correct the reset or the invariant in the model",))
 
 
 def _reachable(start: str | Iterable[str], edges: Iterable[Edge]) -> set[str]:
@@ -299,7 +306,8 @@ def partly_met(shortfall: Shortfall) -> str:
 def finding_of_status(modes: tuple[str, ...], status: str, *, is_out_of_time: bool = False) -> Finding:
     """An optimisation that failed although no constraint has to be broken."""
     ways = ("raise time_limit_s",) if is_out_of_time else (MORE_STATES, MORE_CANDIDATES, "try another seed")
-    return Finding.of("optimisation", Reason(f"the optimisation failed: {status}", ways), modes)
+    code: Code = "time_limit_reached" if is_out_of_time else "optimisation_failed"
+    return Finding.of("optimisation", Reason(code, f"the optimisation failed: {status}", ways), modes)
 
 
 def findings_of(problem: Problem, modes: tuple[str, ...], shortfalls: Sequence[Shortfall]) -> list[Finding]:
@@ -318,6 +326,7 @@ def finding_of(problem: Problem, modes: tuple[str, ...], shortfall: Shortfall) -
     ways = _plain_ways(shortfall)
     finding = Finding(
         "optimisation",
+        "constraint_missed",
         _missed(shortfall),
         one_of(ways),
         modes,
@@ -339,7 +348,9 @@ def finding_of(problem: Problem, modes: tuple[str, ...], shortfall: Shortfall) -
     # The confidence at which the room suffices, rounded down.
     possible = int(100 * ndtr(problem.settings.sigmas * room / need)) / 100 if need > 0 else 0.0
     ways = _ways(problem, row, room, need, possible)
-    return replace(finding, sentence=sentence, remedy=one_of(ways), room=room, need=need, ways=ways)
+    return replace(
+        finding, code="too_little_room", sentence=sentence, remedy=one_of(ways), room=room, need=need, ways=ways
+    )
 
 
 def _missed(shortfall: Shortfall) -> str:

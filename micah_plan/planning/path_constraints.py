@@ -80,8 +80,8 @@ class PathRecord:
             if EQUAL < missing < np.inf:
                 ways = f"relax it by {quantity(missing, unit)}, which {percent(confidence)} of them hold", *ways
             sentence = f"{percent(share, 0)} of the roll-outs break '{name}'{by}"
-            place = f"'{name}'"
-            finding = Finding("verification", sentence, one_of(ways), modes, constraint=place, unit=unit, ways=ways)
+            place = modes, "", None, f"'{name}'"
+            finding = Finding("verification", "breaks_constraint", sentence, one_of(ways), *place, unit=unit, ways=ways)
             findings.append((share, replace(finding, amount=amount if is_number else None)))
         return findings
 

@@ -127,7 +127,7 @@ def _directions(problem: Problem) -> Iterator[Floats]:
 
 def _finding(plan: Plan, task: str, failure: ArmFailure) -> Finding:
     sentence = f"the arm cannot {task}: {failure.sentence} of it"
-    return Finding("arm", sentence, failure.remedy, plan.mode_sequence, constraint=failure.kind)
+    return Finding("arm", "arm_cannot_release", sentence, failure.remedy, plan.mode_sequence, constraint=failure.kind)
 
 
 def _refused(plan: Plan, finding: Finding) -> Plan:
@@ -152,4 +152,4 @@ def _judged(problem: Problem, plan: Plan) -> Plan:
         f"the support's height is known to {quantity(std, 'm')} (1 σ)"
     )
     remedy = "widen the tolerance of 'z', or measure the support"
-    return _refused(plan, Finding("goal", sentence, remedy, plan.mode_sequence))
+    return _refused(plan, Finding("goal", "support_uncertain", sentence, remedy, plan.mode_sequence))

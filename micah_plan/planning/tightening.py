@@ -125,7 +125,7 @@ def _cut_short(plan: Plan, deadline: Deadline) -> Plan:
     sentence = (
         f"the time limit of {deadline.limit_s:g} s (solve_time_limit_s) was reached before planning with more room"
     )
-    finding = Finding("verification", sentence, "raise solve_time_limit_s", plan.mode_sequence)
+    finding = Finding("verification", "time_limit_reached", sentence, "raise solve_time_limit_s", plan.mode_sequence)
     return plan.refused_for(finding, f"{plan.reason}; ", outcome=plan.outcome)
 
 

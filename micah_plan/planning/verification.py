@@ -68,7 +68,7 @@ def verify(
         sentence = (
             f"it takes {needed:,} roll-outs to show the confidence {percent(confidence)}, more than {_MOST_TRIALS:,}"
         )
-        finding = Finding("verification", sentence, "lower `confidence`", plan.mode_sequence)
+        finding = Finding("verification", "too_many_trials", sentence, "lower `confidence`", plan.mode_sequence)
         return plan.refused_for(finding, found)
     count = max(count, needed) if trials is None and not sequential else count
     try:
@@ -85,7 +85,8 @@ def verify(
         where = leaves.planned, leaves.knot
         ways = "give the modes more room at that transition", MORE_KNOTS, LESS_NOISE
         remedy = one_of(ways)
-        finding = Finding("verification", leaves.sentence, remedy, plan.mode_sequence, *where, "transitions", ways=ways)
+        of_plan = remedy, plan.mode_sequence, *where, "transitions"
+        finding = Finding("verification", "leaves_mode_sequence", leaves.sentence, *of_plan, ways=ways)
         return answer.refused_for(finding, found)
     reason = (
         f"{found}{successes} of {done} roll-outs ({percent(share, 0)}) end in "
@@ -180,7 +181,8 @@ def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Fin
             f"{percent(share, 0)} of the roll-outs end in another mode than {wanted}, most of them in '{commonest}'"
         )
         ways: tuple[str | Offer, ...] = LESS_NOISE, SURER_START, MORE_CONFIDENCE
-        finding = Finding("verification", sentence, one_of(ways), modes, commonest, None, "goal modes", ways=ways)
+        place = modes, commonest, None, "goal modes"
+        finding = Finding("verification", "ends_in_other_mode", sentence, one_of(ways), *place, ways=ways)
         findings.append((share, finding))
     ranges = {index: automaton.ranges(index, [automaton.mode(modes[-1])]) for index in goal.indices}
     of_target = goal.target, goal.distances(ends.states).T, goal.misses(ends.states).T
@@ -205,15 +207,15 @@ def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Fin
         if problem.settings.revisits == 0 and (better := _localising(automaton, modes[-1], index)):
             words = f"let the plan come back from '{better}', which tells '{coordinate.name}': raise `revisits`"
             ways = *ways, more_revisits(words, 1)
-        place = f"the goal {coordinate.name} = {value:g} ± {tolerance:g}"
-        finding = Finding("verification", sentence, one_of(ways), modes, constraint=place, unit=unit, ways=ways)
+        of_goal = modes, "", None, f"the goal {coordinate.name} = {value:g} ± {tolerance:g}"
+        finding = Finding("verification", "misses_goal", sentence, one_of(ways), *of_goal, unit=unit, ways=ways)
         findings.append((share, replace(finding, amount=need - tolerance, room=tolerance, need=need)))
     if not findings and joint:
         words = f"widen the tolerance of '{automaton.coordinates[joint[0][0]].name}'"
         share = float(1.0 - ends.in_goal.mean())
         sentence = f"{percent(share, 0)} of the roll-outs end outside of the goal, which has all its targets at once"
         ways = Offer(words, f"{words} to", "tolerance", joint), LESS_NOISE, lower_confidence(1.0 - share)
-        return [Finding("verification", sentence, one_of(ways), modes, ways=ways)]
+        return [Finding("verification", "misses_goal", sentence, one_of(ways), modes, ways=ways)]
     return [finding for _, finding in sorted(findings, key=lambda pair: -pair[0])]
 
 

@@ -136,7 +136,8 @@ def _finding(problem: Problem, plan: Plan, arm: ArmFailure, mode: str) -> Findin
         moved = Offer("move the robot's root", "move the robot's root to", "root", tuple(enumerate(place.tolist())))
         ways = ("move the grasp", moved) if arm.kind == "joint limit" else (moved,)
     where = plan.mode_sequence, mode, arm.knot, constraint
-    return Finding("arm", arm.sentence, one_of(ways) if ways else arm.remedy, *where, amount=arm.amount, ways=ways)
+    remedy = one_of(ways) if ways else arm.remedy
+    return Finding("arm", "arm_cannot_follow", arm.sentence, remedy, *where, amount=arm.amount, ways=ways)
 
 
 def _impossible(plan: Plan, stop: _Stop) -> Plan:
@@ -144,7 +145,8 @@ def _impossible(plan: Plan, stop: _Stop) -> Plan:
     where = "the hand is" if stop.lowest is None else "the hand puts the object down"
     meets = f"{stop.arm.names[0]} meets {stop.arm.names[1]}"
     sentence = f"wherever in the goal {where}, {meets}: the grasp does not allow it"
-    finding = Finding("arm", sentence, "choose another grasp, or move the goal or what is there", plan.mode_sequence)
+    remedy = "choose another grasp, or move the goal or what is there"
+    finding = Finding("arm", "grasp_meets_obstacle", sentence, remedy, plan.mode_sequence)
     return replace(
         plan,
         outcome="no_plan",

@@ -22,7 +22,7 @@ class TimeLimitError(Exception):
 
     def __init__(self, limit_s: float, stage: str, state: str, remedy: str) -> None:
         reached = f"the time limit of {limit_s:g} s (solve_time_limit_s) was reached in the {stage}"
-        self.reason = Reason(f"{reached}: {state}", (remedy,))
+        self.reason = Reason("time_limit_reached", f"{reached}: {state}", (remedy,))
         super().__init__(str(self.reason))
 
 

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 from micah_plan.arrays import Booleans, Floats
 from micah_plan.summaries import Summarised
-from micah_plan.task.reason import Offer, Reason
+from micah_plan.task.reason import Code, Offer, Reason
 
 Outcome = Literal["solved", "no_plan", "not_verified"]
 Level = Literal["start", "goal", "search", "optimisation", "verification", "arm"]
@@ -21,7 +21,8 @@ class Finding:
 
     Attributes:
         level: where it was found; start and goal are checked first.
-        sentence: what is wrong, with its amount.
+        code: what is wrong, for programmes; empty in files of older versions.
+        sentence: the same with its amount.
         remedy: the nearest change that could help.
         modes: the mode sequence that it is about; empty if it is about all.
         mode, knot: the place in it.
@@ -33,6 +34,7 @@ class Finding:
     """
 
     level: Level
+    code: Code | Literal[""]
     sentence: str
     remedy: str
     modes: tuple[str, ...] = ()
@@ -48,7 +50,7 @@ class Finding:
     @classmethod
     def of(cls, level: Level, reason: Reason, modes: tuple[str, ...] = ()) -> Finding:
         """A reason at a level."""
-        return cls(level, reason.sentence, reason.remedy, modes, ways=reason.ways)
+        return cls(level, reason.code, reason.sentence, reason.remedy, modes, ways=reason.ways)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+Code = Literal[
+    "start_in_no_mode", "start_outside_mode", "start_in_obstacle",
+    "goal_in_no_mode", "goal_outside_range", "goal_in_obstacle", "no_transition_to_goal",
+    "coordinate_not_moved", "inputs_keep_coordinates", "too_few_revisits", "search_limit_reached", "not_connected",
+    "constraint_in_the_way", "guard_unreachable", "guard_empty", "reset_outside_mode", "mode_empty",
+    "too_few_knots", "optimisation_failed", "constraint_missed", "too_little_room", "time_limit_reached",
+    "too_many_trials", "leaves_mode_sequence", "ends_in_other_mode", "misses_goal", "breaks_constraint",
+    "arm_cannot_follow", "arm_cannot_release", "grasp_meets_obstacle", "support_uncertain",
+]  # fmt: skip
+"""What stands in the way of a plan, for programmes; sentences may change, these do not."""
+
 OfferKind = Literal[
     "tolerance", "target", "start", "confidence", "root", "revisits",
     "max_knots", "max_step", "noise", "start_std", "surer", "samples_per_mode", "search_limit", "candidates",
@@ -44,10 +55,12 @@ class Reason:
     """Why something cannot be done.
 
     Attributes:
-        sentence: what is wrong, with its amount.
+        code: what is wrong, for programmes.
+        sentence: the same with its amount.
         ways: out of it, each in words or as a change that can be tried; at least one.
     """
 
+    code: Code
     sentence: str
     ways: tuple[str | Offer, ...]
 

@@ -48,9 +48,10 @@ def start_mode(automaton: HybridAutomaton, start: Start) -> tuple[str | None, Re
     values = zip(automaton.coordinates, start.mean, start.std, strict=True)
     text = f"the start {', '.join(f'{c.name} = {mean:g} ± {std:g} {c.unit}' for c, mean, std in values)} lies"
     if start.mode is not None:
-        return None, Reason(f"{text} outside the range of its mode '{nearest}'", ("correct either",))
+        sentence = f"{text} outside the range of its mode '{nearest}'"
+        return None, Reason("start_outside_mode", sentence, ("correct either",))
     names = ", ".join(f"'{name}'" for name in outside)
-    return None, Reason(f"{text} in the range of no mode ({names})", ("move it into one",))
+    return None, Reason("start_in_no_mode", f"{text} in the range of no mode ({names})", ("move it into one",))
 
 
 def is_final(automaton: HybridAutomaton, mode: Mode) -> bool:

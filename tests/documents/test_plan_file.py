@@ -33,6 +33,8 @@ from micah_plan.task.problem import Problem
 from micah_plan.task.settings import PlannerSettings
 from micah_plan.task.start import Start
 
+WHERE = ("revolute", 3, "x", 0.1, 0.2, 0.3, "m")
+
 
 def covariances_in(random: np.random.Generator, knots: int, n: int) -> NDArray[np.float64]:
     drawn = random.normal(size=(knots, n, n))
@@ -87,8 +89,8 @@ def plan() -> Plan:
         {"total": 1.25, "search": 0.5},
         (0.957, 0.995),
         (
-            Finding("optimisation", "too narrow", "widen it", ("revolute",), "revolute", 3, "x", 0.1, 0.2, 0.3, "m"),
-            Finding("search", "nothing connects", "look again"),
+            Finding("optimisation", "too_little_room", "too narrow", "widen it", ("revolute",), *WHERE),
+            Finding("search", "not_connected", "nothing connects", "look again"),
         ),
         warnings=("It leaves out the wind.",),
     )
@@ -169,7 +171,7 @@ def test_a_plan_of_a_version_that_knew_no_interval_is_read(plan: Plan, problem: 
 def test_a_plan_of_a_version_that_called_findings_obstacles_is_read(
     plan: Plan, problem: Problem, tmp_path: Path
 ) -> None:
-    found = replace(plan, findings=(Finding("search", "there is no way", "make one"),))
+    found = replace(plan, findings=(Finding("search", "not_connected", "there is no way", "make one"),))
     data = json.loads(plan_text(found, problem))
     data["obstacles"] = data.pop("findings")
     del data["digest"]

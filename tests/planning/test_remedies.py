@@ -128,7 +128,7 @@ def test_without_advice_no_number_is_named(name: str) -> None:
 
 def _refused(*ways: str | Offer) -> Plan:
     words = one_of(ways)
-    finding = Finding("search", "it is too far", words, ways=ways)
+    finding = Finding("search", "not_connected", "it is too far", words, ways=ways)
     return Plan("no_plan", "").refused_for(finding, outcome="no_plan")
 
 

@@ -108,7 +108,7 @@ class Polytope:
         solution = linprog(np.repeat([0.0, 1.0], n), A_ub=rows, b_ub=limits, bounds=bounds, method="highs")
         if solution.status != 0:
             ways = ("start in a mode that the state is in",)
-            raise NoWayError(Reason("no state of the mode lies within the limits", ways))
+            raise NoWayError(Reason("mode_empty", "no state of the mode lies within the limits", ways))
         return np.asarray(solution.x[:n])
 
     def sample(self, rng: np.random.Generator, count: int) -> Floats:

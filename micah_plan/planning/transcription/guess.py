@@ -145,7 +145,7 @@ def _too_few_knots(needed: int, allowed: int) -> Reason:
     if needed <= _MOST_TRIED_KNOTS:
         ways.insert(0, more_knots(needed / allowed))
     sentence = f"the path needs at least {needed} knots at the largest step, more than max_knots = {allowed}"
-    return Reason(sentence, tuple(ways))
+    return Reason("too_few_knots", sentence, tuple(ways))
 
 
 def _roll(
