@@ -100,12 +100,17 @@ def camera_turn(share: float, *, is_moving: bool = True) -> Rotation:
     return Rotation.from_euler("zx", [0.25 * np.sin(at), 0.15 * np.sin(0.6 * at)])
 
 
+def _generator(name: str, seed: int, noise: float) -> np.random.Generator:
+    """Each object and noise has draws of its own, so that rows of a table are independent."""
+    return np.random.default_rng([seed, sum(map(ord, name)), round(1e6 * noise)])
+
+
 def tilt_held(name: str, seed: int, noise: float) -> tuple[bool, float] | None:
     """Whether the learned axis of the door or drawer is where its 95 % interval says, and its error [rad].
 
     None where there are other bodies or kinds than in the scene.
     """
-    tracks, _ = simulated(SCENES[name], np.random.default_rng([seed, 7]), noise=noise)
+    tracks, _ = simulated(SCENES[name], _generator(name, seed, noise), noise=noise)
     found = track_points(PointTracks(tracks), 30.0)
     if len(found.names) != 2:
         return None
@@ -197,8 +202,7 @@ def main() -> None:
         for noise in given.noise:
             rights, shares, begun = 0, [], time.process_time()
             for seed in range(given.seeds):
-                rng = np.random.default_rng([seed, sum(map(ord, name)), round(1e6 * noise)])
-                tracks, label = simulated(scene, rng, points=given.points, noise=noise)
+                tracks, label = simulated(scene, _generator(name, seed, noise), points=given.points, noise=noise)
                 bodies = rigid_bodies(tracks)
                 rights += len(bodies) == len(scene)
                 shares.append(share_right([body.points for body in bodies], label))
