@@ -50,6 +50,7 @@ class Variant:
 
 VARIANTS = {
     "plain": Variant(),
+    "no noise": Variant(white=0.0),
     "3 mm": Variant(white=0.003),
     "actions halved": Variant(gain=0.5),
     "turned by 30 degrees": Variant(turned=np.pi / 6),
@@ -139,11 +140,13 @@ def main() -> None:
     parser.add_argument("--cycles", type=int, nargs="+", default=[1, 2, 3])
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=list(VARIANTS), metavar="NAME")
     parser.add_argument("--answers", action="store_true", help="print every answer")
     given = parser.parse_args()
     print(f"{'cycles':>6} {'variant':<22}{'found':>12}{'too many':>10}{'surely wrong':>14}{'models':>10}{'seconds':>9}")
     for cycles in given.cycles:
-        for name, variant in VARIANTS.items():
+        for name in given.variants:
+            variant = VARIANTS[name]
             seeds = range(given.first, given.first + given.seeds)
             rows = [counted(kind, cycles, variant, seed) for kind in ("revolute", "prismatic") for seed in seeds]
             if given.answers:

@@ -21,8 +21,8 @@ from micah_plan.learning.segmenting.free import (
     free_log_probability,
 )
 from micah_plan.learning.segmenting.noise import MeasurementNoise
-from micah_plan.learning.segmenting.noise_fit import initial_noise, misses
-from micah_plan.learning.segmenting.segmentation import best_single
+from micah_plan.learning.segmenting.noise_fit import finest_stds, initial_noise, misses
+from micah_plan.learning.segmenting.segmentation import best_single, under_noise
 from micah_plan.learning.segmenting.segmented import Segmented
 from micah_plan.learning.segments import FittedPiece, left_by, segment_configurations
 from micah_plan.learning.settings import LearnSettings
@@ -46,18 +46,18 @@ class GoodnessOfFit:
     Attributes:
         log_odds: of what no joint follows, over the best joints [nats].
         log_evidence: of what explains the rows best.
-        single: the one joint that explains all of them best, if the answer does not stand.
+        instead: of the answer, if it does not stand: mostly the one joint that explains all of them best.
         path: along which the part moves; None: it moves freely, if there are odds of that.
     """
 
     log_odds: float
     log_evidence: float
-    single: Segmented | None = None
+    instead: Segmented | None = None
     path: Joint | None = None
 
     @property
     def moves_freely(self) -> bool:
-        return self.single is not None and self.path is None and self.log_odds > 0
+        return self.instead is not None and self.path is None and self.log_odds > 0
 
 
 def assess_joints(
@@ -76,13 +76,17 @@ def assess_joints(
     """
     if inlier.sum() < _FEWEST_TO_DOUBT:
         return None
-    scatter, missed = _scatter(track, inlier, noise, settings), _missed(fitted, track, inlier)
+    scatter, missed = _scatter(track, inlier, noise, settings), rms_missed(fitted, track, inlier)
     is_in_turn = len({piece.joint for piece in fitted if piece.joint.moves}) > 1
     is_near = not (missed > (_DOUBTED_IN_TURN if is_in_turn else _DOUBTED) * scatter).any()
     if is_near and not _follows_a_curve(fitted, track, inlier, noise):
         return None
     single = best_single(segmented, settings)
-    missed_by_one = _missed_by(single)
+    missed_by_one, answer = _missed_by(single), segmented.log_probability
+    if not (missed_by_one > np.sqrt(3) * finest_stds(3 * len(missed_by_one))).any():
+        # One joint meets all rows to within the finest noise. So that is the tracker's, and no curve is closer.
+        likelier = max(single, under_noise(segmented, single.noise, settings), key=lambda found: found.log_probability)
+        return _instead(likelier) if likelier.log_probability > answer else None
     if not (np.maximum(missed, missed_by_one) > _CURVED * scatter).any():
         return None
     steps, likelihood_power = segmented.track, segmented.table.likelihood_power
@@ -91,10 +95,9 @@ def assess_joints(
     path = likeliest_path(steps, rough, likelihood_power) if settings.paths else None
     if path is not None and path.log_probability <= free:
         path = None
-    answer = segmented.log_probability
     if path is None and not (missed_by_one > _CURVED * scatter).any():
         # Rows that come by once lie on a smooth curve whatever holds them, and one joint is as near as joints are.
-        return GoodnessOfFit(-np.inf, single.log_probability, single) if single.log_probability > answer else None
+        return _instead(single) if single.log_probability > answer else None
     log_alternative = (free if path is None else path.log_probability) - _RARE
     if log_alternative <= answer:
         return GoodnessOfFit(log_alternative - answer, answer)
@@ -108,6 +111,10 @@ def assess_joints(
     return GoodnessOfFit(log_odds, log_alternative, single, principal_path(rows, std, path.curve) or path.curve)
 
 
+def _instead(answer: Segmented) -> GoodnessOfFit:
+    return GoodnessOfFit(-np.inf, answer.log_probability, answer)
+
+
 def no_single_joint_of(
     fitted: Sequence[FittedPiece],
     track: PartTrack,
@@ -117,7 +124,7 @@ def no_single_joint_of(
     log_odds: float,
 ) -> NoSingleJoint:
     """How far joints miss rows of free motion."""
-    missed, scatter = _missed(fitted, track, inlier), _scatter(track, inlier, noise, settings)
+    missed, scatter = rms_missed(fitted, track, inlier), _scatter(track, inlier, noise, settings)
     turned = track.quaternion is not None
     return NoSingleJoint(
         position=float(missed[-1]),
@@ -146,8 +153,8 @@ def _follows_a_curve(
     return min(cosines) > _NO_CORNER
 
 
-def _missed(fitted: Sequence[FittedPiece], track: PartTrack, inlier: Booleans) -> Floats:
-    """(2,) or (1,) how far rows lie off their joints (rms): rotation [rad], if it was measured, and position [m]."""
+def rms_missed(fitted: Sequence[FittedPiece], track: PartTrack, inlier: Booleans) -> Floats:
+    """(2,) or (1,) how far rows lie off their joints (root mean square): rotation [rad], if measured, position [m]."""
     errors = [left_by(piece.joint, piece.index(inlier), track, ROTATION_LENGTH) for piece in fitted]
     error = np.concatenate(errors)
     return np.asarray(np.sqrt((error.reshape(len(error), -1, 3) ** 2).sum(axis=2).mean(axis=0)))

@@ -21,7 +21,7 @@ from micah_plan.learning.acted_run import learn_acted_run
 from micah_plan.learning.joints.shared_error import with_shared_error
 from micah_plan.learning.online import METHODS, Method, OnlineLearner
 from micah_plan.learning.parts.tree import learn_tree
-from micah_plan.learning.run import LearnedRun
+from micah_plan.learning.run import LearnedRun, exact_rests
 from micah_plan.learning.segmenting.likelihood_power import likelihood_power_of
 from micah_plan.learning.segmenting.noise import MeasurementNoise
 from micah_plan.learning.segmenting.noise_fit import initial_noise
@@ -142,6 +142,9 @@ def learn_edge(recording: Recording, settings: LearnSettings, counted: Counted |
             is_counted = inlier if times is None else inlier & np.isin(track.time, times)
             enough = is_counted.sum() >= FEWEST_ROWS  # of a pair that is seldom seen together
             learned, sure_of_edge = _learned(track, settings, inlier, is_counted if enough else inlier)
+            # A tree compares evidence of the same rows.
+            if not counted and (rests := exact_rests(learned)).any():
+                learned, sure_of_edge = _learned(track, settings, inlier | rests)
             of_run, noise = _segments(learned, run), learned.noise
         mover = max((segment for segment in of_run if segment.joint.moves), key=_rows, default=None)
         if reference is not None:

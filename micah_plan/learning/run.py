@@ -11,7 +11,7 @@ import numpy as np
 from micah_plan.arrays import Booleans
 from micah_plan.automaton.certainty import EvidenceTrace, RowPosterior, SegmentCertainty
 from micah_plan.automaton.joint import Joint, JointKind
-from micah_plan.learning.goodness_of_fit import assess_joints, no_single_joint_of
+from micah_plan.learning.goodness_of_fit import assess_joints, no_single_joint_of, rms_missed
 from micah_plan.learning.joints.final_fit import LackOfFit, fit_joint
 from micah_plan.learning.segmenting.noise import MeasurementNoise
 from micah_plan.learning.segmenting.pieces import Piece
@@ -28,7 +28,9 @@ from micah_plan.learning.segmenting.steps import Steps, steps_of
 from micah_plan.learning.segments import FittedPiece, chained
 from micah_plan.learning.settings import LearnSettings
 from micah_plan.learning.track import PartTrack, find_inliers
+from micah_plan.recording.continuity import continuity
 
+_EXACT = 1e-6  # m and rad; no tracker reads poses so well, but simulators write them
 _NEGLIGIBLE = 1e-3  # rows less likely than this are not reported
 
 
@@ -124,8 +126,8 @@ def with_joints(segmented_run: SegmentedRun, settings: LearnSettings) -> Learned
 
     fitted, places = fitted_to(segmented)
     fit = assess_joints(segmented, fitted, track, inlier, noise, settings)
-    if fit is not None and fit.single is not None:
-        segmented = fit.single
+    if fit is not None and fit.instead is not None:
+        segmented = fit.instead
         fitted, places = fitted_to(segmented)
         if fit.log_odds <= 0:
             # Trees compare evidence between parents, so it stays that of one procedure, the first search. Noise fitted
@@ -157,6 +159,19 @@ def with_joints(segmented_run: SegmentedRun, settings: LearnSettings) -> Learned
     trace = _trace(segmented, posterior, settings)
     hypotheses = tuple(piece.hypothesis for piece in pieces)
     return LearnedRun(track, inlier, noise, tuple(chain), certainties, hypotheses, posterior, trace, segmented)
+
+
+def exact_rests(learned: LearnedRun) -> Booleans:
+    """(n,) rows in which the part rests, though they were left out as readings that say again what was read before.
+
+    That is so where the others lie on the joints exactly: nothing errs there, and what does not err loses no part.
+    """
+    track, inlier = learned.track, learned.inlier
+    if (rms_missed(learned.pieces, track, inlier) > _EXACT).any():
+        return np.zeros(len(track), dtype=bool)
+    repeats = continuity(track.time, track.position, track.quaternion, track.action).repeats
+    said_before = np.maximum.accumulate(np.where(repeats, 0, np.arange(len(track))))
+    return np.asarray(repeats & inlier[said_before])
 
 
 def fitted_pieces(

@@ -88,7 +88,7 @@ def _scales(
     fast_kept = np.exp(-1 / np.maximum(n * durations, 1e-9))
     slow, slow_kept = _slow(n, d, settings)
     # Candidates (m, d / 3, c) of all scales at once.
-    whites = np.maximum(white_shares * rough[..., None], _finest(d)[:, None]) ** 2
+    whites = np.maximum(white_shares * rough[..., None], finest_stds(d)[:, None]) ** 2
     fasts = np.minimum(fast_shares * rough[..., None], _FAST_MOST * np.sqrt(slow)[:, None]) ** 2
     kept = np.broadcast_to(fast_kept, whites.shape)
     slows = np.broadcast_to(slow[:, None] * slow_shares**2, whites.shape)
@@ -183,11 +183,12 @@ def _slow(n: int, d: int, settings: LearnSettings) -> tuple[Floats, float]:
 
 def _rough(missed: Floats, size: ArrayLike = 3.0) -> Floats:
     """Stds (m, d / 3) of white noise that leaves such misses (m, d / 3, k, 3) of the middle of the neighbours."""
-    finest = _finest(3 * missed.shape[1])
+    finest = finest_stds(3 * missed.shape[1])
     if not missed.shape[2]:
         return np.broadcast_to(finest, missed.shape[:2])
     return np.maximum(std_of_bends(missed, size), finest)
 
 
-def _finest(d: int) -> Floats:
+def finest_stds(d: int) -> Floats:
+    """White noise at least of d channels: of rotations [rad], if there are any, and of positions [m]."""
     return np.array([_FINEST_ROTATION, _FINEST_POSITION])[-d // 3 :]

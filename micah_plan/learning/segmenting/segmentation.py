@@ -83,6 +83,12 @@ def best_single(answer: Segmented, settings: LearnSettings) -> Segmented:
     return Segmented(track, noise, prior, segmentation, table)
 
 
+def under_noise(answer: Segmented, noise: NoiseModel, settings: LearnSettings) -> Segmented:
+    """The segments into which the joints of an answer, and their rivals, cut the track under another noise."""
+    (table,) = _tables([answer], [noise], settings)
+    return Segmented(answer.track, noise, answer.prior, selections(table, answer.prior, settings)[0], table)
+
+
 def _from_two_noises(
     track: PartTrack, prior: LengthPrior, settings: LearnSettings
 ) -> list[tuple[NoiseModel, EvidenceTable]]:
