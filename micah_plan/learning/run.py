@@ -27,8 +27,7 @@ from micah_plan.learning.segmenting.segmented import Segmented
 from micah_plan.learning.segmenting.steps import Steps, steps_of
 from micah_plan.learning.segments import FittedPiece, chained
 from micah_plan.learning.settings import LearnSettings
-from micah_plan.learning.track import PartTrack, find_inliers
-from micah_plan.recording.continuity import continuity
+from micah_plan.learning.track import PartTrack, find_inliers, repeats_of_inliers
 
 _EXACT = 1e-6  # m and rad; no tracker reads poses so well, but simulators write them
 _NEGLIGIBLE = 1e-3  # rows less likely than this are not reported
@@ -166,12 +165,9 @@ def exact_rests(learned: LearnedRun) -> Booleans:
 
     That is so where the others lie on the joints exactly: nothing errs there, and what does not err loses no part.
     """
-    track, inlier = learned.track, learned.inlier
-    if (rms_missed(learned.pieces, track, inlier) > _EXACT).any():
-        return np.zeros(len(track), dtype=bool)
-    repeats = continuity(track.time, track.position, track.quaternion, track.action).repeats
-    said_before = np.maximum.accumulate(np.where(repeats, 0, np.arange(len(track))))
-    return np.asarray(repeats & inlier[said_before])
+    if (rms_missed(learned.pieces, learned.track, learned.inlier) > _EXACT).any():
+        return np.zeros(len(learned.track), dtype=bool)
+    return repeats_of_inliers(learned.track, learned.inlier)
 
 
 def fitted_pieces(

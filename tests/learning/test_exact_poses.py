@@ -68,6 +68,26 @@ def test_without_orientation_too() -> None:
     assert [kind for kind, _ in segments(recording)] == ["revolute", "rigid", "revolute", "rigid"]
 
 
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_of_two_parts_that_are_moved_one_after_the_other_too(seed: int) -> None:
+    (door, _), (drawer, _) = pushed("revolute", seed), pushed("prismatic", seed + 10)
+    n, none = len(door), np.zeros((len(door), 3))
+    first, then = np.minimum(np.arange(2 * n), n - 1), np.maximum(np.arange(2 * n) - n, 0)
+    both = Recording(
+        np.repeat(np.arange(2 * n) / RATE, 2),
+        np.stack([door.position[first], drawer.position[then] + [1.0, 0.0, 0.0]], axis=1).reshape(-1, 3),
+        np.stack([door.quaternion[first], drawer.quaternion[then]], axis=1).reshape(-1, 4),
+        np.stack([np.vstack([door.action, none]), np.vstack([none, drawer.action])], axis=1).reshape(-1, 3),
+        part=("door", "drawer") * (2 * n),
+        has_part=True,
+    )
+    kinds = {edge.child: [segment.joint.kind for segment in edge.segments] for edge in learn_graph(both).edges}
+    assert kinds == {
+        "door": ["revolute", "rigid", "revolute", "rigid"],
+        "drawer": ["prismatic", "rigid", "prismatic", "rigid"],
+    }
+
+
 def test_a_tracker_that_holds_its_reading_on_the_way_shows_no_stop() -> None:
     """The first new reading makes up for them all."""
     recording, (first, _) = pushed("revolute", 2, noise=1e-3)
