@@ -21,7 +21,7 @@ from micah_plan.learning.acted_run import learn_acted_run
 from micah_plan.learning.joints.shared_error import with_shared_error
 from micah_plan.learning.online import METHODS, Method, OnlineLearner
 from micah_plan.learning.parts.tree import learn_tree
-from micah_plan.learning.run import LearnedRun, exact_rests, learn_run
+from micah_plan.learning.run import LearnedRun
 from micah_plan.learning.segmenting.likelihood_power import likelihood_power_of
 from micah_plan.learning.segmenting.noise import MeasurementNoise
 from micah_plan.learning.segmenting.noise_fit import initial_noise
@@ -29,7 +29,7 @@ from micah_plan.learning.segmenting.steps import MOST_SWEEPS, activity_of, is_lo
 from micah_plan.learning.segments import FittedPiece, segment_configurations, to_segment
 from micah_plan.learning.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.learning.short_runs import cut_into_runs, one_after_another
-from micah_plan.learning.track import PartTrack, find_inliers, part_track, repeats_of_inliers
+from micah_plan.learning.track import PartTrack, find_inliers, part_track
 from micah_plan.recording.shared_error import shared_error_of
 from micah_plan.recording.symmetry import settled
 from micah_plan.recording.value import Recording
@@ -67,13 +67,12 @@ def learn_graph(
         raise InputError("recording has no rows", remedy="record the motion of at least one part")
     chosen = settings or LearnSettings()
     recording = settled(recording)
-    counted, is_exact = Counted(), False
+    counted: Counted = {}
     if len(recording.parts) > 1:
-        is_exact = _is_exact(recording, chosen)
-        chosen, counted = _in_common(recording, chosen, is_exact)
+        chosen, counted = _in_common(recording, chosen)
     if method == "champ":
         recording = replace(recording, action=None)
-    graph = learn_tree(recording, lambda pair: learn_edge(pair, chosen, counted, is_exact), progress)
+    graph = learn_tree(recording, lambda pair: learn_edge(pair, chosen, counted), progress)
     return _widened(graph, recording)
 
 
@@ -94,32 +93,7 @@ def _widened(graph: KinematicGraph, recording: Recording) -> KinematicGraph:
     return replace(graph, edges=tuple(edges))
 
 
-def _is_exact(recording: Recording, settings: LearnSettings) -> bool:
-    """Whether poses of several parts have no noise: some part rests in the rows that were left out as repeated.
-
-    One part tells it for all, since a part on another one that moves is on no joint of the base.
-    """
-    for part in recording.parts:
-        for run in recording.select(part=part).runs:
-            track = part_track(recording, run, part)
-            while is_long(track, find_inliers(track)):
-                track = track.take(slice(0, len(track) // 2))
-            inlier = find_inliers(track)
-            if inlier.sum() < FEWEST_ROWS or not repeats_of_inliers(track, inlier).any():
-                continue
-            learned = learn_run(track, settings, inlier)
-            if any(piece.joint.moves for piece in learned.pieces) and exact_rests(learned).any():
-                return True
-    return False
-
-
-def _inliers(track: PartTrack, is_exact: bool) -> Booleans:
-    """(n,) rows that count; of exact poses, those in which the part rests as well."""
-    inlier = find_inliers(track)
-    return inlier | repeats_of_inliers(track, inlier) if is_exact else inlier
-
-
-def _in_common(recording: Recording, settings: LearnSettings, is_exact: bool) -> tuple[LearnSettings, Counted]:
+def _in_common(recording: Recording, settings: LearnSettings) -> tuple[LearnSettings, Counted]:
     """One number of steps, one power of the likelihood and the same rows of a part for all pairs that it is in.
 
     A tree compares their evidence.
@@ -131,7 +105,7 @@ def _in_common(recording: Recording, settings: LearnSettings, is_exact: bool) ->
     for part in recording.parts:
         for run in recording.select(part=part).runs:
             track = part_track(recording, run, part)
-            activity = activity_of(track, np.flatnonzero(_inliers(track, is_exact)))
+            activity = activity_of(track, np.flatnonzero(find_inliers(track)))
             counted[part, run] = track.time[activity.rows]
             motions.append(activity.motions_in(len(activity.rows)))
             tracks.setdefault(part, (track, activity.rows))
@@ -142,15 +116,11 @@ def _in_common(recording: Recording, settings: LearnSettings, is_exact: bool) ->
     return replace(settings, likelihood_power=float(np.mean(trusts))), counted
 
 
-def learn_edge(
-    recording: Recording, settings: LearnSettings, counted: Counted | None = None, is_exact: bool = False
-) -> KinematicEdge:
+def learn_edge(recording: Recording, settings: LearnSettings, counted: Counted | None = None) -> KinematicEdge:
     """How the only part of a recording moves in the frame that its poses are given in, all runs on one coordinate.
 
     Args:
         counted: times of the rows that steps are means of, by part and run; of others by how the part moves here.
-        is_exact: whether poses are known to have no noise, so that equal ones are rests; else it is found out of a part
-            that is alone.
     """
     part = recording.parts[0]
     tracks = [part_track(recording, run, part) for run in recording.runs]
@@ -161,7 +131,7 @@ def learn_edge(
     reference: Joint | None = None
     edges: list[EdgeCertainty | None] = []
     for run, track in zip(recording.runs, tracks, strict=True):
-        inlier = _inliers(track, is_exact)
+        inlier = find_inliers(track)
         # A tree compares the evidence of pairs: it is that of all rows at once then.
         if settings.sweeps is None and is_long(track, inlier):
             learner = OnlineLearner(settings, part=part, run=run)
@@ -172,9 +142,6 @@ def learn_edge(
             is_counted = inlier if times is None else inlier & np.isin(track.time, times)
             enough = is_counted.sum() >= FEWEST_ROWS  # of a pair that is seldom seen together
             learned, sure_of_edge = _learned(track, settings, inlier, is_counted if enough else inlier)
-            # A tree compares evidence of the same rows.
-            if not counted and (rests := exact_rests(learned)).any():
-                learned, sure_of_edge = _learned(track, settings, inlier | rests)
             of_run, noise = _segments(learned, run), learned.noise
         mover = max((segment for segment in of_run if segment.joint.moves), key=_rows, default=None)
         if reference is not None:

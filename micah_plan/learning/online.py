@@ -26,7 +26,7 @@ from micah_plan.automaton.joint import Joint
 from micah_plan.errors import InputError, shown
 from micah_plan.learning.acted_run import learn_acted_run
 from micah_plan.learning.actions.command_path import with_delayed_actions
-from micah_plan.learning.run import LearnedRun, exact_rests, learn_run
+from micah_plan.learning.run import LearnedRun, learn_run
 from micah_plan.learning.segmenting.noise import MeasurementNoise
 from micah_plan.learning.segmenting.steps import is_long
 from micah_plan.learning.segments import FittedPiece, chained, left_by, to_segment
@@ -205,8 +205,6 @@ class OnlineLearner:
             rows = WindowRows(replace(rows.track, action=None), rows.last)
         if self._entry is None:
             run, self._channel = learn_acted_run(rows.track, self.settings)
-            if (rests := exact_rests(run)).any():
-                run, self._channel = learn_acted_run(rows.track, self.settings, run.inlier | rests)
             self._delay = 0.0 if run.track is rows.track or self._channel is None else self._channel.delay
             window = LearnedWindow(run, run.pieces, (), rows.last)
         else:
@@ -215,8 +213,6 @@ class OnlineLearner:
             curved = self.settings.paths and any(joint.kind == "path" for joint in self._entry.known)
             settings = replace(self.settings, paths=curved)
             run = learn_run(track, settings)
-            if (rests := exact_rests(run)).any():
-                run = learn_run(track, settings, run.inlier | rests)
             window = self._entry.continued_by(run, rows.last, self.settings)
         self._latest = self._rows, window
         return window

@@ -11,7 +11,7 @@ import numpy as np
 from micah_plan.arrays import Booleans
 from micah_plan.automaton.certainty import EvidenceTrace, RowPosterior, SegmentCertainty
 from micah_plan.automaton.joint import Joint, JointKind
-from micah_plan.learning.goodness_of_fit import assess_joints, no_single_joint_of, rms_missed
+from micah_plan.learning.goodness_of_fit import assess_joints, no_single_joint_of
 from micah_plan.learning.joints.final_fit import LackOfFit, fit_joint
 from micah_plan.learning.segmenting.noise import MeasurementNoise
 from micah_plan.learning.segmenting.pieces import Piece
@@ -27,9 +27,8 @@ from micah_plan.learning.segmenting.segmented import Segmented
 from micah_plan.learning.segmenting.steps import Steps, steps_of
 from micah_plan.learning.segments import FittedPiece, chained
 from micah_plan.learning.settings import LearnSettings
-from micah_plan.learning.track import PartTrack, find_inliers, repeats_of_inliers
+from micah_plan.learning.track import PartTrack, find_inliers
 
-_EXACT = 1e-6  # m and rad; no tracker reads poses so well, but simulators write them
 _NEGLIGIBLE = 1e-3  # rows less likely than this are not reported
 
 
@@ -158,16 +157,6 @@ def with_joints(segmented_run: SegmentedRun, settings: LearnSettings) -> Learned
     trace = _trace(segmented, posterior, settings)
     hypotheses = tuple(piece.hypothesis for piece in pieces)
     return LearnedRun(track, inlier, noise, tuple(chain), certainties, hypotheses, posterior, trace, segmented)
-
-
-def exact_rests(learned: LearnedRun) -> Booleans:
-    """(n,) rows in which the part rests, though they were left out as readings that say again what was read before.
-
-    That is so where the others lie on the joints exactly: nothing errs there, and what does not err loses no part.
-    """
-    if (rms_missed(learned.pieces, learned.track, learned.inlier) > _EXACT).any():
-        return np.zeros(len(learned.track), dtype=bool)
-    return repeats_of_inliers(learned.track, learned.inlier)
 
 
 def fitted_pieces(

@@ -104,13 +104,6 @@ def find_inliers(track: PartTrack) -> Booleans:
     return continuity(track.time, track.position, track.quaternion, track.action).is_measured
 
 
-def repeats_of_inliers(track: PartTrack, inlier: Booleans) -> Booleans:
-    """(n,) rows that were left out since they say again what an inlier before them says."""
-    repeats = continuity(track.time, track.position, track.quaternion, track.action).repeats & ~inlier
-    said_before = np.maximum.accumulate(np.where(repeats, 0, np.arange(len(track))))
-    return np.asarray(repeats & inlier[said_before])
-
-
 def part_track(recording: Recording, run: int, part: str) -> PartTrack:
     """The rows of one part in one run.
 
