@@ -11,6 +11,7 @@ import traceback
 from typing import Annotated, Any, NoReturn
 
 import typer
+from typer.exceptions import TyperException
 
 from micah_plan import __version__
 from micah_plan.cli.calibration import calibrate, predict
@@ -59,9 +60,6 @@ _OF_THE_SYSTEM = {
     errno.EIO: "check the disk",
 }
 
-# Click's UsageError: typer has its own copy of click from 0.2x on, so only this way leads to the one that is raised.
-_UsageError: type[Exception] = typer.BadParameter.__bases__[0]
-
 app = typer.Typer(
     help="From a recorded demonstration of an articulated object to a plan that holds under uncertainty.",
     pretty_exceptions_enable=False,
@@ -76,7 +74,7 @@ def main() -> None:
     _end_as_interrupted()
     try:
         code = app(prog_name="micah-plan", standalone_mode=False) or 0
-    except _UsageError as error:
+    except TyperException as error:
         _fail(_usage_line(error), BAD_INPUT)
     except (InputError, MissingDependencyError) as error:
         _fail(error, BAD_INPUT)
@@ -120,9 +118,10 @@ def _end_as_interrupted() -> None:
 
 
 def _usage_line(error: Any) -> InputError:
-    """The message of click about wrong usage, in the form of all other errors."""
+    """The message of typer about wrong usage, in the form of all other errors."""
     text = " ".join(error.format_message().replace("Value error, ", "").split()).rstrip(".")
-    command = error.ctx.command_path if error.ctx is not None else "micah-plan"
+    context = getattr(error, "ctx", None)
+    command = "micah-plan" if context is None else context.command_path
     return InputError(text[:1].lower() + text[1:], remedy=f"see {command} --help")
 
 
