@@ -77,7 +77,8 @@ def _optimised(attempt: Attempt) -> tuple[Floats, str]:
     modes, edges, n = len(problem.automaton.modes), len(problem.automaton.edges), problem.automaton.n
     if (modes + edges) * (n + 1) * n**2 > _LARGEST:
         mixture = f"the mixture of {modes} modes and {edges} transitions in {n} dimensions"
-        raise NoWayError(Reason(f"{mixture} is too large for direct planning", ("use the method pomdp-hd",)))
+        sentence = f"{mixture} is too large for direct planning"
+        raise NoWayError(Reason("search_limit_reached", sentence, ("use the method pomdp-hd",)))
     with attempt.clock.stage("build"):
         x = nominal_start(problem, limits, attempt.mode)
         straight = _straight(problem, limits, x)
@@ -96,7 +97,7 @@ def _optimised(attempt: Attempt) -> tuple[Floats, str]:
         said = ", ".join(sorted({path.said for path, _ in found})) or "none"
         deadline.check("optimisation", f"{len(found)} of {_STARTS} starts were tried ({said})")
         sentence = f"none of {len(found)} starts of the direct optimisation led to the goal ({said})"
-        raise NoWayError(Reason(sentence, ("use the method pomdp-hd",)))
+        raise NoWayError(Reason("optimisation_failed", sentence, ("use the method pomdp-hd",)))
     inputs = min(usable, key=lambda pair: pair[0].cost)[1]
     return inputs, f"cheapest of {len(usable)} local optima of the soft mixture"
 

@@ -73,7 +73,7 @@ def _grow(attempt: Attempt) -> tuple[Floats, str]:
     if not definition.hasExactSolution():
         limit = f"{_MOST_EXTENSIONS} extensions" if asked > _MOST_EXTENSIONS else "the time limit (solve_time_limit_s)"
         sentence = f"RRT found no path to the goal within {limit}, which does not prove that there is none"
-        raise NoWayError(Reason(sentence, ("use the method pomdp-hd",)))
+        raise NoWayError(Reason("not_connected", sentence, ("use the method pomdp-hd",)))
     path, m = definition.getSolutionPath(), attempt.problem.automaton.m
     controls = [[path.getControl(i)[j] for j in range(m)] for i in range(path.getControlCount())]
     durations = [round(path.getControlDuration(i)) for i in range(len(controls))]
@@ -93,7 +93,9 @@ class _System:
         self.goals = [(mode, states) for mode, states in sets if not states.is_empty]
         if not self.goals:
             ways = ("move the goal into a range",)
-            raise NoWayError(Reason("the goal lies in the range of no mode that it may end in", ways))
+            raise NoWayError(
+                Reason("goal_in_no_mode", "the goal lies in the range of no mode that it may end in", ways)
+            )
 
     def information(self) -> Any:
         lowest = self.limits.lower / self.width

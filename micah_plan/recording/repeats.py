@@ -5,8 +5,7 @@ the part rests. What is equal to the bit is lost only if it is improbable under 
 
     log odds = -log P(equal | read anew) + sum over repeats of log p(step after | lost) / p(step after | at rest)
 
-The first term compares the grid on which values lie with the white noise of the other rows; a simulator has none, so
-its poses lie on a line or a circle exactly. The second looks at the
+The first term compares the grid on which values lie with the white noise of the other rows. The second looks at the
 first new reading after a repeat: if readings were lost, it makes up for all the rows in between at the speed beside
 them; if the part was at rest, it is a step like the others, or the beginning of one.
 
@@ -34,8 +33,6 @@ _FEWEST = 8
 """Rows: differences of the highest order need as many."""
 _FEWEST_STEPS = 5
 """Single steps with another one beside them: from fewer the usual change of speed is not known."""
-_EXACT = 1e-6
-"""m, and of a quaternion: no tracker reads so well, but simulators do."""
 _FREEDOM = 3.0
 """Of the steps' Student-t distribution: speeds change now and then by much more than usual."""
 _USUAL = 0.9
@@ -63,36 +60,11 @@ def repeated_readings(position: Floats, quaternion: Floats | None, action: Float
     waits = _Waits.of(same)
     if waits.are_long:
         odds = waits.log_odds_of_clock() if action is None or waits.ask_all_along(action) else -np.inf
-    elif chance > _MIRACLE or _are_exact(position[~same], None if quaternion is None else quaternion[~same]):
+    elif chance > _MIRACLE:
         return none
     else:
         odds = float(np.mean([_log_odds_of_steps(vector, same) for vector in vectors]))
     return same if odds - np.log(max(chance, VANISHING)) > -np.log(_MIRACLE) else none
-
-
-def _are_exact(position: Floats, quaternion: Floats | None) -> bool:
-    """Whether readings lie on a line or a circle, turned about one axis at most, to the last digits: none errs.
-
-    Speeds that change from row to row look like noise, but only along the motion.
-    """
-    if quaternion is not None:
-        # Turns about one axis are a great circle of quaternions, of which those of a sign are as good as the others.
-        spread = np.linalg.eigvalsh(quaternion.T @ quaternion / len(quaternion))
-        if spread[1] > _EXACT**2:
-            return False
-    away = position - position.mean(axis=0)
-    _, sizes, axes = np.linalg.svd(away, full_matrices=False)
-    stds = sizes / np.sqrt(len(position))
-    if stds[1] < _EXACT:
-        return True
-    if stds[2] > _EXACT:
-        return False
-    # In their plane, x² + y² is linear in x and y on a circle (Coope, J. Optimization Theory and Applications 1993).
-    plane = away @ axes[:2].T
-    rows = np.column_stack([plane, np.ones(len(plane))])
-    solved = np.linalg.lstsq(rows, (plane**2).sum(axis=1), rcond=None)[0]
-    distance = np.linalg.norm(plane - 0.5 * solved[:2], axis=1)
-    return bool(distance.std() < _EXACT)
 
 
 @dataclass(frozen=True, eq=False)

@@ -134,28 +134,3 @@ def test_without_equal_rows_nothing_repeats() -> None:
     position, quaternion = poses(servo(0, 0.2), noise=1e-3)
     assert not repeated_readings(position, quaternion).any()
     assert not repeated_readings(position[:3], None).any()
-
-
-def moved_at_changing_speed(seed: int, slides: bool) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 3) and (n, 4): there, a rest, and back, by a hand whose speed changes from row to row; in a turned frame."""
-    rng, turned = np.random.default_rng(seed), Rotation.from_rotvec([0.3, -0.5, 0.9])
-    ahead = 0.02 * np.exp(0.2 * rng.standard_normal(40))
-    angle = np.concatenate([[0.0], np.cumsum(ahead), np.full(25, ahead.sum()), ahead.sum() - np.cumsum(ahead[::-1])])
-    if slides:
-        return turned.apply(np.outer(angle, [0.0, 0.3, 0.0])), np.tile(turned.as_quat(), (len(angle), 1))
-    position, _ = poses(angle)
-    return turned.apply(position), (turned * Rotation.from_rotvec(np.outer(angle, [0.0, 0.0, 1.0]))).as_quat()
-
-
-@pytest.mark.parametrize("slides", [False, True])
-@pytest.mark.parametrize("seed", range(3))
-def test_a_part_without_noise_rests_where_its_poses_are_equal(seed, slides) -> None:
-    """Equal readings of a tracker that errs by a tenth of a millimetre are one that it held."""
-    position, quaternion = moved_at_changing_speed(seed, slides)
-    assert not repeated_readings(position, quaternion).any()
-    assert not repeated_readings(position, None).any()
-    rng, same = np.random.default_rng(seed), np.append(False, (position[1:] == position[:-1]).all(axis=1))
-    read = position + 1e-4 * rng.standard_normal(position.shape)
-    turn = (Rotation.from_rotvec(1e-3 * rng.standard_normal(position.shape)) * Rotation.from_quat(quaternion)).as_quat()
-    last = np.maximum.accumulate(np.where(same, 0, np.arange(len(same))))
-    np.testing.assert_array_equal(repeated_readings(read[last], turn[last]), same)

@@ -1,0 +1,39 @@
+"""Poses that no tracker read: a simulator wrote them, or they were computed of the one joint that moves the part.
+
+They err nowhere, or along the motion alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from micah_plan.arrays import Floats
+
+_EXACT = 1e-6
+"""m, and of a quaternion: no tracker reads so well."""
+
+
+def are_exact(position: Floats, quaternion: Floats | None) -> bool:
+    """Whether poses lie on a line or a circle to the last digits, turned about one axis at most.
+
+    Args:
+        position: (n, 3) [m]; quaternion: (n, 4) unit, or None.
+    """
+    if quaternion is not None:
+        # Turns about one axis are a great circle of quaternions, of which those of a sign are as good as the others.
+        spread = np.linalg.eigvalsh(quaternion.T @ quaternion / len(quaternion))
+        if spread[1] > _EXACT**2:
+            return False
+    away = position - position.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(away, full_matrices=False)
+    stds = sizes / np.sqrt(len(position))
+    if stds[1] < _EXACT:
+        return True
+    if stds[2] > _EXACT:
+        return False
+    # In their plane, x² + y² is linear in x and y on a circle (Coope, J. Optimization Theory and Applications 1993).
+    plane = away @ axes[:2].T
+    rows = np.column_stack([plane, np.ones(len(plane))])
+    solved = np.linalg.lstsq(rows, (plane**2).sum(axis=1), rcond=None)[0]
+    distance = np.linalg.norm(plane - 0.5 * solved[:2], axis=1)
+    return bool(distance.std() < _EXACT)
