@@ -76,7 +76,7 @@ def assess_joints(
     """
     if inlier.sum() < _FEWEST_TO_DOUBT:
         return None
-    scatter, missed = _scatter(track, inlier, noise, settings), rms_missed(fitted, track, inlier)
+    scatter, missed = _scatter(track, inlier, noise, settings), _missed(fitted, track, inlier)
     is_in_turn = len({piece.joint for piece in fitted if piece.joint.moves}) > 1
     is_near = not (missed > (_DOUBTED_IN_TURN if is_in_turn else _DOUBTED) * scatter).any()
     if is_near and not _follows_a_curve(fitted, track, inlier, noise):
@@ -124,7 +124,7 @@ def no_single_joint_of(
     log_odds: float,
 ) -> NoSingleJoint:
     """How far joints miss rows of free motion."""
-    missed, scatter = rms_missed(fitted, track, inlier), _scatter(track, inlier, noise, settings)
+    missed, scatter = _missed(fitted, track, inlier), _scatter(track, inlier, noise, settings)
     turned = track.quaternion is not None
     return NoSingleJoint(
         position=float(missed[-1]),
@@ -153,7 +153,7 @@ def _follows_a_curve(
     return min(cosines) > _NO_CORNER
 
 
-def rms_missed(fitted: Sequence[FittedPiece], track: PartTrack, inlier: Booleans) -> Floats:
+def _missed(fitted: Sequence[FittedPiece], track: PartTrack, inlier: Booleans) -> Floats:
     """(2,) or (1,) how far rows lie off their joints (root mean square): rotation [rad], if measured, position [m]."""
     errors = [left_by(piece.joint, piece.index(inlier), track, ROTATION_LENGTH) for piece in fitted]
     error = np.concatenate(errors)

@@ -11,6 +11,8 @@ from micah_plan.arrays import Floats
 
 _EXACT = 1e-6
 """m, and of a quaternion: no tracker reads so well."""
+_FEWEST = 8
+"""Poses: three lie on a circle whatever they are, and a few may by chance."""
 
 
 def are_exact(position: Floats, quaternion: Floats | None) -> bool:
@@ -19,6 +21,8 @@ def are_exact(position: Floats, quaternion: Floats | None) -> bool:
     Args:
         position: (n, 3) [m]; quaternion: (n, 4) unit, or None.
     """
+    if len(position) < _FEWEST:
+        return False
     if quaternion is not None:
         # Turns about one axis are a great circle of quaternions, of which those of a sign are as good as the others.
         spread = np.linalg.eigvalsh(quaternion.T @ quaternion / len(quaternion))

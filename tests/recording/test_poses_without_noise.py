@@ -34,6 +34,12 @@ def test_poses_of_a_joint_are_exact_unless_something_errs(kind, seed, noise, is_
     assert are_exact(position, turned) == is_exact
 
 
+def test_three_poses_say_nothing() -> None:
+    position, quaternion = poses("door", 0)
+    for count in (0, 1, 3):
+        assert not are_exact(position[:count], quaternion[:count])
+
+
 def test_signs_of_quaternions_say_nothing_and_what_turns_about_two_axes_is_on_no_joint() -> None:
     position, quaternion = poses("door", 0)
     signs = np.where(np.arange(len(position)) % 3, 1.0, -1.0)[:, None]
