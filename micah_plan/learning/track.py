@@ -16,7 +16,6 @@ from micah_plan.learning.dead_band import without_arrived, without_dead_band
 from micah_plan.learning.settings import FEWEST_ROWS
 from micah_plan.recording.commands import Meaning, command_meaning
 from micah_plan.recording.continuity import continuity
-from micah_plan.recording.exact_poses import are_exact
 from micah_plan.recording.value import Recording
 
 # Of the largest step: rows in which a part moves. Of a usual step: by how much a place that is held changes.
@@ -101,18 +100,9 @@ class PartTrack:
 
 
 def find_inliers(track: PartTrack) -> Booleans:
-    """(n,) rows that are measurements of one continuous motion: neither repeated nor where the part cannot get.
-
-    Exact poses are no tracker's, which may lose a part: where they are equal, it rests.
-    """
+    """(n,) rows that are measurements of one continuous motion: neither repeated nor where the part cannot get."""
     found = continuity(track.time, track.position, track.quaternion, track.action)
-    fresh = found.is_measured
-    if not found.repeats.any() or not are_exact(
-        track.position[fresh], None if track.quaternion is None else track.quaternion[fresh]
-    ):
-        return fresh
-    said_before = np.maximum.accumulate(np.where(found.repeats, 0, np.arange(len(track))))
-    return fresh | (found.repeats & fresh[said_before])
+    return found.is_measured | found.rests
 
 
 def part_track(recording: Recording, run: int, part: str) -> PartTrack:

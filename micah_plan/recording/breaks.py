@@ -10,7 +10,6 @@ import numpy as np
 
 from micah_plan.quantities import count, quantity
 from micah_plan.recording.continuity import FLOORS, Continuity, apart, continuity_of, stretches
-from micah_plan.recording.exact_poses import are_exact
 from micah_plan.recording.symmetry import ReadTurned, turned_back
 from micah_plan.recording.value import Recording
 
@@ -124,8 +123,7 @@ def _repeat_lines(track: _Track) -> list[str]:
     where = f"{count(total, 'row')} of {track.name} " + ("repeats" if total == 1 else "repeat")
     pose = f"the pose of row {track.index[first - 1]}" if len(pieces) == 1 else "the pose of the row before"
     at = f", {track.says(first, last)}" if len(pieces) == 1 else longest
-    fresh, rows = track.continuity.is_measured, track.rows
-    if are_exact(rows.position[fresh], None if rows.quaternion is None else rows.quaternion[fresh]):
+    if track.continuity.rests.any():
         return [f"{where} {pose} to the last digit{at}: others lie on a joint exactly, so learn takes these for rests"]
     return [f"{where} {pose} to the last digit{at}: was it out of sight? Repeated rows are no measurements"]
 

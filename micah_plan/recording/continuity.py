@@ -19,6 +19,7 @@ from itertools import pairwise
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
+from micah_plan.recording.exact_poses import are_exact
 from micah_plan.recording.repeats import repeated_readings
 from micah_plan.recording.value import Recording
 
@@ -59,12 +60,14 @@ class Continuity:
     Attributes:
         is_measured: (n,) rows to learn from.
         repeats: (n,) rows that say again what the one before says.
+        rests: (n,) those of them in which the part rests: no tracker read these poses, which might have lost it.
         strays: (first, last) rows that are left out since the part cannot get there, with those that repeat them.
         jumps: steps that are kept though the part does not move so.
     """
 
     is_measured: Booleans
     repeats: Booleans
+    rests: Booleans
     strays: tuple[tuple[int, int], ...]
     jumps: tuple[Jump, ...]
 
@@ -79,7 +82,7 @@ def continuity(time: Floats, position: Floats, quaternion: Floats | None, action
     repeats = repeated_readings(position, quaternion, action)
     fresh = np.flatnonzero(~repeats)
     if len(fresh) < FEWEST:
-        return Continuity(~repeats, repeats, (), ())
+        return Continuity(~repeats, repeats, np.zeros(len(time), dtype=bool), (), ())
     commanded = np.zeros(len(fresh) - 1)
     if action is not None:
         so_far = np.concatenate([np.zeros((1, 3)), np.cumsum(np.nan_to_num(action), axis=0)])
@@ -96,7 +99,16 @@ def continuity(time: Floats, position: Floats, quaternion: Floats | None, action
     strays = tuple((int(stretch[0]), b) for stretch, b in within if len(stretch))
     over = [pieces[now][0] for before, now in pairwise(kept) if now == before + 1]
     jumps = tuple(Jump(int(fresh[k]), *steps.between(k - 1, k).tolist()) for k in over)
-    return Continuity(is_measured, repeats, strays, jumps)
+    rests = _rests(is_measured, repeats, position, quaternion)
+    return Continuity(is_measured, repeats, rests, strays, jumps)
+
+
+def _rests(is_measured: Booleans, repeats: Booleans, position: Floats, quaternion: Floats | None) -> Booleans:
+    turns = None if quaternion is None else quaternion[is_measured]
+    if not repeats.any() or not are_exact(position[is_measured], turns):
+        return np.zeros(len(repeats), dtype=bool)
+    said_before = np.maximum.accumulate(np.where(repeats, 0, np.arange(len(repeats))))
+    return np.asarray(repeats & is_measured[said_before])
 
 
 @dataclass(frozen=True, eq=False)

@@ -63,6 +63,15 @@ def test_a_stop_is_one_however_exact_its_poses_are(kind: str, seed: int, noise: 
     assert abs(starts[3] - last) <= NEAR
 
 
+@pytest.mark.parametrize("digits", [3, 5])
+def test_digits_that_a_file_leaves_out_take_no_stop(digits: int) -> None:
+    recording, _ = pushed("revolute", 0)
+    turns = np.round(recording.quaternion, digits)
+    turns /= np.linalg.norm(turns, axis=1)[:, None]
+    written = replace(recording, position=np.round(recording.position, digits), quaternion=turns)
+    assert [kind for kind, _ in segments(written)] == ["revolute", "rigid", "revolute", "rigid"]
+
+
 def test_without_orientation_too() -> None:
     recording, _ = pushed("revolute", 1, oriented=False)
     assert [kind for kind, _ in segments(recording)] == ["revolute", "rigid", "revolute", "rigid"]

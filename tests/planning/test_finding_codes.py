@@ -8,7 +8,6 @@ from typing import get_args
 import pytest
 from planning_examples import (
     DOOR_SHUT,
-    RIGID,
     door_automaton,
     door_problem,
     planar_problem,
@@ -16,8 +15,8 @@ from planning_examples import (
 )
 from test_remedies import latched, of_file, with_root
 
-from micah_plan.automaton.hybrid import Edge, Mode
-from micah_plan.automaton.region import Region, above, box
+from micah_plan.automaton.hybrid import Edge
+from micah_plan.automaton.region import box
 from micah_plan.planning.solver import solve
 from micah_plan.task.goal import Goal
 from micah_plan.task.problem import Problem
@@ -49,13 +48,6 @@ def with_a_stuck_coordinate() -> Problem:
     problem = planar_problem(trap=False)
     modes = tuple(replace(mode, input_matrix=((1.0, 0.0), (0.0, 0.0))) for mode in problem.automaton.modes[:2])
     return replace(problem, automaton=replace(problem.automaton, modes=(*modes, problem.automaton.modes[2])))
-
-
-def in_a_mode_that_holds_nothing() -> Problem:
-    """A goal in a mode whose range it is not in."""
-    problem = door_problem(0.2, 0.5, goal_modes=("shut",))
-    attic = Mode("attic", (RIGID,), ((0.0,),), Region((above(0, 5.0, 1, 1, name="door"),)))
-    return replace(problem, automaton=replace(problem.automaton, modes=(*problem.automaton.modes, attic)))
 
 
 REFUSED = {

@@ -34,6 +34,26 @@ def test_poses_of_a_joint_are_exact_unless_something_errs(kind, seed, noise, is_
     assert are_exact(position, turned) == is_exact
 
 
+@pytest.mark.parametrize("kind", ["door", "drawer"])
+@pytest.mark.parametrize("digits", [3, 4, 5])
+def test_digits_that_a_file_leaves_out_are_no_errors(kind, digits) -> None:
+    """A tracker that errs by a digit is one all the same."""
+    (position, quaternion), rng = poses(kind, 0), np.random.default_rng(0)
+    written = np.round(quaternion, digits)
+    written /= np.linalg.norm(written, axis=1)[:, None]
+    assert are_exact(np.round(position, digits), written)
+    read = position + 10.0**-digits * rng.standard_normal(position.shape)
+    assert not are_exact(np.round(read, digits), written)
+
+
+def test_what_turns_about_its_origin_is_exact_by_its_turns() -> None:
+    """Places that never change are written with no digit."""
+    rng, (position, quaternion) = np.random.default_rng(0), poses("door", 0)
+    tilts = Rotation.from_rotvec(1e-3 * rng.standard_normal(position.shape))
+    assert are_exact(0.0 * position, quaternion)
+    assert not are_exact(0.0 * position, (tilts * Rotation.from_quat(quaternion)).as_quat())
+
+
 def test_three_poses_say_nothing() -> None:
     position, quaternion = poses("door", 0)
     for count in (0, 1, 3):
