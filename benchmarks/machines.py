@@ -107,13 +107,17 @@ def slow_one_way(x: float, v: float, command: float) -> float:
     return (0.7 if command < 0.0 else 1.0) * command
 
 
+def beyond(command: float, dead: float) -> float:
+    """What a command has beyond a dead zone."""
+    return float(np.sign(command)) * max(abs(command) - dead, 0.0)
+
+
 def valve(gain: float, lag_s: float, neutral: float, dead: float) -> Callable[[float, float, float], float]:
     """A hydraulic cylinder: the flow follows the command beyond a dead zone about a neutral that is off, with a lag."""
 
     def law(x: float, v: float, command: float) -> float:
         del x
-        beyond = np.sign(command - neutral) * max(abs(command - neutral) - dead, 0.0)
-        return (gain * beyond - v) / lag_s
+        return (gain * beyond(command - neutral, dead) - v) / lag_s
 
     return law
 
@@ -121,8 +125,34 @@ def valve(gain: float, lag_s: float, neutral: float, dead: float) -> Callable[[f
 def curved_valve(x: float, v: float, command: float) -> float:
     """A cylinder whose flow is small for small commands beyond a dead zone."""
     del x
-    beyond = max(abs(command) - 0.02, 0.0)
-    return (float(np.sign(command)) * beyond * (0.4 + 4.0 * beyond) - v) / 0.1
+    left = beyond(command, 0.02)
+    return (left * (0.4 + 4.0 * abs(left)) - v) / 0.1
+
+
+def saturated(x: float, v: float, command: float) -> float:
+    """A pump that has no more to give."""
+    del x
+    return (float(np.clip(beyond(command, 0.02), -0.12, 0.12)) - v) / 0.08
+
+
+def rooted(x: float, v: float, command: float) -> float:
+    """A valve whose flow grows like a root."""
+    del x
+    left = beyond(command, 0.02)
+    return (float(np.sign(left) * np.sqrt(0.15 * abs(left))) - v) / 0.08
+
+
+def one_way_slower(x: float, v: float, command: float) -> float:
+    """A cylinder with a rod on one side, and a neutral that is off."""
+    del x
+    left = beyond(command - 0.01, 0.03)
+    return ((1.0 if left > 0.0 else 0.6) * left - v) / 0.1
+
+
+def leaking(x: float, v: float, command: float) -> float:
+    """A cylinder that sinks, whatever is commanded."""
+    del x
+    return (beyond(command, 0.02) - 0.006 - v) / 0.1
 
 
 def _bits(number: int) -> float:
@@ -153,6 +183,12 @@ KINDS: dict[str, Machine] = {
     "velocity motor, late": Machine(slow, 20.0, is_first_order=True, kind="velocity", delay_s=0.02),
     "velocity motor, ramped": Machine(ramped, 20.0, kind="velocity"),
     "hydraulics, curved": Machine(curved_valve, 20.0, slides=True, kind="velocity"),
+    "hydraulics, saturated": Machine(saturated, 20.0, slides=True, kind="velocity"),
+    "hydraulics, like a root": Machine(rooted, 20.0, slides=True, kind="velocity"),
+    "hydraulics, one way slower, late": Machine(one_way_slower, 20.0, slides=True, kind="velocity", delay_s=0.13),
+    "hydraulics, leaking": Machine(leaking, 20.0, slides=True, kind="velocity"),
+    "hydraulics, 100 Hz": Machine(valve(1.0, 0.1, 0.0, 0.03), 100.0, 500, slides=True, kind="velocity"),
+    "hydraulics, digits of 2 mm": Machine(valve(1.0, 0.1, 0.0, 0.03), 20.0, slides=True, kind="velocity", grid=0.002),
     "servo, late by 15 rows": Machine(servo(60.0, 12.0), 100.0, 300, delay_s=0.15),
     "goals stored early": Machine(servo(60.0, 12.0), 20.0, late=-1),
     "goals stored late": Machine(servo(60.0, 12.0), 20.0, late=1),
@@ -270,7 +306,7 @@ def main() -> None:
     parser.add_argument("--guess", action="store_true", help="do not say what commands mean")
     given = parser.parse_args()
     print(
-        f"{'machine':31}{'model':>9}{'calibr.':>9}{'two':>9}{'ARX(2)':>9}{'speed':>9}{'/ best':>8}{'written':>9}  found"
+        f"{'machine':33}{'model':>9}{'calibr.':>9}{'two':>9}{'ARX(2)':>9}{'speed':>9}{'/ best':>8}{'written':>9}  found"
     )
     ratios = []
     for kind in given.kinds:
@@ -295,7 +331,7 @@ def main() -> None:
                 before, after, written, said = np.nan, np.nan, np.nan, f"refused: {error}"[:90]
             ratios.append(after / min(peers))
             shown = "".join(f"{peer:9.4f}" for peer in [*peers, np.nan][:3])
-            print(f"{kind:31}{before:9.4f}{after:9.4f}{shown}{ratios[-1]:8.2f}{written:9.3f}  {said}", flush=True)
+            print(f"{kind:33}{before:9.4f}{after:9.4f}{shown}{ratios[-1]:8.2f}{written:9.3f}  {said}", flush=True)
     known = np.array(ratios)[np.isfinite(ratios)]
     print(f"at most 1.2 times the best: {np.sum(known <= 1.2)} of {len(ratios)}; median {np.median(known):.2f}")
 

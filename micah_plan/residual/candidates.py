@@ -117,7 +117,8 @@ def candidates(data: CoordinateData) -> tuple[TermCandidate, ...]:
     for effect_form in forms():
         made = effect_form.begun(data) if effect_form.is_sought and effect_form.same_as(data) is None else None
         if made is not None:
-            possible.append(_candidate(effect_form, made))
+            whole = _candidate(effect_form, made)
+            possible += [*_without_options(whole), whole]
     return tuple(possible)
 
 
@@ -175,6 +176,19 @@ _EARLIER_COMMANDS = EarlierCommands()
 def _side(ops: Operations, x: Value) -> Value:
     """tanh(3 x)."""
     return 1.0 - 2.0 / (1.0 + ops.exp(ops.minimum(ops.maximum(6.0 * x, -40.0), 40.0)))
+
+
+def _without_options(part: TermCandidate) -> list[TermCandidate]:
+    """An effect with none of its options: a rival of its own, since those that are not needed are paid for."""
+    options = part.term.form.options()
+    at = [k for k, parameter in enumerate(part.term.form.parameters) if parameter.name in options]
+    kept = [k for k, column in enumerate(part.free) if column not in at]
+    if not at or len(kept) == len(part.free):
+        return []
+    starts = part.starts.copy()
+    starts[:, at] = list(options.values())
+    free = tuple(part.free[k] for k in kept)
+    return [replace(part, starts=np.unique(starts, axis=0), free=free, scale=part.scale[kept])]
 
 
 def variants(part: TermCandidate) -> list[TermCandidate]:

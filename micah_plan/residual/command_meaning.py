@@ -16,8 +16,11 @@ from micah_plan.arrays import earlier_rows
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.likelihood import robust_log_density
 
-CONTAINED = ("gain", "bias", "delay", "lag", "dead_zone", "spring", "saturation", "ramp")
-"""Names of the effects that the response to places (`follow`) has in itself."""
+CONTAINED = {
+    "follow": ("gain", "bias", "delay", "lag", "dead_zone", "spring", "saturation", "ramp", "drive"),
+    "drive": ("gain", "delay", "lag", "dead_zone", "direction_gain"),
+}
+"""Names of whole machines, told places or speeds, and of the effects that each has in itself."""
 # Commands before one that its regularity is judged by.
 _MEMORY = 2
 # Degrees of freedom of what is not foretold: a few jumps decide nothing.

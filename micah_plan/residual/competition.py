@@ -185,7 +185,7 @@ class Competition(Contenders):
         places = () if self.has_places or self.data.meaning in ("displacement", "velocity") else follows(self.data)
         others = candidates(self.data)
         if self.has_places or self.data.meaning == "position":
-            others = tuple(part for part in others if part.name not in CONTAINED)
+            others = tuple(part for part in others if part.name not in CONTAINED[FOLLOW])
         return [variant for part in (*others, *places) for variant in variants(part)]
 
     def _single(self, part: TermCandidate) -> Option:
@@ -406,7 +406,7 @@ def _before(head: Contender, part: TermCandidate) -> list[Option]:
 def are_compatible(head: Contender, part: TermCandidate) -> bool:
     """Whether a second effect may be added: not once more, nor a whole form, nor what does the same."""
     names = {*head.names, part.name}
-    if part.name == FOLLOW or (FOLLOW in head.names and part.name in CONTAINED):
+    if part.name in CONTAINED or any(part.name in CONTAINED.get(name, ()) for name in head.names):
         return False
     is_later = any(map(begins_later, head.parts))
     if part.name in head.names or (is_later and part.term.form.layer == "guard"):

@@ -20,7 +20,8 @@ _Function = TypeVar("_Function", bound=Callable[..., Floats | int | None])
 
 FILTER, ONE_STEP, ROLLOUT = range(3)
 # Registers that every program has, and where its own begin.
-PLACE_OF_PART, COMMAND, COMMANDED_PLACE, TIME, ORDER, LOW, HIGH, FREE, SLOPE, OFFSET, STEEPNESS, FIRST_OWN = range(12)
+PLACE_OF_PART, MOVED_ON, COMMAND, COMMANDED_PLACE, TIME, ORDER, LOW, HIGH = range(8)
+FREE, SLOPE, OFFSET, STEEPNESS, FIRST_OWN = range(8, 13)
 # Hypotheses x segments that go through the rows together: the processor's cache holds some hundred registers of each.
 _LANES = 256
 # Noise and ends of each hypothesis: variances, freedom of the t distribution, ends beside those of
@@ -50,7 +51,7 @@ class Programs(NamedTuple):
     """Instructions ((n, 4) each) of what is done when.
 
     Attributes:
-        once: for the parameters. rest: memories of what rests at `PLACE_OF_PART`.
+        once: for the parameters. begun: memories of what has moved on by `MOVED_ON` to `PLACE_OF_PART`.
         ends: puts `LOW` and `HIGH` of a row in order, its only instruction if no effect changes them.
         step: `COMMAND`, `FREE` and `SLOPE` from `PLACE_OF_PART`, `COMMAND` and `COMMANDED_PLACE`.
         reading: `OFFSET` and `STEEPNESS`.
@@ -62,7 +63,7 @@ class Programs(NamedTuple):
     """
 
     once: Ints
-    rest: Ints
+    begun: Ints
     ends: Ints
     step: Ints
     reading: Ints
@@ -306,16 +307,15 @@ def _begin(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
 def _remember(
     programs: Programs, rows: RowsGiven, r: Floats, state: Floats, mode: Ints, hypotheses: int, first: int
 ) -> None:
-    """Fill memories as of the row before the first, and delay lines with what was commanded until then.
+    """Fill memories as of the first row, and delay lines with what was commanded until then.
 
     Where a run begins nothing is known of that: the part rests, but may do anything as long as commands are late.
     """
     for j in range(r.shape[1]):
-        r[PLACE_OF_PART, j] -= rows.moving[first + j // hypotheses]
-    evaluate(programs.rest, r, rows.in_mode, mode, 0)
+        r[MOVED_ON, j] = rows.moving[first + j // hypotheses]
+    evaluate(programs.begun, r, rows.in_mode, mode, 0)
     for j in range(r.shape[1]):
         segment = first + j // hypotheses
-        r[PLACE_OF_PART, j] += rows.moving[segment]
         for k in range(programs.lines.shape[0]):
             known = rows.earlier[programs.lines[k, 1], segment]
             if np.isnan(known[0]):

@@ -22,6 +22,7 @@ from micah_plan.residual.row_loop import (
     HIGH,
     LINE,
     LOW,
+    MOVED_ON,
     OFFSET,
     ORDER,
     PLACE_OF_PART,
@@ -32,7 +33,7 @@ from micah_plan.residual.row_loop import (
 )
 from micah_plan.symbolic.formula_lines import (
     Neutral,
-    at_rest_line,
+    begun_line,
     command_line,
     force_line,
     is_late,
@@ -83,7 +84,7 @@ class _Assembly:
     def __init__(self, model: Model, gated: Sequence[bool], neutral: Sequence[Neutral]) -> None:
         self.registers = FIRST_OWN
         self.once, self.constants = list[Instruction](), list[tuple[int, float]]()
-        self.rest, self.ends, self.step, self.reading = (list[Instruction]() for _ in range(4))
+        self.begun, self.ends, self.step, self.reading = (list[Instruction]() for _ in range(4))
         self.mode_sets, self.lines = list[tuple[str, ...]](), list[tuple[int, int, int]]()
         self.parameters = self._own(columns(model))
         self.one, self.zero = self._own(2)
@@ -105,7 +106,7 @@ class _Assembly:
         self._say_reading()
         programs = Programs(
             once=as_code(self.once),
-            rest=as_code(self.rest),
+            begun=as_code(self.begun),
             ends=as_code(self.ends),
             step=as_code(self.step),
             reading=as_code(self.reading),
@@ -185,7 +186,7 @@ class _Assembly:
             (Operation.SUB, late, delay, whole),
             (Operation.LT, is_now, whole, self.one),
         ]
-        self.rest += [_move(place, at_rest) for place in line for at_rest in earlier]
+        self.begun += [_move(place, at_rest) for place in line for at_rest in earlier]
         self.step += [
             (Operation.KEEP, line[0], sent, sent),
             (Operation.EARLIER, newer, line[0], whole),
@@ -194,11 +195,11 @@ class _Assembly:
         return (newer, older), [*values[:size], late], is_now
 
     def _memory_of(self, form: EffectForm, values: Sequence[int], neutral: Neutral) -> tuple[list[int], list[int]]:
-        """Registers of the memory, which begins at rest, and of what was commanded before, if commands act later."""
-        begun = self._called(self.rest, at_rest_line(form, neutral), (PLACE_OF_PART,), values)
+        """Registers of the memory, as of the first row, and of what was commanded before, if commands act later."""
+        begun = self._called(self.begun, begun_line(form, neutral), (PLACE_OF_PART, MOVED_ON), values)
         size = len(begun) - is_late(form, neutral)
         memory = self._own(size)
-        self.rest += map(_move, memory, begun)
+        self.begun += map(_move, memory, begun)
         return memory, begun[size:]
 
     def _of(self, layer: Layer) -> list[_Acting]:

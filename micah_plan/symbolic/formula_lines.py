@@ -40,28 +40,31 @@ def is_late(form: EffectForm, neutral: Neutral) -> bool:
     return form.late_by is not None and not neutral[form.late_by]
 
 
-def _rest(form: EffectForm, c: ca.SX, p: Sequence[Value]) -> list[Value]:
-    """Memory of a part that rests at c, without the commands that a delay keeps."""
-    return list(form.at_rest_in(c, [0.0 if k == form.late_by else value for k, value in enumerate(p)]))
+def _begun(form: EffectForm, c: ca.SX, step: ca.SX, p: Sequence[Value]) -> list[Value]:
+    """Memory of a part that has just moved by a step to c, without the commands that a delay keeps."""
+    return list(form.in_motion(c, step, [0.0 if k == form.late_by else value for k, value in enumerate(p)]))
 
 
-def _memory(form: EffectForm, c: ca.SX, p: Sequence[Value]) -> list[ca.SX]:
-    return [ca.SX.sym(f"memory_{k}") for k in range(len(_rest(form, c, p)))]
+def _memory(form: EffectForm, p: Sequence[Value]) -> list[ca.SX]:
+    return [ca.SX.sym(f"memory_{k}") for k in range(len(_begun(form, ca.SX(0.0), ca.SX(0.0), p)))]
 
 
 @lru_cache(maxsize=_KEPT)
-def at_rest_line(form: EffectForm, neutral: Neutral) -> StraightLine:
-    """Memory of a part that rests at c; of one whose commands act later, what was commanded before is last of it."""
-    (c,), symbols, p = _symbols(form, neutral, "c")
-    kept = [form.commanded_at_rest(c, p)] if is_late(form, neutral) else []
-    return straight_line([c], symbols, [*_rest(form, c, p), *kept])
+def begun_line(form: EffectForm, neutral: Neutral) -> StraightLine:
+    """Memory of a part that has just moved by a step to c.
+
+    Of one whose commands act later, what was commanded before is last of it: what left it at rest before the step.
+    """
+    (c, step), symbols, p = _symbols(form, neutral, "c", "step")
+    kept = [form.commanded_at_rest(c - step, p)] if is_late(form, neutral) else []
+    return straight_line([c, step], symbols, [*_begun(form, c, step, p), *kept])
 
 
 @lru_cache(maxsize=_KEPT)
 def response_line(form: EffectForm, neutral: Neutral) -> StraightLine:
     """Command out of a place, its slope along the configuration, and the memory after it."""
     (c, place, older, late), symbols, p = _symbols(form, neutral, "c", "place", "older", "late")
-    memory = _memory(form, c, p)
+    memory = _memory(form, p)
     if is_late(form, neutral):
         out, after = form.respond_late(CasadiOperations(), c, InForce(place, older, late), tuple(memory), p)
         return straight_line([c, place, older, *memory], [*symbols, late], [out, _slope(out, c), *after])
@@ -73,7 +76,7 @@ def response_line(form: EffectForm, neutral: Neutral) -> StraightLine:
 def memory_line(form: EffectForm, neutral: Neutral) -> StraightLine:
     """Command that comes out of one that goes in, its slope along that, and the memory after it."""
     (v, older, late), symbols, p = _symbols(form, neutral, "v", "older", "late")
-    memory = _memory(form, ca.SX(0.0), p)
+    memory = _memory(form, p)
     if is_late(form, neutral):
         out, after = form.remember_late(CasadiOperations(), InForce(v, older, late), tuple(memory), p)
         return straight_line([v, older, *memory], [*symbols, late], [out, _slope(out, v), *after])

@@ -88,7 +88,42 @@ class ByForm:
         return out
 
 
-DEVICES = {"delay": Line, "lag": FirstOrder, "ramp": Slewed, "backlash": Play, "stick_slip": Grip}
+class Motor:
+    """A speed that a command sets, in a hundred instants of a step, with a dead zone about a neutral, and a curve."""
+
+    def __init__(
+        self,
+        gain: float,
+        lag: float,
+        delay: float,
+        neutral: float,
+        width: float,
+        backward: float,
+        curve: float,
+        speed: float = math.inf,
+    ) -> None:
+        self._gain, self._ways, self._neutral, self._width = gain, (1.0, backward), neutral, width
+        self._curve, self._late, self._speed, self._most = curve, round(100 * delay), 0.0, speed
+        self._kept = math.exp(-0.01 / lag) if lag > 0.0 else 0.0
+        self._lag, self._sent = lag, [0.0] * (self._late + 100)
+
+    def _told(self, v: float) -> float:
+        away = v - self._neutral
+        beyond = max(abs(away) - self._width, 0.0)
+        flow = self._gain * beyond * (1.0 + self._curve * beyond)
+        return min(flow * self._ways[0], self._most) if away > 0.0 else -min(flow * self._ways[1], self._most)
+
+    def send(self, v: float) -> float:
+        self._sent, way = [*self._sent, *[float(v)] * 100], 0.0
+        for instant in range(100):
+            told = self._told(self._sent[-100 + instant - self._late])
+            before, self._speed = self._speed, told + self._kept * (self._speed - told)
+            # The lag holds back what the speed has not gained yet.
+            way += 0.01 * told - self._lag * (self._speed - before)
+        return way
+
+
+DEVICES = {"delay": Line, "lag": FirstOrder, "ramp": Slewed, "backlash": Play, "stick_slip": Grip, "drive": Motor}
 
 
 def device(effect: Effect) -> Any:

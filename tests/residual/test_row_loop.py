@@ -84,9 +84,9 @@ class Reference:
             there += term.form.force(np, c, v, p) if self.acts(term, gates, t) else 0.0
         return float(there), float(v), after
 
-    def begun(self, term, c, p):
+    def begun(self, term, c, moved, p):
         """The memory at the first row: of commands before it, where they are known."""
-        memory, delay = term.form.at_rest_in(c, p), term.form.late_by
+        memory, delay = term.form.in_motion(c, moved, p), term.form.late_by
         kept = 0 if delay is None else math.ceil(p[delay])
         known = self.data.earlier[int(term.form.layer == "place"), self.s, :kept]
         late = [own if np.isnan(one) else one for own, one in zip(memory[len(memory) - kept :], known, strict=True)]
@@ -100,7 +100,7 @@ class Reference:
         zero, one = self.read(0.0, 0), self.read(1.0, 0)
         low, high = self.ends(0)
         c = min(max((data.z[s, 0] - zero) / (one - zero), low), high)
-        self.memory = {k: self.begun(term, c - data.moving[s], p) for k, (term, p, _) in enumerate(self.terms)}
+        self.memory = {k: self.begun(term, c, data.moving[s], p) for k, (term, p, _) in enumerate(self.terms)}
         # As long as commands from before the log may act that nobody knows.
         delays = [p[term.form.late_by] for term, p, _ in self.terms if term.form.late_by is not None]
         unheard = max(delays, default=0.0) if np.isnan(data.earlier[0, s, 0]) else 0.0

@@ -43,6 +43,7 @@ class DirectionGain(EffectForm):
     sentence = "Motions one way are carried out by another share of the command than those the other way."
     source = "Armstrong-Helouvry et al., Automatica 1994, section 2: friction that depends on the direction"
     parameters = (Parameter("forward", "1", 1.0, 0.0), Parameter("backward", "1", 1.0, 0.0))
+    complexity_rank = 18
     experiments = (("bias", "command steps of very different sizes: a gain takes a share of each, a bias the same"),)
 
     def command(self, ops: Operations, v: Value, p: Values) -> Value:

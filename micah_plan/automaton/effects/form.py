@@ -42,7 +42,7 @@ _HOOKS: dict[str, Layer] = {
     "release": "guard",
     "measured": "sensor",
 }
-_HIGHEST_RANK = 18
+_HIGHEST_RANK = 19
 # What is large for a parameter that is no displacement.
 _LARGE = 0.3
 
@@ -183,6 +183,10 @@ class EffectForm:
     def at_rest_in(self, c: Value, p: Values) -> Memory:
         """The memory at the start of a run in configuration c; only forms of the layer ``place`` depend on c."""
         return self.at_rest(p)
+
+    def in_motion(self, c: Value, step: Value, p: Values) -> Memory:
+        """The memory of a part that has just moved by a step to configuration c; without what of it is not known."""
+        return self.at_rest_in(c - step, p)
 
     def respond(self, ops: Operations, c: Value, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
         """(command that comes out, memory after) at configuration c of a command that leads to the place c + v."""

@@ -15,12 +15,12 @@ LONGEST_DELAY = 30
 """The longest delay [steps]."""
 
 
-def _is_number(value: Value) -> bool:
+def is_constant(value: Value) -> bool:
     """Whether it is no expression and no array."""
     return isinstance(value, float | int)
 
 
-def _in_force(value: Value, kept: Memory, delay: float) -> tuple[InForce, Memory]:
+def in_force(value: Value, kept: Memory, delay: float) -> tuple[InForce, Memory]:
     """What acts `delay` steps after it was commanded, and what is kept then, the newest first."""
     sent, whole = (value, *kept), int(delay)
     return InForce(sent[whole], sent[math.ceil(delay)], delay - whole), sent[:-1]
@@ -42,7 +42,7 @@ class Delay(EffectForm):
         return kept
 
     def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
-        sent, kept = _in_force(v, memory, p[0])
+        sent, kept = in_force(v, memory, p[0])
         return self.remember_late(ops, sent, (), p)[0], kept
 
     def remember_late(self, ops: Operations, sent: InForce, memory: Memory, p: Values) -> tuple[Value, Memory]:
@@ -68,6 +68,9 @@ class Lag(EffectForm):
 
     def at_rest(self, p: Values) -> Memory:
         return (0.0,)
+
+    def in_motion(self, c: Value, step: Value, p: Values) -> Memory:
+        return (step,)
 
     def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
         out = memory[0] + (1.0 - ops.exp(-1.0 / ops.maximum(p[0], 1e-3))) * (v - memory[0])
@@ -97,8 +100,11 @@ class Ramp(EffectForm):
     def at_rest(self, p: Values) -> Memory:
         return (0.0 * p[0],)
 
+    def in_motion(self, c: Value, step: Value, p: Values) -> Memory:
+        return (step,)
+
     def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
-        out = memory[0] + _limited(ops, v - memory[0], p[0])
+        out = memory[0] + limited(ops, v - memory[0], p[0])
         return out, (out,)
 
     def begun(self, data: Shown) -> FitStart | None:
@@ -215,7 +221,7 @@ class Follow(EffectForm):
         return (c - p[1]) / p[2]
 
     def respond(self, ops: Operations, c: Value, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
-        sent, kept = _in_force(c + v, memory[1:], p[3])
+        sent, kept = in_force(c + v, memory[1:], p[3])
         step, own = self.respond_late(ops, c, sent, memory[:1], p)
         return step, (*own, *kept)
 
@@ -227,27 +233,27 @@ class Follow(EffectForm):
             away = gain * place + offset - c
             beyond = ops.maximum(away - width, 0.0) + ops.minimum(away + width, 0.0)
             asked = share * beyond
-            if _is_limit(acceleration):
-                asked = _limited(ops, asked, _in_time(ops, ops.abs(beyond), acceleration))
-            return _limited(ops, asked, most)
+            if is_limited(acceleration):
+                asked = limited(ops, asked, _in_time(ops, ops.abs(beyond), acceleration))
+            return limited(ops, asked, most)
 
-        is_whole = _is_number(sent.late) and not sent.late
+        is_whole = is_constant(sent.late) and not sent.late
         pulled = pull(sent.newer) if is_whole else (1.0 - sent.late) * pull(sent.newer) + sent.late * pull(sent.older)
         step = momentum * before + pulled
-        if not (_is_number(friction) and not friction):
+        if not (is_constant(friction) and not friction):
             step = ops.maximum(step - friction, 0.0) + ops.minimum(step + friction, 0.0)
-        step = before + _limited(ops, step - before, acceleration) if _is_limit(acceleration) else step
-        return _limited(ops, step, speed), (c,)
+        step = before + limited(ops, step - before, acceleration) if is_limited(acceleration) else step
+        return limited(ops, step, speed), (c,)
 
 
-def _is_limit(most: Value) -> bool:
+def is_limited(most: Value) -> bool:
     """Whether a parameter is a limit: an expression or an array may be one, infinity is none."""
-    return not (_is_number(most) and math.isinf(most))
+    return not (is_constant(most) and math.isinf(most))
 
 
-def _limited(ops: Operations, value: Value, most: Value) -> Value:
+def limited(ops: Operations, value: Value, most: Value) -> Value:
     """A value that is at most so large, either way."""
-    return ops.maximum(ops.minimum(value, most), -most) if _is_limit(most) else value
+    return ops.maximum(ops.minimum(value, most), -most) if is_limited(most) else value
 
 
 def _in_time(ops: Operations, way: Value, acceleration: Value) -> Value:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from micah_plan.automaton.effects import commands, ends, forces, geometry, memories, sensors
+from micah_plan.automaton.effects import commands, drives, ends, forces, geometry, memories, sensors
 from micah_plan.automaton.effects.form import EffectForm
 from micah_plan.errors import OF_YOUR_OWN, InputError, shown
 
@@ -10,7 +10,7 @@ from micah_plan.errors import OF_YOUR_OWN, InputError, shown
 _LIBRARY: tuple[EffectForm, ...] = (
     *(commands.Gain(), commands.Bias(), memories.Follow(), geometry.FrameRotation(), memories.Delay(), memories.Lag()),
     *(memories.Ramp(), commands.DirectionGain(), commands.Saturation(), commands.DeadZone()),
-    *(memories.Backlash(), memories.StickSlip()),
+    *(memories.Backlash(), memories.StickSlip(), drives.Drive()),
     *(forces.Spring(), forces.Gravity(), forces.Latch(), ends.Limit()),
     *(geometry.ScrewPitch(), geometry.AxisOffset(), ends.GuardShift(), ends.GuardHysteresis()),
     *(sensors.SensorScale(), sensors.SensorOffset(), sensors.Drift(), forces.Unexplained()),

@@ -1,0 +1,122 @@
+"""A machine that is told how fast to go: valve or motor with a neutral, a dead zone, a curve, and a lag."""
+
+from __future__ import annotations
+
+import math
+from itertools import product
+from typing import final
+
+import numpy as np
+
+from micah_plan.arrays import ROUND_OFF, Booleans, Floats
+from micah_plan.automaton.effects.fit_start import FitStart, Shown, command_sizes, step_sizes
+from micah_plan.automaton.effects.form import EffectForm, InForce, Memory, Operations, Parameter, Value, Values
+from micah_plan.automaton.effects.memories import LONGEST_DELAY, in_force, is_constant, limited
+
+# Lags [steps] and dead zones (quantiles of the commands) at which fits begin.
+_LAGS, _WIDTHS = (0.5, 1.5, 4.0), (0.1, 0.3)
+# The quantile of steps that a limit of speed cuts, and limits over it: one that cuts, and one that does not.
+_FASTEST, _LIMITS = 0.98, (1.0, 3.0)
+# Rows before one that a regression looks at; how slow a lag it tells at most.
+_BEFORE, _SLOWEST = 1, 0.95
+_SHORTEST = 1e-3  # steps: what is left of a shorter lag after a step is none
+
+
+@final
+class Drive(EffectForm):
+    """Commands set a speed, which the part gets to as a system of first order (time constant `lag` in steps):
+
+    e = v - neutral, b = sign(e) max(|e| - width, 0), w = gain b (1 + curve |b|), and `backward` times that if negative,
+    at most `speed` in size; ds/dt = (w - s) / lag, and a step is the integral of s over it, v being what was commanded
+    `delay` steps before.
+
+    A delay that ends within a step has the older command for a share of it, and then the newer one. A lag behind a dead
+    zone goes on where the command is within it, whereas a dead zone behind a lag (`dead_zone`) stops at once.
+    """
+
+    name = "drive"
+    sentence = "Commands set a speed, as those of a valve or a motor do, and the part gets to it gradually."
+    source = (
+        "Merritt, Hydraulic Control Systems, 1967, ch. 5 (overlapped valves); Astrom and Wittenmark, "
+        "Computer-Controlled Systems, 3rd ed., section 2.3 (sampled first-order system)"
+    )
+    parameters = (
+        Parameter("gain", "1", 1.0),
+        Parameter("lag", "step", 0.0, 0.0, 30.0),
+        Parameter("delay", "step", 0.0, 0.0, float(LONGEST_DELAY), is_optional=True),
+        Parameter("neutral", "coordinate", 0.0, is_optional=True),
+        Parameter("width", "coordinate", 0.0, 0.0, is_optional=True),
+        Parameter("backward", "1", 1.0, 0.0, is_optional=True),
+        Parameter("curve", "1/coordinate", 0.0, 0.0, is_optional=True),
+        Parameter("speed", "coordinate", math.inf, 0.0, is_optional=True),
+    )
+    experiments = (
+        ("dead_zone", "command one long step and then none: a drive goes on moving, friction stops it at once"),
+        ("lag", "command steps of very different sizes: a dead zone takes as much off each, a lag the same share"),
+    )
+    late_by = 2
+
+    def at_rest(self, p: Values) -> Memory:
+        return (0.0, *(0.0,) * math.ceil(p[2]))
+
+    def in_motion(self, c: Value, step: Value, p: Values) -> Memory:
+        return (step, *self.at_rest(p)[1:])
+
+    def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
+        sent, kept = in_force(v, memory[1:], p[2])
+        out, speed = self.remember_late(ops, sent, memory[:1], p)
+        return out, (*speed, *kept)
+
+    def remember_late(self, ops: Operations, sent: InForce, memory: Memory, p: Values) -> tuple[Value, Memory]:
+        gain, lag, _, neutral, width, backward, curve, most = p
+
+        def told(v: Value) -> Value:
+            away = v - neutral
+            beyond = ops.maximum(away - width, 0.0) + ops.minimum(away + width, 0.0)
+            speed = gain * beyond * (1.0 + curve * ops.abs(beyond))
+            return limited(ops, ops.maximum(speed, 0.0) + backward * ops.minimum(speed, 0.0), most)
+
+        def driven(speed: Value, to: Value, share: Value) -> tuple[Value, Value]:
+            """Way and speed after a share of a step."""
+            kept = ops.exp(-share / ops.maximum(lag, _SHORTEST))
+            return share * to + lag * (1.0 - kept) * (speed - to), to + kept * (speed - to)
+
+        if is_constant(sent.late) and not sent.late:
+            way, speed = driven(memory[0], told(sent.newer), 1.0)
+            return way, (speed,)
+        first, speed = driven(memory[0], told(sent.older), sent.late)
+        second, speed = driven(speed, told(sent.newer), 1.0 - sent.late)
+        return first + second, (speed,)
+
+    def begun(self, data: Shown) -> FitStart | None:
+        """At what least squares of steps tell of gain and delay; lags, dead zones and limits of several sizes."""
+        gain, delay = _regressed(data)
+        size, fastest = data.command_size, max(step_sizes(data, _FASTEST), default=data.command_size)
+        tried = product(_LAGS, sorted({0.0, delay}), (0.0, *command_sizes(data, *_WIDTHS)), _LIMITS)
+        values = [[gain, lag, late, 0.0, width, 1.0, 0.0, limit * fastest] for lag, late, width, limit in tried]
+        large = [0.3, 1.0, 1.0, 0.3 * size, 0.2 * size, 0.3, 1.0 / size, 0.3 * fastest]
+        return FitStart(values, tuple(range(len(large))), large)
+
+
+def _regressed(data: Shown) -> tuple[float, float]:
+    """Gain and whole delay [steps] by least squares of steps on earlier commands, the steps before, and a constant."""
+    steps = np.diff(data.z, axis=1)
+    counts = data.counted_starts[:, :-1]
+    longest = max(min(LONGEST_DELAY, steps.shape[1] - 3), 0)
+    found = [_of_delay(steps, data.u, counts, late) for late in range(longest + 1)]
+    _, gain, late = min(found)
+    return gain, float(late)
+
+
+def _of_delay(steps: Floats, u: Floats, counts: Booleans, late: int) -> tuple[float, float, int]:
+    """(mean squared error, gain, late) of a delay."""
+    first = late + _BEFORE
+    used = counts[:, first:] & counts[:, first - 1 : -1]
+    moved, before = steps[:, first:][used], steps[:, first - 1 : -1][used]
+    command = u[:, _BEFORE : steps.shape[1] - late][used]
+    if len(moved) < 4 or np.ptp(command) < ROUND_OFF:
+        return np.inf, 1.0, late
+    given = np.stack([command, before, np.ones(len(moved))], axis=1)
+    solution = np.linalg.lstsq(given, moved, rcond=None)[0]
+    kept = min(max(float(solution[1]), 0.0), _SLOWEST)
+    return float(np.mean((moved - given @ solution) ** 2)), float(solution[0]) / (1.0 - kept), late
