@@ -110,7 +110,8 @@ class Motor:
     def _told(self, v: float) -> float:
         away = v - self._neutral
         beyond = max(abs(away) - self._width, 0.0)
-        flow = self._gain * beyond * (1.0 + self._curve * beyond)
+        steeper = 1.0 + abs(self._curve) * beyond
+        flow = self._gain * beyond * (steeper if self._curve > 0.0 else 1.0 / steeper)
         return min(flow * self._ways[0], self._most) if away > 0.0 else -min(flow * self._ways[1], self._most)
 
     def send(self, v: float) -> float:

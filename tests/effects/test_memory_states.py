@@ -44,7 +44,7 @@ EFFECTS = {
     "stick-slip": ("stick_slip", (0.0735,)),
     "open backlash": ("backlash", (0.06, -0.5)),
     "drive": ("drive", (0.9, 1.6, 1.3, 0.01, 0.02, 0.8, 2.0, 0.05)),
-    "valve": ("drive", (1.1, 0.7, 0.0, 0.0, 0.03, 1.0, 0.0, np.inf)),
+    "valve": ("drive", (1.1, 0.7, 0.0, 0.0, 0.03, 1.0, -4.0, np.inf)),
 }
 
 

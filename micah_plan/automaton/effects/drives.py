@@ -26,8 +26,8 @@ _SHORTEST = 1e-3  # steps: what is left of a shorter lag after a step is none
 class Drive(EffectForm):
     """Commands set a speed, which the part gets to as a system of first order (time constant `lag` in steps):
 
-    e = v - neutral, b = sign(e) max(|e| - width, 0), w = gain b (1 + curve |b|), and `backward` times that if negative,
-    at most `speed` in size; ds/dt = (w - s) / lag, and a step is the integral of s over it, v being what was commanded
+    e = v - neutral, b = sign(e) max(|e| - width, 0), w = gain b (1 + curve |b|), or gain b / (1 - curve |b|) if the
+    curve is negative, and `backward` times that if w is, at most `speed` in size; ds/dt = (w - s) / lag, and a step is the integral of s over it, v being what was commanded
     `delay` steps before.
 
     A delay that ends within a step has the older command for a share of it, and then the newer one. A lag behind a dead
@@ -47,7 +47,7 @@ class Drive(EffectForm):
         Parameter("neutral", "coordinate", 0.0, is_optional=True),
         Parameter("width", "coordinate", 0.0, 0.0, is_optional=True),
         Parameter("backward", "1", 1.0, 0.0, is_optional=True),
-        Parameter("curve", "1/coordinate", 0.0, 0.0, is_optional=True),
+        Parameter("curve", "1/coordinate", 0.0, is_optional=True),
         Parameter("speed", "coordinate", math.inf, 0.0, is_optional=True),
     )
     experiments = (
@@ -73,7 +73,8 @@ class Drive(EffectForm):
         def told(v: Value) -> Value:
             away = v - neutral
             beyond = ops.maximum(away - width, 0.0) + ops.minimum(away + width, 0.0)
-            speed = gain * beyond * (1.0 + curve * ops.abs(beyond))
+            bent = curve * ops.abs(beyond)
+            speed = gain * beyond * (1.0 + ops.maximum(bent, 0.0)) / (1.0 - ops.minimum(bent, 0.0))
             return limited(ops, ops.maximum(speed, 0.0) + backward * ops.minimum(speed, 0.0), most)
 
         def driven(speed: Value, to: Value, share: Value) -> tuple[Value, Value]:
