@@ -27,8 +27,8 @@ class Drive(EffectForm):
     """Commands set a speed, which the part gets to as a system of first order (time constant `lag` in steps):
 
     e = v - neutral, b = sign(e) max(|e| - width, 0), w = gain b (1 + curve |b|), or gain b / (1 - curve |b|) if the
-    curve is negative, and `backward` times that if w is, at most `speed` in size; ds/dt = (w - s) / lag, and a step is the integral of s over it, v being what was commanded
-    `delay` steps before.
+    curve is negative, and `backward` times that if it leads backward, at most `speed` in size; ds/dt = (w - s) / lag,
+    and a step is the integral of s over it, v being what was commanded `delay` steps before.
 
     A delay that ends within a step has the older command for a share of it, and then the newer one. A lag behind a dead
     zone goes on where the command is within it, whereas a dead zone behind a lag (`dead_zone`) stops at once.
