@@ -24,8 +24,8 @@ def check_form(form: EffectForm) -> None:
 
     Checked: sentence and source; that the hooks which it overrides are those of one layer, and that `calibrate` tries
     that layer; that the formulas give one finite value per state and command, for arrays as for numbers, and the same
-    when CasADi evaluates them; that a memory keeps its shape; that with all neutral values nothing changes; that a
-    reading is a straight line in the configuration, as it is taken out of logs.
+    when CasADi evaluates them; that a memory keeps its shape, and is at rest where nothing moved; that with all neutral
+    values nothing changes; that a reading is a straight line in the configuration, as it is taken out of logs.
 
     Raises:
         InputError: says what is wrong with the form.
@@ -129,6 +129,9 @@ def _outputs(form: EffectForm, ops: Operations, p: Values, c: Value, v: Value) -
     out, after = form.respond(ops, c, v, memory, p)
     if len(after) != len(memory):
         raise InputError(f"effect {form.name}: remember must keep {len(memory)} values. Got {len(after)}")
+    begun = form.in_motion(c, 0.0, p)
+    if len(begun) != len(memory) or (ops is np and not all(map(np.allclose, begun, memory))):
+        raise InputError(f"effect {form.name}: in_motion must be what at_rest says, where the part moved by 0")
     action: Values = (v, *_ACROSS)
     low, high = form.stops(ops, *_ENDS, p)
     nothing = 0.0 * c + 0.0 * v

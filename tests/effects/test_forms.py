@@ -107,6 +107,15 @@ def test_an_effect_of_one_mode_acts_only_there(door) -> None:
     assert step(changed, "revolute", [0.3], [0.1]).x[0] == pytest.approx(0.4)
 
 
+@pytest.mark.parametrize(
+    ("name", "p"), [("lag", (3.0,)), ("ramp", (0.01,)), ("drive", (1.0, 3.0, *(0.0,) * 3, 1.0, 0.0, 9.0))]
+)
+def test_what_is_in_motion_goes_on_as_fast_as_it_is_told(name, p) -> None:
+    own = form(name)
+    assert own.remember(np, 0.1, own.in_motion(0.4, 0.1, p), p)[0] == pytest.approx(0.1)
+    assert own.remember(np, 0.1, own.at_rest_in(0.4, p), p)[0] < 0.05
+
+
 @pytest.mark.parametrize("name", ["delay", "lag", "ramp", "backlash"])
 def test_a_channel_with_memory_ends_where_it_was_sent(door, name) -> None:
     changed = with_effect(door, effect(name))
@@ -269,6 +278,22 @@ class OfOneSize(Stretching):
         return np.zeros(3)
 
 
+class Forgetful(EffectForm):
+    """Says of a part at rest that it moves."""
+
+    name, sentence, source = "forgetful", "It forgets.", "a test"
+    parameters = (Parameter("share", "1", 0.0),)
+
+    def at_rest(self, p):
+        return (0.0,)
+
+    def in_motion(self, c, step, p):
+        return (step + 1.0,)
+
+    def remember(self, ops, v, memory, p):
+        return v + p[0] * memory[0], (v,)
+
+
 class Broken(Stretching):
     def command(self, ops, v, p):
         raise RuntimeError("broken")
@@ -299,6 +324,7 @@ class Growing(Stretching):
         (Deciding, "its formula fails: The truth value"),
         (OfOneSize, "one finite value per state and command"),
         (Broken, "its formula fails: broken"),
+        (Forgetful, "in_motion must be what at_rest says"),
         (Apart, "must mean the same to CasADi"),
         (Growing, "one finite value per state and command"),
         (Bent, "this one is curved"),
