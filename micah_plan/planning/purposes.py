@@ -8,14 +8,14 @@ from micah_plan.task.plan import ModePurpose, Plan
 
 def purpose_sentences(plan: Plan) -> tuple[tuple[str, str], ...]:
     """(mode, sentence): why the plan visits each of its modes but the first, as far as the search could tell."""
-    told = dict[str, str]()
+    sentences = dict[str, str]()
     for purpose in plan.purposes:
         if purpose.mode not in plan.mode_sequence:
             continue
         sentence = _sentence(purpose, plan)
-        before = next((mode for mode, said in told.items() if said == sentence), None)
-        told[purpose.mode] = sentence if before is None else f"is there for the same reason as {before}"
-    return tuple(told.items())
+        before = next((mode for mode, said in sentences.items() if said == sentence), None)
+        sentences[purpose.mode] = sentence if before is None else f"is there for the same reason as {before}"
+    return tuple(sentences.items())
 
 
 def _sentence(purpose: ModePurpose, plan: Plan) -> str:

@@ -86,8 +86,8 @@ def turned_back(recording: Recording) -> tuple[Recording, tuple[ReadTurned, ...]
                 quaternion[rows] = between[0].taken_back(quaternion[rows], np.full(len(rows), between[1]))
             symmetry = next((each[0] for each in (between, within) if each is not None), None)
             if symmetry is not None:
-                asked, told = (Rotation.from_quat(each[rows]) for each in (quaternion, recording.quaternion))
-                is_turned = (asked.inv() * told).magnitude() > _LEAST_TURN
+                read, recorded = (Rotation.from_quat(each[rows]) for each in (quaternion, recording.quaternion))
+                is_turned = (read.inv() * recorded).magnitude() > _LEAST_TURN
                 found.append(ReadTurned(part, run, symmetry, rows[is_turned]))
             before = np.concatenate([before, rows])
     found = [each for each in found if len(each.rows)]

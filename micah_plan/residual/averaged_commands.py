@@ -62,9 +62,9 @@ def with_averages(data: CoordinateData, average: Average) -> CoordinateData:
             action[own] = _beside(runs.action[s, :steps], average.reach) @ _both_sides(average)
 
     def changed_in(rows: CoordinateData) -> CoordinateData:
-        told = np.arange(rows.u.shape[1]) < _steps(rows)[:, None]
-        changed = np.where(told, u[_number(rows)], rows.u)
-        vectors = None if rows.action is None else np.where(told[:, :, None], action[_number(rows)], rows.action)
+        is_step = np.arange(rows.u.shape[1]) < _steps(rows)[:, None]
+        changed = np.where(is_step, u[_number(rows)], rows.u)
+        vectors = None if rows.action is None else np.where(is_step[:, :, None], action[_number(rows)], rows.action)
         return replace(rows, u=changed, place=rows.place + changed - rows.u, action=vectors, meaning="displacement")
 
     whole = None if data.whole is None else changed_in(data.whole)

@@ -40,14 +40,14 @@ def read_tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[tuple
         rows = np.flatnonzero(track.is_measured)
         measured.append(rows_of(track, int(rows[0]), int(rows[-1]) + 1) if len(rows) else track)
     late = rows_late(measured)
-    told = {effect.coordinate for effect in automaton.effects if form(effect.name).layer == "place"}
-    led = np.array(
+    following = {effect.coordinate for effect in automaton.effects if form(effect.name).layer == "place"}
+    is_of_places = np.array(
         [
-            late > 0 and (each.name in told or is_regular_in_places(measured, i))
+            late > 0 and (each.name in following or is_regular_in_places(measured, i))
             for i, each in enumerate(automaton.coordinates)
         ]
     )
-    return tuple(_taken_back(track, late, led) for track in measured if len(track.time) > late), late
+    return tuple(_taken_back(track, late, is_of_places) for track in measured if len(track.time) > late), late
 
 
 def _taken_back(track: Track, late: int, led: Booleans) -> Track:

@@ -73,7 +73,7 @@ class CoordinateData:
         action: (S, T, 3) recorded displacement [m]; None if the commands are not those of one part.
         path: that is measured.
         lower, upper: ends of the range, infinite where there is none.
-        told: ends of the model that was given, where measured rows lie beyond and the range was opened.
+        ends_of_model: those of the model that was given, where measured rows lie beyond and the range was opened.
         row_ends: (2, S, T) those of each row, where other coordinates and modes change them; None: always the same.
         release: (2,) size of a command that leaves the lower and the upper end.
         holds: (2,) whether a mode holds the coordinate at the lower and the upper end.
@@ -106,7 +106,7 @@ class CoordinateData:
     path: LinkMotion
     lower: float
     upper: float
-    told: tuple[float, float]
+    ends_of_model: tuple[float, float]
     release: tuple[float, float]
     holds: tuple[bool, bool]
     period: float
@@ -169,7 +169,7 @@ class CoordinateData:
         """Whether the recording gets to an end of the range, where sensor and motion can be told apart."""
         low, high = self.visited
         reach = 0.03 * (high - low)
-        return low < self.told[0] + reach or high > self.told[1] - reach
+        return low < self.ends_of_model[0] + reach or high > self.ends_of_model[1] - reach
 
     @property
     def repeats_one_motion(self) -> bool:
@@ -242,8 +242,8 @@ def coordinate_data_of(
                 segment[s, : piece.end - piece.first] = of_rows[piece.track][piece.first : piece.end]
             segment[:, 0] = -1
             ends = range_of(reference or automaton, link.coordinate)
-            whole = replace(whole, counted=(segment >= 0) & whole.is_measured, segment=segment, told=ends)
-            result.append(replace(data, told=ends, whole=whole))
+            whole = replace(whole, counted=(segment >= 0) & whole.is_measured, segment=segment, ends_of_model=ends)
+            result.append(replace(data, ends_of_model=ends, whole=whole))
     return tuple(result)
 
 
@@ -309,9 +309,9 @@ def _coordinate_data(
             ends[:, s, :count] = at.low, at.high
             counted[s, 1:count] &= ~at.leaves_open(z[s, :count], u[s, :count])[:-1]
         if track.action is not None:
-            told = track.action[rows, link]
-            action[s, : len(told)] = told
-            asked = in_base_frame(automaton, i, told)
+            recorded = track.action[rows, link]
+            action[s, : len(recorded)] = recorded
+            asked = in_base_frame(automaton, i, recorded)
             counted[s, :count] &= ~_is_unclear(path, z[s, :count], asked, seen.stds[rows, i])
     return CoordinateData(
         coordinate=automaton.coordinates[i].name,
@@ -459,5 +459,5 @@ def _ends(automaton: HybridAutomaton, i: int) -> dict[str, Any]:
                         if h.b[i] and not h.on_state and not edge.is_self_transition:
                             away = (h.b[i] > 0) == (side == 0)
                             release[side] = max(release[side], h.c / abs(h.b[i])) if away else release[side]
-    ends = {"lower": lower, "upper": upper, "told": (lower, upper)}
+    ends = {"lower": lower, "upper": upper, "ends_of_model": (lower, upper)}
     return {**ends, "holds": (holds[0], holds[1]), "release": (release[0], release[1])}

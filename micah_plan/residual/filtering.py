@@ -207,7 +207,7 @@ def _rows_for(
     for k, names in enumerate(mode_sets):
         in_mode[k] = [name in names for name in data.modes]
     # What a sensor reads beyond the model's range need not lie there.
-    given = data.told if batch.terms("sensor") else (data.lower, data.upper)
+    given = data.ends_of_model if batch.terms("sensor") else (data.lower, data.upper)
     return rows._replace(
         moved=_commands(data, data.action, batch) if batch.terms("frame") and data.action is not None else rows.moved,
         ends=np.reshape(given, (2, 1, 1)) if data.row_ends is None else _own(data.row_ends),

@@ -32,13 +32,13 @@ class HeldOut:
 
     Attributes:
         competition: that fitted them. data: of the coordinate. nominal: the model as it is.
-        told: the data with commands as they were written, of which steps and roll-outs are predicted.
+        as_written: the data with commands as they were written, of which steps and roll-outs are predicted.
     """
 
-    def __init__(self, data: CoordinateData, told: CoordinateData | None = None) -> None:
+    def __init__(self, data: CoordinateData, as_written: CoordinateData | None = None) -> None:
         self.competition = Competition(data)
         self.data, self.nominal = self.competition.data, self.competition.nominal
-        self.told = self.data if told is None else told
+        self.as_written = self.data if as_written is None else as_written
         self._errors: dict[tuple[Contender, Kind], tuple[Floats, Floats]] = {}
         self._innovation_tests: dict[Contender, ResidualTest | None] = {}
 
@@ -48,7 +48,7 @@ class HeldOut:
 
     def _predicted(self, model: Contender, kind: Kind) -> tuple[Floats, Floats]:
         if (model, kind) not in self._errors:
-            every = errors(self.data if kind == "filter" else self.told, [self._without_each(model)], kind)
+            every = errors(self.data if kind == "filter" else self.as_written, [self._without_each(model)], kind)
             group, rows = self.competition.fitting.group, np.arange(len(self.data.run))
             self._errors[model, kind] = every[0][group, rows], every[1][group, rows]
         return self._errors[model, kind]
@@ -59,7 +59,7 @@ class HeldOut:
 
     def rollout_errors(self, model: Contender) -> Floats:
         """(N,) measured minus predicted from each run's first row on, by parameters fitted without a row's group."""
-        whole = self.told.whole
+        whole = self.as_written.whole
         if whole is None or whole.segment is None:
             return self.errors(model, "rollout")[self.data.counted]
         every = errors(whole, [self._without_each(model)], "rollout")[0]
@@ -77,14 +77,14 @@ class HeldOut:
         Never more than what is left: of few rows, tails that only might be heavy would say so.
         """
         unpredicted = float(np.sqrt(np.mean(self.errors(model, "one_step")[self.data.counted] ** 2)))
-        return min(_floor(model, self.data, "one_step", self.told), unpredicted)
+        return min(_floor(model, self.data, "one_step", self.as_written), unpredicted)
 
     def rollout_floor(self, model: Contender) -> float:
         """Root mean square of a roll-out's error that noise alone would leave, if this model were true.
 
         What moves the part adds up from the first row on, as far as the model lets it: ends and places bring it back.
         """
-        return _floor(model, self.data.whole or self.data, "rollout", self.told.whole or self.told)
+        return _floor(model, self.data.whole or self.data, "rollout", self.as_written.whole or self.as_written)
 
     def floors_without_what_follows(self) -> tuple[float, float]:
         """Floors of one step and of roll-outs of the model as it is: of what its errors follow nothing is noise."""
@@ -231,7 +231,7 @@ class HeldOut:
         return test and replace(test, share=test.share * min(mean_square / size**2, 1.0))
 
 
-def _floor(model: Contender, data: CoordinateData, kind: Kind, told: CoordinateData) -> float:
+def _floor(model: Contender, data: CoordinateData, kind: Kind, as_written: CoordinateData) -> float:
     """Root mean square of errors whose variance is what the model says; a t distribution has more than its scale.
 
     What averages of the commands change of what is predicted from those that were written is an error as well.
@@ -239,8 +239,8 @@ def _floor(model: Contender, data: CoordinateData, kind: Kind, told: CoordinateD
     hypothesis, freedom = [model.fit.hypotheses(model.fit.vector[None])], model.fit.freedom
     error, variance = errors(data, hypothesis, kind)
     square = freedom / (freedom - 2.0) * float(np.mean(variance[0, data.counted]))
-    if told is not data:
-        changed = errors(told, hypothesis, kind)[0] - error
+    if as_written is not data:
+        changed = errors(as_written, hypothesis, kind)[0] - error
         square += float(np.mean(changed[0, data.counted] ** 2))
     return float(np.sqrt(square))
 

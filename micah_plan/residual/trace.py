@@ -137,7 +137,7 @@ def _traced(held_out: HeldOut, standings: Standings, average: Average | None = N
     )
     alternatives = tuple(best_first(standings.singles)[:_MOST_ALTERNATIVES])
     return CoordinateTrace(
-        data=held_out.told,
+        data=held_out.as_written,
         held_out=held_out,
         nominal=nominal,
         chosen=chosen,

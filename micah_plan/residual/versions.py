@@ -69,6 +69,7 @@ def versions(
 def _parts(
     automaton: HybridAutomaton, recording: Recording, gates: Sequence[Effect]
 ) -> list[tuple[Place, tuple[Effect, ...], Track]]:
+    """Stretches of all runs in which the same effects act: where they begin, these effects, and their rows."""
     parts = []
     for number, track in enumerate(read_tracks(automaton, recording)[0]):
         for piece in consecutive_parts(track):

@@ -156,15 +156,15 @@ def action_words(channel: ActionChannel) -> str:
     """What actions make of the part's steps, with one standard deviation each; what the motion leaves open is named."""
     std = dict(zip(CHANNEL_NAMES, np.sqrt(np.diag(np.array(channel.covariance))), strict=True))
     turned, spread = channel_turn(channel)
-    told = {
+    texts = {
         "gain": (with_spread(channel.gain, std["gain"], ""), std["gain"] < _OPEN * abs(channel.gain)),
         "delay": (with_spread(channel.delay, std["delay"], "s"), True),
         "frame rotation": (in_degrees(turned, spread), spread < _OPEN),
     }
     if channel.commands == "position":
-        del told["frame rotation"]
-    words = [", ".join(f"{name} {text}" for name, (text, is_told) in told.items() if is_told)]
-    left_open = [name for name, (_, is_told) in told.items() if not is_told]
+        del texts["frame rotation"]
+    words = [", ".join(f"{name} {text}" for name, (text, is_told) in texts.items() if is_told)]
+    left_open = [name for name, (_, is_told) in texts.items() if not is_told]
     words += [f"{' and '.join(left_open)} not determined by this motion"] if left_open else []
     places = "places to get to; " if channel.commands == "position" else ""
     return f"{places}{'; '.join(words)}; they explain {percent(channel.explained, 0)} of the steps"

@@ -56,11 +56,11 @@ def _of_video(path: str | Path, rate: float | None) -> Iterator[tuple[float, Any
         count, last = 0, -np.inf
         while True:
             # The stamp of the frame that is read next; where files have none, frames follow at their rate.
-            told = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
+            stamp = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
             is_read, picture = capture.read()
             if not is_read:
                 return
-            time = count * period if rate is not None or not told > last else told
+            time = count * period if rate is not None or not stamp > last else stamp
             last = max(time, last)
             count += 1
             yield time, picture

@@ -54,7 +54,7 @@ class Reference:
         return inside and data.order[s, t] >= gates[0] and data.time[s, t] >= gates[1]
 
     def ends(self, t):
-        given = self.data.told if self.of("sensor") else (self.data.lower, self.data.upper)
+        given = self.data.ends_of_model if self.of("sensor") else (self.data.lower, self.data.upper)
         given = given if self.data.row_ends is None else self.data.row_ends[:, self.s, t]
         low, high = given[0] + self.beside[0], given[1] + self.beside[1]
         for _, term, p, gates in self.of("guard"):

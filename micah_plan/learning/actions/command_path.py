@@ -64,15 +64,15 @@ class CommandPath:
         """The same as what a servo of first order makes of it, with a time constant of so many rows."""
         step, lag = self.row / _BETWEEN, rows * self.row
         fine = np.arange(-self.row, 1 + self.row, step)
-        told, kept = self.at(fine), float(np.exp(-step / lag))
-        made = np.empty_like(told)
-        made[0] = told[0] - lag * self.before
+        commanded, kept = self.at(fine), float(np.exp(-step / lag))
+        arrived = np.empty_like(commanded)
+        arrived[0] = commanded[0] - lag * self.before
         # Between two points the command goes on evenly: behind[i] = kept behind[i - 1] + (1 - kept) lag rates[i].
-        gained = (1.0 - kept) * lag * np.diff(told, axis=0) / step
-        gained[0] += kept * (told[0] - made[0])
+        gained = (1.0 - kept) * lag * np.diff(commanded, axis=0) / step
+        gained[0] += kept * (commanded[0] - arrived[0])
         ones = np.ones(len(gained))
-        made[1:] = told[1:] - solve_banded((1, 0), np.stack([ones, -kept * ones]), gained)
-        return replace(self, time=fine, path=made, lag=lag)
+        arrived[1:] = commanded[1:] - solve_banded((1, 0), np.stack([ones, -kept * ones]), gained)
+        return replace(self, time=fine, path=arrived, lag=lag)
 
     def smoothed(self, rows: float) -> CommandPath:
         """The same, each action spread over time by a normal distribution, its std so many rows."""

@@ -45,8 +45,10 @@ def branch_poses(edge: KinematicEdge, relative: RelativeRows, poses: RigidTransf
             if segment.joint.kind == "revolute":
                 c = np.unwrap(c)
             if segment.joint.moves:
-                log_density = np.zeros(len(c)) if seen_action is None else _told(segment.joint, c, seen_action[index])
-                c = log_density + _smoothed(c - log_density)
+                commanded = (
+                    np.zeros(len(c)) if seen_action is None else _commanded(segment.joint, c, seen_action[index])
+                )
+                c = commanded + _smoothed(c - commanded)
             local = forward(segment.joint, c)
         said = relative.frames[index] * local
         rows = relative.rows[index]
@@ -64,8 +66,8 @@ def _smoothed_freely(poses: RigidTransform) -> RigidTransform:
     return RigidTransform.from_components(position, rotation)
 
 
-def _told(joint: Joint, c: Floats, action: Floats) -> Floats:
-    """(k,) what the actions say of the configurations, up to a constant: their sum, scaled as far as it is followed."""
+def _commanded(joint: Joint, c: Floats, action: Floats) -> Floats:
+    """(k,) configurations to which the actions lead, up to a constant: their sum, scaled as far as it is followed."""
     asked = np.nan_to_num(inverse_jacobian(joint, c, action))[:-1]
     followed = float(asked @ np.diff(c)) / max(float(asked @ asked), 1e-12)
     return np.concatenate([[0.0], np.cumsum(followed * asked)])
