@@ -257,15 +257,22 @@ def _found(data: CoordinateData, finding: CoordinateFinding, exceeded: Sequence[
         interval=tuple((float(low), float(high)) for low, high in ends),
         evidence=finding.evidence,
         tied=finding.tied,
-        derived=tuple(
-            ("seconds", value * data.period)
-            for value, parameter in zip(effect.values, effect_form.parameters, strict=True)
-            if parameter.unit == "step"
-        ),
+        derived=_in_seconds(effect, data.period),
         sentence=effect_form.sentence,
         source=effect_form.source,
         experiment=_experiment(data, finding),
         is_added=finding.is_added,
+    )
+
+
+def _in_seconds(effect: Effect, period: float) -> tuple[tuple[str, float], ...]:
+    """(name, value) of an effect's times, of which it has some in steps; one that is called so is in seconds then."""
+    parameters, stated = form(effect.name).parameters, form(effect.name).stated(effect.parameters)
+    names = {parameter.name for parameter in parameters if parameter.unit == "step" and parameter.name in stated}
+    return tuple(
+        ("seconds" if name == "steps" else f"{name}_seconds", value * period)
+        for name, value in effect.parameters
+        if name in names
     )
 
 

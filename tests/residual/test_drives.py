@@ -64,6 +64,10 @@ def test_valves_and_motors_are_told_with_what_they_have(door, given, lag, delay)
     ((name, rows, is_added),) = [(one.effect.name, one.rows, one.is_added) for one in found.effects]
     assert (name, is_added) == ("drive", True)
     known = {parameter: value for parameter, value, *_ in rows}
+    times = {
+        f"{parameter}_seconds": known[parameter] * plants.PERIOD for parameter in ("lag", "delay") if parameter in known
+    }
+    assert dict(found.effects[0].derived) == pytest.approx(times)
     expected = {"gain": 1.0, "lag": lag, **given, **({"delay": delay} if delay else {})}
     assert known.keys() == expected.keys()
     for parameter, value in expected.items():
