@@ -25,7 +25,7 @@ from micah_plan.automaton.effects.value import Effect
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.versions import acts
 
-FOLLOW = "follow"
+FOLLOW, DRIVE = "follow", "drive"
 MEMORY = "earlier commands"
 UNNAMED = "unexplained"
 """The form of a smooth correction without a name."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.residual.candidates import (
+    DRIVE,
     FOLLOW,
     GATES,
     MEMORY,
@@ -181,11 +182,17 @@ class Competition(Contenders):
         return tuple(best_first([model for model in corrected if self.is_worth(model, base, TIE)]))
 
     def _library(self) -> list[TermCandidate]:
-        """What may be added: responses to places where commands may be some, and what these do not contain."""
+        """What may be added: responses to places where commands may be some, and what these do not contain.
+
+        A servo moves as a drive does that is told by how far it is from its place: where commands may be places, motion
+        does not tell the two apart, and somebody must say that they are speeds or displacements.
+        """
         places = () if self.has_places or self.data.meaning in ("displacement", "velocity") else follows(self.data)
         others = candidates(self.data)
         if self.has_places or self.data.meaning == "position":
             others = tuple(part for part in others if part.name not in CONTAINED[FOLLOW])
+        if places:
+            others = tuple(part for part in others if part.name != DRIVE)
         return [variant for part in (*others, *places) for variant in variants(part)]
 
     def _single(self, part: TermCandidate) -> Option:

@@ -8,8 +8,10 @@ from __future__ import annotations
 import numpy as np
 import planted_effects as plants
 import pytest
+from test_meaning import servo_run
 
 from micah_plan.documents.model import model_text, usable_model
+from micah_plan.recording.commands import with_commands
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.prediction import predict_recording, rmse
 
@@ -35,8 +37,8 @@ def run_of(rows, seed, valve, lag, delay=0.0, friction=0.0):
     return z, u
 
 
-def recorded(seeds, *machine, **more):
-    return plants.door_recording([run_of(120, seed, *machine, **more) for seed in seeds])
+def recorded(seeds, *machine):
+    return with_commands(plants.door_recording([run_of(120, seed, *machine) for seed in seeds]), "displacement")
 
 
 def valve(gain=1.0, neutral=0.0, width=0.0, backward=1.0, curve=0.0):
@@ -53,7 +55,7 @@ def valve(gain=1.0, neutral=0.0, width=0.0, backward=1.0, curve=0.0):
     [
         pytest.param({"width": 0.003}, 2.0, 0.0, id="overlap"),
         pytest.param({"gain": 0.8, "width": 0.004, "neutral": 0.0015}, 1.5, 0.0, id="neutral", marks=pytest.mark.slow),
-        pytest.param({"gain": 0.6, "width": 0.002, "curve": 60.0}, 2.0, 1.6, id="curve, late"),
+        pytest.param({"gain": 0.6, "width": 0.002, "curve": 60.0}, 2.0, 1.6, id="curve, late", marks=pytest.mark.slow),
         pytest.param({"width": 0.003, "backward": 0.7}, 3.0, 0.0, id="one way slower", marks=pytest.mark.slow),
         pytest.param({}, 4.0, 0.0, id="lag alone", marks=pytest.mark.slow),
     ],
@@ -93,3 +95,10 @@ def test_what_plainer_effects_do_is_no_drive(door, machine, names) -> None:
     found = calibrate(door, recorded(range(4), *machine))
     assert found.verdict == "explained"
     assert {one.effect.name for one in found.effects} == names
+
+
+@pytest.mark.slow
+def test_a_servo_whose_commands_nobody_explains_is_no_drive(door) -> None:
+    """It moves as a drive that is told by how far it is from its place."""
+    found = calibrate(door, plants.door_recording([servo_run(300, 1, share=0.1, momentum=0.7, short=0.02)]))
+    assert [one.effect.name for one in found.effects] == ["follow"]
