@@ -53,6 +53,15 @@ def test_the_written_model_is_as_good_as_is_said_on_its_own_recording(found, dro
     assert rolled(always, dropped) > 2.0 * rolled(written, dropped)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_small_change_between_two_runs_is_dated_between_them(door, seed) -> None:
+    """Rows alone would date it some later: that something changed while nobody looked is as likely as within a run."""
+    recording = plants.door_recording(plants.runs_of(weaker(5, 0.9), 10, 30, seed))
+    (effect,) = calibrate(door, recording).effects
+    assert (effect.effect.since.run, effect.effect.since.time) == (6, 0.0)
+
+
 def weaker_from(first_run: int, row: int, *, in_each: bool = False):
     def moves(c, u, k, memory):
         began = k >= row if in_each else (memory["run"], k) >= (first_run, row)
