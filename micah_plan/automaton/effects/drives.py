@@ -70,7 +70,7 @@ class Drive(EffectForm):
     def remember_late(self, ops: Operations, sent: InForce, memory: Memory, p: Values) -> tuple[Value, Memory]:
         gain, lag, _, neutral, width, backward, curve, most = p
 
-        def told(v: Value) -> Value:
+        def set_speed(v: Value) -> Value:
             away = v - neutral
             beyond = ops.maximum(away - width, 0.0) + ops.minimum(away + width, 0.0)
             bent = curve * ops.abs(beyond)
@@ -83,10 +83,10 @@ class Drive(EffectForm):
             return share * to + lag * (1.0 - kept) * (speed - to), to + kept * (speed - to)
 
         if is_constant(sent.late) and not sent.late:
-            way, speed = driven(memory[0], told(sent.newer), 1.0)
+            way, speed = driven(memory[0], set_speed(sent.newer), 1.0)
             return way, (speed,)
-        first, speed = driven(memory[0], told(sent.older), sent.late)
-        second, speed = driven(speed, told(sent.newer), 1.0 - sent.late)
+        first, speed = driven(memory[0], set_speed(sent.older), sent.late)
+        second, speed = driven(speed, set_speed(sent.newer), 1.0 - sent.late)
         return first + second, (speed,)
 
     def begun(self, data: Shown) -> FitStart | None:
