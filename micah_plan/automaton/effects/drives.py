@@ -11,15 +11,21 @@ import numpy as np
 from micah_plan.arrays import ROUND_OFF, Booleans, Floats
 from micah_plan.automaton.effects.fit_start import FitStart, Shown, command_sizes, step_sizes
 from micah_plan.automaton.effects.form import EffectForm, InForce, Memory, Operations, Parameter, Value, Values
-from micah_plan.automaton.effects.memories import LONGEST_DELAY, in_force, is_constant, limited
+from micah_plan.automaton.effects.memories import (
+    LONGEST_DELAY,
+    beyond_zone,
+    in_force,
+    is_constant,
+    left_after,
+    limited,
+)
 
 # Lags [steps] and dead zones (quantiles of the commands) at which fits begin.
 _LAGS, _WIDTHS = (0.5, 1.5, 4.0), (0.1, 0.3)
 # The quantile of steps that a limit of speed cuts, and limits over it: one that cuts, and one that does not.
 _FASTEST, _LIMITS = 0.98, (1.0, 3.0)
-# Rows before one that a regression looks at; how slow a lag it tells at most.
-_BEFORE, _SLOWEST = 1, 0.95
-_SHORTEST = 1e-3  # steps: what is left of a shorter lag after a step is none
+# How much of a speed a regression takes to last from step to step at most.
+_SLOWEST = 0.95
 
 
 @final
@@ -71,15 +77,14 @@ class Drive(EffectForm):
         gain, lag, _, neutral, width, backward, curve, most = p
 
         def set_speed(v: Value) -> Value:
-            away = v - neutral
-            beyond = ops.maximum(away - width, 0.0) + ops.minimum(away + width, 0.0)
+            beyond = beyond_zone(ops, v - neutral, width)
             bent = curve * ops.abs(beyond)
             speed = gain * beyond * (1.0 + ops.maximum(bent, 0.0)) / (1.0 - ops.minimum(bent, 0.0))
             return limited(ops, ops.maximum(speed, 0.0) + backward * ops.minimum(speed, 0.0), most)
 
         def driven(speed: Value, to: Value, share: Value) -> tuple[Value, Value]:
             """Way and speed after a share of a step."""
-            kept = ops.exp(-share / ops.maximum(lag, _SHORTEST))
+            kept = left_after(ops, share, lag)
             return share * to + lag * (1.0 - kept) * (speed - to), to + kept * (speed - to)
 
         if is_constant(sent.late) and not sent.late:
@@ -111,10 +116,9 @@ def _regressed(data: Shown) -> tuple[float, float]:
 
 def _of_delay(steps: Floats, u: Floats, counts: Booleans, late: int) -> tuple[float, float, int]:
     """(mean squared error, gain, late) of a delay."""
-    first = late + _BEFORE
-    used = counts[:, first:] & counts[:, first - 1 : -1]
-    moved, before = steps[:, first:][used], steps[:, first - 1 : -1][used]
-    command = u[:, _BEFORE : steps.shape[1] - late][used]
+    used = counts[:, late + 1 :] & counts[:, late:-1]
+    moved, before = steps[:, late + 1 :][used], steps[:, late:-1][used]
+    command = u[:, 1 : steps.shape[1] - late][used]
     if len(moved) < 4 or np.ptp(command) < ROUND_OFF:
         return np.inf, 1.0, late
     given = np.stack([command, before, np.ones(len(moved))], axis=1)

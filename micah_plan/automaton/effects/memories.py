@@ -13,6 +13,7 @@ from micah_plan.automaton.effects.value import Effect
 
 LONGEST_DELAY = 30
 """The longest delay [steps]."""
+_SHORTEST = 1e-3  # steps: of a shorter lag nothing is left after a step
 
 
 def is_constant(value: Value) -> bool:
@@ -24,6 +25,16 @@ def in_force(value: Value, kept: Memory, delay: float) -> tuple[InForce, Memory]
     """What acts `delay` steps after it was commanded, and what is kept then, the newest first."""
     sent, whole = (value, *kept), int(delay)
     return InForce(sent[whole], sent[math.ceil(delay)], delay - whole), sent[:-1]
+
+
+def left_after(ops: Operations, steps: Value, lag: Value) -> Value:
+    """Share that a system of first order has not made up for after so many steps, with a time constant in steps."""
+    return ops.exp(-steps / ops.maximum(lag, _SHORTEST))
+
+
+def beyond_zone(ops: Operations, value: Value, width: Value) -> Value:
+    """What a value has beyond a dead zone, either way."""
+    return ops.maximum(value - width, 0.0) + ops.minimum(value + width, 0.0)
 
 
 @final
@@ -73,7 +84,7 @@ class Lag(EffectForm):
         return (step,)
 
     def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
-        out = memory[0] + (1.0 - ops.exp(-1.0 / ops.maximum(p[0], 1e-3))) * (v - memory[0])
+        out = memory[0] + (1.0 - left_after(ops, 1.0, p[0])) * (v - memory[0])
         return out, (out,)
 
     def begun(self, data: Shown) -> FitStart | None:
@@ -231,7 +242,7 @@ class Follow(EffectForm):
 
         def pull(place: Value) -> Value:
             away = gain * place + offset - c
-            beyond = ops.maximum(away - width, 0.0) + ops.minimum(away + width, 0.0)
+            beyond = beyond_zone(ops, away, width)
             asked = share * beyond
             if is_limited(acceleration):
                 asked = limited(ops, asked, _in_time(ops, ops.abs(beyond), acceleration))
@@ -241,7 +252,7 @@ class Follow(EffectForm):
         pulled = pull(sent.newer) if is_whole else (1.0 - sent.late) * pull(sent.newer) + sent.late * pull(sent.older)
         step = momentum * before + pulled
         if not (is_constant(friction) and not friction):
-            step = ops.maximum(step - friction, 0.0) + ops.minimum(step + friction, 0.0)
+            step = beyond_zone(ops, step, friction)
         step = before + limited(ops, step - before, acceleration) if is_limited(acceleration) else step
         return limited(ops, step, speed), (c,)
 
