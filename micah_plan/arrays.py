@@ -1,4 +1,4 @@
-"""Names for the arrays of all signatures, whose docstrings give shapes and units; what equals and spreads in them."""
+"""Array types for signatures, whose docstrings give shapes and units; tolerances for equality and spread."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ NEAR_STDS, SURE_STDS = 3.0, 4.0
 
 
 def robust_std(values: Floats) -> Floats:
-    """(...) std of values (N, ...) as their median deviation from the median tells it: few outliers do not count."""
+    """(...) robust std of values (N, ...) from their median absolute deviation."""
     return np.asarray(STDS_PER_MAD * np.median(np.abs(values - np.median(values, axis=0)), axis=0))
 
 
 def earlier_rows(rows: NDArray[Scalar], by: int, axis: int = 1) -> NDArray[Scalar]:
-    """What the row so many rows earlier has, or later where it is negative; 0 or False where there is none."""
+    """The rows shifted down by `by` (up if negative), filled with 0 or False."""
     result, along = np.zeros_like(rows), rows.shape[axis]
     by = max(-along, min(by, along))
     here, there = slice(max(by, 0), along + min(by, 0)), slice(max(-by, 0), along + min(-by, 0))
@@ -53,13 +53,13 @@ def earlier_rows(rows: NDArray[Scalar], by: int, axis: int = 1) -> NDArray[Scala
 
 
 def alike(numbers: Ints) -> list[tuple[int, Ints]]:
-    """Each of the numbers (k,) that occurs, with the places (c,) where it does."""
+    """Distinct numbers (k,), each with the indices (c,) of its occurrences."""
     counts = np.bincount(numbers)
     return [(number, np.flatnonzero(numbers == number)) for number in np.flatnonzero(counts).tolist()]
 
 
 def white_std(values: Floats, order: int) -> Floats:
-    """Std of white noise on rows (n, ...), along each column, as differences of an order >= 1 show it.
+    """Std of white noise on rows (n, ...) per column, from differences of order >= 1.
 
     They lie about 0 and have comb(2 order, order) times its variance; what lower orders show of a motion is in them.
     """

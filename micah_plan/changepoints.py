@@ -51,7 +51,7 @@ class LengthPrior:
 
 
 def most_probable_spans(worth: Floats) -> tuple[list[tuple[int, int]], float]:
-    """First and last rows of the segments that together are worth most, and what they are worth [nats].
+    """(spans of the most probable segments, their log probability [nats]).
 
     Args:
         worth: (n, n) ln probability of a segment (first, last row) with its length; -inf where the last row is before
@@ -69,7 +69,7 @@ def most_probable_spans(worth: Floats) -> tuple[list[tuple[int, int]], float]:
 
 
 def reached(worth: Floats) -> Floats:
-    """(n + 1,) ln probability of the rows before each under their best segments (n, n), whatever follows what."""
+    """(n + 1,) log probability of the rows before each under their best segments (n, n)."""
     columns = np.ascontiguousarray(worth.T)
     best = np.zeros(len(columns) + 1)
     for row, column in enumerate(columns):

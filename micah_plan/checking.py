@@ -1,4 +1,4 @@
-"""Whether files can be used, said for each of them without solving, learning or executing anything."""
+"""Checks of files for usability, without solving, learning or executing."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class FileCheck:
-    """What was found in a file.
+    """Result of checking a file.
 
     Attributes:
         file: as it was named.
@@ -83,7 +83,7 @@ def _check_tags(file: Path) -> tuple[str, ...]:
 
 
 def suspicions_of(problem: Problem) -> tuple[str, ...]:
-    """What looks like a mistake in a problem, its model and its plant, one line each."""
+    """Suspicious values of a problem, its model and its plant, one line each."""
     from micah_plan.automaton.plausible import implausible, suspicions_of_automaton
     from micah_plan.execution.mujoco.parameters import amounts
     from micah_plan.task.plausible import suspicions_of_problem

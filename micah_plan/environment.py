@@ -1,4 +1,4 @@
-"""What this installation can do: libraries and their versions, solvers, a browser; and what to install for more.
+"""Capabilities of this installation: libraries with versions, solvers, a browser; and advice on what to install.
 
 Everything is tried in a process of its own, so that a library that crashes does not end the check.
 """
@@ -86,7 +86,7 @@ LIBRARIES = (
 
 @dataclass(frozen=True)
 class Found:
-    """A library as it is here.
+    """An installed library.
 
     Attributes:
         version: None if it is not installed.
@@ -101,7 +101,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Environment:
-    """What was found.
+    """Result of the examination.
 
     Attributes:
         linear_solvers: those that IPOPT can use; it uses MUMPS unless it is told otherwise.
@@ -119,14 +119,14 @@ class Environment:
 
     @property
     def complete(self) -> bool:
-        """Whether all works that does not need an extra."""
+        """Whether everything works that needs no extra."""
         return "mumps" in self.linear_solvers and all(
             library.state == "works" for library in self.libraries if not library.library.extra
         )
 
 
 def examine(progress: Callable[[str, float], None]) -> Environment:
-    """Try everything; takes some seconds.
+    """Test all capabilities; takes some seconds.
 
     Args:
         progress: called with a message and the fraction done.
@@ -161,7 +161,7 @@ def _library(library: Library) -> Found:
 
 
 def _runs(code: str, *arguments: str) -> tuple[bool, str]:
-    """Whether Python runs the code to its end, and the last line of what it said if not."""
+    """(whether Python runs the code without error, the last line of its output if not)."""
     try:
         done = subprocess.run(  # noqa: S603 - the code is a constant of this module
             [sys.executable, "-c", code, *arguments],

@@ -68,7 +68,7 @@ class InputError(MicahError):
         super().__init__("".join(c if c.isprintable() else "?" for c in line))  # a path may hold a line break
 
     def _with(self, further: Sequence[InputError], source: str | Path | None = None) -> InputError:
-        """The same error with other further ones, and a file where it was still unknown."""
+        """The same error with other further errors, and a default source."""
         return InputError(
             self.problem,
             source=self.source or source,
@@ -79,17 +79,17 @@ class InputError(MicahError):
         )
 
     def located(self, source: str | Path) -> InputError:
-        """The same error, and the further ones, with the file filled in where it was still unknown."""
+        """The same error and its further ones, with a default source."""
         return self._with([error.located(source) for error in self.further], source)
 
     def each(self) -> tuple[InputError, ...]:
-        """This error by itself and the further ones."""
+        """This error and the further ones, separately."""
         return (self._with(()), *self.further)
 
 
 @contextmanager
 def located_in(source: str | Path) -> Iterator[None]:
-    """A block whose `InputError` names a file as its source where it was still unknown."""
+    """A context that adds a file to input errors without a source."""
     try:
         yield
     except InputError as error:
@@ -97,21 +97,21 @@ def located_in(source: str | Path) -> Iterator[None]:
 
 
 def together(errors: Sequence[InputError]) -> InputError:
-    """One or more errors about the same input as one: the first, which carries the others and says how many."""
+    """Several errors of the same input as one: the first, which carries the others and their number."""
     return errors[0]._with(errors[1:])
 
 
 class MissingDependencyError(MicahError):
-    """An optional library is not installed; the message says how to install it."""
+    """An optional library is missing; the message explains how to install it."""
 
     @classmethod
     def of(cls, extra: str, problem: str) -> MissingDependencyError:
-        """That which an extra brings, with the command that installs it."""
+        """The error for an extra, with its installation command."""
         return cls(f"{problem}: {pip_install(extra)}")
 
 
 def pip_install(extra: str) -> str:
-    """The command that installs what an extra brings, from wherever micah_plan was installed: it names the libraries.
+    """The command that installs an extra, for any kind of installation: it lists the libraries.
 
     An extra can be named only where pip finds the project itself, in its checkout; that is said only where what is
     installed does not know which libraries those are.
@@ -130,7 +130,7 @@ def pip_install(extra: str) -> str:
 
 
 def printable(text: str) -> str:
-    """A text with its control characters shown instead of sent to a terminal; lines and tabs stay.
+    """A text with control characters made visible; line breaks and tabs are kept.
 
     Directions of writing are control characters too: they make a name look like another.
     """
@@ -141,7 +141,7 @@ def printable(text: str) -> str:
 
 
 def shown(value: object) -> str:
-    """A value as error messages quote it: its repr, on one line and cut to a readable length."""
+    """A value for error messages: its repr on one line, shortened."""
     text = " ".join(repr(value).split())
     return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."
 

@@ -1,6 +1,4 @@
-"""Whole files in and out: bounded reads with clear errors, writes that replace a file at once or not at all, and paths
-that a file names, which must not lead out of its folder.
-"""
+"""Reading and writing of whole files: bounded reads, atomic writes, and containment of relative paths in a folder."""
 
 from __future__ import annotations
 
@@ -43,7 +41,7 @@ def read_bytes(path: str | Path, limit: int = LARGEST_FILE_BYTES) -> bytes:
 
 
 def _open_without_waiting(path: str, flags: int) -> int:
-    """Open without waiting for somebody to write into a pipe."""
+    """Open a file without blocking on pipes."""
     return os.open(path, flags | os.O_NONBLOCK)
 
 
@@ -73,7 +71,7 @@ def contained(name: str, folder: str | Path) -> Path:
 
 
 def require_directory(path: str | Path) -> None:
-    """Check before long work that its result can be written there.
+    """Refuse an output whose folder does not exist or cannot be written.
 
     Raises:
         InputError: if its directory does not exist, or the path is a directory.
@@ -87,7 +85,7 @@ def require_directory(path: str | Path) -> None:
 
 
 def replace_file(path: str | Path, data: bytes) -> None:
-    """Write a file so that a reader sees the old content or the new, never half of it; permissions stay.
+    """Replace a file atomically; permissions are kept.
 
     Raises:
         InputError: if the file cannot be written.
@@ -96,7 +94,7 @@ def replace_file(path: str | Path, data: bytes) -> None:
 
 
 def replace_files(contents: Mapping[Path, bytes]) -> None:
-    """Write files that belong together: all are on the disk before the first is replaced, and then one after the other.
+    """Replace related files: all are on disk before the first is replaced.
 
     Raises:
         InputError: if one cannot be written; then none is replaced, except for a failure between the replacements.
@@ -125,7 +123,7 @@ def replace_files(contents: Mapping[Path, bytes]) -> None:
 
 
 def _write(temporary: Path, data: bytes, target: Path) -> None:
-    """Write a new file, onto the disk, with the permissions of the one that it will replace."""
+    """Write a new file to disk with the permissions of the one it will replace."""
     mode = stat.S_IMODE(target.stat().st_mode) & _PERMISSIONS if target.is_file() else None
     with open(temporary, "xb", opener=None if mode is None else _open_private) as file:
         if mode is not None:
@@ -136,7 +134,7 @@ def _write(temporary: Path, data: bytes, target: Path) -> None:
 
 
 def _write_through(target: Path, data: bytes) -> None:
-    """Write into a pipe or device; one that nobody reads is an error instead of a wait without an end."""
+    """Write into a pipe or device; a pipe without a reader is an error instead of a deadlock."""
     try:
         descriptor = os.open(target, os.O_WRONLY | os.O_NONBLOCK)
     except OSError as error:
@@ -147,7 +145,7 @@ def _write_through(target: Path, data: bytes) -> None:
 
 
 def _open_private(path: str, flags: int) -> int:
-    """Open a file that nobody else can read until it has its own permissions."""
+    """Open a file readable by its owner only, until it gets its final permissions."""
     return os.open(path, flags, 0o600)
 
 

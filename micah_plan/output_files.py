@@ -1,4 +1,4 @@
-"""The files that a command will write, checked before it works: their kinds, and that they destroy nothing."""
+"""Checks of output files before a command starts work: their kinds, and that no input is overwritten."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RUNS = (".csv", ".npz")  # a TUM trajectory cannot hold the actions of a run
 
 
 class Output(NamedTuple):
-    """A file that a command will write: the option that names it, its path if it was asked for, what it may end in."""
+    """An output of a command: the option, its path if given, and allowed suffixes."""
 
     option: str
     path: Path | None
@@ -27,7 +27,7 @@ class Output(NamedTuple):
 
 
 def check_outputs(inputs: Collection[Path | None], outputs: Collection[Output]) -> None:
-    """Refuse, before any work, outputs that would destroy a file of this command or that cannot be written.
+    """Refuse outputs that would overwrite an input, or that cannot be written.
 
     Args:
         inputs: files that the command reads; None for those not given.

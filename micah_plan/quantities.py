@@ -1,4 +1,4 @@
-"""Amounts in words: the one place where a number becomes text for people, in messages, tables, pages and figures.
+"""Formatting of amounts: the only place where numbers become text for messages, tables, pages and figures.
 
 The rule:
 
@@ -53,7 +53,7 @@ def quantity(value: float, unit: str, *, digits: int = _DIGITS, degrees: bool = 
 
 
 def in_degrees(angle: float, spread: float | None = None, *, digits: int = _DIGITS) -> str:
-    """An angle [rad] in degrees alone, where only people read it: ``"45°"``, with its spread ``"24.0 ± 1.2°"``."""
+    """An angle [rad] in degrees only, for text without computation: ``"45°"``, with its spread ``"24.0 ± 1.2°"``."""
     turned = math.degrees(angle)
     return f"{plain(turned, digits) if spread is None else _pair(turned, math.degrees(spread))}°"
 
@@ -64,7 +64,7 @@ def with_spread(value: float, spread: float, unit: str, *, degrees: bool = True)
 
 
 def interval(low: float, high: float, unit: str, *, degrees: bool = True) -> str:
-    """What lies between two amounts: ``"10 to 20 mm"``; with an end at infinity ``"at least 10 mm"`` or ``"any"``."""
+    """A range between two amounts: ``"10 to 20 mm"``; with an infinite end ``"at least 10 mm"`` or ``"any"``."""
     finite = [end for end in (low, high) if math.isfinite(end)]
     if len(finite) < 2:
         end = quantity(finite[0], unit, degrees=degrees) if finite else ""
@@ -73,7 +73,7 @@ def interval(low: float, high: float, unit: str, *, degrees: bool = True) -> str
 
 
 def way(values: Sequence[float], unit: str) -> str:
-    """Amounts that are passed one after the other: ``"0 → 1.2 rad"``, ``"0 → 250 → 3 mm"``.
+    """A sequence of amounts: ``"0 → 1.2 rad"``, ``"0 → 250 → 3 mm"``.
 
     What is below a thousandth of the largest is 0.
     """
@@ -84,7 +84,7 @@ def way(values: Sequence[float], unit: str) -> str:
 
 
 def percent(share: float, decimals: int | None = None) -> str:
-    """A share or probability: ``"95 %"``, ``"99.75 %"``; what is neither none nor all is never written as 0 or 100.
+    """A share or probability: ``"95 %"``, ``"99.75 %"``; only 0 and 1 are printed as 0 and 100.
 
     Args:
         share: 1 for all.
@@ -94,7 +94,7 @@ def percent(share: float, decimals: int | None = None) -> str:
 
 
 def percent_interval(low: float, high: float) -> str:
-    """What lies between two shares: ``"93.7 to 96.4 %"``."""
+    """A range between two shares: ``"93.7 to 96.4 %"``."""
     return f"{_percents(low)} to {_percents(high)} %"
 
 
@@ -114,12 +114,12 @@ def count(amount: int, noun: str, plural: str | None = None) -> str:
 
 
 def common_unit(units: Iterable[str]) -> str:
-    """The unit of amounts that were put together: theirs if it is one, else ``"m or rad"``."""
+    """The common unit of combined amounts, else ``"m or rad"``."""
     return " or ".join(sorted(set(units)))
 
 
 def _in_units(write: Callable[..., str], unit: str, degrees: bool, *values: float) -> str:
-    """Numbers as `write` puts them, in the unit that the largest asks for; angles with degrees in brackets."""
+    """Numbers written by `write`, in the unit that suits the largest; angles with degrees in brackets."""
     if unit in ("m", "rad"):
         values = tuple(0.0 if abs(value) < _ROUND_OFF else value for value in values)
     scale, shown = _scaled(max(map(abs, values)), unit)
@@ -128,7 +128,7 @@ def _in_units(write: Callable[..., str], unit: str, degrees: bool, *values: floa
 
 
 def _scaled(value: float, unit: str) -> tuple[float, str]:
-    """Factor and name of the unit that an amount is printed in."""
+    """(factor, name) of the unit for printing an amount."""
     if (unit == "m" or unit.startswith("m/")) and float(f"{abs(value):.{_DIGITS - 1}e}") < 1.0:
         return 1e3, f"m{unit}"
     return 1.0, unit
@@ -152,7 +152,7 @@ def _pair(value: float, spread: float) -> str:
 
 
 def _ends(low: float, high: float) -> str:
-    """Both ends with as many digits as they need to differ."""
+    """Both ends with enough digits to differ."""
     for digits in range(_DIGITS, _MOST_DIGITS + 1):
         texts = plain(low, digits), plain(high, digits)
         if texts[0] != texts[1]:

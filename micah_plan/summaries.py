@@ -1,4 +1,4 @@
-"""Values that print as a few lines, tables of text, and what is called as work goes on."""
+"""Values that print as a few lines, tables of text, and progress callbacks."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ Progress = Callable[[str, float], None]
 
 
 class Summarised(ABC):
-    """A value whose text, at a prompt, in `print` and in a notebook, is its `summary`."""
+    """A value whose text in consoles, `print` and notebooks is its `summary`."""
 
     @abstractmethod
     def summary(self) -> str:
-        """What matters, in a few lines."""
+        """The essentials in a few lines."""
 
     def __repr__(self) -> str:
         return self.summary()
@@ -51,12 +51,12 @@ class Table:
 
 
 def aligned(title: str, rows: dict[str, str]) -> str:
-    """A title, and below it a line for each name and its text, which are indented alike; empty texts are left out."""
+    """A title with aligned rows of name and text; empty texts are omitted."""
     width = max(map(len, rows), default=0) + 2
     return "\n".join([title, *(f"  {name:{width}}{text}" for name, text in rows.items() if text)])
 
 
 def listed(texts: list[str] | tuple[str, ...], most: int = 6) -> str:
-    """Texts behind each other; of many the first, and how many more."""
+    """Texts joined by commas; long lists are cut with the number of omitted ones."""
     more = f", and {len(texts) - most} more" if len(texts) > most else ""
     return ", ".join(texts[:most]) + more

@@ -117,7 +117,7 @@ def parse_xml(text: str, source: str) -> Element:
 
 
 def with_includes(root: Element, folder: str | Path, roots: tuple[str, ...]) -> Element:
-    """The elements with what the files that they include have in the place of `<include file="..."/>`, as MuJoCo does.
+    """The elements with each `<include file="..."/>` replaced by the content of its file, as MuJoCo does.
 
     Args:
         folder: of the file; what is included lies in it or below, and in no file twice.

@@ -1,1 +1,1 @@
-"""What users import: `from micah_plan import learn, explore, solve, execute, predict, calibrate, load, save, show`."""
+"""Public interface: `from micah_plan import learn, explore, solve, execute, predict, calibrate, load, save, show`."""

@@ -1,4 +1,4 @@
-"""`calibrate`: what the model lacks in measured motion, and the model with it."""
+"""`calibrate`: identify the effects that a model lacks from measured motion."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from micah_plan.api.prediction import SHOWN
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CalibrationResult(Result):
-    """What `calibrate` returns: the verdict, the effects found, and the model with them."""
+    """Result of `calibrate`: the verdict, the effects found, and the model with them."""
 
     calibration: Calibration
     before: HybridAutomaton
@@ -40,7 +40,7 @@ class CalibrationResult(Result):
 
     @property
     def success(self) -> bool:
-        """Whether what the model lacks has a name, if it lacks anything."""
+        """Whether the model is complete, or some effect explains what it lacks."""
         return self.outcome != "unexplained"
 
     @property
@@ -57,7 +57,7 @@ class CalibrationResult(Result):
 
     @property
     def title(self) -> str:
-        """What the page is about."""
+        """Title of the page."""
         return "measured runs"
 
     @property
@@ -67,19 +67,19 @@ class CalibrationResult(Result):
 
     @property
     def effects(self) -> tuple[FoundEffect, ...]:
-        """What was found, strongest first."""
+        """The effects found, strongest first."""
         return self.calibration.effects
 
     @cached_property
     def changes(self) -> tuple[Difference, ...]:
-        """Where the new model differs."""
+        """Differences of the new model."""
         from micah_plan.documents.model_difference import differences
 
         return tuple(differences(self.before, self.automaton))
 
     @cached_property
     def experiment(self) -> Experiment | None:
-        """The motions that would tell apart what stays open, for `execute`; None if no motion would.
+        """The motions that would separate the open alternatives, for `execute`; None if motion cannot.
 
         They are designed when they are first asked for, which takes some seconds.
         """
@@ -89,7 +89,9 @@ class CalibrationResult(Result):
         return None if designed is None else designed.experiment
 
     def report(self) -> list[str | Table]:
-        """Verdict, effects with their parameters, errors before and after, what to try next, and what changed."""
+        """Verdict, effects with their parameters, errors before and after, the next experiment, and changes of the
+        model.
+        """
         lines: list[str | Table] = [f"{self.outcome}: {self.reason}"]
         if self.effects:
             names = ("effect", "parameters", "evidence [nats]", "or instead")
@@ -102,7 +104,7 @@ class CalibrationResult(Result):
         return [*lines, *(f"  {change}" for change in self.changes)]
 
     def json(self) -> dict[str, Any]:
-        """Verdict, effects, errors before and after, what stays unexplained, and what changed."""
+        """Verdict, effects, errors before and after, the unexplained fraction, and changes of the model."""
         calibration = self.calibration
         written = zip(self.automaton.coordinates, calibration.written, strict=bool(calibration.written))
         return {
@@ -128,14 +130,14 @@ class CalibrationResult(Result):
         }
 
     def plot(self) -> Figure:
-        """Measured configurations, and those that the model predicts before and after."""
+        """Measured configurations, with the predictions before and after."""
         from micah_plan.view.calibration_page import motion_charts
         from micah_plan.view.figures import chart_figure
 
         return chart_figure(motion_charts(self.calibration), across=True)
 
     def page(self, title: str = "") -> str:
-        """What was compared, what the model lacks, and how sure that is."""
+        """The data, the missing effects, and their evidence."""
         from micah_plan.view.calibration_page import calibration_page
 
         return calibration_page(self.calibration, title=title or self.title)
@@ -152,7 +154,7 @@ def calibrate(
     commands: CommandKind | None = None,
     progress: Progress | None = None,
 ) -> CalibrationResult:
-    """What a model lacks in measured motion, and the model with it.
+    """Identify the effects that a model lacks from measured motion.
 
     Args:
         model, recording, commands: as of `predict`.
@@ -172,7 +174,7 @@ def calibrate(
 
 
 def _effect_row(row: FoundEffect) -> tuple[str, ...]:
-    """Name, parameters, evidence, and what would do as well."""
+    """Name, parameters, evidence and alternatives."""
     from micah_plan.residual.calibrate import began
 
     effect = row.effect
@@ -185,7 +187,7 @@ def _effect_row(row: FoundEffect) -> tuple[str, ...]:
 
 
 def _error_lines(calibration: Calibration) -> list[str]:
-    """Errors before and after, and those of noise alone, in one unit each."""
+    """Errors before and after with their noise floors, in one unit each."""
     lines = []
     for error in calibration.errors:
         lines += [f"  {error.of}"] if error.of else []

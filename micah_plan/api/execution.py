@@ -32,7 +32,7 @@ _MOST_FAILURES = 10
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RunsResult(Result):
-    """What `execute` returns: statistics over the trials, with their recording, and the plan that was executed."""
+    """Result of `execute`: statistics over the trials, their recording, and the executed plan."""
 
     statistics: TrialStatistics
     planned: PlanningResult
@@ -50,7 +50,7 @@ class RunsResult(Result):
 
     @property
     def reason(self) -> str:
-        """Why trials failed, the first of them."""
+        """Reasons of failed trials, the first of them."""
         return f"trial {self.failures[0][0]}: {self.failures[0][1]}" if self.failures else ""
 
     @property
@@ -60,7 +60,7 @@ class RunsResult(Result):
 
     @property
     def problem(self) -> Problem:
-        """What was planned for."""
+        """The problem of the executed plan."""
         return self.planned.problem
 
     @property
@@ -70,17 +70,17 @@ class RunsResult(Result):
 
     @property
     def trials(self) -> int:
-        """How many there were."""
+        """Number of trials."""
         return self.statistics.trials
 
     @property
     def successes(self) -> int:
-        """How many reached the goal."""
+        """Number of successes."""
         return self.statistics.successes
 
     @property
     def failures(self) -> tuple[tuple[int, str], ...]:
-        """(trial, reason) of the others."""
+        """(trial, reason) of the failed ones."""
         return self.statistics.failures
 
     @property
@@ -111,7 +111,7 @@ class RunsResult(Result):
         return [*lines, *([f"  and {count(hidden, 'more failure')}"] if hidden > 0 else [])]
 
     def json(self) -> dict[str, Any]:
-        """Successes, errors and failures. `believed`: the truth is unknown, so they are what the belief says."""
+        """Successes, errors and failures. `believed`: without ground truth they are judged by the belief."""
         released = self.statistics.released
         return {
             "trials": self.trials,
@@ -135,7 +135,7 @@ class RunsResult(Result):
         return belief_figure(self.planned.problem, self.planned.plan, self.recording)
 
     def page(self, title: str = "", *, before: Recording | None = None) -> str:
-        """The runs beside the plan in 3-D, where they left it and why they failed.
+        """The runs beside the plan in 3-D, with deviations and reasons of failure.
 
         Args:
             before: runs of the same plan before a change, shown beside these; all are judged by their last rows then.

@@ -1,4 +1,4 @@
-"""Experiments as values: what `calibrate` asks for is what `execute` takes."""
+"""Experiments as values: `calibrate` designs them, `execute` carries them out."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExperimentResult(RecordedResult):
-    """What `execute` returns of an experiment: its runs as a recording, and which of them were broken off.
+    """Result of `execute` for an experiment: its runs as a recording, and the aborted ones.
 
     Attributes:
         log: all runs.
@@ -36,7 +36,7 @@ class ExperimentResult(RecordedResult):
 
     @property
     def success(self) -> bool:
-        """Whether all runs were made to their end."""
+        """Whether all runs were completed."""
         return not self.failures
 
     @property
@@ -46,12 +46,12 @@ class ExperimentResult(RecordedResult):
 
     @property
     def reason(self) -> str:
-        """Why a run was broken off, the first of them."""
+        """Reason of an aborted run, the first of them."""
         return f"run {self.failures[0][0]}: {self.failures[0][1]}" if self.failures else ""
 
     @property
     def title(self) -> str:
-        """What the page is about."""
+        """Title of the page."""
         return "Experiment"
 
     @property
@@ -61,11 +61,11 @@ class ExperimentResult(RecordedResult):
 
     @property
     def automaton(self) -> HybridAutomaton:
-        """The model that the experiment asks about."""
+        """The model that the experiment tests."""
         return self.experiment.automaton
 
     def report(self) -> list[str | Table]:
-        """How many runs there are, and why some were broken off."""
+        """Number of runs, and reasons of aborted ones."""
         made = f"{len(self.recording.runs)} runs carried out, {len(self.failures)} broken off"
         return [made, *(f"  run {run}: {reason}" for run, reason in self.failures)]
 
@@ -88,7 +88,7 @@ def carried_out(
     progress: Progress | None = None,
     keep: Keep | None = None,
 ) -> ExperimentResult:
-    """The runs of an experiment, whose commands do not depend on what is measured.
+    """Carry out an experiment: its commands do not depend on measurements.
 
     Args:
         experiment: a value or the path of one. repetitions: of all of its motions; None: as it says.
@@ -116,7 +116,7 @@ def carried_out(
 
 
 def refuse_options_of_plans(options: Mapping[str, object], source: Source | None = None) -> None:
-    """Refuse what has no meaning for commands in open loop; `source`: the experiment's file, for the message.
+    """Refuse options that have no meaning for open-loop commands; `source`: the experiment's file, for the message.
 
     Raises:
         InputError: for the first option that is not None.

@@ -1,4 +1,4 @@
-"""`explore`: from the first touch of a handle to a model."""
+"""`explore`: from first contact with a handle to a model."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExplorationResult(Result):
-    """What `explore` returns: what was found by moving, and the model of it if it moved."""
+    """Result of `explore`: the identified mechanism, and its model if it moved."""
 
     exploration: Exploration
     seed: int = 0
 
     @property
     def success(self) -> bool:
-        """Whether the object was opened, or is surely held."""
+        """Whether the object was opened, or certainly is locked."""
         return self.outcome != "gave_up"
 
     @property
@@ -48,11 +48,11 @@ class ExplorationResult(Result):
 
     @property
     def automaton(self) -> HybridAutomaton | None:
-        """The model; None where nothing moved."""
+        """The model; None if nothing moved."""
         return self.exploration.model
 
     def report(self) -> list[str | Table]:
-        """What holds the handle, how it was found, and what went wrong on the way."""
+        """The identified mechanism with the evidence, and problems on the way."""
         exploration = self.exploration
         said = {"opened": "opened", "held": "held", "gave_up": "gave up"}[exploration.outcome]
         joints = ", then ".join(exploration.kinds) or "none moved"
@@ -65,7 +65,7 @@ class ExplorationResult(Result):
         ]
 
     def json(self) -> dict[str, Any]:
-        """Outcome, joints with their probability, steps, way and forces."""
+        """Outcome, joints with their probability, steps, distance and forces."""
         exploration = self.exploration
         return {
             "outcome": exploration.outcome,
@@ -84,7 +84,7 @@ class ExplorationResult(Result):
         }
 
     def plot(self) -> Figure:
-        """Forces against their limit, and the probabilities of what holds the handle, over the steps."""
+        """Forces with their limit, and the probabilities of mechanisms, over the steps."""
         from micah_plan.view.exploration_page import exploration_charts
         from micah_plan.view.figures import chart_figure
 
@@ -108,7 +108,7 @@ def explore(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> ExplorationResult:
-    """Open what a hand holds without a model of it, and learn one.
+    """Open an unknown object by its handle, and learn its model.
 
     Args:
         scene: a path, or what the hand may do.

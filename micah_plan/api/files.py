@@ -22,7 +22,7 @@ Loaded = Recording | HybridAutomaton | Problem | PlanningResult | Sweep | Experi
 
 
 def load(source: Source | DataFrame | Mapping[str, Any], **conventions: Any) -> Loaded:
-    """What a file holds, whatever its kind: a recording, model, problem, plan, sweep, experiment or shapes of parts.
+    """Load a file of any kind: a recording, model, problem, plan, sweep, experiment or shapes of parts.
 
     Args:
         source: the file; a table with the columns of a recording CSV; or data with the keys of a model file, which is
@@ -62,7 +62,7 @@ def load(source: Source | DataFrame | Mapping[str, Any], **conventions: Any) -> 
 
 
 def save(value: Any, path: str | Path) -> None:
-    """Write a recording, a model, or what a result is about, at once or not at all.
+    """Write a recording, a model, or the main output of a result, atomically.
 
     Raises:
         InputError: if the file cannot be written, or there is nothing to write.

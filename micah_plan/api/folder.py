@@ -1,4 +1,4 @@
-"""A folder of work: what its files are, in the order in which work goes on, and what comes next."""
+"""Work folders: their files in the order of the workflow, and the next step."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class FileInFolder:
 
 @dataclass(frozen=True, eq=False)
 class Folder:
-    """What is in a folder.
+    """Contents of a folder.
 
     Attributes:
         folder: where it is.
@@ -73,7 +73,7 @@ class Folder:
 
 
 def look_into(folder: Path, without: Sequence[Path] = ()) -> Folder:
-    """What is in a folder; its own folders are not entered.
+    """The contents of a folder, without subfolders.
 
     Args:
         without: files that are left out, as the page that is to be written.
@@ -120,7 +120,7 @@ def _group_of(value: Loaded | None) -> Group:
 
 
 def page_of(found: Folder, title: str = "") -> str:
-    """The page of a folder, with links to the pages beside it."""
+    """The page of a folder, with links to the pages in it."""
     from micah_plan.view.folder_page import Card, folder_page
 
     cards = []
@@ -137,7 +137,7 @@ def page_of(found: Folder, title: str = "") -> str:
 
 
 def _next_step(files: Sequence[FileInFolder]) -> tuple[str, str]:
-    """The next command of the work, and why."""
+    """The next command of the workflow, with its reason."""
     last: dict[Group, FileInFolder] = {each.group: each for each in files if each.value is not None}
 
     def command(*words: str | Path) -> str:

@@ -1,4 +1,4 @@
-"""What the functions that users import take: paths, values, or results that hold them."""
+"""Inputs of the public functions: paths, values, or results that contain them."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ recording's attributes, executed runs, what was learned; or several, whose runs 
 
 
 def located(source: object) -> AbstractContextManager[None]:
-    """A block whose errors of input name the file, if the source is one."""
+    """A context that adds the file to input errors, if the source is one."""
     return located_in(source) if isinstance(source, Source) else nullcontext()
 
 
 def conventions_of(values: Mapping[str, Any]) -> Conventions | None:
-    """How a recording is meant; None where nothing is said.
+    """Conventions of a recording from keywords; None without any.
 
     Raises:
         InputError: for a name that conventions do not have.
@@ -67,7 +67,7 @@ def conventions_of(values: Mapping[str, Any]) -> Conventions | None:
 
 
 def recording_of(source: Measured, *, minimum_rows: int = 1, conventions: Conventions | None = None) -> Recording:
-    """A recording, whose rows are what a recording promises; the conventions are those of a path.
+    """A recording with validated rows; the conventions apply to paths.
 
     Raises:
         InputError: for what `recording.checks` refuses, such as a quaternion of zeros, and for anything else.
@@ -136,7 +136,7 @@ def joined_recordings(recordings: Sequence[Recording]) -> Recording:
 
 
 def demonstration_of(source: Measured, conventions: Conventions | None = None) -> Recording:
-    """A recording of as many rows as learning needs; a file whose units look wrong must say what they are.
+    """A recording with enough rows for learning; files with suspicious units need explicit conventions.
 
     Raises:
         InputError: also where a file looks misread (`recording.suspicion`).
@@ -151,7 +151,7 @@ def demonstration_of(source: Measured, conventions: Conventions | None = None) -
 
 
 def automaton_of(source: Modelled) -> HybridAutomaton:
-    """A model that the algorithms can use, with that of a problem or plan counted as one.
+    """A validated model; problems and plans provide theirs.
 
     Raises:
         InputError: if there is none in it, or it is none that can be used.
@@ -185,8 +185,7 @@ def _read_automaton(path: Source) -> HybridAutomaton:
 
 
 def problem_of(source: Problematic, model: Modelled | None = None) -> Problem:
-    """A problem, with another model if one is given; of a model alone, or what has one, that of moving it most of its
-    way.
+    """A problem, optionally with another model; for a model alone, the problem of moving it through most of its range.
 
     Raises:
         InputError: if it cannot be used, or the model has other coordinates.
@@ -195,7 +194,7 @@ def problem_of(source: Problematic, model: Modelled | None = None) -> Problem:
 
 
 def problem_and_notes(source: Problematic, model: Modelled | None = None) -> tuple[Problem, tuple[str, ...]]:
-    """The problem as of `problem_of`, and what to know of it, one line each."""
+    """(problem as of `problem_of`, its notes)."""
     if isinstance(source, Source):
         return _read_problem(source, model)
     automaton = None if model is None else automaton_of(model)
@@ -221,7 +220,7 @@ def problem_and_notes(source: Problematic, model: Modelled | None = None) -> tup
 
 
 def _of_data(data: Mapping[str, Any], automaton: HybridAutomaton | None) -> Problem:
-    """The problem of data with the keys of a problem file; of a model's data that of moving it most of its way."""
+    """A problem from data with the keys of a problem file; from a model's data, that of moving it."""
     from micah_plan.documents.problem import problem_of_data
     from micah_plan.templates.first_problem import problem_for
 
@@ -231,7 +230,7 @@ def _of_data(data: Mapping[str, Any], automaton: HybridAutomaton | None) -> Prob
 
 
 def checked_again(problem: Problem) -> Problem:
-    """A problem whose start or goal is another than its file's, if it is possible.
+    """A problem with a changed start or goal, if it is possible.
 
     Raises:
         InputError: as for a file, with the keys that it would have.
@@ -243,7 +242,7 @@ def checked_again(problem: Problem) -> Problem:
 
 
 def _read_problem(path: Source, model: Modelled | None) -> tuple[Problem, tuple[str, ...]]:
-    """A problem from its file; of the file of a model that which `micah-plan new problem` writes for it."""
+    """A problem from its file; for a model file, the one that `micah-plan new problem` writes."""
     from micah_plan.checking import suspicions_of
     from micah_plan.documents.kind import kind_of
     from micah_plan.documents.model import load_model
@@ -264,7 +263,7 @@ def _read_problem(path: Source, model: Modelled | None) -> tuple[Problem, tuple[
 
 
 def _note_of_default_goal(problem: Problem) -> str:
-    """The note that says what is asked where only a model is given."""
+    """The note on the default goal where only a model is given."""
     aims = []
     for i, value, _ in problem.goal.target:
         coordinate = problem.automaton.coordinates[i]
@@ -284,7 +283,7 @@ def parts_of(source: Source | Sequence[Part]) -> tuple[Part, ...]:
 
 
 def learn_settings(settings: LearnSettings | None, changes: Mapping[str, Any]) -> LearnSettings:
-    """Settings of learning with some of them changed, by name.
+    """Settings of learning with changes by name.
 
     Raises:
         InputError: for a name that is none, and a value that is none of it.
@@ -297,7 +296,7 @@ def learn_settings(settings: LearnSettings | None, changes: Mapping[str, Any]) -
 
 
 def planner_settings(problem: Problem, changes: Mapping[str, Any]) -> PlannerSettings:
-    """The problem's settings with some of them changed, by the names that a problem file gives them.
+    """The problem's settings with changes by their names in problem files.
 
     Raises:
         InputError: for a name that is none, and a value that a problem file could not have.

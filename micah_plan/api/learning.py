@@ -38,7 +38,7 @@ _TURNED_BACK = 0.2
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LearningResult(Result):
-    """What `learn` returns: the segments as measured, the automaton made of them, and how long it took.
+    """Result of `learn`: the measured segments, the automaton built from them, and the duration.
 
     Attributes:
         recording: what it was learned from.
@@ -157,7 +157,7 @@ def learn(
 
 
 def is_long_enough(recording: Recording) -> bool:
-    """Whether every run has the rows of each of its parts that `learn` needs."""
+    """Whether every run has enough rows of each part for `learn`."""
     rows = Counter(zip(recording.run.tolist(), recording.part, strict=True))
     return min(rows.values(), default=0) >= FEWEST_ROWS
 
@@ -298,7 +298,7 @@ def _stds(matrix: Sequence[Sequence[float]]) -> list[float]:
 
 
 def segment_row(segment: Segment) -> tuple[str, ...]:
-    """One line of the table, short enough for 80 columns: kind of joint, rows, way, axis, radius, how sure, start."""
+    """One line of the table, within 80 columns: kind, rows, path, axis, radius, probability, start."""
     from micah_plan.automaton.joint import axis_std, radius, radius_std
 
     joint, rows = segment.joint, f"{segment.start}-{segment.end}"
@@ -320,7 +320,7 @@ def segment_row(segment: Segment) -> tuple[str, ...]:
 
 
 def _passed(segment: Segment) -> str:
-    """Where a moving segment begins and ends, and where it turns around if it comes back from further on."""
+    """The start and end of a moving segment, with the turning point if it comes back."""
     ends = [segment.configuration_start, segment.configuration_end]
     low, high = segment.configuration_range
     furthest = max((low, high), key=lambda value: min(abs(value - end) for end in ends))

@@ -1,4 +1,4 @@
-"""`solve`: from a problem to a plan that holds, or to what is in the way."""
+"""`solve`: from a problem to a verified plan, or to the obstacles."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PlanningResult(Result):
-    """What `solve` returns: the plan and the problem that it is for.
+    """Result of `solve`: the plan and its problem.
 
     Attributes:
         notes: what to know of the problem, one line each.
@@ -53,7 +53,7 @@ class PlanningResult(Result):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to know of the problem, and what the plan does not take into account."""
+        """Notes on the problem, and effects that the plan ignores."""
         return (*self.notes, *self.plan.warnings)
 
     @property
@@ -73,11 +73,11 @@ class PlanningResult(Result):
 
     @property
     def success_probability(self) -> float | None:
-        """Share of roll-outs that end in the goal; None where nothing was verified."""
+        """Fraction of roll-outs that end in the goal; None without verification."""
         return self.plan.success_probability
 
     def report(self) -> list[str | Table]:
-        """Outcome, modes, distance from the goal and probability of success; of no plan what is in the way."""
+        """Outcome, modes, distance from the goal and success rate; without a plan, the obstacles."""
         from micah_plan.planning.findings import explain
 
         plan, unit = self.plan, self.problem.goal_unit
@@ -96,7 +96,7 @@ class PlanningResult(Result):
         return lines
 
     def json(self) -> dict[str, Any]:
-        """Outcome, modes, what the goal is missed by, probability of success, findings and times."""
+        """Outcome, modes, goal error, success rate, findings and times."""
         plan = self.plan
         return {
             "outcome": plan.outcome,
@@ -165,7 +165,7 @@ def solve(
     progress: Progress | None = None,
     **changes: Any,
 ) -> PlanningResult:
-    """A plan that holds with the problem's confidence, or what is in the way.
+    """Solve a problem: a plan that holds with the problem's confidence, or the obstacles.
 
     Args:
         problem: a path, a problem, data with the keys of a problem file, or an earlier result whose problem is solved
@@ -195,7 +195,7 @@ def solve(
 
 
 def plan_of(source: object) -> PlanningResult:
-    """A plan with its problem: of a file, or what `solve` returned.
+    """A plan with its problem, from a file or a result of `solve`.
 
     Raises:
         InputError: for anything else.

@@ -1,4 +1,4 @@
-"""`predict`: a model against measured motion, and what its errors are worth."""
+"""`predict`: a model against measured motion, with the significance of its errors."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SHOWN = {"one_step": "one step", "rollout": "roll-out"}
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PredictionResult(Result):
-    """What `predict` returns: the predictions of every run, and what their errors are worth."""
+    """Result of `predict`: the predictions of every run, with their assessment."""
 
     automaton: HybridAutomaton
     recording: Recording
@@ -39,14 +39,14 @@ class PredictionResult(Result):
 
     @cached_property
     def judgement(self) -> Judgement:
-        """Noise floors, what errors follow, and when modes changed."""
+        """Noise floors, regressors that errors depend on, and mode changes."""
         from micah_plan.residual.judgement import judge
 
         return judge(self.automaton, self.recording, self.runs)
 
     @property
     def success(self) -> bool:
-        """Whether errors look like noise alone."""
+        """Whether the errors are consistent with noise."""
         return self.judgement.is_noise is True
 
     @property
@@ -56,7 +56,7 @@ class PredictionResult(Result):
 
     @property
     def reason(self) -> str:
-        """What errors follow, in words."""
+        """The dependence of the errors, in words."""
         return self.judgement.sentence
 
     @cached_property
@@ -67,7 +67,7 @@ class PredictionResult(Result):
         return tuple(ranges_exceeded(self.automaton, [run.x for run in self.runs]))
 
     def report(self) -> list[str | Table]:
-        """Errors of both predictions beside what noise alone would leave, what they follow, and when modes changed."""
+        """Errors of both predictions with their noise floors, their dependence, and mode changes."""
         summary = self.json()
         coordinates = summary["per_coordinate"]
         rows = list[tuple[str, ...]]()
@@ -90,7 +90,7 @@ class PredictionResult(Result):
         return [*lines, *_changes_of_mode(self.judgement)]
 
     def json(self) -> dict[str, Any]:
-        """Root mean squares over all runs against what noise alone would leave, and per run, mode and coordinate."""
+        """Root mean squares over all runs with noise floors, and per run, mode and coordinate."""
         runs, judged = self.runs, self.judgement
         return {
             "configuration_unit": common_unit(coordinate.unit for coordinate in self.automaton.coordinates),
@@ -179,7 +179,7 @@ def _estimate(runs: Sequence[RunPrediction]) -> dict[str, Any]:
 
 
 def _of_run(number: int, runs: Sequence[RunPrediction]) -> dict[str, Any]:
-    """Errors of one run, whose consecutive parts are predicted by themselves."""
+    """Errors of one run, whose contiguous parts are predicted separately."""
     parts = [run for run in runs if run.run == number]
     one_step, rollout = (_rmse([getattr(part, kind) for part in parts]) for kind in ("one_step", "rollout"))
     return {"run": number, "gaps": len(parts) - 1, "one_step": one_step, "rollout": rollout}
@@ -192,7 +192,7 @@ def _errors(position: float, rotation: float | None, configuration: float) -> di
 def _per_coordinate(
     automaton: HybridAutomaton, runs: Sequence[RunPrediction], judged: Judgement
 ) -> list[dict[str, Any]]:
-    """Errors of each coordinate in its own unit, and what noise alone would leave of them."""
+    """Errors of each coordinate in its own unit, with noise floors."""
     from micah_plan.residual.prediction import rmse_of_coordinates
 
     sizes = [rmse_of_coordinates([getattr(run, kind) for run in runs]) for kind in ("one_step", "rollout")]
@@ -231,7 +231,7 @@ def _amounts(values: dict[str, float | None], coordinates: list[tuple[float, str
 
 
 def _changes_of_mode(judged: Judgement) -> list[str]:
-    """How many changes of mode were predicted, and how late."""
+    """Number of predicted mode changes, and their delays."""
     if not judged.changes:
         return []
     both = [c.predicted - c.measured for c in judged.changes if c.predicted is not None and c.measured is not None]

@@ -1,4 +1,4 @@
-"""What every function that users import returns: a value that says what came out, and draws, shows and saves itself.
+"""Results of the public functions: values that print, plot, show and save themselves.
 
 Pages open in the browser, or within a notebook.
 """
@@ -27,35 +27,35 @@ SUREST = 0.999
 
 
 class Result(Summarised):
-    """What came out. A prompt and a notebook show its `report` as text, a command as tables, `--json` its `json`."""
+    """Base of results: consoles print `report` as text, commands as tables, `--json` prints `json`."""
 
     @property
     @abstractmethod
     def success(self) -> bool:
-        """Whether there is what was asked for."""
+        """Whether the request was fulfilled."""
 
     @property
     @abstractmethod
     def outcome(self) -> str:
-        """How it ended, in one word that programs can compare."""
+        """The outcome in one word, for programs."""
 
     @property
     @abstractmethod
     def reason(self) -> str:
-        """Why it ended so, in one sentence with the remedy if there is one; may be empty where it succeeded."""
+        """The reason in one sentence with its remedy; may be empty on success."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to know before it is used, one line each."""
+        """Caveats of the result, one line each."""
         return ()
 
     @abstractmethod
     def report(self) -> list[str | Table]:
-        """What people read, in order."""
+        """The human-readable report, in order."""
 
     @abstractmethod
     def json(self) -> dict[str, Any]:
-        """What programs read: the object that the command prints with ``--json``."""
+        """The object that the command prints with ``--json``."""
 
     def summary(self) -> str:
         """The report as text."""
@@ -79,10 +79,10 @@ class Result(Summarised):
 
     @abstractmethod
     def save(self, path: str | Path) -> None:
-        """Write it as the file that commands read: a model, a plan, a recording."""
+        """Write the main file of the result: a model, a plan, or a recording."""
 
     def show(self, path: str | Path | None = None) -> Page:
-        """The page: opened in the browser, or within a notebook.
+        """Show the page in the browser, or within a notebook.
 
         Args:
             path: where to write it, and nothing is opened; None: a temporary file.
@@ -137,11 +137,11 @@ class Page:
         return f'{frame}{escape(self.text)}"></iframe>'
 
     def save(self, path: str | Path) -> None:
-        """Write it, at once or not at all."""
+        """Write the page atomically."""
         replace_file(path, self.text.encode())
 
     def opened(self, path: str | Path | None = None) -> Page:
-        """The page, written to `path` if one is given, else opened in a browser; a notebook shows it by itself."""
+        """Write the page to `path` if given, else open it in a browser; notebooks display it themselves."""
         if path is not None:
             self.save(path)
         elif not _in_notebook():
@@ -154,13 +154,13 @@ class Page:
 
 
 def _in_notebook() -> bool:
-    """Whether an IPython kernel runs this, whose front end draws what cells end with."""
+    """Whether an IPython kernel displays results of cells."""
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     return hasattr(shell, "kernel")
 
 
 def save_model(automaton: HybridAutomaton | None, reason: str, path: str | Path) -> None:
-    """Write a model in the format that the ending names; refused with the reason where there is no model."""
+    """Write a model in the format of the suffix; refused with the reason if there is none."""
     if automaton is None:
         raise InputError(f"there is no model to write: {reason}")
     from micah_plan.exchange.convert import write_model

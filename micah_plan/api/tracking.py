@@ -82,7 +82,7 @@ class TrackResult(_Tracking):
         return "Tracked parts"
 
     def page(self, title: str = "") -> str:
-        """Frames of the video with what was found in them, beside the tracks and the joints that they show.
+        """Frames of the video with detected tags, beside the tracks and learned joints.
 
         Raises:
             InputError: if the video is no longer there.
@@ -134,7 +134,7 @@ class PointsResult(_Tracking):
         return "Tracked bodies"
 
     def page(self, title: str = "") -> str:
-        """The points in the colours of their bodies, moving with them, beside the joints that these show."""
+        """The points in the colours of their bodies, moving with them, beside the learned joints."""
         from micah_plan.view.recording_page import recording_page
 
         graph, points = self._learned(), self.tracked.places()

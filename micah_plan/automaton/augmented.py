@@ -1,4 +1,4 @@
-"""Operations on whole automata: change all modes or edges alike, enlarge the state by coordinates, give these values.
+"""Operations on whole automata: map all modes or edges, add coordinates to the state, fix coordinates at values.
 
 Memories of inputs and the places of uncertain boundaries are coordinates of a larger state (`input_memory`,
 `with_boundary_states`). They stand behind the others. Neither inputs nor noise move them, no sensor shows them,
@@ -28,14 +28,14 @@ def mapped(
     mode: Callable[[Mode], Mode] = lambda mode: mode,
     edge: Callable[[Edge], Edge] = lambda edge: edge,
 ) -> HybridAutomaton:
-    """The automaton with each of its modes and edges replaced by what a function makes of it."""
+    """The automaton with a function applied to each mode and each edge."""
     return replace(automaton, modes=tuple(map(mode, automaton.modes)), edges=tuple(map(edge, automaton.edges)))
 
 
 def augment_state(
     automaton: HybridAutomaton, added: Sequence[Coordinate], weights: Weights | None = None
 ) -> HybridAutomaton:
-    """The automaton over (x, e), with k coordinates e added behind those of x as the module's docstring says.
+    """The automaton over (x, e), with k coordinates e appended to x as described in the module.
 
     Args:
         added: (k,) the coordinates e.
@@ -60,7 +60,7 @@ def _resized(
     weights: Weights | None = None,
     values: Sequence[float] = (),
 ) -> HybridAutomaton:
-    """With more coordinates, of these weights; or with fewer, where those left out are at values."""
+    """The automaton with appended coordinates and their weights, or with the last ones fixed at values and removed."""
     n, nothing, noise = len(coordinates), (0.0,) * automaton.m, automaton.noise
 
     def plain(region: Region) -> Region:

@@ -119,7 +119,7 @@ def _is_fixed(edge: KinematicEdge) -> bool:
 
 
 def _links(graph: KinematicGraph, moving: Sequence[KinematicEdge]) -> tuple[Link, ...]:
-    """One per edge; a fixed part's follows the coordinate of its parent."""
+    """Links, one per edge; a fixed part's link shares its parent's coordinate."""
     numbers = {edge.child: i for i, edge in enumerate(moving)}
     links: list[Link] = []
     for edge in graph.edges:
@@ -156,7 +156,7 @@ def _mode(
 
 
 def _joint(model: LocalModel, fixed: Joint | None) -> Joint:
-    """A link's joint; a fixed one stands for the configuration at which its carrier is fixed, if it is."""
+    """A link's joint; for a fixed part, rigid at its carrier's configuration."""
     return model.joint if fixed is None else replace(fixed, fixed_at=model.joint.fixed_at if model.is_rigid else 0.0)
 
 
@@ -182,7 +182,7 @@ def _edges(
 
 
 def _leaving(model: LocalModel, forward: bool, i: int, n: int, name: str, release: float) -> HalfSpace:
-    """The paper's guards {c >= upper} and {c < lower}; out of a rigid model the input decides."""
+    """Guards {c >= upper} and {c < lower} of the paper; guards on the input out of rigid models."""
     if model.is_rigid:
         side, at = (input_above, release) if forward else (input_below, 0.0 - release)
         return side(i, at, n, n, strict=True, name=f"input {name}")
@@ -200,18 +200,18 @@ def _mode_name(chains: Sequence[tuple[LocalModel, ...]], choice: tuple[int, ...]
 
 
 def _pin_std(model: LocalModel) -> float:
-    """Std of one measurement: a tracker's error wanders, so averaging over the rows would be overconfident."""
+    """Std of one measurement, not of the mean over rows: a tracker's error drifts."""
     return max(model.observation_std, model.lower_std, model.upper_std, SMALLEST_STD)
 
 
 def _unit(chain: Sequence[LocalModel]) -> str:
-    """rad if the first model that moves rotates, m otherwise; the other models of the edge count in their own unit."""
+    """rad if the first moving model rotates, else m; other models of the edge keep their own unit."""
     kinds = [model.joint.kind for model in chain if not model.is_rigid]
     return KINDS[kinds[0]].unit if kinds else "m"
 
 
 def _noise_of(moving: Sequence[KinematicEdge]) -> Noise:
-    """Noise by coordinate, from the moving segments of its edge if there are any: root mean square by rows."""
+    """Noise by coordinate: root mean square over rows of its moving segments."""
     stds = []
     for edge in moving:
         segments = [segment for segment in edge.segments if segment.joint.moves] or edge.segments
@@ -230,7 +230,7 @@ def _parts(graph: KinematicGraph, listed: Sequence[Part]) -> tuple[Part, ...]:
 
 
 def no_single_joint_error(graph: KinematicGraph) -> InputError | None:
-    """The refusal for the first rows that no single joint explains, to be raised; None if there are none.
+    """The error for the first rows without a single joint, to be raised; None if there are none.
 
     Such rows are not skipped: the joints before and after them share one coordinate only through them, and a part that
     moves off its joint once can do so again, in every mode of the automaton.
@@ -270,7 +270,7 @@ def _no_single_joint_sentence(segment: Segment, no_single_joint: NoSingleJoint, 
 
 
 def _learned_edges(graph: KinematicGraph) -> Iterator[LearnedEdge]:
-    """The edges of a graph that say how sure they are, with probabilities rounded to 6 decimals."""
+    """The edges of a graph that have certainties, with probabilities rounded to 6 decimals."""
     for edge in graph.edges:
         certainty = edge.certainty
         if certainty is None and all(segment.certainty is None for segment in edge.segments):
@@ -295,5 +295,5 @@ def _rounded(certainty: SegmentCertainty | None) -> SegmentCertainty | None:
 
 
 def _probability(value: float) -> float:
-    """Rounded, and without what arithmetic left outside of 0 to 1."""
+    """A probability rounded and clipped to [0, 1]."""
     return min(1.0, max(0.0, round(float(value), DIGITS)))

@@ -46,7 +46,7 @@ class RowPosterior:
 
 @dataclass(frozen=True)
 class NoSingleJoint:
-    """How far the best single joint misses rows that no single joint explains.
+    """Errors of the best single joint on rows that none explains.
 
     Attributes:
         position, rotation: root mean square distance of the rows from the joint [m, rad]; None if not measured.
@@ -63,7 +63,7 @@ class NoSingleJoint:
 
 @dataclass(frozen=True)
 class Deviation:
-    """How far a part leaves its joint, smoothly and alike whenever it comes to the same place.
+    """Distance of a part from its joint: smooth, and repeatable at the same configuration.
 
     Attributes:
         position, rotation: typical size in one direction [m, rad]; rotation is 0 where it was not measured.
@@ -77,7 +77,7 @@ class Deviation:
 
 @dataclass(frozen=True)
 class ActionChannel:
-    """The command that a recorded action a stands for: gain · R(frame_rotation) a, `delay` later.
+    """Map from a recorded action a to its command: gain · R(frame_rotation) a, `delay` later.
 
     Of actions that lead to places, a is the way from one commanded place to the next.
 
@@ -102,7 +102,7 @@ class ActionChannel:
 
 @dataclass(frozen=True)
 class EvidenceTrace:
-    """The evidence over time, for looking at.
+    """Evidence over time, for display.
 
     Attributes:
         rows: (n,) rows of the recording.
@@ -119,7 +119,7 @@ class EvidenceTrace:
 
 @dataclass(frozen=True)
 class EdgeCertainty:
-    """What a recording says about an edge beyond its most probable segments.
+    """Certainty of an edge beyond its most probable segments.
 
     Attributes:
         log_evidence: ln probability of the edge's rows, summed over segmentations of all runs [nats].
@@ -136,7 +136,7 @@ class EdgeCertainty:
 
 @dataclass(frozen=True)
 class SegmentCertainty:
-    """What a recording says about one segment.
+    """Certainty of one segment.
 
     Attributes:
         start: where it starts; None for the first of a run.
@@ -172,7 +172,7 @@ class LearnedSegment:
 
 @dataclass(frozen=True)
 class LearnedEdge:
-    """What a recording said about how one part moves relative to another.
+    """The learned segments of how one part moves relative to another.
 
     Attributes:
         segments: in time order.
@@ -186,7 +186,7 @@ class LearnedEdge:
 
 
 def low_probability_warnings(learned: Iterable[LearnedEdge]) -> tuple[str, ...]:
-    """One line for each answer of learning that a model rests on although it is less than `LOW_PROBABILITY` sure."""
+    """One line for each learned answer below the probability `LOW_PROBABILITY` that a model depends on."""
     return tuple(line for edge in learned for line in (*_improbable_kinds(edge), *_improbable_counts(edge)))
 
 

@@ -1,4 +1,4 @@
-"""Validation of hybrid automata: what a model file or Python code can get wrong, each with one line that says where.
+"""Validation of hybrid automata: errors of model files or Python code, each in one line with its place.
 
 Each element is checked by itself, then whether they agree: pins, rigid joints, and where transitions lead. That refuses
 only what is certainly wrong: it compares bounding boxes (half-spaces that couple coordinates are ignored), and accepts
@@ -38,7 +38,7 @@ LARGEST_WEIGHT = 1e9  # as gains of plans; the reciprocal is the smallest: what 
 
 
 def check_automaton(automaton: HybridAutomaton) -> None:
-    """Refuse an automaton that the algorithms could not use.
+    """Refuse an automaton that violates the assumptions of the algorithms.
 
     Raises:
         InputError: names that are not unique or not known, an invariant, guard or set of
@@ -52,7 +52,7 @@ def check_automaton(automaton: HybridAutomaton) -> None:
 
 
 def checks(automaton: HybridAutomaton) -> Iterator[tuple[Place, Callable[[], None]]]:
-    """The checks of `check_automaton` in their order, each with the place in the automaton that it is about.
+    """The checks of `check_automaton` in order, each with its place in the automaton.
 
     Each must pass before the next is run. Places are (field,), (field, name or index) or further keys of it.
     """
@@ -193,7 +193,7 @@ def _check_noise(automaton: HybridAutomaton) -> None:
 
 
 def _check_pin(automaton: HybridAutomaton, mode: Mode, pin: Pin) -> None:
-    """Refuse a pin further outside of its own mode's invariant than its std."""
+    """Refuse a pin farther outside its mode's invariant than its std."""
     low, high = mode.invariant.interval(pin.coordinate)
     room = ROUND_OFF * max(1.0, abs(pin.value)) + pin.std
     if not low - room <= pin.value <= high + room:
@@ -206,7 +206,7 @@ def _check_pin(automaton: HybridAutomaton, mode: Mode, pin: Pin) -> None:
 
 
 def _check_fixed_at(automaton: HybridAutomaton, mode: Mode, link: int) -> None:
-    """Refuse a rigid joint that stands for another configuration than the one its mode pins."""
+    """Refuse a rigid joint at another configuration than the one its mode pins."""
     joint, index = mode.joints[link], automaton.links[link].coordinate
     for pin in mode.pins:
         if not joint.moves and pin.coordinate == index and not abs(joint.fixed_at - pin.value) <= EQUAL:
@@ -219,7 +219,7 @@ def _check_fixed_at(automaton: HybridAutomaton, mode: Mode, link: int) -> None:
 
 
 def _check_connected(automaton: HybridAutomaton, mode: Mode) -> None:
-    """Refuse a mode that no transition enters or leaves, where there are other modes."""
+    """Refuse an isolated mode, unless it is the only one."""
     if len(automaton.modes) > 1 and mode.name not in _connected(automaton):
         raise InputError(
             f"mode {mode.name} is not connected: no transition enters or leaves it",
@@ -229,13 +229,13 @@ def _check_connected(automaton: HybridAutomaton, mode: Mode) -> None:
 
 @memoised
 def _connected(automaton: HybridAutomaton) -> frozenset[str]:
-    """The modes that some transition enters or leaves."""
+    """The modes with a transition in or out."""
     changes = [edge for edge in automaton.edges if not edge.is_self_transition]
     return frozenset(name for edge in changes for name in (edge.source, edge.target))
 
 
 def _check_entry(automaton: HybridAutomaton, edge: Edge) -> None:
-    """Refuse a change of mode that puts a coordinate outside of what the target's invariant allows for it."""
+    """Refuse a change of mode whose reset puts a coordinate outside the target's invariant."""
     if edge.is_self_transition:
         return
     source, target = automaton.mode(edge.source), automaton.mode(edge.target)
@@ -258,7 +258,7 @@ def _check_entry(automaton: HybridAutomaton, edge: Edge) -> None:
 
 
 def _leaving_box(source: Mode, edge: Edge) -> list[Interval]:
-    """Per coordinate, where the state is when the edge is taken from within the source's invariant."""
+    """Per coordinate, the interval of states at which an edge is taken within the source's invariant."""
     box = list(source.intervals)
     bounds = [half_space.bound for half_space in edge.guard.half_spaces]
     only = bounds[0] if len(bounds) == 1 else None
@@ -275,7 +275,7 @@ def _leaving_box(source: Mode, edge: Edge) -> list[Interval]:
 
 
 def _after_reset(automaton: HybridAutomaton, edge: Edge, box: list[Interval]) -> list[Interval]:
-    """A box that holds the reset's image of a box; without limits where the input or an unlimited state counts."""
+    """A box that contains the reset's image of a box; unbounded where inputs or unbounded states enter."""
     if edge.reset.is_identity:
         return box
     a, b, c = (matrix.tolist() for matrix in edge.reset.matrices(automaton.n, automaton.m))
@@ -304,7 +304,7 @@ def _check_region(region: Region, where: str) -> None:
 
 
 def contradictions(automaton: HybridAutomaton) -> Iterator[tuple[Place, Callable[[], None]]]:
-    """The checks in their order, each with the place in the automaton that it is about; see `check.checks`."""
+    """Errors of an automaton with their places; see `check.checks`."""
     for coordinate in automaton.coordinates:
         yield ("coordinates", coordinate.name), partial(_check_unit_of_joints, automaton, coordinate)
     for given in automaton.inputs:
@@ -325,7 +325,7 @@ def contradictions(automaton: HybridAutomaton) -> Iterator[tuple[Place, Callable
 
 
 def _check_unit_of_joints(automaton: HybridAutomaton, coordinate: Coordinate) -> None:
-    """A coordinate has the unit of one of its joints; the others of a chain of modes count in their own unit."""
+    """A coordinate has the unit of one of its joints; other joints of the chain may have their own."""
     index = automaton.coordinate_names.index(coordinate.name)
     kinds = {
         mode.joints[k].kind: link.child
@@ -343,7 +343,7 @@ def _check_unit_of_joints(automaton: HybridAutomaton, coordinate: Coordinate) ->
 
 
 def _check_unit_of_input(automaton: HybridAutomaton, coordinate: Coordinate) -> None:
-    """An input that is called like a coordinate is its commanded change."""
+    """An input with the name of a coordinate is its commanded change."""
     unit = next((item.unit for item in automaton.coordinates if item.name == coordinate.name), coordinate.unit)
     if unit != coordinate.unit:
         raise InputError(
@@ -354,7 +354,7 @@ def _check_unit_of_input(automaton: HybridAutomaton, coordinate: Coordinate) -> 
 
 
 def _check_limits(automaton: HybridAutomaton, region: Region, where: str) -> None:
-    """Half-spaces that lie farther away than anything can be, or whose weights make rounding of everything else."""
+    """Refuse half-spaces at implausible distances, or with weights whose round-off hides other terms."""
     for half_space in region.half_spaces:
         bound = half_space.bound
         if bound is not None and not abs(bound.value) <= LARGEST:
@@ -373,7 +373,7 @@ def _check_limits(automaton: HybridAutomaton, region: Region, where: str) -> Non
 
 
 def _check_weights(weights: Sequence[float], where: str) -> None:
-    """Of one expression: the largest decides, as what is rounding beside it is harmless."""
+    """Refuse an expression whose largest weight is out of range; smaller ones are harmless round-off."""
     largest = max(map(abs, weights), default=0.0)
     if largest and not 1 / LARGEST_WEIGHT <= largest <= LARGEST_WEIGHT:
         expected = f"expected weights of {1 / LARGEST_WEIGHT:g} to {LARGEST_WEIGHT:g} in size"
@@ -398,7 +398,7 @@ def _check_reset(automaton: HybridAutomaton, edge: Edge) -> None:
 
 
 def _check_repeated(edge: Edge, number: int, first: int) -> None:
-    """Of two transitions with the same guard the second is never taken."""
+    """Refuse a second transition with the same guard, which could never be taken."""
     if number != first:
         raise InputError(
             f"edge {edge.name}: it has the same modes and guard as transition {first} (counted from 0), so it is never "
@@ -408,7 +408,7 @@ def _check_repeated(edge: Edge, number: int, first: int) -> None:
 
 
 def preceding(automaton: HybridAutomaton, number: int) -> Edge | None:
-    """A transition listed earlier whose guard holds wherever that of another does: the other is never taken.
+    """An earlier edge whose guard contains that of another; the other can never be taken.
 
     Of guards that hold at one instant changes of the mode go first, then the first listed (`transition`).
     """
@@ -424,13 +424,13 @@ def preceding(automaton: HybridAutomaton, number: int) -> Edge | None:
 
 
 def _implies(first: HalfSpace, second: HalfSpace) -> bool:
-    """Whether all that is inside of a half-space is inside of another with the same weights."""
+    """Whether one half-space is contained in another with the same weights."""
     same = first.a == second.a and first.b == second.b
     return same and (first.c > second.c or (first.c == second.c and (first.strict or not second.strict)))
 
 
 def _check_stays(automaton: HybridAutomaton, edge: Edge) -> None:
-    """Refuse a guard that holds wherever the invariant of its own mode does: the mode would be left at once, always."""
+    """Refuse a guard that holds everywhere in its own mode, which would be left at once."""
     mode = automaton.mode(edge.source)
     within = mode.invariant, mode.inputs
     if all(is_empty(*within, Region((half_space.opposite,))) for half_space in edge.guard.half_spaces):

@@ -1,4 +1,4 @@
-"""Numbers of an automaton with as many digits as they are worth, rounded once, when it is made of what was learned.
+"""Rounding of learned automata: each number to the digits that its std supports, once, when the model is built.
 
 Six significant digits are a thousandth of the standard deviation that the best tracker leaves of a joint. Rounding
 keeps the order of numbers and what is equal, so guards still end where ranges and pins do. Unit vectors have ten
@@ -19,7 +19,7 @@ UNIT_DECIMALS = 10
 
 
 def rounded(automaton: HybridAutomaton) -> HybridAutomaton:
-    """The automaton with rounded joints, boundaries, resets, pins and noise; covariances keep all digits."""
+    """The automaton with joints, boundaries, resets, pins and noise rounded; covariances keep all digits."""
     rounded_fields = {key: _rounded_numbers(getattr(automaton, key)) for key in ("modes", "edges", "noise")}
     return replace(automaton, **rounded_fields)
 

@@ -1,4 +1,4 @@
-"""Thresholds that are known only so well: what the true object's may be, and where they are as a part of the state.
+"""Uncertain thresholds: samples of the true ones, and thresholds as part of the state.
 
 An object has one threshold per boundary, the same at every passage and for both ways through it; `Edge.threshold_std`
 says how well the model knows it. So a boundary moves as a whole: in all guards and invariants that it bounds, and with
@@ -36,7 +36,7 @@ def threshold_stds(automaton: HybridAutomaton) -> Floats:
 
 
 def drawn_shifts(automaton: HybridAutomaton, rng: np.random.Generator, count: int) -> Floats:
-    """(count, b) by how much the boundaries of that many objects are moved, in the order of `threshold_stds`.
+    """(count, b) sampled displacements of the boundaries of `count` objects, in the order of `threshold_stds`.
 
     Nothing is drawn from `rng` where all thresholds are certain.
     """
@@ -45,7 +45,7 @@ def drawn_shifts(automaton: HybridAutomaton, rng: np.random.Generator, count: in
 
 
 def with_boundaries(automaton: HybridAutomaton, by: Floats, stds: Floats | None = None) -> HybridAutomaton:
-    """The automaton with its uncertain boundaries moved by (b,) amounts; itself where that changes nothing.
+    """The automaton with its uncertain boundaries moved by amounts (b,); unchanged if all are 0.
 
     Args:
         by: in the order of `threshold_stds`.
@@ -79,7 +79,7 @@ def with_boundaries(automaton: HybridAutomaton, by: Floats, stds: Floats | None 
 
 @memoised
 def with_boundary_states(automaton: HybridAutomaton) -> HybridAutomaton:
-    """The automaton over (x, s), made once; the automaton itself where all thresholds are certain."""
+    """The automaton over (x, s), cached; unchanged if all thresholds are certain."""
     stds = boundary_stds(automaton)
     if not stds:
         return automaton
@@ -104,7 +104,7 @@ def with_boundary_states(automaton: HybridAutomaton) -> HybridAutomaton:
 
 
 def _growth(automaton: HybridAutomaton, half_space: HalfSpace, mode: Mode | None) -> tuple[Boundary, float] | None:
-    """The uncertain boundary that moves a half-space, and by how much its threshold then grows per unit.
+    """(boundary that moves a half-space, growth of its threshold per unit); None if fixed.
 
     That is its own boundary. A mode's invariant around a pinned coordinate moves with the boundary at which it is
     pinned. None where nothing moves it.
@@ -120,7 +120,7 @@ def _growth(automaton: HybridAutomaton, half_space: HalfSpace, mode: Mode | None
 
 
 def _uncertain_pins(automaton: HybridAutomaton, mode: Mode) -> dict[Pin, Boundary]:
-    """The pins of a mode that are at an uncertain boundary."""
+    """The pins of a mode at uncertain boundaries."""
     at, uncertain = boundaries_of_pins(automaton, mode), boundary_stds(automaton)
     return {pin: at[pin.coordinate] for pin in mode.pins if at.get(pin.coordinate) in uncertain}
 
@@ -139,7 +139,7 @@ def boundary_stds(automaton: HybridAutomaton) -> dict[Boundary, float]:
 
 @lru_cache(maxsize=1024)
 def boundary_of(half_space: HalfSpace) -> tuple[Boundary, float]:
-    """The boundary, and what its scaled threshold is to be multiplied by to give the half-space's."""
+    """(boundary, factor from its normalised threshold to the half-space's)."""
     scale = next((weight for weight in (*half_space.a, *half_space.b) if weight), 1.0)
     values = (*half_space.a, *half_space.b, half_space.c)
     return tuple(round(value / scale, _DIGITS) + 0.0 for value in values), scale
@@ -147,7 +147,7 @@ def boundary_of(half_space: HalfSpace) -> tuple[Boundary, float]:
 
 @memoised
 def boundaries_of_pins(automaton: HybridAutomaton, mode: Mode) -> dict[int, Boundary]:
-    """The boundary, by coordinate, at which a mode pins it: that on the coordinate alone by which it was entered.
+    """Boundaries by coordinate at which a mode pins it: the one on that coordinate alone by which it was entered.
 
     A mode that is only entered from others that pin the coordinate at the same place pins it at their boundary.
     """

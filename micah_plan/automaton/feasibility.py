@@ -1,4 +1,4 @@
-"""Whether anything satisfies all of some half-spaces."""
+"""Feasibility of systems of half-spaces."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def is_empty(*regions: Region) -> bool:
 
 
 def _is_empty_box(regions: Sequence[Region]) -> bool:
-    """`is_empty` for half-spaces of one variable each: its largest lower bound against its smallest upper bound."""
+    """`is_empty` for half-spaces of one variable each: largest lower against smallest upper bound."""
     tightest: dict[tuple[int, bool], tuple[float, bool]] = {}
     for region in regions:
         for key, limit in (region.tightest or {}).items():

@@ -47,13 +47,13 @@ class Segment:
 
     @property
     def no_single_joint(self) -> NoSingleJoint | None:
-        """Why no single joint explains its rows; None if its joint does."""
+        """Why no single joint explains the rows; None if one does."""
         return None if self.certainty is None else self.certainty.no_single_joint
 
 
 @dataclass(frozen=True)
 class KinematicEdge:
-    """How one part moves relative to another: its segments in time order, and how sure they are."""
+    """How one part moves relative to another: its segments in time order, with their certainty."""
 
     parent: str
     child: str

@@ -111,8 +111,7 @@ class Pin:
 
 @dataclass(frozen=True)
 class Tie:
-    """A coordinate that a mode lets follow others: x[coordinate] = offset + weights'x, as a contact makes an angle
-    follow a height. No noise of its own moves it: what moves the others moves it too.
+    """A tied coordinate of a mode: x[coordinate] = offset + weights'x, without noise of its own.
 
     Attributes:
         weights: (n,) with 0 for the coordinate itself.
@@ -144,7 +143,7 @@ class Reset:
 
     @staticmethod
     def to(values: Mapping[int, float], n: int, ties: Sequence[Tie] = ()) -> Reset:
-        """Puts some of n coordinates at values, and others where ties say; the rest keep theirs."""
+        """A reset that sets some of n coordinates to values and others by ties; the rest are unchanged."""
         A, c = np.eye(n), np.zeros(n)
         for i, value in values.items():
             A[i], c[i] = 0.0, value
@@ -211,12 +210,12 @@ class Mode:
         return _read_only(free)
 
     def interval(self, coordinate: int) -> Interval:
-        """(low, high) of a coordinate: its pin, or what the invariant leaves; low > high if that is nothing."""
+        """(low, high) of a coordinate: its pin, or the bounds of the invariant; low > high if empty."""
         return self.intervals[coordinate]
 
     @cached_property
     def intervals(self) -> tuple[Interval, ...]:
-        """(n,) of all coordinates, see `interval`."""
+        """(n,) intervals of all coordinates, see `interval`."""
         pinned = {pin.coordinate: (pin.value, pin.value) for pin in reversed(self.pins)}
         coordinates = range(len(self.input_matrix))
         return tuple(pinned[i] if i in pinned else self.invariant.interval(i) for i in coordinates)
@@ -316,7 +315,7 @@ class HybridAutomaton(Summarised):
 
     @cached_property
     def derived(self) -> dict[Any, Any]:
-        """Cache of `memoised` functions (`memo`); no part of the value, and not pickled.
+        """Cache of `memoised` functions (`memo`); excluded from comparison and pickling.
 
         What is cached refers to the automaton: kept with it, both are freed together, which no table beside it can do.
         """
@@ -350,20 +349,20 @@ class HybridAutomaton(Summarised):
         return _number(name, self.mode_names, "mode") if number is None else number
 
     def has_mode(self, name: str) -> bool:
-        """Whether a mode has that name."""
+        """Whether a mode with this name exists."""
         return name in self._mode_numbers
 
     @cached_property
     def _mode_numbers(self) -> dict[str, int]:
-        """Numbers by name; of a name that is used twice the first."""
+        """Mode indices by name; the first of repeated names."""
         return {name: i for i, name in reversed(list(enumerate(self.mode_names)))}
 
     def mode(self, name: str) -> Mode:
-        """The mode of that name; raises what `mode_index` does."""
+        """The mode of a name; raises as `mode_index` does."""
         return self.modes[self.mode_index(name)]
 
     def index(self, coordinate: str) -> int:
-        """Number of the coordinate of that name.
+        """Index of a coordinate by name.
 
         Raises:
             InputError: if there is none; the message lists the names.
@@ -426,7 +425,7 @@ class HybridAutomaton(Summarised):
         return {name: tuple(edges) for name, edges in by_name.items()}
 
     def sensing(self, mode: Mode) -> Sensing:
-        """How a mode measures: by its own stds where it states them, else by the model's noise, with its light."""
+        """The measurement model of a mode: its own stds where stated, else the model's noise with its light."""
         std, light = list(self.noise.observation_std), self.noise.light
         growth = [0.0] * self.n if light is None else list(light.growth)
         for i, own in mode.observation_std:
@@ -434,19 +433,19 @@ class HybridAutomaton(Summarised):
         return Sensing(tuple(std), tuple(growth), () if light is None else light.at)
 
     def pins_located_by(self, edge: Edge) -> tuple[Pin, ...]:
-        """The target's pins of which the state before tells nothing: their guard is the place, or the reset puts it."""
+        """The target's pins that do not depend on the state before: located by the guard, or set by the reset."""
         a, b, c = edge.reset.matrices(self.n, self.m)
         located = (a != np.eye(self.n)).any(axis=1) | b.any(axis=1) | (c != 0.0)
         located |= np.any([h.a for h in edge.guard.half_spaces], axis=0)
         return tuple(pin for pin in self.mode(edge.target).pins if located[pin.coordinate])
 
     def pins_met_by(self, edge: Edge) -> tuple[Pin, ...]:
-        """The target's other pins that its source does not have: each is one more piece of information."""
+        """Pins of the target that are not located by the edge: each adds information."""
         others = {*self.pins_located_by(edge), *self.mode(edge.source).pins}
         return tuple(pin for pin in self.mode(edge.target).pins if pin not in others)
 
     def ranges(self, coordinate: int, modes: Iterable[Mode] | None = None) -> list[Interval]:
-        """What modes (None: all) allow for a coordinate, as intervals in increasing order; infinite without a limit.
+        """(low, high) intervals of a coordinate over modes (None: all), merged and in increasing order.
 
         Only half-spaces on this coordinate alone count, and pins; others can narrow the true range further.
         """
@@ -508,7 +507,7 @@ def _read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def check_sizes(automaton: HybridAutomaton) -> None:
-    """Refuse matrices, regions and stds whose sizes are not those of the coordinates and inputs.
+    """Refuse matrices, regions and stds whose sizes do not match the coordinates and inputs.
 
     Raises:
         InputError: with the mode, edge or noise, the size it must have and for which names, and the one it has.

@@ -1,4 +1,4 @@
-"""Effects that remember earlier inputs: as a channel that inputs pass through, and as coordinates of the state.
+"""Effects with memory of earlier inputs: as a filter of inputs, and as coordinates of the state.
 
 A delay remembers the inputs of the last steps, a lag the command that arrives, a backlash the place within the play,
 and a part that follows places those of the last steps and its velocity. What comes out of a memory is the same formula
@@ -35,7 +35,7 @@ from micah_plan.automaton.memo import memoised
 
 @memoised
 def with_memory_states(automaton: HybridAutomaton) -> HybridAutomaton:
-    """The automaton over (x, m), made once; the automaton itself where nothing remembers or m is there already."""
+    """The automaton over (x, m), cached; unchanged without memories or if m is included already."""
     memories = (
         () if automaton.input_memories else tuple(memory for memory in _memories(automaton, _only_input) if memory.size)
     )
@@ -50,19 +50,19 @@ def with_memory_states(automaton: HybridAutomaton) -> HybridAutomaton:
 
 
 def without_memory_states(automaton: HybridAutomaton) -> HybridAutomaton:
-    """The automaton over x, whose steps then leave out the effects that remember."""
+    """The automaton over x, whose steps omit effects with memory."""
     if not automaton.input_memories:
         return automaton
     return replace(fix_augmented_state(automaton, own_size(automaton)), input_memories=())
 
 
 def own_size(automaton: HybridAutomaton) -> int:
-    """Number of coordinates that are no memory; they come first."""
+    """Number of coordinates without the memories, which come last."""
     return automaton.n - sum(memory.size for memory in automaton.input_memories)
 
 
 def memory_at_rest(automaton: HybridAutomaton, x: Sequence[float] | None = None) -> tuple[float, ...]:
-    """(k,) the values of m before any input in a state (n,), None: at 0; empty where the automaton has none."""
+    """(k,) values of m at rest in a state (n,), None: at 0; empty without memories."""
     start = np.zeros(automaton.n) if x is None else x
     return tuple(
         float(value)
@@ -89,7 +89,7 @@ def towards(automaton: HybridAutomaton, at: Floats, x: Floats, u: Floats) -> Flo
 def passed_on(
     ops: Operations, memories: Sequence[InputMemory], mode: str, x: Sequence[Value], u: Sequence[Value]
 ) -> tuple[list[Value], dict[int, Value]]:
-    """What comes out of the memories in a step: the m inputs that reach the mode, and the memories' next values.
+    """(inputs that reach the mode, next values of the memories by coordinate) for one step.
 
     An effect that acts in other modes only keeps its memory up to date, without changing the input.
 
@@ -109,7 +109,7 @@ def passed_on(
 
 
 def passed_arrays(memories: Sequence[InputMemory], mode: str, x: Floats, u: Floats) -> tuple[Floats, Floats]:
-    """The inputs (..., m) that reach the mode, and the states with the memories' next values, for x (..., n)."""
+    """(inputs (..., m) that reach the mode, states (..., n) with the next values of the memories)."""
     if not memories:
         return u, x
     passed, after = passed_on(np, memories, mode, np.moveaxis(x, -1, 0), np.moveaxis(u, -1, 0))  # type: ignore[arg-type]
@@ -120,10 +120,10 @@ def passed_arrays(memories: Sequence[InputMemory], mode: str, x: Floats, u: Floa
 
 
 class InputChannel:
-    """The memory of one run, or of t runs side by side; without effects that remember it passes everything on."""
+    """The memory of one run, or of t runs in parallel; without effects with memory it passes inputs unchanged."""
 
     def __init__(self, automaton: HybridAutomaton, memory: Mapping[Effect, Sequence[float]] | None = None) -> None:
-        """Args: the model, and what its effects remember; left out: they are at rest."""
+        """Args: the model, and the memories of its effects; at rest if omitted."""
         self._memories = _memories(automaton, _strongest_input)
         self._acts = [np.array([memory.effect.acts_in(q) for q in automaton.mode_names]) for memory in self._memories]
         self._kept: list[tuple[Value, ...] | None] = [None] * len(self._memories)
@@ -149,7 +149,7 @@ class InputChannel:
 
 
 def effects_left_out(automaton: HybridAutomaton, memory: bool = False) -> tuple[str, ...]:
-    """One line per effect that prediction and calibration use, and planner, filter and nominal plant ignore.
+    """One line per effect that prediction and calibration use, but planner, filter and nominal plant ignore.
 
     Args:
         memory: whether those that remember are left out even where their memory can be a state.
@@ -171,7 +171,7 @@ def effects_left_out(automaton: HybridAutomaton, memory: bool = False) -> tuple[
 def _through(
     ops: Operations, memory: InputMemory, c: Value, u: Value, kept: tuple[Value, ...]
 ) -> tuple[Value, tuple[Value, ...]]:
-    """The input that comes out of one memory at configuration c, and its next values."""
+    """(input behind one memory at configuration c, its next values)."""
     out, after = form(memory.effect.name).respond(ops, c, memory.scale * u, kept, memory.effect.values)
     return out / memory.scale, after
 
@@ -183,7 +183,7 @@ def _at_rest(effect: Effect, c: Value = 0.0) -> tuple[Value, ...]:
 def _memories(
     automaton: HybridAutomaton, input_of: Callable[[HybridAutomaton, Effect], tuple[int, float] | None]
 ) -> tuple[InputMemory, ...]:
-    """One for each effect that remembers and has an input, one after the other behind the automaton's coordinates."""
+    """Memories of the effects that have an input, appended to the automaton's coordinates in order."""
     memories: list[InputMemory] = []
     first = automaton.n
     for effect in automaton.effects:
@@ -210,7 +210,7 @@ def _strongest_input(automaton: HybridAutomaton, effect: Effect) -> tuple[int, f
 
 
 def _only_input(automaton: HybridAutomaton, effect: Effect) -> tuple[int, float] | None:
-    """`_strongest_input` where the memory can be a state; None where it cannot.
+    """`_strongest_input` if the memory can be a state; else None.
 
     It can if the coordinate is moved by one input of its own, in the same way in every mode that moves it, and no reset
     adds that input at once.

@@ -1,4 +1,4 @@
-"""Transitions across which the same input reverses the motion, so that a plan must cross them in one known step.
+"""Transitions that reverse the motion of an input, which a plan must cross in one known step.
 
 Where an input moves a coordinate forwards in one mode and backwards in the next, a step more with the same input goes
 the wrong way, so a plan must fix the step at which the mode changes. If the coordinate is the one across the boundary,
@@ -20,7 +20,7 @@ from micah_plan.automaton.region import HalfSpace
 
 @dataclass(frozen=True, eq=False)
 class InputReversal:
-    """A boundary to cross in one step, and where the state that lies behind it goes.
+    """A boundary to cross in one step, with the map of states behind it.
 
     Attributes:
         half_space: the row of the guard that is crossed.
@@ -37,7 +37,7 @@ class InputReversal:
 
 
 def input_reversal_of(automaton: HybridAutomaton, edge: Edge) -> InputReversal | None:
-    """The reversal at an edge; None where the next mode moves on alike, pins the state, or a reset leads elsewhere."""
+    """The reversal at an edge; None where motion continues alike, the state is pinned, or a reset acts."""
     crossed = None if edge.is_self_transition or not edge.reset.is_identity else _way_out(automaton, edge)
     if crossed is None:
         return None
@@ -62,7 +62,7 @@ def matrix_after(automaton: HybridAutomaton, edge: Edge) -> Floats:
 
 
 def _way_out(automaton: HybridAutomaton, edge: Edge) -> HalfSpace | None:
-    """The row of a guard by which it is entered, if the source can move across it and the target does not pin it."""
+    """The row of a guard through which motion enters it, if the target does not pin it."""
     source, target = automaton.mode(edge.source), automaton.mode(edge.target)
     for half_space in edge.guard.half_spaces:
         a = np.array(half_space.a)
@@ -75,7 +75,7 @@ def _way_out(automaton: HybridAutomaton, edge: Edge) -> HalfSpace | None:
 
 
 def _returns(automaton: HybridAutomaton, edge: Edge, half_space: HalfSpace) -> bool:
-    """Whether a transition leads back on the other side of a boundary."""
+    """Whether a transition leads back from the other side of a boundary."""
     others = [e for e in automaton.edges if (e.source, e.target) == (edge.target, edge.source)]
     rows = [h for other_edge in others for h in other_edge.guard.half_spaces]
     return any(h.excludes(half_space) for h in rows)

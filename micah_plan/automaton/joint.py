@@ -26,7 +26,7 @@ IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 @dataclass(frozen=True)
 class Freedom:
-    """What one kind of joint has that others have not: formulas are the same for all kinds except for this.
+    """Properties of a kind of joint; formulas are shared by all kinds otherwise.
 
     Attributes:
         moves, turns, climbs: whether its part moves at all, about an axis, and along that axis while it turns.
@@ -154,7 +154,7 @@ def screw(
 def twisting(
     kind: JointKind, axis: ArrayLike, point: ArrayLike, pitch: float, position: ArrayLike, quaternion: ArrayLike
 ) -> Joint:
-    """The joint of a constant twist, by its kind; what its kind does not have is not looked at."""
+    """The joint of a constant twist by kind; arguments that the kind does not have are ignored."""
     if not KINDS[kind].moves:
         return rigid(position, quaternion)
     direction, origin = _direction(axis), _vector(position, "position")
@@ -176,7 +176,7 @@ def radius(joint: Joint) -> float:
 
 
 def axis_std(joint: Joint) -> float:
-    """Std of the tilt of the axis, in the direction in which it is known worst [rad]; 0 where nothing is said of it."""
+    """Std of the axis' tilt in its least certain direction [rad]; 0 if unknown."""
     number = _numbers(joint)
     tilts = [number[name] for name in ("axis_1", "axis_2") if name in number]
     if joint.covariance is None or not tilts:
@@ -185,7 +185,7 @@ def axis_std(joint: Joint) -> float:
 
 
 def radius_std(joint: Joint) -> float:
-    """Std of the radius [m]; 0 where nothing is said of it."""
+    """Std of the radius [m]; 0 if unknown."""
     if joint.covariance is None or radius(joint) == 0.0:
         return 0.0
     outwards = np.subtract(joint.position, joint.center) / radius(joint)

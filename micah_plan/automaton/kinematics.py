@@ -229,7 +229,7 @@ def shifted(joint: Joint, offset: float) -> Joint:
 
 
 def _origin_slopes(joint: Joint, c: float, has_rotation: bool) -> Floats:
-    """(11, 11) derivative of the parameters counted from configuration c by those counted from 0."""
+    """(11, 11) derivative of the parameters relative to configuration c with respect to those relative to 0."""
     axis, basis = np.array(joint.axis), axis_basis(joint.axis)
     slopes, tilt, shift, rotation, position = np.eye(11), slice(2), slice(2, 4), slice(5, 8), slice(8, 11)
     if joint.kind == "prismatic":
@@ -254,7 +254,7 @@ def _origin_slopes(joint: Joint, c: float, has_rotation: bool) -> Floats:
 
 
 def reversed_direction(joint: Joint) -> Joint:
-    """The same motion counted the other way: c' = -c, so f'(c') = f(c). Carries the covariance along."""
+    """The same motion in the opposite direction: c' = -c, so f'(c') = f(c); the covariance is transformed too."""
     if not joint.moves:
         return replace(joint, fixed_at=-joint.fixed_at)
     if joint.kind == "path":

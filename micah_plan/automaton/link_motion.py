@@ -27,7 +27,7 @@ _BESIDE = 0.25
 
 @dataclass(frozen=True)
 class LinkMotion:
-    """Joints one after another.
+    """Joints traversed in sequence.
 
     Attributes:
         joints: in order of configuration.
@@ -92,7 +92,7 @@ class LinkMotion:
         return self._each(c, action, _commanded)
 
     def aimed(self, c: Floats, action: Floats) -> Floats:
-        """Displacements (k,) from c (k,) to the point of the path next to the places to which actions (k, 3) lead."""
+        """Displacements (k,) from c (k,) to the path points closest to the targets of actions (k, 3)."""
         return self._each(c, action, _aimed)
 
     def _each(self, c: Floats, action: Floats, meant: Callable[[Joint, Floats, Floats], Floats]) -> Floats:
@@ -105,7 +105,7 @@ class LinkMotion:
         return configuration if len(self.joints) == 1 else self._or_another(c, action, configuration, number)
 
     def _or_another(self, c: Floats, action: Floats, nearest: Floats, number: Ints) -> Floats:
-        """What actions mean as motions to the next joint, where that fits them better than one along its own."""
+        """Displacements of actions that lead onto the next joint of a path, where that fits better."""
         target = self.poses(c).translation + action
         best, missed = nearest.copy(), np.full(len(c), np.inf)
         for k, joint in enumerate(self.joints):
@@ -139,7 +139,7 @@ class LinkMotion:
         return np.asarray(configuration + _TURN * turns)
 
     def _on(self, joint: Joint, low: float, high: float, position: Floats, rotation: Rotation | None) -> Floats:
-        """Configurations along one joint, whole turns counted from the middle of its range."""
+        """Configurations along one joint, unwrapped around the middle of its range."""
         finite_ends = [end for end in (low, high) if np.isfinite(end)]
         return inverse(
             joint, position, rotation, near=float(np.mean(finite_ends)) if joint.kind == "revolute" else None
@@ -148,7 +148,7 @@ class LinkMotion:
 
 @memoised
 def link_motions(automaton: HybridAutomaton) -> tuple[LinkMotion, ...]:
-    """How each link moves along its joints."""
+    """The motion of each link along its joints."""
     return tuple(_motion(automaton, number) for number in range(len(automaton.links)))
 
 
@@ -196,7 +196,7 @@ def _around(tangent: Floats, axis: Floats, action: Floats) -> Floats:
 
 
 def _on_arc(joint: Joint, c: Floats, action: Floats, along: Floats) -> Floats:
-    """u (k,) of actions on a screw; `along` is what they are as tangents."""
+    """(k,) displacements of actions along a screw; `along` are their tangential ones."""
     start = forward(joint, c)
     arc = inverse(joint, start.translation + action, near=c) - c
     chord = forward(joint, c + arc).translation - start.translation

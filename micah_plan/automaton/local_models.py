@@ -1,4 +1,4 @@
-"""From an edge's segments in time to its local models along the configuration: M^k and Dom(M^k).
+"""Local models M^k and their domains Dom(M^k) along the configuration, from segments in time.
 
 Source: MICAH, section IV-B. The paper takes the segments of one sweep as they come; a recording may also stop on the
 way, return, or pass through a region several times, and all these segments show the same models. Rules:
@@ -57,7 +57,7 @@ class LocalModel:
 
 @dataclass(frozen=True)
 class _Group:
-    """Segments (numbered in time) that one model explains; `leading` is the longest of them."""
+    """Segments (by number in time) with one model; `leading` is the longest."""
 
     members: tuple[int, ...]
     leading: Segment
@@ -104,7 +104,7 @@ def local_models(edge: KinematicEdge) -> tuple[LocalModel, ...]:
 
 
 def _merged(groups: list[_Group]) -> list[_Group]:
-    """Join groups of one model, always the first two that are, until no two are left."""
+    """Merge groups of one model pairwise until none are left."""
     groups, i = list(groups), 0
     while i < len(groups):
         same = next((j for j in range(i + 1, len(groups)) if _is_same_model(groups[i], groups[j])), None)
@@ -173,7 +173,7 @@ def _bounds(edge: KinematicEdge, groups: list[_Group]) -> list[float]:
 
 
 def _changepoint(edge: KinematicEdge, below: _Group, above: _Group) -> float:
-    """The configuration at which two neighbours meet."""
+    """The configuration of the changepoint between two neighbours."""
     for group in (above, below):
         if group.is_rigid:
             return group.center
@@ -182,7 +182,7 @@ def _changepoint(edge: KinematicEdge, below: _Group, above: _Group) -> float:
 
 
 def _changepoint_std(edge: KinematicEdge, below: _Group, above: _Group) -> float:
-    """How well the configuration is known at which two neighbours meet; 0 if no switch has a posterior of its row."""
+    """Std of the changepoint between two neighbours; 0 if no switch has a posterior of its row."""
     variances = [
         _row_std(before, after, after.certainty.start) ** 2
         for before, after in _switches(edge, below, above)
@@ -196,7 +196,7 @@ def _changepoint_std(edge: KinematicEdge, below: _Group, above: _Group) -> float
 
 
 def _switches(edge: KinematicEdge, below: _Group, above: _Group) -> list[tuple[Segment, Segment]]:
-    """Segments that followed one another where the recording changed between two models, either way."""
+    """Consecutive segments between which the recording changed from one model to the other."""
     return [
         (edge.segments[i], edge.segments[i + 1])
         for i in range(len(edge.segments) - 1)
@@ -214,7 +214,7 @@ def _row_std(before: Segment, after: Segment, start: RowPosterior) -> float:
 
 
 def _mean_speed(segment: Segment) -> float:
-    """Configuration covered per row, by the way to the far end of the range and from there to the end."""
+    """Distance covered per row, via the far end of the range."""
     if not segment.joint.moves:
         return 0.0
     start, end = segment.configuration_start, segment.configuration_end

@@ -1,4 +1,4 @@
-"""Functions of an automaton whose results are computed once, and cached with the automaton."""
+"""Memoisation of functions of an automaton, with the cache in the automaton."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ _OF_MOTION = "of motion"
 
 
 def memoised(function: _Function) -> _Function:
-    """A function of an automaton and perhaps of a mode whose results are computed once."""
+    """A memoised function of an automaton and optionally of a mode."""
     return _memoised(function, lambda automaton: automaton.derived)
 
 
 def memoised_of_motion(function: _Function) -> _Function:
-    """`memoised`, once for all automata that share their motion (`sharing_motion`)."""
+    """`memoised`, shared by all automata with the same motion (`sharing_motion`)."""
     return _memoised(function, _of_motion)
 
 
 def sharing_motion(automaton: HybridAutomaton, template: HybridAutomaton) -> HybridAutomaton:
-    """The automaton itself, from now on with another's cache of `memoised_of_motion` functions.
+    """The automaton with another's cache of `memoised_of_motion` functions.
 
     Modes of both must move alike and be measured alike. They may differ in where their boundaries and pins are.
     """

@@ -30,7 +30,7 @@ def turns_and_translations(joint: Joint, c: ArrayLike) -> tuple[Floats, Floats]:
 
 @lru_cache(maxsize=1024)
 def _rodrigues(joint: Joint) -> tuple[Floats, ...]:
-    """The slide per unit (3,), the matrix of the rotation (3, 3), its square, the centre and the position at 0 (3,)."""
+    """Slide per unit (3,), rotation generator (3, 3), its square, the centre and the position at 0 (3,)."""
     slide = (1.0 if joint.kind == "prismatic" else joint.pitch) * np.array(joint.axis)
     x, y, z = (0.0, 0.0, 0.0) if joint.kind == "prismatic" else joint.axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

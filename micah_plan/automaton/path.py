@@ -1,4 +1,4 @@
-"""Paths: motions of one freedom along any smooth curve of poses, as of a garage door, a four-bar lid, a pin in a slot.
+"""Paths: one-degree-of-freedom motions along smooth curves of poses, such as a garage door or four-bar lid.
 
 A path is a natural cubic spline through poses at knots c_1 < ... < c_K: of positions, and of quaternions that are then
 scaled to unit length. It goes on straight beyond both ends. Turned or moved frames turn and move the curve with them.
@@ -121,7 +121,7 @@ def recounted(joint: Joint, offset: float, sign: float = 1.0) -> Joint:
 
 
 def _turn(a: Floats, b: Floats) -> Floats:
-    """(k, 3) sines of half the rotation from quaternions a to b (k, 4), doubled: its vector, where it is small."""
+    """(k, 3) rotation vectors from quaternions a to b (k, 4), accurate for small rotations."""
     vector = a[:, 3:] * b[:, :3] - b[:, 3:] * a[:, :3] - np.cross(b[:, :3], a[:, :3])
     scalar = (a * b).sum(axis=1, keepdims=True)
     return np.asarray(2 * vector * np.where(scalar < 0, -1.0, 1.0))

@@ -1,4 +1,4 @@
-"""What looks like a mistake in an automaton that can be used. Nothing is refused: each suspicion is one line.
+"""Plausibility checks of usable automata: nothing is refused, each suspicion is one line.
 
 - **Sizes.** Every number of a file is compared with the scale that the rest of the file gives it (`Amount`): what one
   step adds, what is not known of a measurement, a pin or a threshold, and where a reset leads, with the range of the
@@ -34,7 +34,7 @@ _IN_METRES = "lengths are in m: are these millimetres? then divide by 1000"
 
 @dataclass(frozen=True)
 class Amount:
-    """A number of a file and the scale that it is compared with.
+    """A number of a file with the scale it is compared to.
 
     Attributes:
         place: its key.
@@ -53,7 +53,7 @@ class Amount:
 
 
 def implausible(amounts: Iterable[Amount]) -> Iterator[str]:
-    """One line for each amount that is beyond its scale: place, amount, scale, remedy."""
+    """One line for each amount beyond its scale: place, amount, scale, remedy."""
     for amount in amounts:
         size = abs(amount.size)
         place_and_size = f"{amount.place}: {quantity(size, amount.unit)}"
@@ -68,14 +68,14 @@ def implausible(amounts: Iterable[Amount]) -> Iterator[str]:
 
 
 def suspicions_of_automaton(automaton: HybridAutomaton) -> tuple[str, ...]:
-    """What looks wrong in an automaton, one line each, with its place; empty if nothing does."""
+    """Suspicious values of an automaton, one line each with its place; empty if there are none."""
     jumps = (line for edge in automaton.edges if not edge.is_self_transition for line in _jumps(automaton, edge))
     sizes = implausible((*_distances(automaton), *part_amounts(automaton.parts), *_along_coordinates(automaton)))
     return (*sizes, *implausible(_of_actions(automaton)), *jumps, *never_taken(automaton))
 
 
 def part_amounts(parts: Iterable[Part]) -> Iterator[Amount]:
-    """Handles and solids of parts against a room."""
+    """Handles and solids of parts, compared with the size of a room."""
     for part in parts:
         if part.handle is not None:
             yield Amount(f"parts.{part.name}.handle", length(part.handle), "m", FARTHEST_M)
@@ -83,7 +83,7 @@ def part_amounts(parts: Iterable[Part]) -> Iterator[Amount]:
 
 
 def solid_amounts(place: str, shapes: Sequence[Primitive]) -> Iterator[Amount]:
-    """Sizes and places of solids against the largest domain, and against what is thin."""
+    """Sizes and places of solids, compared with the largest domain and the thinnest material."""
     for i, shape in enumerate(shapes):
         for size in shape.size:
             yield Amount(f"{place}.shapes.{i}.size", size, "m", FARTHEST_SOLID_M, least=_THINNEST_M)
@@ -91,13 +91,13 @@ def solid_amounts(place: str, shapes: Sequence[Primitive]) -> Iterator[Amount]:
 
 
 def whole_range(automaton: HybridAutomaton, i: int) -> float:
-    """How far a coordinate can be from one end of its ranges to the other [rad or m]; infinite if it has no end."""
+    """Extent of a coordinate's ranges [rad or m]; infinite if unbounded."""
     ranges = automaton.ranges(i)
     return ranges[-1][1] - ranges[0][0] if ranges else math.inf
 
 
 def length(vector: Sequence[float]) -> float:
-    """Of a vector, in its unit."""
+    """Euclidean norm, in the vector's unit."""
     return float(np.linalg.norm(vector))
 
 
@@ -114,7 +114,7 @@ def _distances(automaton: HybridAutomaton) -> Iterator[Amount]:
 
 
 def _of_actions(automaton: HybridAutomaton) -> Iterator[Amount]:
-    """What learning found of the actions, as `predict` may use it."""
+    """Values of the learned action channel, as used by `predict`."""
     for i, edge in enumerate(automaton.learned):
         if edge.certainty is not None and edge.certainty.channel is not None:
             place, channel = f"learned.{i}.actions", edge.certainty.channel
@@ -124,7 +124,7 @@ def _of_actions(automaton: HybridAutomaton) -> Iterator[Amount]:
 
 
 def _along_coordinates(automaton: HybridAutomaton) -> Iterator[Amount]:
-    """What is said of one step, one measurement or one place, against the whole range of its coordinate."""
+    """Steps, measurements and places, compared with the range of their coordinate."""
     resets = [(edge, edge.reset.matrices(automaton.n, automaton.m)) for edge in automaton.edges]
     for i, coordinate in enumerate(automaton.coordinates):
         name, unit, whole = coordinate.name, coordinate.unit, whole_range(automaton, i)
@@ -151,7 +151,7 @@ def _along_coordinates(automaton: HybridAutomaton) -> Iterator[Amount]:
 
 
 def never_taken(automaton: HybridAutomaton) -> tuple[str, ...]:
-    """One line for each transition instead of which one that leads elsewhere is taken wherever it is possible."""
+    """One line for each transition that an earlier one to another target always preempts."""
     pairs = ((edge, preceding(automaton, i)) for i, edge in enumerate(automaton.edges))
     return tuple(
         f"transition {edge.name} ('{edge.guard.name}') is never taken: {first.name} ('{first.guard.name}'), listed "
@@ -162,7 +162,7 @@ def never_taken(automaton: HybridAutomaton) -> tuple[str, ...]:
 
 
 def _jumps(automaton: HybridAutomaton, edge: Edge) -> Iterator[str]:
-    """Parts that a transition moves by itself, relative to the parts that they are linked to."""
+    """Amounts by which a transition moves parts relative to their parents without motion."""
     source, target = automaton.mode(edge.source), automaton.mode(edge.target)
     before = _crossing(automaton, edge)
     after = np.array(edge.reset.apply(before, np.zeros(automaton.m)))
@@ -180,7 +180,7 @@ def _jumps(automaton: HybridAutomaton, edge: Edge) -> Iterator[str]:
 
 
 def _crossing(automaton: HybridAutomaton, edge: Edge) -> Floats:
-    """A state (n,) in which a transition is taken: the middle of what its guard and both modes leave."""
+    """A state (n,) at which a transition is taken: the middle of the guard and both modes."""
     source, target = automaton.mode(edge.source), automaton.mode(edge.target)
     state = np.zeros(automaton.n)
     for i in range(automaton.n):

@@ -23,7 +23,7 @@ UNLIMITED: Interval = (-math.inf, math.inf)
 
 
 class Bound(NamedTuple):
-    """A limit on one coordinate alone.
+    """A limit on a single coordinate.
 
     Attributes:
         coordinate: its number.
@@ -38,7 +38,7 @@ class Bound(NamedTuple):
 
 @dataclass(frozen=True)
 class HalfSpace:
-    """The set ``{(x, u): a'x + b'u >= c}``, or ``> c`` if it is strict.
+    """The half-space ``{(x, u): a'x + b'u >= c}``, or ``> c`` if strict.
 
     Attributes:
         a: (n,) weights of the continuous state.
@@ -70,7 +70,7 @@ class HalfSpace:
 
     @cached_property
     def bound(self) -> Bound | None:
-        """The limit on the only coordinate that it depends on; None if it depends on several or on inputs."""
+        """The limit on the only coordinate involved; None for several coordinates or inputs."""
         along = [i for i, weight in enumerate(self.a) if weight]
         if len(along) != 1 or self.on_input:
             return None
@@ -79,23 +79,23 @@ class HalfSpace:
 
     @cached_property
     def opposite(self) -> HalfSpace:
-        """What it leaves out."""
+        """The complementary half-space."""
         a, b = (tuple(-weight for weight in weights) for weights in (self.a, self.b))
         name = next((self.name.replace(old, new) for old, new in _OPPOSITES if old in self.name), f"not {self.name}")
         return HalfSpace(a, b, -self.c, not self.strict, name)
 
     def moved(self, by: float) -> HalfSpace:
-        """The half-space with its threshold `by` larger."""
+        """The half-space with its threshold increased by `by`."""
         return replace(self, c=self.c + by)
 
     def faces(self, half_space: HalfSpace) -> bool:
-        """Whether both are on the state alone and open in exactly opposite directions."""
+        """Whether both are on the state alone with exactly opposite normals."""
         if self.on_input or half_space.on_input or not self.on_state or not half_space.on_state:
             return False
         return all(abs(x + y) <= 1e-9 for x, y in zip(self._normal, half_space._normal, strict=True))
 
     def excludes(self, half_space: HalfSpace) -> bool:
-        """Whether they face each other and have nothing in common but perhaps their boundary."""
+        """Whether the two face each other and share at most their boundary."""
         if not self.faces(half_space):
             return False
         return -half_space.offset <= self.offset + 1e-9
@@ -148,7 +148,7 @@ class Region:
 
     @property
     def name(self) -> str:
-        """The text before the colon in the name of its first half-space, e.g. in ``lid at shelf: from above``."""
+        """The label before the colon in the name of the first half-space, e.g. ``lid at shelf: from above``."""
         return self.half_spaces[0].name.partition(":")[0] if self.half_spaces else ""
 
     @property
@@ -166,12 +166,12 @@ class Region:
         return any(h.on_input for h in self.half_spaces)
 
     def interval(self, coordinate: int) -> Interval:
-        """(low, high) that its half-spaces on one coordinate alone leave; infinite where there are none."""
+        """(low, high) of a coordinate under the half-spaces on it alone; infinite where there are none."""
         return self._intervals.get(coordinate, UNLIMITED)
 
     @cached_property
     def _intervals(self) -> dict[int, Interval]:
-        """By coordinate, where any half-space is on it alone."""
+        """Intervals of coordinates that have half-spaces on them alone."""
         found = dict[int, Interval]()
         for bound in (half_space.bound for half_space in self.half_spaces):
             if bound is not None:
@@ -182,8 +182,7 @@ class Region:
 
     @cached_property
     def tightest(self) -> dict[tuple[int, bool], tuple[float, bool]] | None:
-        """Largest limit, and whether it is strict, by variable (inputs behind coordinates) and whether it is a lower
-        one, upper ones with their sign changed; None if a half-space couples variables."""
+        """Tightest (limit, is strict) by (variable, is lower), upper limits negated; None if variables are coupled."""
         found = dict[tuple[int, bool], tuple[float, bool]]()
         for half_space in self.half_spaces:
             weights = [(i, weight) for i, weight in enumerate((*half_space.a, *half_space.b)) if weight]
@@ -205,7 +204,7 @@ class Region:
         return np.asarray(x @ a.T + u @ b.T - c)
 
     def contains(self, x: Floats, u: Floats, tolerance: float = 0.0) -> Booleans:
-        """Whether each (x, u) lies inside; a tolerance > 0 admits points that far outside."""
+        """(...) whether (x, u) lies inside; a positive tolerance enlarges the region."""
         if self.is_everything:
             return np.ones(np.shape(x)[:-1], dtype=bool)
         margins = self.margins(x, u)
@@ -214,7 +213,7 @@ class Region:
         return np.asarray(inside.all(axis=-1))
 
     def mapped(self, change: Callable[[HalfSpace], HalfSpace]) -> Region:
-        """The region with each half-space replaced by what a function makes of it; itself if nothing changes."""
+        """The region with a function applied to each half-space; the same object if nothing changes."""
         rows = tuple(map(change, self.half_spaces))
         return self if all(map(operator.is_, rows, self.half_spaces)) else Region(rows)
 

@@ -1,4 +1,4 @@
-"""How precisely a configuration is measured, where that depends on the mode and on the place.
+"""Measurement noise, as far as it depends on mode and place.
 
 A mode may sense some coordinates in its own way (a hand that touches a wall knows how far it is from it), and a sensor
 may be good near one place only: the std of a measurement then grows with the distance from a "light".
@@ -58,7 +58,7 @@ class Sensing:
         return np.asarray(np.hypot(base, away[..., None] * np.array(self.growth)))
 
     def std_over(self, mean: Floats, covariance: Floats) -> Floats:
-        """(n,) root of the mean variance of a measurement, at a place that is known by its mean and covariance."""
+        """(n,) root mean variance of a measurement at a place with given mean and covariance."""
         index = [i for i, _ in self.at]
         spread = float(np.trace(np.asarray(covariance)[np.ix_(index, index)]))
         return np.asarray(np.hypot(self.std_at(mean), np.sqrt(spread) * np.array(self.growth)))

@@ -1,4 +1,4 @@
-"""One mode as two: where the motion changes at a place that the automaton does not know of."""
+"""Splitting a mode at a place where the motion changes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from micah_plan.errors import InputError
 
 
 def with_split(automaton: HybridAutomaton, coordinate: int, at: float) -> HybridAutomaton:
-    """The automaton with each mode that moves a coordinate through a place cut there into two that move alike.
+    """The automaton with each mode that moves a coordinate through a place split there into two equal ones.
 
     The first half keeps the mode's name, the second is called ``"<name> from <place>"``. Effects that acted in the mode
     act in both.
@@ -68,7 +68,7 @@ def _halved(
     coordinate: int,
     entered: tuple[HalfSpace, HalfSpace],
 ) -> Iterator[Edge]:
-    """A transition between halves: from each that can reach its guard, to the one in which it arrives."""
+    """Transitions between halves: from each that can reach the guard, to the one of arrival."""
     source, place = automaton.mode(edge.source), entered[1].c
     low, high = edge.guard.interval(coordinate)
     for half, name in enumerate(halves.get(edge.source, (edge.source,))):

@@ -1,4 +1,4 @@
-"""Noise of one step: what the dynamics leave unexplained, and how far an uncertain gain carries an input.
+"""Noise of one step: process noise, and the uncertainty of gains times the input.
 
 The gain is how much further a coordinate moves than its input says, because its joint is known only so well. An input u
 asks for the displacement by which the *model's* joint carries the part's handle (its origin, if it has none) when its
@@ -81,7 +81,7 @@ def mode_gains(automaton: HybridAutomaton, mode: Mode) -> tuple[tuple[int, tuple
 
 @memoised
 def uncertain_gains(automaton: HybridAutomaton) -> dict[tuple[Joint, Vector3], float]:
-    """Std of the gain of each joint (with its handle) that is not certain, in the order of the modes."""
+    """Std of each uncertain gain by joint and handle, in the order of the modes."""
     return {which: std for mode in automaton.modes for _, which, std in mode_gains(automaton, mode)}
 
 
@@ -95,7 +95,7 @@ def drawn_gains(automaton: HybridAutomaton, rng: np.random.Generator, count: int
 
 
 def gain_factors(automaton: HybridAutomaton, mode: Mode, errors: Floats) -> Floats:
-    """(..., n) what multiplies the motion of each coordinate in a mode, of objects with relative errors (..., g)."""
+    """(..., n) factors on each coordinate's motion in a mode, for objects with relative gain errors (..., g)."""
     order = list(uncertain_gains(automaton))
     factors = np.ones((*errors.shape[:-1], automaton.n))
     for i, which, _ in mode_gains(automaton, mode):
@@ -104,7 +104,7 @@ def gain_factors(automaton: HybridAutomaton, mode: Mode, errors: Floats) -> Floa
 
 
 def with_gains(automaton: HybridAutomaton, errors: Floats) -> HybridAutomaton:
-    """The automaton whose joints move by these relative errors (g,) further than the model says.
+    """The automaton whose joints move by relative errors (g,) more per input.
 
     The joints stay as they are: where poses are drawn from a configuration, those of the model count.
     """

@@ -1,4 +1,4 @@
-"""A recording seen through an automaton: one row per time, one column per link, configurations instead of poses."""
+"""Recordings in an automaton's coordinates: one row per time, one column per link, configurations for poses."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Track:
 
     @property
     def origin(self) -> Floats:
-        """(T, n) configurations that commands lead from: believed ones, where the log was measured from outside."""
+        """(T, n) configurations from which commands count: estimated ones for externally measured logs."""
         if self.led_from is not None:
             return self.led_from
         if self.believed is None or not self.is_outside:
@@ -96,7 +96,7 @@ def tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[Track, ...
 
 
 def _disbelief(tracks: tuple[Track, ...]) -> float:
-    """Sum of squares of what was believed minus what was measured [rad² or m²]."""
+    """Sum of squared estimated minus measured configurations [rad² or m²]."""
     return float(sum(np.nansum((track.believed - track.x) ** 2) for track in tracks if track.believed is not None))
 
 
@@ -116,7 +116,7 @@ def _part_of_link(automaton: HybridAutomaton, recording: Recording) -> tuple[str
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """All runs one after another (N rows), as their links see them: the time of a run goes into calls, not arithmetic.
+    """All runs concatenated (N rows) in the frames of their links, since the overhead is per call.
 
     Attributes:
         runs: number of each, and its rows.
@@ -210,7 +210,7 @@ def _relative_poses(
 
 
 def _believed(automaton: HybridAutomaton, seen: _Seen) -> Floats | None:
-    """(N, n) configurations that the controller believed, NaN where a pose is missing; None if all are.
+    """(N, n) configurations estimated by the controller, NaN where a pose is missing; None if all are.
 
     They are in the turn of the measured ones.
     """
@@ -229,7 +229,7 @@ def _believed(automaton: HybridAutomaton, seen: _Seen) -> Floats | None:
 
 
 def read_by_sensors(automaton: HybridAutomaton, x: Floats, since: Floats) -> Floats:
-    """Measured configurations (T, n), `since` (T,) s after the start, without the automaton's effects on sensors."""
+    """Measured configurations (T, n), `since` (T,) s after the start, corrected for sensor effects."""
     read = np.array(x)
     for effect in automaton.effects:
         effect_form = form(effect.name)
@@ -328,7 +328,7 @@ def displacements(automaton: HybridAutomaton, x: Floats, action: Floats) -> Floa
 
 
 def in_base_frame(automaton: HybridAutomaton, coordinate: int, action: Floats) -> Floats:
-    """Actions (k, 3) of which the automaton's effects on their frame are taken out."""
+    """Actions (k, 3) with the automaton's frame effects removed."""
     for effect in automaton.effects:
         if form(effect.name).layer == "frame" and automaton.index(effect.coordinate) == coordinate:
             unit, a = np.eye(3), list(action.T)

@@ -67,7 +67,7 @@ class Event:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Step:
-    """The result of one step.
+    """Result of one step.
 
     Attributes:
         mode, x: at the end of the step; x is (n,).
@@ -83,7 +83,7 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """The result of `simulate` over k steps.
+    """Result of `simulate` over k steps.
 
     Attributes:
         modes: (k+1,) from the initial mode on.
@@ -99,7 +99,7 @@ class Run:
 
 
 def step(automaton: HybridAutomaton, mode: str, x: Values, u: Values, disturbance: Values | None = None) -> Step:
-    """The state after one step from x (n,) in `mode` with the input u (m,), as the module's docstring defines it.
+    """The state after one step from x (n,) in `mode` under the input u (m,), as defined in the module.
 
     Args:
         x, u: in order, or by name: ``{"door": 1.2}``; of all but a state, what is not named is 0.
@@ -135,7 +135,7 @@ def simulate(
     inputs: ArrayLike | Sequence[Values],
     disturbances: ArrayLike | None = None,
 ) -> Run:
-    """`step` after `step` with inputs (k, m) and disturbances (k, n), from x0 (n,) in `mode`; values by name as there.
+    """Repeated `step` with inputs (k, m) and disturbances (k, n) from x0 (n,) in `mode`; values may be given by name.
 
     Raises:
         InputError: as `step`, or the number of disturbances is not that of inputs.
@@ -176,11 +176,12 @@ class TransitionBatch:
     """t objects of one model, each with its own thresholds and gains."""
 
     def __init__(self, automaton: HybridAutomaton, shifts: Floats, gains: Floats | None = None) -> None:
-        """
+        """Create a batch.
+
         Args:
             automaton: the model.
-            shifts: (t, b) by how much each object's boundaries are moved (`drawn_thresholds.threshold_stds`).
-            gains: (t, g) relative errors of its gains (`step_noise.drawn_gains`); None: they are the model's.
+            shifts: (t, b) displacement of each object's boundaries (`drawn_thresholds.threshold_stds`).
+            gains: (t, g) relative errors of its gains (`step_noise.drawn_gains`); None: those of the model.
         """
         self._automaton = with_boundary_states(automaton)
         self.shifts = shifts
@@ -193,7 +194,7 @@ class TransitionBatch:
         return done.modes, done.x
 
     def travel(self, modes: Ints, x: Floats, u: Floats, disturbance: Floats) -> BatchStep:
-        """The same with all that happened."""
+        """The step with all its events."""
         return self._travelled(modes, x, u, disturbance, [])
 
     def _travelled(
@@ -229,13 +230,13 @@ class TransitionBatch:
         return BatchStep(ends, final[:, :n], complete, happened)
 
     def _mode(self, index: int) -> _Mode:
-        """The arrays of a mode, made when they are asked for: roll-outs see few modes of their object."""
+        """The arrays of a mode, created on demand: roll-outs visit few modes."""
         if index not in self._modes:
             self._modes[index] = _Mode(self._automaton, index, self.gains)
         return self._modes[index]
 
     def _next_entry(self, group: _Travellers, u: Floats) -> tuple[Floats, Ints]:
-        """(k,) how much further the first guard fires, infinite where none does, and the number of its exit.
+        """(k,) distance to the next entry into a guard, infinite if there is none, and the exit's number.
 
         After an event, guards that hold already are blocked ones: only later entries count.
         """
@@ -251,7 +252,7 @@ class TransitionBatch:
         return first, number
 
     def _arrived(self, group: _Travellers, number: int, ahead: Floats) -> _Travellers:
-        """A group at the instant at which it arrives at the guard of an exit of its mode."""
+        """A group at the instant of its arrival at a guard."""
         taken = np.zeros((len(self._automaton.edges), ahead.size), dtype=bool)
         entered = np.zeros((len(self._automaton.modes), ahead.size), dtype=bool)
         entered[group.mode] = True
@@ -266,7 +267,7 @@ class TransitionBatch:
         pushed: Floats,
         events: list[tuple[int, Event]] | None,
     ) -> tuple[list[_Travellers], _Travellers]:
-        """The groups after the next event of an instant, or after it; and the objects that have had too many events.
+        """(groups after the next event of an instant or after its end, objects with too many events).
 
         An exit back to a mode entered at this instant, and an edge taken at it, are blocked (no chattering): walls.
         """
@@ -297,7 +298,7 @@ class TransitionBatch:
     def _taken(
         self, group: _Travellers, number: int, u: Floats, disturbance: Floats, events: list[tuple[int, Event]] | None
     ) -> _Travellers:
-        """A group behind the event of one of its mode's exits."""
+        """A group behind one of its mode's exits."""
         leaving, instant = self._mode(group.mode), group.instant
         edge, target = int(leaving.edges[number]), int(leaving.targets[number])
         mode, rows, is_self = self._mode(target), group.rows, bool(leaving.is_self[number])
@@ -369,7 +370,7 @@ class _Mode:
             x[:, tie.coordinate] = tie.value(x)
 
     def displacement(self, rows: Ints, x: Floats, u: Floats, pushed: Floats) -> Floats:
-        """(k, n) motion of a whole step of the objects `rows` (k,) from x (k, n) with inputs and disturbances."""
+        """(k, n) displacement of a whole step for objects `rows` (k,) from x (k, n), with inputs and disturbances."""
         d = u @ self.B.T
         if self.gains is not None:
             d *= self.gains[rows]
@@ -378,7 +379,7 @@ class _Mode:
         return np.asarray(self.tied(d) + pushed @ self.moved.T)
 
     def tied(self, d: Floats) -> Floats:
-        """(k, n) motions with the tied coordinates moved along."""
+        """(k, n) motions with tied coordinates moved along."""
         for tie in self.ties:
             d[:, tie.coordinate] = d @ np.array(tie.weights)
         return d
@@ -390,7 +391,7 @@ class _Mode:
         return margin, (self.states @ d.T).reshape(shape)
 
     def can_enter(self, margin: Floats, rate: Floats, horizon: Floats) -> Booleans:
-        """(k,) whether any guard may fire within the horizon (k,): none of its half-spaces stays far."""
+        """(k,) whether any guard can fire within the horizon (k,)."""
         return np.asarray((np.maximum(margin, margin + horizon * rate) >= -self.tolerances).all(axis=0).any(axis=0))
 
     def entries(self, margin: Floats, rate: Floats, horizon: Floats) -> Floats:
@@ -407,14 +408,14 @@ class _Mode:
         return np.where(first < last, first, np.inf)
 
     def holding(self, margin: Floats, rate: Floats) -> Booleans:
-        """(e, k) whether each guard fires at once: `entries` with nothing ahead."""
+        """(e, k) whether each guard fires at once: `entries` at distance 0."""
         within = (rate < -self.tolerances) | (self.strict & (rate <= self.tolerances))
         return np.asarray(np.where(within, margin > self.tolerances, margin >= -self.tolerances).all(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
 class _Travellers:
-    """Objects of one mode on their way through a step.
+    """Objects of one mode during a step.
 
     Attributes:
         mode: index of the mode.
@@ -434,7 +435,7 @@ class _Travellers:
     instant: _Instant | None = None
 
     def where(self, chosen: Booleans) -> _Travellers:
-        """Some of them."""
+        """The objects selected by a mask."""
         if chosen.all():
             return self
         instant = None if self.instant is None else self.instant.where(chosen)
@@ -458,18 +459,18 @@ class _Instant:
     walls: Floats
 
     def where(self, chosen: Booleans) -> _Instant:
-        """The instant of some of the objects."""
+        """The instant of the selected objects."""
         return replace(self, taken=self.taken[:, chosen], entered=self.entered[:, chosen], walls=self.walls[:, chosen])
 
     def after(self, edge: int, target: int) -> _Instant:
-        """The instant with one more edge taken, into a mode; walls are met anew there."""
+        """The instant after one more edge into a mode, whose walls are detected anew."""
         taken, entered = self.taken.copy(), self.entered.copy()
         taken[edge] = entered[target] = True
         return _Instant(-1, taken, entered, self.walls[:0])
 
 
 def _slid(group: _Travellers, normals: Floats) -> _Travellers:
-    """A group without what of its motion is normal to a wall, normals (k, n), and to those met before it."""
+    """A group whose motion is projected on the walls, with normals (k, n), that it has met at this instant."""
     instant = group.instant
     if instant is None:
         raise ValueError("walls are met at an instant")
@@ -512,7 +513,7 @@ _NEVER = replace(_ALWAYS, c=1.0)
 # Objects with drawn thresholds share most of their half-spaces.
 @lru_cache(maxsize=4096)
 def _row(h: HalfSpace) -> _Row:
-    """A half-space with its weights of states (of inputs, if there are only those) scaled to length 1.
+    """A half-space with its weights of states (of inputs, if there are only those) normalised to length 1.
 
     Margins are then distances [rad or m], so that the tolerance does not depend on how the half-space is written.
     """

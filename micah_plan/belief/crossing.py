@@ -1,4 +1,4 @@
-"""Gaussians on their way through one step: where guards cut them, and what a transition makes of the part that crosses.
+"""Gaussians during one step: the cuts at guards, and the crossing part behind a transition.
 
 As in the automaton's own transition logic, a step is a straight path from a start to an end, an event lies where the
 path meets the guard, and the rest of the step follows the new mode. So what travels is the joint Gaussian of start and
@@ -61,7 +61,7 @@ def whole_step(
 def through_guards(
     layout: Layout, mode: ModeLayout, pieces: Pieces, events: int, pending: dict[int, list[Pieces]]
 ) -> list[Ends]:
-    """The shares that stay in their mode to the end of the step; what crosses is put on `pending`, by its new mode.
+    """The shares that end the step in their mode; crossing ones are appended to `pending` by their new mode.
 
     Args:
         events: transitions that the pieces have taken in this step.
@@ -109,7 +109,7 @@ def _free(mode: ModeLayout, pieces: Pieces, events: int) -> Booleans:
 
 
 def _sure_exits(mode: ModeLayout, free: Booleans) -> Ints:
-    """(p,) the first exit that the input alone opens for each piece; the number of exits where there is none."""
+    """(p,) first exit that the input alone opens for each piece; the number of exits where none does."""
     sure = np.full(free.shape[1], len(mode.exits))
     for number in reversed(range(len(mode.exits))):
         if not len(mode.exits[number].on_state):
@@ -120,7 +120,7 @@ def _sure_exits(mode: ModeLayout, free: Booleans) -> Ints:
 def _leave_at_once(
     layout: Layout, mode: ModeLayout, pieces: Pieces, free: Booleans, sure: Ints, pending: dict[int, list[Pieces]]
 ) -> None:
-    """What an input moves out of its mode before it moves the state: all of it, by the first exit that holds there.
+    """Move pieces through exits that open before the state moves: entirely, by the first exit that holds.
 
     Args:
         sure: (p,) the exit that the input alone opens; those before it take what lies inside of them at that instant.
@@ -153,7 +153,7 @@ def _leave_at_once(
 
 
 def _divided_at_start(pieces: Pieces, exit_taken: Exit) -> tuple[Pieces, list[Pieces]]:
-    """The shares of pieces that are inside of a guard where the step begins, and those outside of a half-space of it.
+    """(shares inside a guard at the start of the step, shares outside each of its half-spaces).
 
     Of several half-spaces each gives those that are inside of the ones before it and outside of it.
     """
@@ -167,7 +167,7 @@ def _divided_at_start(pieces: Pieces, exit_taken: Exit) -> tuple[Pieces, list[Pi
 
 
 def _given(pieces: Pieces, margin: Floats, row: Floats, chance: Floats) -> Pieces:
-    """The shares of pieces of which a margin (p,) at the start is above 0, which it is with a chance (p,)."""
+    """The shares of pieces with a positive margin (p,) at the start, which has probability `chance` (p,)."""
     mean, factor = pieces.mean, pieces.factor
     cut = ((chance < 1.0) & (chance >= NEGLIGIBLE)).nonzero()[0]
     if cut.size:
@@ -178,7 +178,7 @@ def _given(pieces: Pieces, margin: Floats, row: Floats, chance: Floats) -> Piece
 
 
 def _reached(exit_bounds: ExitBounds, pieces: Pieces, events: int) -> Booleans:
-    """(e, p) whether a piece may be inside all half-spaces of each exit with more than a share of 1e-15.
+    """(e, p) whether a piece lies inside all half-spaces of each exit with probability above 1e-15.
 
     The std of a margin is bounded by those of the coordinates; what turns out to be far nevertheless stays whole.
 
@@ -205,7 +205,7 @@ def _reached(exit_bounds: ExitBounds, pieces: Pieces, events: int) -> Booleans:
 def _cross(
     layout: Layout, mode: ModeLayout, pieces: Pieces, chosen: Ints, exit_taken: Exit
 ) -> tuple[Pieces | None, Pieces]:
-    """The shares of the chosen pieces that take an exit, in its target with the rest of the step to go; the others."""
+    """(crossing shares in the target with the remaining step, staying shares) of the chosen pieces at an exit."""
     if not len(exit_taken.on_state):
         remaining = pieces.probability.copy()
         remaining[chosen] = 0.0
@@ -240,7 +240,7 @@ def _cross(
 
 
 def _binding(mean: Floats, factor: Floats, u: Floats, exit_taken: Exit) -> Binding:
-    """The half-space that holds last: the one whose margin at the start (n, p), (n, k, p) is worst."""
+    """The binding half-space, with the worst margin at the start (n, p), (n, k, p)."""
     rows = exit_taken.on_state
     offsets = rows.offsets(u)
     if len(rows) == 1:
@@ -257,7 +257,8 @@ def _stds(weights: Floats, factor: Floats) -> Floats:
 
 
 def _within_others(shares: Shares, exit_taken: Exit, binding: Binding, u: Floats) -> Floats:
-    """(p,) probability of being within all half-spaces but the binding one, of what crosses; cut there, in place.
+    """(p,) probability that crossing shares lie within all half-spaces but the binding one; the shares are cut in
+    place.
 
     A half-space that the path leads out of must hold where it crosses the binding one, any other at the end: a hand
     that may take hold now has done so, wherever it goes in that step. The probability is the product of those of one
@@ -286,12 +287,12 @@ def _within_others(shares: Shares, exit_taken: Exit, binding: Binding, u: Floats
 
 
 def _blocked(pieces: Pieces, number: int, exit_taken: Exit) -> Booleans:
-    """(p,) whether an exit leads to a mode entered at this instant, or back to its own and was taken at it."""
+    """(p,) whether an exit leads back to a mode entered at this instant, or repeats a self-transition."""
     return np.asarray(pieces.taken[number] if exit_taken.is_self else pieces.entered[exit_taken.target])
 
 
 def _slid(mode: ModeLayout, pieces: Pieces) -> Pieces:
-    """The pieces with the ends of their steps on the boundaries of exits that are blocked at this instant.
+    """The pieces with ends projected on the boundaries of blocked exits.
 
     Where one input moves a coordinate forth in a mode and back in the next, the step that enters the next mode would
     lead straight back; where a transition back to its own mode resets another coordinate than led to it, the step goes
@@ -388,7 +389,7 @@ def transition(layout: Layout, mode: ModeLayout, pieces: Pieces, exit_taken: Exi
 
 
 def _share_behind(pieces: Pieces, binding: Binding | None) -> tuple[Floats, Floats]:
-    """(p,) expected shares of the paths behind the guard, and 1 / (m1 - m0) (p,); 1 and 0 where one starts behind."""
+    """(p,) expected fraction of the path behind the guard, and (p,) 1 / (m1 - m0); 1 and 0 for starts behind it."""
     if binding is None:
         return np.ones(pieces.owner.size), np.zeros(pieces.owner.size)
     before, after = binding.along(pieces.mean.swapaxes(0, 1)) - binding.offset
@@ -406,7 +407,7 @@ def _motion(automaton: HybridAutomaton, mode: ModeLayout, mean: Floats, u: Float
 
 
 def _pinned_at(mode: ModeLayout, pieces: Pieces, exit_taken: Exit, at_once: Booleans) -> Floats:
-    """(n, p) where pieces that take an exit of a mode at once were pinned before; a reset moves them elsewhere."""
+    """(n, p) pinned values of pieces that leave a mode at once; NaN where they move freely or a reset acts."""
     if exit_taken.reset is not None or not np.count_nonzero(at_once):
         return np.full(pieces.pinned_at.shape, np.nan)
     pinned_at = np.where(at_once, pieces.pinned_at, np.nan)
@@ -417,7 +418,7 @@ def _pinned_at(mode: ModeLayout, pieces: Pieces, exit_taken: Exit, at_once: Bool
 
 
 def _taken(layout: Layout, mode: ModeLayout, pieces: Pieces, exit_taken: Exit, at_once: Booleans) -> Booleans:
-    """`Pieces.taken` after an exit; none of a mode that was just entered."""
+    """`Pieces.taken` after an exit; cleared for newly entered modes."""
     if not exit_taken.is_self:
         return np.zeros((len(layout.modes[exit_taken.target].exits), pieces.owner.size), dtype=bool)
     taken = pieces.taken & at_once
@@ -426,7 +427,7 @@ def _taken(layout: Layout, mode: ModeLayout, pieces: Pieces, exit_taken: Exit, a
 
 
 def _freed(layout: Layout, source: ModeLayout, pieces: Pieces, exit_taken: Exit) -> tuple[Ints, Floats]:
-    """Coordinates (c,) that had no noise in the mode before, and its std (c, p) or (c, 1) in a whole step."""
+    """(coordinates (c,) that were noise-free in the mode before, their std (c, p) or (c, 1) per whole step)."""
     if exit_taken.freed is not None:
         return exit_taken.freed
     modes = source.mode, layout.modes[exit_taken.target].mode
@@ -437,7 +438,7 @@ def _freed(layout: Layout, source: ModeLayout, pieces: Pieces, exit_taken: Exit)
 
 
 def _settled(layout: Layout, pieces: Pieces, exit_taken: Exit, column: int, noise: tuple[Ints, Floats]) -> Pieces:
-    """The pieces in their new mode: pinned coordinates stand still and are known, freed ones get their process noise.
+    """The pieces in their new mode, with pinned coordinates fixed and process noise on freed ones.
 
     A pin that the guard locates replaces what was known of its coordinate, any other pin adds to it.
 

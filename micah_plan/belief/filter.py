@@ -58,7 +58,7 @@ _LOG_NEGLIGIBLE = np.log(NEGLIGIBLE)
 def initial_belief(
     automaton: HybridAutomaton, mean: ArrayLike, spread: ArrayLike, mode: str | None = None
 ) -> HybridBelief:
-    """The belief at the start: all of it in one mode, whose pins are information.
+    """The initial belief in one mode, conditioned on its pins.
 
     Args:
         mean: (n,) [rad or m].
@@ -92,7 +92,7 @@ def initial_belief(
 
 
 def repeated(automaton: HybridAutomaton, belief: HybridBelief, count: int) -> BeliefBatch:
-    """The same belief `count` times."""
+    """A belief repeated `count` times as a batch."""
     batch = batch_of([belief], layout_of(automaton).stds)
     weights, means, factors = (np.repeat(values, count, axis=-1) for values in batch.side_by_side())
     return BeliefBatch.of(weights, means, factors, batch.n)
@@ -143,7 +143,7 @@ def predict_each(automaton: HybridAutomaton, beliefs: Sequence[HybridBelief], u:
 
 
 def update_each(automaton: HybridAutomaton, beliefs: Sequence[HybridBelief], z: Floats) -> list[HybridBelief]:
-    """`update` of several single beliefs in one go, with measurements (t, n); one without a measurement stays as it is.
+    """`update` of several single beliefs at once, with measurements (t, n); rows without a measurement are unchanged.
 
     Unlike in a batch, modes without weight are measured too.
     """
@@ -158,7 +158,7 @@ def update_each(automaton: HybridAutomaton, beliefs: Sequence[HybridBelief], z: 
 
 
 def explains(automaton: HybridAutomaton, belief: HybridBelief, z: Floats) -> bool:
-    """Whether a measurement z (n,) that was taken in lies where the likeliest mode has the state, except for noise.
+    """Whether a measurement z (n,) agrees with the likeliest mode within noise.
 
     What remains of it scatters by less than the noise of a measurement. Where it is so far away that noise would have
     less than the probability that filters drop, the model does not describe what is measured, however sure the belief.
@@ -169,7 +169,7 @@ def explains(automaton: HybridAutomaton, belief: HybridBelief, z: Floats) -> boo
 
 
 def innovations(automaton: HybridAutomaton, belief: HybridBelief, z: Floats) -> Floats:
-    """(k,) how far a measurement z (k,) lies from where the likeliest mode of the belief before it expects it, in stds.
+    """(k,) innovations of a measurement z (k,) under the likeliest mode of the prior belief, in stds.
 
     Of a model that holds they are independent, with mean 0 and std 1. NaN where nothing was measured.
     """
@@ -179,7 +179,7 @@ def innovations(automaton: HybridAutomaton, belief: HybridBelief, z: Floats) -> 
 
 
 def _apart(automaton: HybridAutomaton, belief: HybridBelief, z: Floats) -> tuple[Floats, Floats]:
-    """A measurement z (k,) less the mean of the likeliest mode, and the std of its noise there."""
+    """(measurement z minus the likeliest mode's mean, its noise std)."""
     layout, mode = layout_of(automaton), np.array([belief.most_likely])
     mean = np.zeros((layout.n, 1))
     mean[: len(z), 0] = belief.means[mode[0], : len(z)]
@@ -221,7 +221,7 @@ def _predicted(layout: Layout, beliefs: BeliefBatch, u: Floats) -> BeliefBatch:
 
 
 def _completed(layout: Layout, beliefs: BeliefBatch) -> BeliefBatch:
-    """The beliefs with Gaussians for modes without weight too: the mixture's, put at the pins of the mode."""
+    """The beliefs with Gaussians for modes without weight: the mixture's, at the mode's pins."""
     weights, means, factors = beliefs.side_by_side()
     lacking = weights == 0
     if not np.count_nonzero(lacking):
@@ -243,7 +243,7 @@ def _completed(layout: Layout, beliefs: BeliefBatch) -> BeliefBatch:
 
 
 def _updated(layout: Layout, beliefs: BeliefBatch, z: Floats, chosen: Booleans) -> tuple[BeliefBatch, Booleans]:
-    """The beliefs after measuring z (n, t), and which of them (t,) began anew.
+    """(beliefs after measuring z (n, t), whether each (t,) was reinitialised).
 
     Args:
         chosen: (q, t) the modes whose Gaussians are measured.
@@ -271,7 +271,7 @@ def _updated(layout: Layout, beliefs: BeliefBatch, z: Floats, chosen: Booleans) 
 def _measured_in_modes(
     layout: Layout, mode: Ints, mean: Floats, factor: Floats, seen: Floats, likely: Booleans
 ) -> tuple[Floats, Floats, Floats]:
-    """`measured`, of states that lie outside of the guards which end their modes (p,)."""
+    """`measured` for states outside the guards that end their modes (p,)."""
     std = _sensing_std(layout, mode, mean)
     mean, factor, before, piled = _uncut_at_guards(layout, mode, mean, factor, likely)
     says = (before > _LOG_NEGLIGIBLE) & likely
@@ -291,7 +291,9 @@ def _measured_in_modes(
 def _found_again(
     layout: Layout, before: BeliefBatch, after: BeliefBatch, z: Floats, evidence: Floats
 ) -> tuple[BeliefBatch, Booleans]:
-    """The beliefs after a measurement, begun anew where that is more probable than what their modes say; and where."""
+    """(beliefs after a measurement, whether each was reinitialised) where a lost belief is less probable than a new
+    one.
+    """
     anew = np.zeros(evidence.size, dtype=bool)
     weights, means, factors = after.side_by_side()
     for owner in map(int, (evidence < most_evidence(layout, z)).nonzero()[0]):
@@ -308,7 +310,7 @@ def _found_again(
 
 @dataclass(frozen=True, eq=False)
 class _Piled:
-    """States that lie on the boundary of one guard, of some of p Gaussians.
+    """States concentrated on the boundary of one guard, for some of p Gaussians.
 
     Attributes:
         number: (c,) of the Gaussians.
@@ -325,7 +327,7 @@ class _Piled:
 def _uncut_at_guards(
     layout: Layout, mode: Ints, mean: Floats, factor: Floats, likely: Booleans
 ) -> tuple[Floats, Floats, Floats, list[_Piled]]:
-    """The Gaussians whose part outside of the guards that end a mode are states (n, p), (n, n, p) in these modes (p,).
+    """Gaussians whose truncations outside the mode-ending guards have the moments (n, p), (n, n, p).
 
     Args:
         likely: (p,) which are worth it; the others stay as they are, and guards say nothing of them.
@@ -354,7 +356,7 @@ def _uncut_at_guards(
 def _cut_at_guards(
     layout: Layout, mode: Ints, mean: Floats, factor: Floats, says: Booleans
 ) -> tuple[Floats, Floats, Floats]:
-    """Means and factors of Gaussians given that they lie outside of the guards of their modes, and its log (p,).
+    """Means and factors of Gaussians truncated outside the guards of their modes, and the log probability (p,).
 
     Args:
         says: (l, p) whether a guard says so. One behind which all of the belief before lies does not: the automaton
@@ -377,7 +379,7 @@ def _cut_at_guards(
 def _margins(
     layout: Layout, mode: Ints, mean: Floats, factor: Floats, number: int | slice = slice(None)
 ) -> tuple[Floats, Floats]:
-    """By how much states (n, p), (n, k, p) in these modes (p,) lie outside of guards (l, p), and a'F (l, k, p).
+    """(distance of states (n, p) outside guards (l, p), a'F (l, k, p)) in modes (p,).
 
     Of the guard with that number alone (p,) and (k, p).
     """
@@ -408,7 +410,7 @@ def _mode_at(automaton: HybridAutomaton, mean: Floats, factor: Floats) -> str:
 
 
 def _chance(half_spaces: Sequence[HalfSpace], mean: Floats, factor: Floats) -> float:
-    """Probability that a state (n,) with factor (n, n) lies in all half-spaces at rest, taken as independent."""
+    """Approximate probability that a state (n,) with factor (n, n) lies in all half-spaces, taken as independent."""
     rows = HalfSpaceRows.of(half_spaces, mean.size, len(half_spaces[0].b) if half_spaces else 0)
     stds = np.sqrt(np.square(rows.a @ factor).sum(axis=1) + SMALLEST_STD**2)
     return float(np.prod(ndtr((rows.a @ mean - rows.c[:, 0]) / stds)))

@@ -32,7 +32,7 @@ _FEW = 8
 
 
 def those(values: Values, chosen: Ints) -> Values:
-    """(..., c) of arrays (..., p) the ones with these numbers (c,).
+    """(..., c) columns `chosen` (c,) of arrays (..., p).
 
     Unlike indexing, which puts the numbers first in memory, it leaves their number last there too.
     """
@@ -46,7 +46,7 @@ def weighted(weights: Floats, factors: Floats) -> Floats:
 
 
 def with_those(values: Floats, chosen: Ints, replacement: Floats) -> Floats:
-    """Arrays (..., p) with others (..., c) for the ones with these numbers (c,)."""
+    """Arrays (..., p) with the columns `chosen` (c,) replaced by (..., c)."""
     changed = values.copy()
     put_those(changed, chosen, replacement)
     return changed
@@ -74,7 +74,7 @@ def lower_factors(matrices: Floats, overwrite: bool = False) -> Floats:
 
 
 def _by_reflections(matrices: Floats) -> Floats:
-    """Householder's, one matrix after the other."""
+    """LQ decomposition by Householder reflections, one matrix at a time."""
     n, _, count = matrices.shape
     lower = np.empty((n, n, count))
     for i in range(count):
@@ -140,7 +140,7 @@ def measured(means: Floats, factors: Floats, z: Floats, std: Floats) -> tuple[Fl
 
 
 def condition_on_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tuple[Floats, Floats]:
-    """Means and factors given that a mode's pins hold: each pin is one measurement of its coordinate.
+    """Means and factors conditioned on a mode's pins, each a measurement of its coordinate.
 
     A pin that follows another coordinate is one of the difference of the two. Factors may be any square roots.
     """
@@ -157,7 +157,7 @@ def condition_on_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tu
 
 
 def replaced_at_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tuple[Floats, Floats]:
-    """Means and factors (n, k + pins, p) once a mode pins coordinates at places that its guard defines.
+    """Means and factors (n, k + pins, p) after pinned coordinates are replaced by their guard's position.
 
     Where the state was before tells nothing of where exactly it is pinned, so the pin replaces what was known of the
     coordinate, whereas `condition_on_pins` adds to it. A place that follows another coordinate varies with that one.

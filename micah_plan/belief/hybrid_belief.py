@@ -30,7 +30,7 @@ class BeliefBatch:
 
     @staticmethod
     def of(weights: Floats, means: Floats, factors: Floats, n: int) -> BeliefBatch:
-        """From weights (q, t) and what is reshaped to (n + b, q, t) and (n + b, n + b, q, t): see `side_by_side`."""
+        """From weights (q, t) and arrays reshaped to (n + b, q, t) and (n + b, n + b, q, t): see `side_by_side`."""
         size, shape = len(means), weights.shape
         joint_means, joint_factors = means.reshape(size, *shape), factors.reshape(size, size, *shape)
         return BeliefBatch(weights.T, joint_means.transpose(2, 1, 0), joint_factors.transpose(3, 2, 0, 1), n)
@@ -40,7 +40,7 @@ class BeliefBatch:
         return self.weights.T, self.joint_means.transpose(2, 1, 0), self.joint_factors.transpose(2, 3, 1, 0)
 
     def alone(self, number: int) -> HybridBelief:
-        """One of them, of whose modes all must have a Gaussian; not to be written to."""
+        """A single belief, all of whose modes must have a Gaussian; read-only."""
         n = self.n
         weights, means, factors = self.weights[number], self.joint_means[number], self.joint_factors[number]
         parts = [weights, means[:, :n], factors[:, :n, :n]]
@@ -51,7 +51,7 @@ class BeliefBatch:
         return HybridBelief(*parts)
 
     def where(self, chosen: Sequence[int]) -> BeliefBatch:
-        """Those with these numbers."""
+        """The beliefs with these numbers."""
         beliefs = list(chosen)
         return BeliefBatch(self.weights[beliefs], self.joint_means[beliefs], self.joint_factors[beliefs], self.n)
 
@@ -118,7 +118,7 @@ class HybridBelief:
 
 
 def batch_of(beliefs: Sequence[HybridBelief], stds: Floats) -> BeliefBatch:
-    """Single beliefs as a batch; boundaries of which they have learned nothing are known as well as in the model.
+    """Single beliefs as a batch; boundaries without estimates keep the model's stds.
 
     Args:
         stds: (b,) of the uncertain boundaries in the model.

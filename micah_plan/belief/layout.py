@@ -1,4 +1,4 @@
-"""What a filter needs of an automaton in every step, worked out once: guards as rows of matrices, noise, sensing."""
+"""Precomputed layout of an automaton for the filter: guards as rows of matrices, noise, sensing."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class HalfSpaceRows:
 
     @cached_property
     def terms(self) -> tuple[tuple[int, float], ...]:
-        """(coordinate, weight) of the first row, with those that only others weigh."""
+        """(coordinate, weight) of the first row, including coordinates that only other rows weight."""
         return tuple((int(i), float(self.a[0, i])) for i in np.flatnonzero(self.a.any(axis=0)))
 
     @cached_property
@@ -58,7 +58,7 @@ class HalfSpaceRows:
 
 @dataclass(frozen=True, eq=False)
 class Exit:
-    """A transition out of a mode.
+    """A transition out of a mode, as arrays.
 
     Attributes:
         target: number of its mode; is_self: whether that is the mode itself.
@@ -86,7 +86,7 @@ class Exit:
 
 @dataclass(frozen=True, eq=False)
 class ExitBounds:
-    """The guards of several exits, as far as they are on the state.
+    """State half-spaces of the guards of several exits.
 
     Attributes:
         rows: their half-spaces, one exit after the other; far: (r, n) their absolute weights times FAR_STDS.
@@ -133,7 +133,7 @@ class ModeLayout:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """An automaton as its filter sees it.
+    """Precomputed arrays of an automaton.
 
     Attributes:
         automaton: over states and boundaries (`with_boundary_states`), of n states of which the first `own` are x.
@@ -159,7 +159,7 @@ class Layout:
 
 @memoised
 def layout_of(automaton: HybridAutomaton) -> Layout:
-    """The layout of an automaton, made once."""
+    """The layout of an automaton, cached."""
     whole = with_boundary_states(automaton)
     sensing = tuple(whole.sensing(mode) for mode in whole.modes)
     uniform = all(sensing.is_uniform for sensing in sensing)

@@ -1,4 +1,4 @@
-"""A lost belief: what is measured cannot be what it says, so the state is where it is measured, in any mode.
+"""Recovery of lost beliefs: after a contradicting measurement the state is at the measurement, in any mode.
 
 Beside the automaton's modes stands one more hypothesis, as improbable as what filters drop: something happened that the
 model does not know, and nothing is left of what was believed. Then the state lies anywhere that the modes allow, and
@@ -31,7 +31,7 @@ _WIDTH = 1.0
 
 
 def most_evidence(layout: Layout, z: Floats) -> Floats:
-    """(t,) an upper bound of the log evidence that the state lies anywhere, of measurements z (own, t).
+    """(t,) upper bound of the log evidence of reinitialised beliefs for measurements z (own, t).
 
     Evidence of a belief above it needs no comparison: that is nearly always so, and cheap to know.
     """
@@ -41,7 +41,7 @@ def most_evidence(layout: Layout, z: Floats) -> Floats:
 
 
 def reinitialise(layout: Layout, belief: BeliefBatch, z: Floats) -> tuple[BeliefBatch, float]:
-    """A single belief if nothing of it were true but what z (own,) does not measure, and the log evidence of that.
+    """(a belief that keeps only what z (own,) does not measure, its log evidence).
 
     In every mode that allows it the state is where it is measured, and at the mode's pins and ties. Where it would have
     collided it is nowhere: that is said of a way, not of a place.
@@ -71,7 +71,7 @@ def reinitialise(layout: Layout, belief: BeliefBatch, z: Floats) -> tuple[Belief
 
 
 def _in_mode(mode: Mode, mean: Floats, covariance: Floats, density: Floats) -> tuple[Floats, Floats, float]:
-    """Mean (n,) and covariance (n, n) at a mode's pins and ties, and the log density of the measurement there.
+    """Mean (n,) and covariance (n, n) conditioned on a mode's pins and ties, and the measurement's log density.
 
     Args:
         density: (n,) log density of each measured coordinate where the mode does not say where it is.
@@ -86,7 +86,7 @@ def _in_mode(mode: Mode, mean: Floats, covariance: Floats, density: Floats) -> t
 
 
 def _marginals(belief: BeliefBatch) -> tuple[Floats, Floats]:
-    """(n,) mean and stds of a single belief's states and boundaries."""
+    """(n,) mean and stds of a single belief over states and boundaries."""
     weights, means, factors = belief.weights[0], belief.joint_means[0], belief.joint_factors[0]
     positive = weights > 0
     weights, means = weights[positive], means[positive]
@@ -95,7 +95,7 @@ def _marginals(belief: BeliefBatch) -> tuple[Floats, Floats]:
 
 
 def _known(mode: Mode, n: int) -> Iterator[tuple[int, Floats, float, float]]:
-    """(coordinate, row (n,), value, std) of a mode's pins and ties: row'x is the value except for the std."""
+    """(coordinate, row (n,), value, std) of a mode's pins and ties, as row'x = value ± std."""
     unit = np.eye(n)
     for pin in mode.pins:
         yield (
@@ -109,7 +109,7 @@ def _known(mode: Mode, n: int) -> Iterator[tuple[int, Floats, float, float]]:
 
 
 def _log_chance(layout: Layout, index: int, x: Floats, covariance: Floats) -> float:
-    """Log probability that a state lies in a mode's invariant and outside of the guards that end the mode."""
+    """Log probability that a state lies in a mode's invariant, outside its ending guards."""
     invariant = [h for h in layout.modes[index].mode.invariant.half_spaces if h.on_state and not h.on_input]
     rows = np.array([*(h.a for h in invariant), *layout.outside[0][:, :, index]]).reshape(-1, layout.n)
     offsets = np.array([*(h.c for h in invariant), *layout.outside[1][:, index]])
@@ -118,7 +118,7 @@ def _log_chance(layout: Layout, index: int, x: Floats, covariance: Floats) -> fl
 
 
 def _widths(layout: Layout) -> Floats:
-    """(n,) of the range of each coordinate over the modes."""
+    """(n,) width of each coordinate's range over the modes."""
     modes = [mode.mode for mode in layout.modes if mode.mode.name != COLLIDED]
     ranges = [layout.automaton.ranges(i, modes) for i in range(layout.n)]
     widths = np.array([own[-1][1] - own[0][0] if own else _WIDTH for own in ranges])

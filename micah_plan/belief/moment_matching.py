@@ -1,4 +1,4 @@
-"""The shares of a belief that came to the same mode become one Gaussian with their moments.
+"""Moment matching: the shares of a belief in one mode merged into a Gaussian.
 
 Source: Blom and Bar-Shalom, "The interacting multiple model algorithm", IEEE Transactions on Automatic Control 1988.
 """
@@ -39,7 +39,7 @@ def mixed(weights: Floats, means: Sequence[Floats], factors: Sequence[Floats]) -
 def assembled(
     layout: Layout, arrived: Sequence[tuple[int, Ends]], count: int, remembered: Floats | None
 ) -> BeliefBatch:
-    """One Gaussian per mode and belief from its pieces (moment matching).
+    """One Gaussian per mode and belief from its pieces, by moment matching.
 
     Args:
         arrived: with the numbers of their modes.
@@ -71,7 +71,7 @@ def assembled(
 def _gathered(
     arrived: Sequence[tuple[int, Ends]], numbers: Sequence[Ints], chosen: Sequence[Ints]
 ) -> tuple[Ends, Ints]:
-    """The chosen ones of all groups, and their numbers (p,)."""
+    """(selected entries of all groups, their numbers (p,))."""
     groups = [
         ends.where(chosen_ends) for (_, ends), chosen_ends in zip(arrived, chosen, strict=True) if chosen_ends.size
     ]
@@ -85,7 +85,7 @@ def _gathered(
 
 
 def _mixtures(ends: Ends, number: Ints, counts: Ints) -> tuple[Floats, Floats, Floats]:
-    """Weights (o,), means (n, o) and factors (n, n, o) of the pieces with one number (p,), in ascending order of it.
+    """Weights (o,), means (n, o) and factors (n, n, o) of pieces merged by number (p,), in ascending order.
 
     Args:
         counts: (o,) of the pieces with each number.

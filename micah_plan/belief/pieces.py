@@ -1,4 +1,4 @@
-"""Shares of beliefs on their way through one step: the joint Gaussian of start and end of what is left of it."""
+"""Shares of beliefs during one step: joint Gaussians of the start and end of the remaining step."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from micah_plan.belief.truncation import Margins
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """Gaussians that have come to the end of the step.
+    """Gaussians at the end of the step.
 
     Attributes:
         owner: (p,) number of the belief that each is a share of.
@@ -37,7 +37,7 @@ class Ends:
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Shares of beliefs on their way, p of them, all in one mode.
+    """p shares of beliefs during a step, all in one mode.
 
     Attributes:
         owner: (p,) number of the belief that each is a share of.
@@ -87,7 +87,7 @@ class Pieces:
         )
 
     def replaced(self, chosen: Ints, probability: Floats, mean: Floats, factor: Floats) -> Pieces:
-        """All pieces, with other Gaussians for those with these numbers."""
+        """All pieces, with the Gaussians of some replaced."""
         if chosen.size < self.owner.size:
             whole = self.probability.copy(), self.mean.copy(), self.factor.copy()
             for values, values_of_part in zip(whole, (probability, mean, factor), strict=True):
@@ -96,12 +96,12 @@ class Pieces:
         return replace(self, probability=probability, mean=mean, factor=factor)
 
     def ends(self) -> Ends:
-        """Where they are if no guard is on the rest of their way."""
+        """The ends of the pieces if no further guard is met."""
         return Ends(self.owner, self.probability, self.mean[1], self.factor[1])
 
 
 def joined_pieces(groups: Sequence[Pieces]) -> Pieces:
-    """All pieces of several groups in one mode."""
+    """The concatenated pieces of several groups in one mode."""
     if len(groups) == 1:
         return groups[0]
     parts = {name: [getattr(group, name) for group in groups] for name in vars(groups[0])}
@@ -110,7 +110,7 @@ def joined_pieces(groups: Sequence[Pieces]) -> Pieces:
 
 
 def side_by_side(factors: Sequence[Floats]) -> Floats:
-    """(..., k, p) several factors (..., k', p'), those with fewer columns filled up with zeros."""
+    """(..., k, p) several factors (..., k', p') concatenated, padded with zero columns."""
     if len(factors) == 1:
         return factors[0]
     widest, count = max(factor.shape[-2] for factor in factors), sum(factor.shape[-1] for factor in factors)
@@ -123,7 +123,7 @@ def side_by_side(factors: Sequence[Floats]) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Binding:
-    """Per piece the half-space of a guard that holds last.
+    """Binding half-space of a guard per piece.
 
     Attributes:
         terms: (coordinate, weight or weights (p,)) of its margin.

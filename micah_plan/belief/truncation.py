@@ -1,4 +1,4 @@
-"""Gaussians cut by half-spaces: those split by one that they move into, and those known to lie within one.
+"""Truncation of Gaussians by half-spaces: split at a boundary, or conditioned on one side.
 
 A state that is still in its mode lies in front of the guards that leave it. So what a belief's mean and covariance
 describe ends at the guard, and is skewed: a Gaussian that is cut there (`truncated`), of which these are the moments.
@@ -56,7 +56,7 @@ class Margins:
         return Margins(those(self.mean, chosen), those(self.row, chosen))
 
     def can_cross(self, probability: Floats) -> Booleans:
-        """(p,) whether of shares (p,) of beliefs more than filters drop can cross.
+        """(p,) whether the crossing share can exceed the filter's threshold, for shares (p,) of beliefs.
 
         No more does than ends inside, and nothing where all of it stays where it is.
         """
@@ -68,7 +68,7 @@ class Margins:
 
 @dataclass(frozen=True, eq=False)
 class Shares:
-    """What crosses into a half-space (first index 0) and what stays (1) of each of p Gaussians.
+    """Crossing (first index 0) and remaining (1) shares of p Gaussians.
 
     Attributes:
         probability: (2, p), of sum 1; 0 for what filters drop, which has the moments of the whole.
@@ -81,7 +81,7 @@ class Shares:
 
 
 def split(mean: Floats, factor: Floats, margins: Margins) -> Shares:
-    """What crosses into half-spaces and what stays, of densities that end at them where the step begins.
+    """Crossing and remaining shares of Gaussians whose densities end at the half-spaces at the start of the step.
 
     Moments are exact up to rounding or quadrature (1e-9). Only what has its mean behind the half-space is there: all
     that is inside crosses.
@@ -112,7 +112,7 @@ def split(mean: Floats, factor: Floats, margins: Margins) -> Shares:
 
 
 def truncated(mean: Floats, factor: Floats, margin: Floats, row: Floats) -> tuple[Floats, Floats]:
-    """Means and factors, as wide as they were, of Gaussians given that a margin is above 0; exact.
+    """Means and factors of Gaussians truncated at margin > 0, with their original widths; exact.
 
     Args:
         mean, factor: (..., p) and (..., k, p).
@@ -125,13 +125,13 @@ def truncated(mean: Floats, factor: Floats, margin: Floats, row: Floats) -> tupl
 
 
 def is_cut(margin: Floats, row: Floats) -> Booleans:
-    """(..., p) where what has a margin above 0, of means (..., p) and rows (..., k, p), is cut there."""
+    """(..., p) whether conditioning on margin > 0 truncates a Gaussian with rows (..., k, p)."""
     z = margin / np.sqrt(np.einsum("...kp,...kp->...p", row, row) + SMALLEST_STD**2)
     return np.asarray((z >= 0.0) & (z < _WHOLE))
 
 
 def uncut(mean: Floats, factor: Floats, margin: Floats, row: Floats) -> tuple[Floats, Floats, Floats]:
-    """Means and factors of the Gaussians that have the given ones once cut at a margin above 0: `truncated` undone.
+    """Inverse of `truncated`: means and factors before truncation at margin > 0.
 
     A Gaussian that is cut at its own mean has a mean `_STEEPEST` stds ahead. Where states pile up on a boundary the
     mean is nearer: then a share of them has that shape, and together with those on it (`onto_boundary`) the mean and
@@ -150,20 +150,20 @@ def uncut(mean: Floats, factor: Floats, margin: Floats, row: Floats) -> tuple[Fl
 
 
 def onto_boundary(mean: Floats, factor: Floats, margin: Floats, row: Floats) -> tuple[Floats, Floats]:
-    """Means and factors of Gaussians given that a margin is 0; arguments as of `uncut`."""
+    """Means and factors of Gaussians conditioned on margin = 0; arguments as in `uncut`."""
     direction, along, ahead = _along(factor, margin, row)
     return mean - along * ahead, factor - along[..., None, :] * direction
 
 
 def _along(factor: Floats, margin: Floats, row: Floats) -> tuple[Floats, Floats, Floats]:
-    """The direction of noise (k, p) that moves margins, how it moves states (..., p), and the margins in stds (p,)."""
+    """(noise direction (k, p) of the margin, its effect on states (..., p), margin in stds (p,))."""
     std = np.sqrt(np.einsum("kp,kp->p", row, row) + SMALLEST_STD**2)
     direction = row / std
     return direction, np.einsum("...kp,kp->...p", factor, direction), margin / std
 
 
 def _before_cut(ahead: Floats) -> tuple[Floats, Floats, Floats]:
-    """By how much Gaussians lie nearer to where they are cut than what is left, how much wider they are, and the share.
+    """(shift, scale, share) of Gaussians before truncation, relative to their truncated moments.
 
     Args:
         ahead: (p,) of the cut lies the mean of what is left, in its stds, as the answers are; of what is partly on the
@@ -179,7 +179,7 @@ def _before_cut(ahead: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _cut(place: Floats) -> tuple[Floats, Floats]:
-    """Of Gaussians of std 1 that lie `place` in front of where they are cut: mean distance and std of what is left."""
+    """(mean distance, std) of unit Gaussians with mean `place` truncated at 0."""
     mills = np.sqrt(2 / np.pi) / erfcx(-place / np.sqrt(2))
     return place + mills, np.sqrt(1.0 - mills * (mills + place))
 
@@ -199,7 +199,7 @@ def log_probability(margin: Floats, row: Floats) -> Floats:
 
 
 def _moments_before(plane: _Plane) -> Floats:
-    """Moments (6, 2, p) of what crosses and of what stays, of densities that end at the half-spaces before the step.
+    """Moments (6, 2, p) of crossing and remaining shares, of densities that end at the half-spaces before the step.
 
     What has its mean in front of a half-space has all of it there: a part lies on it, the rest is a Gaussian cut by it.
     """
@@ -226,7 +226,7 @@ def _moments_before(plane: _Plane) -> Floats:
 
 
 def _on_the_boundary(plane: _Plane, place: Floats) -> Floats:
-    """Moments (6, 2, p) of what crosses and of what stays, of states that are all at ζ0 = place."""
+    """Moments (6, 2, p) of crossing and remaining shares of states with ζ0 = place."""
     with np.errstate(divide="ignore", invalid="ignore"):
         offset = -(plane.m1 + plane.k * place) / plane.t
     upward = half_planes(np.clip(np.nan_to_num(offset, nan=_SURELY, posinf=_SURELY), -_SURELY, _SURELY))
@@ -250,7 +250,7 @@ class _Plane:
 
 
 def _whitened(margins: Margins) -> tuple[Floats, Floats, _Plane]:
-    """Two orthonormal directions (k, p) of the noise, of which the first alone moves m0, and the margins over them."""
+    """Two orthonormal noise directions (k, p), the first along m0, and the margins in them."""
     row0, row1 = margins.row
     s0 = length = np.sqrt(np.einsum("kp,kp->p", row0, row0))
     is_point = s0 < SMALLEST_STD
@@ -269,7 +269,7 @@ def _whitened(margins: Margins) -> tuple[Floats, Floats, _Plane]:
 
 
 def _moments_of_shares(plane: _Plane, inside: Booleans) -> Floats:
-    """Moments (6, 2, p) of what crosses and of what stays.
+    """Moments (6, 2, p) of crossing and remaining shares.
 
     `inside`: the mass that starts behind the guard crosses; else there is none.
     """
@@ -295,7 +295,7 @@ def _moments_of_shares(plane: _Plane, inside: Booleans) -> Floats:
 
 
 def _from_known_start(plane: _Plane, inside: Booleans) -> Floats:
-    """Moments (6, 2, p) of what crosses and of what stays, where the start is known: all that ends inside crosses."""
+    """Moments (6, 2, p) of crossing and remaining shares for known starts: all that ends inside crosses."""
     moves = plane.k > 0
     offset = np.where(moves, -plane.m1 / np.where(moves, plane.k, 1.0), np.where(plane.m1 > 0, -_SURELY, _SURELY))
     return half_planes(np.where(inside, -_SURELY, np.clip(offset, -_SURELY, _SURELY)))
@@ -342,7 +342,7 @@ def _integrate(plane: _Plane, inside: Booleans) -> Floats:
 
 
 def _breaks(plane: _Plane) -> Floats:
-    """(p, 13) sorted ends of the intervals of quadrature; those that are not needed are empty."""
+    """(p, 13) sorted limits of the quadrature's intervals; unused ones are empty."""
     m0, s0, m1, k, t = plane.m0, plane.s0, plane.m1, plane.k, plane.t
     fixed = np.array([-REACH, -4.0, -1.5, 0.0, 1.5, 4.0, REACH])
     columns = [np.broadcast_to(fixed, (len(k), fixed.size))]
@@ -366,7 +366,7 @@ def _summed(first: Ints, mass: Floats, zeta: Floats, zeroth: Floats, density: Fl
 
 
 def _fitted(moments: Floats) -> tuple[Floats, Floats]:
-    """Means (2, ...) and lower factors of the covariances (3, ...: 00, 10, 11) of Gaussians with these moments."""
+    """Means (2, ...) and lower covariance factors (3, ...: 00, 10, 11) of Gaussians with given moments."""
     x, y, xx, xy, yy = center = moments[1:] / moments[MASS]
     root = np.empty((3, *x.shape))
     # Rounding may leave a covariance slightly indefinite.

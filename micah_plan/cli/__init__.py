@@ -12,7 +12,7 @@ __all__ = ["main"]
 
 
 def main() -> None:
-    """Entry point of `micah-plan`. Ctrl-C is answered with one line from here on, also while libraries are loaded."""
+    """Entry point of `micah-plan`. Ctrl-C prints one line from here on, also during imports."""
     repeat_dropped_interruptions()
     # Plugins of pydantic are looked for in the metadata of all installed packages, and none has a say in these files.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")

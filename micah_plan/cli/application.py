@@ -1,4 +1,4 @@
-"""The commands joined, and how they end: one line and an exit code for every error."""
+"""All commands, and the mapping of errors to one line and an exit code."""
 
 from __future__ import annotations
 
@@ -98,14 +98,14 @@ def main() -> None:
 
 
 def _bug(error: Exception) -> int:
-    """Ask for a report of what no input should cause."""
+    """Print a request to report an internal error."""
     _say(f"{type(error).__name__}: {error}; this is a bug in micah-plan, please report it with the lines below")
     traceback.print_exception(error)
     return OUR_BUG
 
 
 def _end_as_interrupted() -> None:
-    """What ends a process ends a command as Ctrl-C does: plants are closed, logs are written, no file is half-written.
+    """Treat termination signals like Ctrl-C: plants are closed, logs are written, no file is half-written.
 
     A signal that is ignored stays so: `nohup` asks for a command that outlives its terminal.
     """
@@ -118,7 +118,7 @@ def _end_as_interrupted() -> None:
 
 
 def _usage_line(error: Any) -> InputError:
-    """The message of typer about wrong usage, in the form of all other errors."""
+    """Typer's message on wrong usage in the form of other errors."""
     text = " ".join(error.format_message().replace("Value error, ", "").split()).rstrip(".")
     context = getattr(error, "ctx", None)
     command = "micah-plan" if context is None else context.command_path

@@ -68,7 +68,7 @@ def calibrate(
     code: Code = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Find what a model lacks and write the improved model; exit code 1 if a deviation has no name."""
+    """Find the effects that a model lacks and write the improved model; exit code 1 if some stay unexplained."""
     from micah_plan.api.calibration import calibrate as calibrated
     from micah_plan.documents.experiment import experiment_text
     from micah_plan.documents.kind import files_named_by
@@ -96,6 +96,6 @@ def calibrate(
 
 
 def _designed(designed: Designed) -> dict[str, Any]:
-    """Which pairs an experiment tells apart, and the evidence to expect of it [nats]."""
+    """JSON of an experiment: the separated pairs with their expected evidence [nats]."""
     pairs = [{"between": [first, second], "expected_nats": nats} for first, second, nats in designed.expected]
     return {"coordinate": designed.coordinate, "pairs": pairs, "sentence": str(designed)}

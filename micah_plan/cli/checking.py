@@ -34,7 +34,7 @@ def check(
     code: Code = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """List what is wrong with files, one line per fault, without solving; exit code 2 if one cannot be used."""
+    """Check files without solving, one line per fault; exit code 2 if one cannot be used."""
     from micah_plan.checking import check_file
 
     load_code(code)
@@ -63,7 +63,7 @@ def check_keys(checks: Sequence[FileCheck]) -> dict[str, Any]:
 
 
 def error_keys(error: InputError) -> dict[str, Any]:
-    """An error in its pieces; line and column (from 1) are null where they are not known."""
+    """An error as JSON; line and column (from 1) are null if unknown."""
     line, column = error.position or (None, None)
     place = {"source": error.source, "where": error.where, "line": line, "column": column}
     return {**place, "problem": error.problem, "remedy": error.remedy, "message": str(error)}
@@ -85,7 +85,7 @@ def diff(
     after: Annotated[Path, typer.Argument(help="Model (YAML).")],
     as_json: JsonFlag = False,
 ) -> None:
-    """List what differs between two models, such as what calibration added or what two recordings led to."""
+    """List the differences between two models, such as those added by a calibration or between two recordings."""
     from micah_plan.documents.model import load_model
     from micah_plan.documents.model_difference import differences
 
@@ -95,12 +95,12 @@ def diff(
 
 
 def _short(line: str) -> str:
-    """A line as a terminal shows it; matrices are cut, --json has them whole."""
+    """A line shortened for a terminal; --json prints matrices in full."""
     return line if len(line) <= _LONGEST_LINE else f"{line[: _LONGEST_LINE - 4]} ..."
 
 
 def doctor(as_json: JsonFlag = False) -> None:
-    """Test libraries, solvers and browser, and say what to install; exit code 1 if planning cannot work."""
+    """Test libraries, solvers and browser, with advice on installation; exit code 1 if planning cannot work."""
     from micah_plan.environment import examine
 
     with progress_bar(as_json) as progress:

@@ -1,4 +1,4 @@
-"""What commands share: options, exit codes, and where they speak: results on stdout, progress on stderr."""
+"""Shared parts of the commands: options, exit codes, and output: results on stdout, progress on stderr."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ OUR_BUG = 70
 
 
 class _PlainConsole(Console):
-    """Prints texts as they are, whoever wrote them: brackets and colons mean nothing, control characters are shown."""
+    """Prints text verbatim: brackets and colons have no meaning, control characters are made visible."""
 
     def __init__(self, *, stderr: bool = False) -> None:
         super().__init__(stderr=stderr, soft_wrap=True, highlight=False, markup=False, emoji=False)
 
     def render_str(self, text: str, **style: Any) -> Text:
-        """What every string becomes before it is printed, in a table too."""
+        """Convert every string before it is printed, also in tables."""
         return super().render_str(printable(text), **style)
 
 
@@ -49,12 +49,12 @@ err = _PlainConsole(stderr=True)
 
 
 class Interrupted(MicahError):  # noqa: N818 - it is no mistake
-    """Ctrl-C in a command whose work can be continued; the message says how."""
+    """Ctrl-C in a resumable command; the message explains how to resume."""
 
 
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
-    """Progress of long work: called with a message and the fraction done; shown on a terminal unless quiet.
+    """Progress callback with message and fraction, shown on a terminal unless quiet.
 
     With the time that has passed and, once it can be told, about how much is left.
     """
@@ -73,7 +73,7 @@ def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
 
 
 def print_summary(as_json: bool, summary: dict[str, Any], human: Callable[[], None]) -> None:
-    """Print a summary as one JSON object, or what `human` prints."""
+    """Print a summary as one JSON object, or by calling `human`."""
     if as_json:
         print(json.dumps(summary, allow_nan=False))
     else:
@@ -81,7 +81,7 @@ def print_summary(as_json: bool, summary: dict[str, Any], human: Callable[[], No
 
 
 def title_of(file: Path) -> str:
-    """Title of the page of a file: its name, or that of its folder for problem.yaml and model.yaml."""
+    """Title of a file's page: its name, or its folder's for problem.yaml and model.yaml."""
     return file.resolve().parent.name if file.stem in ("problem", "model") else file.stem
 
 
@@ -92,7 +92,7 @@ def print_warnings(warnings: Iterable[str]) -> None:
 
 
 def table(*columns: str, **style: Any) -> RichTable:
-    """An empty table as all commands print them: as wide as the terminal, where what is longer goes on below."""
+    """An empty table in the common style, as wide as the terminal; longer text is folded."""
     from rich.box import SIMPLE
     from rich.table import Column
     from rich.table import Table as RichTable
@@ -101,7 +101,7 @@ def table(*columns: str, **style: Any) -> RichTable:
 
 
 def drawn(result: Result, title: str, html: Path | None, figure: Path | None = None) -> dict[Path, bytes]:
-    """Contents of the page and of the figure of a result, of those that are asked for."""
+    """Contents of the requested page and figure of a result, by path."""
     contents = dict[Path, bytes]()
     if html is not None:
         contents[html] = result.page(title).encode()
@@ -115,7 +115,7 @@ def drawn(result: Result, title: str, html: Path | None, figure: Path | None = N
 def write_and_print(
     result: Result, contents: Mapping[Path, bytes], as_json: bool, more: Mapping[str, Any] | None = None
 ) -> None:
-    """Write the files of a result, all together, and print it: what to be careful with on stderr, the rest on stdout.
+    """Write the files of a result atomically and print it: warnings on stderr, the rest on stdout.
 
     Args:
         more: further keys of the JSON object.
@@ -131,7 +131,7 @@ def write_and_print(
 
 
 def _as_wide_as_the_terminal(value: Table) -> RichTable:
-    """A table whose cells of two lines are one where the terminal is wide enough."""
+    """A table that uses one line per cell where the terminal is wide enough."""
     line = " " if out.width >= max(map(len, value.lines())) + 3 * len(value.columns) else "\n"
     shown = table(*(name.replace("\n", line) for name in value.columns), padding=(0, 1, 0, 0), title_justify="left")
     shown.title = value.title or None

@@ -1,5 +1,4 @@
-"""Options that say how somebody else's recording is meant: columns, units, rate, upward axis, quaternions and name; and
-of a ROS log topics and frame."""
+"""Options for the conventions of a recording: columns, units, rate, axes, quaternions, name, ROS topics and frame."""
 
 from __future__ import annotations
 
@@ -57,7 +56,7 @@ PartName = Annotated[str | None, typer.Option("--name", metavar="NAME", help="Na
 
 @dataclass(frozen=True)
 class Said:
-    """What the options say, None where they say nothing."""
+    """Values of the options; None where omitted."""
 
     columns: str | None = None
     units: str | None = None
@@ -74,7 +73,7 @@ class Said:
     positions_only: bool = False
 
     def conventions(self) -> Conventions | None:
-        """The same as conventions; None where they say nothing, so that a file beside the recording may.
+        """The options as conventions; None if all are omitted, so that a conventions file can apply.
 
         Raises:
             InputError: for a unit or a column that there is not.
@@ -115,7 +114,7 @@ def _columns(text: str | None) -> dict[str, str]:
 
 
 def _units(text: str | None) -> dict[str, str]:
-    """The units, by what they measure."""
+    """Units by quantity."""
     from micah_plan.recording.conventions import ANGLES, LENGTHS, TIMES
 
     kinds = {"length": LENGTHS, "angle": ANGLES, "time": TIMES}

@@ -1,4 +1,4 @@
-"""`micah-plan demo`: the whole road on one object that the project ships, in a folder of its own."""
+"""`micah-plan demo`: the whole workflow on a shipped object, in a new folder."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def demo(
 
 
 def run_demo(place: Path, output: Path, *, quiet: bool = False) -> int:
-    """Run all steps in a folder that has the shipped files; each is a command that one can type oneself.
+    """Run all steps in a folder with the shipped files; each is a command that users can type.
 
     Args:
         place: the folder.

@@ -45,7 +45,7 @@ def new(
     model: Annotated[Path | None, typer.Option(help="Only for a problem: the model (YAML) of its object.")] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Write a commented problem, effect, sweep, problem with a robot, or tags to print; nothing is overwritten."""
+    """Write a commented problem, effect, sweep, problem with a robot, or tags to print; existing files are kept."""
     from micah_plan.templates.write import write_template
 
     written = write_template(kind, folder, model=model)

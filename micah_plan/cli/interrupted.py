@@ -1,4 +1,4 @@
-"""Ctrl-C before there is anything that could handle it: while the libraries of the command line are loaded."""
+"""Ctrl-C during startup, while the libraries of the command line are being imported."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def asks_for_json() -> bool:
 
 
 def end_interrupted() -> NoReturn:
-    """End this process as every interrupted command ends: with one line and the exit code."""
+    """End this process like every interrupted command: one line and the exit code."""
     if asks_for_json():
         print(json.dumps({"error": SENTENCE}))
     print(f"error: {SENTENCE}", file=sys.stderr)
@@ -46,7 +46,7 @@ def repeat_dropped_interruptions() -> None:
 
 
 def is_of_an_interruption(error: BaseException | None) -> bool:
-    """Whether an error comes from Ctrl-C: a compiled module that was being loaded then only says that it failed."""
+    """Whether an error is caused by Ctrl-C: an interrupted import of a compiled module only reports a failure."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__
     return error is not None

@@ -107,7 +107,7 @@ def learn(
 
 
 def _settings(texts: Sequence[str]) -> LearnSettings:
-    """The settings of learning, with those changed that are given as NAME=VALUE.
+    """The settings of learning with changes given as NAME=VALUE.
 
     Raises:
         InputError: for a name that is none, and a value that is none of it.
@@ -126,7 +126,7 @@ def _settings(texts: Sequence[str]) -> LearnSettings:
 
 
 def _setting(name: str, text: str, default: Any) -> Any:
-    """The value of a setting, of the type that its default has.
+    """The value of a setting in the type of its default.
 
     Raises:
         InputError: if the text is none.
@@ -184,7 +184,7 @@ def explore(
     seed: Seed = 0,
     as_json: JsonFlag = False,
 ) -> None:
-    """Open what a hand holds without a model of it, with little force, and write the model that was found.
+    """Open a held object without a model of it, with little force, and write the model that was found.
 
     With a plant of your own, give --plant FILE.py:CLASS: the class is called with the scene and has reset, apply and
     close. Exit code 0 if the object was opened or is held, 1 if neither can be said; a model is written if it moved.

@@ -87,7 +87,7 @@ def show(
 
 
 def _check_runs(file: Path, runs: Sequence[Path]) -> None:
-    """Raise an InputError if runs stand beside something that is no plan, or are too many."""
+    """Refuse recordings next to anything but a plan, and more than two."""
     if runs and (file.is_dir() or _kind_of(file) != "plan"):
         raise InputError("only a plan is shown with runs", source=file, remedy="name the plan first, then its runs")
     if len(runs) > MOST_RECORDINGS:
@@ -98,7 +98,7 @@ def _check_runs(file: Path, runs: Sequence[Path]) -> None:
 def _serve(
     current: Callable[[], str], port: int, summary: dict[str, str | int], files: list[Path], as_json: bool
 ) -> None:
-    """Serve what a page is at each moment until Ctrl-C."""
+    """Serve the current page until Ctrl-C."""
     from micah_plan.view.live import PageServer
 
     with PageServer(current, port) as server:
@@ -141,7 +141,7 @@ def _filming(size: str, rate: float, speed: float, view: str | None) -> Filming:
 def _write(
     page: str, files: Mapping[str, Path], at: float, filming: Filming, progress: Callable[[str, float], None]
 ) -> None:
-    """Write what was asked for, all together."""
+    """Write the requested outputs atomically."""
     from micah_plan.view.page import bare_scene
     from micah_plan.view.video import picture, video
 
@@ -157,7 +157,7 @@ def _write(
 
 
 def _kind_of(file: Path) -> str:
-    """What a page shows of a file; another kind of file than these is read as a model, which says what is wrong."""
+    """The kind of page for a file; unknown files are read as models, which reports the fault."""
     from micah_plan.documents.kind import kind_of
 
     kind = kind_of(file)
@@ -165,7 +165,7 @@ def _kind_of(file: Path) -> str:
 
 
 def _by_file_name(runs: Sequence[Path]) -> dict[str, Recording]:
-    """Recordings of runs by the names of their files; by their paths where these are alike."""
+    """Recordings by file name; by path where names repeat."""
     from micah_plan.exchange.load import load_recording
 
     names = [path.name for path in runs]

@@ -74,7 +74,7 @@ def explain(
     code: Code = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Explain why a plan has its modes, or what is in its way, and the nearest remedy; exit code 1 if it failed."""
+    """Explain the modes of a plan, or the obstacles to it with the nearest remedy; exit code 1 if it failed."""
     from micah_plan.documents.plan import load_plan
     from micah_plan.planning.findings import explain as explanation_of
 
@@ -179,7 +179,7 @@ def starts_of(problem: Problem, entries: Sequence[str]) -> dict[str, float]:
 
 @contextmanager
 def _kept_logs(output: Path) -> Iterator[list[Recording]]:
-    """A block that fills a list with logs, which are written also if something breaks it off."""
+    """A context that collects logs and writes them even if it is aborted."""
     logs: list[Recording] = []
     try:
         yield logs
@@ -191,7 +191,7 @@ def _kept_logs(output: Path) -> Iterator[list[Recording]]:
 
 
 def _broken_off(error: BaseException, logs: Sequence[Recording], output: Path) -> BaseException:
-    """The error that says what broke an execution off and where its logs are, which are written now; a bug stays."""
+    """The error of an aborted execution with the path of its logs, which are written now."""
     if not logs:
         return error
     from micah_plan.execution.log import concatenated_recordings

@@ -22,7 +22,7 @@ ENTRY_POINTS = "micah_plan.plants"
 
 
 def named_plant(text: str) -> str | PlantMaker:
-    """What ``--plant`` means: the name of a plant of the package, or a class or function that makes one of the problem.
+    """The plant of ``--plant``: a built-in name, or a class or function that makes one from the problem.
 
     Raises:
         InputError: if there is none, or its code cannot be loaded.

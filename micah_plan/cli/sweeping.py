@@ -69,7 +69,7 @@ def _workers(count: int | None, scheduler: str | None) -> AbstractContextManager
 
 
 def _counted(sweep: Sweep, output: Path | None) -> dict[str, Any]:
-    """Keys of `sweep --dry-run`: what the cases are made of, how many there are, and how many the journal has."""
+    """JSON of `sweep --dry-run`: problems, grid, seeds, number of cases, and those in the journal."""
     from micah_plan.sweep.journal import journal_path, read_journal
 
     finished = {} if output is None else read_journal(journal_path(output))
@@ -84,7 +84,7 @@ def _counted(sweep: Sweep, output: Path | None) -> dict[str, Any]:
 
 
 def _swept(done: SweepResults, seconds: float) -> dict[str, Any]:
-    """Keys of `sweep`: how many cases, how many of them were finished before, and what became of them."""
+    """JSON of `sweep`: cases, resumed cases, and outcomes."""
     pairs = zip(done.cases, done.results, strict=True)
     executed = [(case.trials, result.successes) for case, result in pairs if result.successes is not None]
     return {

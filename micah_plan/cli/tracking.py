@@ -119,7 +119,7 @@ def _of_video(
 
 
 def _camera(video: Path, text: str, output: Path, as_json: bool) -> None:
-    """Write the intrinsics that a video of a board shows."""
+    """Write the intrinsics from a video of a calibration board."""
     from micah_plan.vision.board import board_of, camera_of_board, camera_text
 
     check_outputs((video,), (Output("-o", output, MODEL),))

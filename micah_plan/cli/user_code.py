@@ -23,7 +23,7 @@ Code = Annotated[
 
 
 def load_code(file: Path | None) -> None:
-    """Load the file of ``--code``, if there is one: what it registers is then known by its name.
+    """Import the file of ``--code``, so that its effects and path functions are registered.
 
     Raises:
         InputError: if it cannot be loaded.
@@ -51,7 +51,7 @@ def module_in(file: Path, remedy: str) -> ModuleType:
 
 @cache
 def _loaded(path: str, _changed_ns: int) -> ModuleType | None:
-    """The module of a file as it is now; None if Python does not read such files."""
+    """The module of a file's present version; None if it is not Python."""
     from micah_plan.execution.checked_plant import error_in_user_code
 
     spec = spec_from_file_location(f"_code_{Path(path).stem}", path)

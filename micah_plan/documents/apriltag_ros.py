@@ -1,4 +1,4 @@
-"""Tag files of apriltag_ros, as the document of ours that says the same.
+"""Tag files of apriltag_ros, converted to our tag layout.
 
 ROS 1 (AprilRobotics): ``standalone_tags`` and ``tag_bundles``; the family stands in a file of its own there.
 ROS 2 (christianrauch): parameters of a node with ``family``, ``size`` and ``tag: {ids, frames, sizes}``.
@@ -16,7 +16,7 @@ _FAMILIES = {"36h11": "tag36h11", "25h9": "tag25h9", "16h5": "tag16h5"}
 
 
 def ours_of_apriltag_ros(data: Any) -> dict[str, Any] | None:
-    """The document; None if the data is of neither version.
+    """The equivalent tag layout; None if the data has another format.
 
     Raises:
         InputError: if it is of one, but lacks something.
@@ -80,7 +80,7 @@ def _values(data: Mapping[str, Any], key: str) -> Sequence[Any]:
 
 
 def _parameters(data: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """What stands below ``ros__parameters``, whatever the node is called."""
+    """The entry ``ros__parameters`` at any depth, under any node name."""
     for key, value in data.items():
         if key == "ros__parameters" and isinstance(value, Mapping):
             return value

@@ -1,4 +1,4 @@
-"""Conventions of a laboratory's recordings: a small YAML file beside a log."""
+"""Conventions of a laboratory's recordings: a small YAML file next to a log."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ BESIDE = ".conventions.yaml"
 
 
 class ConventionsDocument(Document):
-    """How a recording of somebody else is meant."""
+    """Conventions of a foreign recording."""
 
     makes = Conventions
 
@@ -81,7 +81,7 @@ def load_conventions(path: str | Path) -> Conventions:
 
 
 def conventions_beside(path: str | Path) -> Conventions | None:
-    """Those in the file beside a recording, ``door.conventions.yaml`` for ``door.csv``; None without one.
+    """The conventions in the file next to a recording, ``door.conventions.yaml`` for ``door.csv``; None if absent.
 
     Raises:
         InputError: if that file cannot be used.

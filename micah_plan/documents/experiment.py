@@ -55,7 +55,7 @@ class MotionDocument(Document):
 
 
 class ExperimentDocument(Document):
-    """Motions in open loop that are to tell apart what a model may lack."""
+    """Open-loop motions that separate hypotheses about a model."""
 
     format: Literal["micah-plan/experiment/1"] = doc("Format and version of this file.")
     model: Line = doc("Model file, relative to this file.")
@@ -87,7 +87,7 @@ def load_experiment(path: str | Path) -> Experiment:
 
 
 def experiment_text(experiment: Experiment, model: Path, at: Path, comment: str) -> str:
-    """What to write at a path of an experiment on a model file, which is named relative to it.
+    """The text of an experiment file for a path, with the model named relative to it.
 
     Args:
         comment: the first line, for people.

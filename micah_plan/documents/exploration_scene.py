@@ -1,4 +1,4 @@
-"""Scene files (`problems/explore_handle.yaml`): a hand that holds a handle of which nothing else is known."""
+"""Scene files (`problems/explore_handle.yaml`): a hand that holds an unknown handle."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class WorkspaceDocument(Document):
 
 
 class SceneDocument(Document):
-    """A handle in the hand, of an object without a model: within which limits `micah-plan explore` may open it."""
+    """An unknown object held by its handle, with the limits for `micah-plan explore`."""
 
     makes = Scene
 

@@ -41,7 +41,7 @@ _END = ("end", "")
 
 @dataclass(frozen=True)
 class Affine:
-    """a'x + b'u + constant, and whether a constant was written at all (``0.0`` counts)."""
+    """a'x + b'u + constant, and whether a constant was written (``0.0`` counts)."""
 
     a: tuple[float, ...]
     b: tuple[float, ...]
@@ -50,7 +50,7 @@ class Affine:
 
 
 def parse_affine(text: str, scope: Scope) -> Affine:
-    """An affine expression.
+    """Parse an affine expression.
 
     Raises:
         InputError: if it is not one or uses an unknown name; the file and place are left to the caller.
@@ -67,7 +67,7 @@ def _affine(text: str, coordinates: tuple[str, ...], inputs: tuple[str, ...]) ->
 
 
 def parse_half_space(text: str, scope: Scope, name: str | None = None) -> HalfSpace:
-    """A half-space from one comparison; without a name it gets the canonical one.
+    """Parse a half-space from one comparison; without a name it gets the canonical one.
 
     Raises:
         InputError: as for `parse_affine`, and if no variable has a weight.
@@ -96,7 +96,7 @@ def _half_space(text: str, coordinates: tuple[str, ...], inputs: tuple[str, ...]
 
 
 def half_space_text(half_space: HalfSpace, scope: Scope) -> str:
-    """The text that `parse_half_space` reads back as the same half-space."""
+    """The text that `parse_half_space` reads back unchanged."""
     return _comparison(half_space, scope, _exact)
 
 
@@ -106,7 +106,7 @@ def canonical_name(half_space: HalfSpace, scope: Scope) -> str:
 
 
 def short_text(half_space: HalfSpace, scope: Scope) -> str:
-    """The exact text for messages: what a person copies from it is the limit itself, not a rounded one."""
+    """The exact expression for messages: limits can be copied from it without rounding."""
     return _comparison(half_space, scope, short_number)
 
 
@@ -117,7 +117,7 @@ def short_number(value: float) -> str:
 
 
 def affine_text(a: Sequence[float], b: Sequence[float], constant: float | None, scope: Scope) -> str:
-    """The text that `parse_affine` reads back as the same expression; ``0.0`` if nothing is left."""
+    """The expression that `parse_affine` reads back unchanged; ``0.0`` if it is zero."""
     text = _sum(a, b, scope, _exact)
     if not text or not constant:
         return text or _exact(constant or 0.0)
@@ -185,7 +185,7 @@ class _Parser:
         return 1.0 if self._take()[1] == "+" else -1.0
 
     def _term(self) -> tuple[float, int | None]:
-        """Weight and number of its variable, None for a constant."""
+        """(weight, variable index) of a term, with None for a constant."""
         if self._next[0] != "number":
             return 1.0, self._variable()
         value = float(self._take()[1])

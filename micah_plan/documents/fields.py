@@ -1,4 +1,4 @@
-"""Kinds of entry that layouts share: numbers with bounds, names, lists that become tuples, and what names stand for."""
+"""Shared entries of layouts: bounded numbers, names, lists as tuples, and references by name."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _printable(value: str) -> str:
 
 
 def checked_name(value: str) -> str:
-    """The name, if it is one; else the error that a validator may raise."""
+    """The name if valid; else the error for a validator to raise."""
     if not value or value != value.strip() or not value.isprintable() or len(value) > _LONGEST_NAME:
         raise PydanticCustomError("name", "expected a name of 1 to 100 printable characters without spaces around it")
     return value
@@ -63,7 +63,7 @@ def _above_rounding(value: float) -> float:
 
 @dataclass(frozen=True)
 class Listed:
-    """Marks a tuple of any length that is a list in the file, of at least and at most these numbers of entries."""
+    """Marks a tuple of any length as a list in the file, with a minimum and maximum number of entries."""
 
     least: int | None = None
     most: int | None = None
@@ -75,17 +75,17 @@ class Listed:
 
 
 def named(what: str) -> Mark:
-    """A name of the scope, which stays one."""
+    """An entry that is a name of the scope."""
     return Mark(lambda name, at, scope: at.named(name, scope[what], what))
 
 
 def numbered(what: str) -> Mark:
-    """A name of the scope, whose number is in the value."""
+    """An entry that is a name of the scope, stored as its index."""
     return Mark(lambda name, at, scope: at.number(name, scope[what], what), lambda number, scope: scope[what][number])
 
 
 def each(what: str, entry: str = "value", default: object = None) -> Mark:
-    """A mapping with an entry for every name of the scope; in the value a tuple in the order of the names.
+    """A mapping with an entry for every name of the scope, stored as a tuple in their order.
 
     Args:
         default: the entry of a name that is left out; None: none may be.
@@ -105,7 +105,7 @@ def each(what: str, entry: str = "value", default: object = None) -> Mark:
 
 
 def of_unit_length(vector: Sequence[float], at: Located, _: Scope | None = None) -> Sequence[float]:
-    """The vector, if its length is 1 within a thousandth; else an InputError."""
+    """The vector if its length is 1 within a thousandth; else an InputError."""
     length = float(np.linalg.norm(vector))
     if abs(length - 1.0) > _UNIT_TOLERANCE:
         raise at.error(f"expected unit length, found length {length:.6g}", "normalise it")

@@ -1,4 +1,4 @@
-"""How a hand holds the object, what it may touch and how it releases it: `hold` and `release` of a problem file."""
+"""Grasp, contacts and release of an object: `hold` and `release` of a problem file."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class ContactDocument(Document):
     face: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = doc("Side of it, by its outward direction.")
 
     def read(self, at: Located, scope: Scope) -> tuple[str, int, int]:
-        """(body, axis, sign) of the face."""
+        """The (body, axis, sign) of the face."""
         sign, axis = self.face
         return self.meanings(at, scope)["body"], AXES.index(axis), 1 if sign == "+" else -1
 

@@ -102,7 +102,7 @@ class JointDocument(Document):
 
 
 def joint_remark(joint: Joint) -> str | None:
-    """The standard deviations of a joint's parameters for people, for the end of the line of the covariance's names."""
+    """Standard deviations of a joint's parameters as a comment for the covariance's names."""
     if joint.covariance is None:
         return None
     pairs = zip(joint.covariance.names, standard_deviations(joint.covariance.matrix), strict=True)
@@ -110,7 +110,7 @@ def joint_remark(joint: Joint) -> str | None:
 
 
 def check_size(rows: Sequence[Sequence[float]], height: int, width: int, located: Located) -> None:
-    """Raise an InputError unless a matrix has that many rows of that many entries."""
+    """Raise an InputError unless a matrix has the given size."""
     if len(rows) != height or any(len(row) != width for row in rows):
         shape = f"{len(rows)} rows of {', '.join(sorted({str(len(row)) for row in rows}))}"
         raise located.error(f"expected {height} rows of {width}, found {shape}")

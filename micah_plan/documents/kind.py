@@ -1,4 +1,4 @@
-"""The kinds of file: what a path names, and the JSON Schema of each kind for editors and other programs.
+"""Kinds of files: detection by path, and the JSON Schema of each kind for editors and other programs.
 
 YAML files say in their key `format` what they are, other files by their ending.
 """
@@ -36,7 +36,7 @@ _NAME_NOTHING = ("model", "parts", "conventions", "tags")  # models may be large
 
 
 def kind_of(path: str | Path) -> FileKind:
-    """The kind of a file; whether it is a good one of that kind is not looked at.
+    """The kind of a file, without validating it.
 
     Raises:
         InputError: if it is YAML that cannot be read up to its `format`, or this is of no kind.
@@ -58,7 +58,7 @@ def kind_of(path: str | Path) -> FileKind:
 
 
 def files_named_by(path: str | Path) -> list[Path]:
-    """A file, and all files that it names or that those name: the model of a problem, the problem of a scene.
+    """A file and all files linked to it by name: the model of a problem, the problem of a scene.
 
     Whatever is wrong with them is left to their readers.
     """

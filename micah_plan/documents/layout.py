@@ -54,10 +54,10 @@ class Document(BaseModel):
         return type(self).makes(**self.meanings(at, scope))
 
     def check(self, at: Located) -> None:
-        """Raise an InputError if the entry contradicts itself, whatever names there are."""
+        """Raise an InputError if the entry is inconsistent in itself."""
 
     def meanings(self, at: Located, scope: Scope) -> dict[str, Any]:
-        """What the entry says, by attribute, without the format: marks interpreted, inner entries as values."""
+        """The entry as attributes, without the format: marks applied, inner entries as values."""
         self.check(at)
         meant = {key: kind for key, kind in _kinds(type(self)).items() if kind.says_more}
         entries = {key: value for key, value in self if key != "format"}
@@ -65,17 +65,17 @@ class Document(BaseModel):
         return {self.renamed.get(key, key): value for key, value in entries.items()}
 
     def meaning(self, key: str, at: Located, scope: Scope) -> Any:
-        """What one of its keys says, as `meanings` has it."""
+        """One key's value, as in `meanings`."""
         return _read(_kinds(type(self))[key], getattr(self, key), at.at(key), scope)
 
     @classmethod
     def written(cls, value: Any, scope: Scope) -> Mapping[str, Any]:
-        """What to write of a value, by key; keys that are not there are left out."""
+        """Keys and values to write for a value; absent keys are omitted."""
         return {key: getattr(value, cls.renamed.get(key, key)) for key in cls.model_fields}
 
 
 def doc(description: str, default: Any = ..., **further: Any) -> Any:
-    """A key of a layout.
+    """A key of a layout with its description and default.
 
     Args:
         description: what it means, with its unit.
@@ -88,7 +88,7 @@ def doc(description: str, default: Any = ..., **further: Any) -> Any:
 
 @dataclass(frozen=True)
 class Mark:
-    """Converts an entry whose value differs from what the file has; put into `Annotated`.
+    """Conversion of an entry whose value differs from its text in the file; put into `Annotated`.
 
     Attributes:
         read: what an entry at a place means; raises an InputError if it has no meaning.
@@ -101,7 +101,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class _Kind:
-    """A kind of entry: what its annotation says.
+    """The kind of an entry, from its annotation.
 
     Attributes:
         type: without Annotated and `| None`.
@@ -116,7 +116,7 @@ class _Kind:
 
     @cached_property
     def says_more(self) -> bool:
-        """Whether the value of such an entry differs from what the file has."""
+        """Whether the value of such an entry differs from its text in the file."""
         inner = any(kind is not None and kind.says_more for kind in (self.keys, self.entries))
         return inner or bool(self.marks) or is_document(self.type)
 
@@ -135,7 +135,7 @@ def _kind(annotation: Any, marks: tuple[Mark, ...] = ()) -> _Kind:
 
 @cache
 def _kinds(layout: type[Document]) -> dict[str, _Kind]:
-    """The kinds of all keys; pydantic keeps what is in `Annotated` apart."""
+    """The kinds of all keys; pydantic stores the metadata of `Annotated` separately."""
     return {
         key: _kind(field.annotation, tuple(mark for mark in field.metadata if isinstance(mark, Mark)))
         for key, field in layout.model_fields.items()
@@ -144,7 +144,7 @@ def _kinds(layout: type[Document]) -> dict[str, _Kind]:
 
 @cache
 def _left_out(layout: type[Document]) -> dict[str, Any]:
-    """The plain data of each key's default, with which the key is not written."""
+    """Plain data of each key's default, at which the key is omitted."""
     fields = {key: field for key, field in layout.model_fields.items() if key not in layout.always_written}
     return {
         key: _plain(replace(_kinds(layout)[key], marks=()), field.get_default(call_default_factory=True), {})
@@ -154,7 +154,7 @@ def _left_out(layout: type[Document]) -> dict[str, Any]:
 
 
 def plain_data(layout: type[Document], value: object, scope: Scope | None = None) -> dict[str, Any]:
-    """Plain data of a value as its layout says, in the layout's order and without what is the layout's default.
+    """Plain data of a value in the layout's order, without entries equal to their defaults.
 
     Args:
         value: one that the layout describes, or a mapping of what to write under its keys. A mapping in the place of an
@@ -205,7 +205,7 @@ def _read(kind: _Kind, value: Any, at: Located, scope: Scope) -> Any:
 
 
 def unique(items: Iterable[tuple[T, Any]]) -> dict[T, Any]:
-    """Named entries of an automaton as a mapping.
+    """Named entries of an automaton as a mapping, refusing repeated names.
 
     Raises:
         InputError: if a name is used twice.
@@ -220,7 +220,7 @@ def unique(items: Iterable[tuple[T, Any]]) -> dict[T, Any]:
 
 
 def kind_at(layout: type[Document], path: Sequence[str | int]) -> Any:
-    """The kind of value that a layout has at a key path, whatever names its mappings have; None if it can have none."""
+    """The type of value at a key path, for any names in mappings; None if there cannot be one."""
     kind: _Kind | None = _Kind(layout)
     for key in path:
         if kind is None or kind.type is Any:
@@ -233,5 +233,5 @@ def kind_at(layout: type[Document], path: Sequence[str | int]) -> Any:
 
 
 def is_document(kind: Any) -> bool:
-    """Whether a kind of value is an entry with a layout of its own."""
+    """Whether an entry has a layout of its own."""
     return isinstance(kind, type) and issubclass(kind, Document)

@@ -143,7 +143,7 @@ class LearnedEdgeDocument(Document):
 
 
 def learned_remarks(edge: LearnedEdge) -> dict[KeyPath, str]:
-    """Remarks for people by key path: 95 % of a start's rows, standard deviations of an action channel."""
+    """Comments by key path: 95 % intervals of starts, standard deviations of an action channel."""
     remarks: dict[KeyPath, str] = {}
     channel = None if edge.certainty is None else edge.certainty.channel
     if channel is not None:

@@ -18,7 +18,7 @@ _LONGEST_PATH = 120
 
 @dataclass(frozen=True)
 class Located:
-    """What a file holds, or what stands at one place of it.
+    """The data of a file, or of one place in it.
 
     Attributes:
         data: dicts, lists, strings, numbers, booleans and None.
@@ -33,7 +33,7 @@ class Located:
     prefix: KeyPath = ()
 
     def at(self, *path: str | int) -> Located:
-        """What stands at a key path below this place; None where the file leaves it out."""
+        """The entry at a key path below this place; None if absent."""
         data = self.data
         for key in path:
             try:
@@ -43,7 +43,7 @@ class Located:
         return Located(data, self.source, self.places, (*self.prefix, *path))
 
     def place(self) -> tuple[int, int] | None:
-        """Line and column of this place, or of what comes closest above it; None if there are no lines."""
+        """Line and column of this place, or of its closest parent; None if unknown."""
         above = (self.prefix[:i] for i in range(len(self.prefix), -1, -1))
         return next((self.places[path] for path in above if path in self.places), None)
 
@@ -59,7 +59,7 @@ class Located:
 
     @contextmanager
     def locating_errors(self) -> Iterator[None]:
-        """Let InputErrors that are raised within say this place."""
+        """Add this place to InputErrors raised within the context."""
         try:
             yield
         except InputError as error:
@@ -72,11 +72,11 @@ class Located:
 
     @property
     def name(self) -> str:
-        """The last key on the way to this place."""
+        """The last key of this place."""
         return str(self.prefix[-1])
 
     def named(self, name: str, names: Sequence[str], what: str) -> str:
-        """A name that is among those that exist.
+        """A name checked against the existing ones.
 
         Raises:
             InputError: if it is none of them; the message says what they are names of.
@@ -86,11 +86,11 @@ class Located:
         return name
 
     def number(self, name: str, names: Sequence[str], what: str) -> int:
-        """As `named`, but its number."""
+        """As `named`, but the index of the name."""
         return names.index(self.named(name, names, what))
 
     def in_order(self, values: Mapping[str, T], names: Sequence[str], what: str, entry: str = "value") -> tuple[T, ...]:
-        """The values, or other entries, in the order of the names, each of which must be there once.
+        """Entries in the order of the names, each required once.
 
         Raises:
             InputError: for an unknown or a missing name.

@@ -72,7 +72,7 @@ class ModeDocument(Document):
         return Mode(at.name, **values, input_matrix=tuple(rows), pins=pins, ties=ties)
 
     def drifts(self, at: Located, scope: Scope) -> dict[str, float]:
-        """What each coordinate moves in one step without any input [rad or m], if it does."""
+        """Drift of each coordinate per step without input [rad or m], where it is not 0."""
         steps = self.meaning("step", at, scope)
         return {scope["coordinate"][i]: change.constant for i, change in steps.items() if change.constant}
 
@@ -129,7 +129,7 @@ class TransitionDocument(Document):
 
     @classmethod
     def written(cls, value: Edge, scope: Scope) -> Mapping[str, Any]:
-        """The transition's data, with the reset as expressions where these are exact, else as matrices."""
+        """The transition's data, with the reset as expressions where exact, else as matrices."""
         n, m = len(scope["coordinate"]), len(scope["input"])
         a, b, c = value.reset.matrices(n, m)
         if a.shape != (n, n) or b.shape != (n, m) or c.shape != (n,):
@@ -144,7 +144,7 @@ class TransitionDocument(Document):
 
 
 def _reset_of(values: Mapping[int, Affine], scope: Scope) -> Reset:
-    """The affine map of expressions: A, B and c are there only if the expressions say something of them."""
+    """The affine map of expressions; A, B and c are omitted where they are trivial."""
     if not values:
         return Reset()
     n, m = len(scope["coordinate"]), len(scope["input"])

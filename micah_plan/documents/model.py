@@ -1,4 +1,4 @@
-"""Model files (`models/*.yaml`): a hybrid automaton, read and written as exactly what it was."""
+"""Model files (`models/*.yaml`): hybrid automata, written and read back without loss."""
 
 from __future__ import annotations
 
@@ -187,7 +187,7 @@ class ModelDocument(Document):
         return HybridAutomaton(**values, edges=edges)
 
     def _drifts(self, effects: Sequence[Effect], at: Located, scope: Scope) -> Iterator[Effect]:
-        """The constants of steps, as the effect that they are."""
+        """The constants of steps as `bias` effects."""
         for name, mode in self.modes.items():
             place = at.at("modes", name)
             for coordinate, drift in mode.drifts(place, scope).items():
@@ -200,7 +200,7 @@ class ModelDocument(Document):
     def _with_covariances(
         self, mode: Mode, covariances: Mapping[str, Mapping[str, ParameterCovariance]], at: Located, scope: Scope
     ) -> Mode:
-        """The mode with the covariances of its joints, which older files have at the joints."""
+        """The mode with covariances of its joints, which older files store at the joints."""
         of_mode, joints = covariances.get(mode.name, {}), list(mode.joints)
         for part, covariance in of_mode.items():
             place = at.at("covariances", mode.name, part)
@@ -243,7 +243,7 @@ def dump_model(automaton: HybridAutomaton, path: str | Path) -> None:
 
 
 def usable_model(content: bytes, source: str) -> HybridAutomaton:
-    """The automaton that the content of a model file describes, if the algorithms can use it.
+    """The automaton of a model file's content, validated for the algorithms.
 
     Args:
         source: names the file in messages.
@@ -255,7 +255,7 @@ def usable_model(content: bytes, source: str) -> HybridAutomaton:
 
 
 def model_of(data: Mapping[str, Any]) -> HybridAutomaton:
-    """The automaton that data with the keys of a model file describe, if the algorithms can use it.
+    """The automaton of data with the keys of a model file, validated for the algorithms.
 
     Args:
         data: dicts, lists, texts and numbers; `format` may be left out.
@@ -284,7 +284,7 @@ def model_text(automaton: HybridAutomaton) -> str:
 
 
 def automaton_of_document(located: Located) -> HybridAutomaton:
-    """The automaton that the data of a model file describes.
+    """The automaton of a model file's data.
 
     Raises:
         InputError: if the layout is another, or names, sizes or values do not agree with each other.
@@ -294,7 +294,7 @@ def automaton_of_document(located: Located) -> HybridAutomaton:
 
 
 def model_data(automaton: HybridAutomaton) -> dict[str, Any]:
-    """The data of a model file that `automaton_of_document` reads back as exactly this automaton.
+    """Plain data of a model file that `automaton_of_document` reads back unchanged.
 
     Raises:
         InputError: if the automaton is not one that a file may hold (a name twice, a number that is not finite, sizes
@@ -308,14 +308,14 @@ def model_data(automaton: HybridAutomaton) -> dict[str, Any]:
 
 
 def scope_of(automaton: HybridAutomaton) -> Scope:
-    """The names that a model's own file, and the problems about it, may refer to."""
+    """The names that a model's file and its problems may refer to."""
     children = tuple(link.child for link in automaton.links)
     names = {"coordinate": automaton.coordinate_names, "input": automaton.input_names, "mode": automaton.mode_names}
     return {**names, "part": children, "linked part": children}
 
 
 def _remarks(automaton: HybridAutomaton) -> dict[KeyPath, str]:
-    """Remarks for people by key path: standard deviations of what was estimated, and how sure learning was."""
+    """Comments by key path: standard deviations of estimates, and certainties of learning."""
     remarks: dict[KeyPath, str] = {}
     for i, edge in enumerate(automaton.learned):
         remarks |= {("learned", i, *path): remark for path, remark in learned_remarks(edge).items()}

@@ -1,4 +1,4 @@
-"""What differs between two models, place by place in the words of their files."""
+"""Differences between two models, place by place in terms of their files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Difference:
 
 
 def differences(before: HybridAutomaton, after: HybridAutomaton) -> tuple[Difference, ...]:
-    """All places in which the files of two models differ, in the order of the file."""
+    """All differences between the files of two models, in file order."""
     return tuple(_between("", model_data(before), model_data(after)))
 
 
@@ -52,7 +52,7 @@ def _is_list_of_parts(value: Any) -> bool:
 
 
 def _by_name(parts: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
-    """Parts of a list by their names, those without or with the same one by number as well."""
+    """Parts of a list by name; numbered where names are missing or repeated."""
     named: dict[str, Mapping[str, Any]] = {}
     for number, part in enumerate(parts, start=1):
         key = str(part.get("name", number))

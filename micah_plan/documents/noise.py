@@ -54,7 +54,7 @@ class ProblemNoiseDocument(Document):
 
 
 def noise_with(noise: Noise, entry: Mapping[str, Any]) -> Noise:
-    """A model's noise, with what the entry of a problem says instead."""
+    """A model's noise with the overrides of a problem's entry."""
 
     def std(key: str) -> tuple[float, ...]:
         return tuple(entry[key].get(i, value) for i, value in enumerate(getattr(noise, key)))

@@ -1,4 +1,4 @@
-"""Parts, their shapes and handles: in model files, and in files of parts alone (`models/parts/*.yaml`)."""
+"""Parts with shapes and handles: in model files, and in files of parts alone (`models/parts/*.yaml`)."""
 
 from __future__ import annotations
 

@@ -161,7 +161,7 @@ class ReleasePlanDocument(Document):
 
 
 class PlanDocument(Document):
-    """A plan with the whole problem that it solves, so that it can be executed and shown without other files."""
+    """A plan with its whole problem, so that it can be executed and shown without other files."""
 
     always_written = ("success_interval", "findings")
 
@@ -195,7 +195,7 @@ class PlanDocument(Document):
     model: dict[str, Any] = doc("Its model with the noise planned with, laid out as a model file.")
 
     def _check_share(self, at: Located) -> None:
-        """Refuse a share of successes that nothing was counted for, or that its interval does not hold."""
+        """Refuse a success rate without roll-outs, or outside its interval."""
         share, interval = self.success_probability, self.success_interval
         if self.outcome == "solved" and self.verification_trials > 0 and share is None:
             problem = f"expected the share of {self.verification_trials} roll-outs, found nothing"
@@ -226,7 +226,7 @@ class PlanDocument(Document):
 
 @dataclass(frozen=True, eq=False)
 class StoredPlan:
-    """A plan as read from a file, with the problem that it was made for.
+    """A plan from a file, with its problem.
 
     Attributes:
         plan: without timings.
@@ -281,12 +281,12 @@ def write_plan(plan: Plan, problem: Problem, path: str | Path) -> None:
 
 
 def timings_path(path: str | Path) -> Path:
-    """Path of the times of a plan file: ``PLAN.timings.json`` beside ``PLAN.json``."""
+    """Path of the timings of a plan file: ``PLAN.timings.json`` next to ``PLAN.json``."""
     return Path(path).with_suffix(".timings.json")
 
 
 def check_timings(path: str | Path) -> None:
-    """Refuse, before any work, a plan file beside which something else has the name of its times.
+    """Refuse a plan path whose timings would overwrite another kind of file.
 
     Raises:
         InputError: if the file there is none of times.
@@ -305,7 +305,7 @@ def check_timings(path: str | Path) -> None:
 
 
 def write_timings(plan: Plan, path: str | Path) -> None:
-    """Write the plan's times [s] by stage beside the plan file at `path`.
+    """Write the plan's times [s] by stage next to the plan file at `path`.
 
     Raises:
         InputError: if the file cannot be written, or what lies there is none of times.
@@ -315,12 +315,12 @@ def write_timings(plan: Plan, path: str | Path) -> None:
 
 
 def timings_text(plan: Plan) -> str:
-    """The text of the file of the plan's times."""
+    """The text of the timings file."""
     return json.dumps(dict(plan.timings), indent=2) + "\n"
 
 
 def load_plan(path: str | Path) -> StoredPlan:
-    """The plan and problem that a file holds; a plan of any outcome can be read.
+    """The plan and problem of a file, for any outcome.
 
     Raises:
         InputError: if the file is no plan, was changed after it was written, or does not agree with itself.
@@ -335,7 +335,7 @@ def load_plan(path: str | Path) -> StoredPlan:
 
 
 def require_executable(stored: StoredPlan, anyway: bool = False) -> Trajectory:
-    """The trajectory of a plan that solves its problem.
+    """The trajectory of a solved plan.
 
     Args:
         anyway: whether one that was found but not verified will do.
@@ -376,7 +376,7 @@ def _array(value: Any, shape: tuple[int, ...], at: Located) -> NDArray[np.float6
 
 
 def _check_numbers(data: Any, path: str) -> None:
-    """JSON has no NaN: say which number it would have been."""
+    """Refuse numbers that JSON cannot represent, with their key."""
     if isinstance(data, float) and not np.isfinite(data):
         raise InputError(f"{path} is not finite: {data}", remedy="report this as a bug of the planner")
     items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
@@ -414,7 +414,7 @@ def _parsed(content: bytes, source: str) -> Any:
 
 
 class _TwiceError(Exception):
-    """A key is given twice in one object."""
+    """A key occurs twice in one object."""
 
     def __init__(self, key: str) -> None:
         super().__init__(key)
@@ -422,7 +422,7 @@ class _TwiceError(Exception):
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """The object of these pairs: JSON lets a key be there twice, and readers differ in which of them they take."""
+    """An object from pairs, refusing repeated keys, which readers treat differently."""
     entries = dict(pairs)
     if len(entries) < len(pairs):
         keys = [key for key, _ in pairs]
@@ -431,7 +431,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _depth(data: Any) -> int:
-    """Levels of nesting, counted without recursion."""
+    """Nesting depth, computed without recursion."""
     depth, level = 0, [data]
     while level:
         depth += 1

@@ -65,7 +65,7 @@ class PlannerDocument(Document):
     )
 
     def meanings(self, at: Located, scope: Scope) -> dict[str, Any]:
-        """As of any layout, without what only older files say."""
+        """As for any layout, without keys of older files."""
         return {key: value for key, value in super().meanings(at, scope).items() if key != "method"}
 
     @classmethod
@@ -105,7 +105,7 @@ def settings_with(settings: PlannerSettings, changes: Mapping[str, Any], inputs:
 
 
 class PlantDocument(Document):
-    """Standing objects know the keys down to `wander_time`; held ones all but those of handle, gravity and wander."""
+    """Standing objects use the keys down to `wander_time`; held ones all but those of handle, gravity and wander."""
 
     mass: Positive | None = doc("Mass of each moving part, or of each held part [kg].", None)
     damping: NonNegative | None = doc("Viscous resistance at the handle [N s/m].", None)

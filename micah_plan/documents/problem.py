@@ -1,4 +1,4 @@
-"""Problem files (`problems/*.yaml`): what to do with which model, from where to where."""
+"""Problem files (`problems/*.yaml`): a model with a start, a goal and surroundings."""
 
 from __future__ import annotations
 
@@ -176,7 +176,7 @@ def load_problem(
 
 
 def problem_from_text(content: bytes, source: str, automaton: HybridAutomaton) -> Problem:
-    """The problem that the text of a file describes, with a model in place of the one that it names.
+    """The problem of a file's text, with the given model in place of the named one.
 
     Raises:
         InputError: as `load_problem` does.
@@ -188,7 +188,7 @@ def problem_from_text(content: bytes, source: str, automaton: HybridAutomaton) -
 
 
 def problem_of_data(data: Mapping[str, Any], model: HybridAutomaton | None = None) -> Problem:
-    """The problem that data with the keys of a problem file describe.
+    """The problem of data with the keys of a problem file.
 
     Args:
         data: dicts, lists, texts and numbers; `format` may be left out, and `model`, which is a path, if one is given.
@@ -208,7 +208,7 @@ def problem_of_data(data: Mapping[str, Any], model: HybridAutomaton | None = Non
 
 
 def check_possible(problem: Problem, where: str) -> None:
-    """Refuse a start that no mode allows, and a goal that the object cannot reach; `where`: what messages name.
+    """Refuse a start that no mode allows, and an unreachable goal; `where`: the source in messages.
 
     Raises:
         InputError: with the key that a file would have, and the nearest possible value.
@@ -229,14 +229,14 @@ def _check_possible(problem: Problem, located: Located) -> None:
 
 
 class ProblemReader:
-    """Reads one problem file again and again, with other overrides each time.
+    """Reads one problem file repeatedly with different overrides.
 
     The files are read anew every time. What is made of their content is kept until it changes: parsing takes a hundred
     times as long as replacing a value, and the contacts of a held object take seconds.
     """
 
     def __init__(self, path: str | Path, model: HybridAutomaton | None = None) -> None:
-        """Args: the problem file, and a model to use instead of the one that it names."""
+        """Args: the problem file, and an optional model in place of the named one."""
         self._path = Path(path)
         self._model = None if model is None else model_text(model).encode()
         self._source = str(path)
@@ -250,7 +250,7 @@ class ProblemReader:
         return problem
 
     def describe(self, overrides: Mapping[str, Any] | None = None) -> Problem:
-        """As `load`, but start and goal need not be possible for the object; keys, types and names must be right."""
+        """As `load` without checking that start and goal are possible; keys, types and names are checked."""
         return self._described(overrides or {})[0]
 
     def _described(self, overrides: Mapping[str, Any]) -> tuple[Problem, Located]:
@@ -274,7 +274,7 @@ class ProblemReader:
         return replace(problem, source=self._source, digests=digests), located
 
     def _automaton(self, model: bytes, path: Path, document: ProblemDocument, located: Located) -> HybridAutomaton:
-        """The model, times its contacts if the object is held."""
+        """The model, combined with its contacts for held objects."""
         hold, scene = _held(document, located)
         inputs = (model, path, hold, scene)
         if self._made is None or self._made[0] != inputs:
@@ -283,7 +283,7 @@ class ProblemReader:
 
 
 def _held(document: ProblemDocument, located: Located) -> tuple[Hold | None, tuple[Body, ...]]:
-    """How the object is held, and by what it may be touched then; None and nothing if it stands."""
+    """(grasp, bodies that may be touched); None and empty for a standing object."""
     if document.hold is None:
         return None, ()
     hold: Hold = document.hold.read(located.at("hold"), {"body": tuple(document.scene)})
@@ -291,7 +291,7 @@ def _held(document: ProblemDocument, located: Located) -> tuple[Hold | None, tup
 
 
 def problem_of_document(document: ProblemDocument, automaton: HybridAutomaton, located: Located) -> Problem:
-    """The problem that a file describes, without its source and digests; whether it is possible is not checked here.
+    """The problem of a document, without source and digests, and without checking feasibility.
 
     Args:
         document: the validated layout.
@@ -336,7 +336,7 @@ def problem_data(problem: Problem, model: str) -> dict[str, Any]:
 def _with_contacts(
     automaton: HybridAutomaton, hold: Hold | None, scene: tuple[Body, ...], located: Located
 ) -> HybridAutomaton:
-    """The model times the contacts of a held object; of one that stands as it is."""
+    """The model combined with the contacts of a held object; unchanged for a standing one."""
     if hold is None:
         return automaton
     from micah_plan.automaton.contacts.product import with_contacts
@@ -351,7 +351,7 @@ def _digest(content: bytes) -> str:
 
 
 def check_start(start: Start, automaton: HybridAutomaton, located: Located) -> None:
-    """Refuse a start where the planner would find no mode to start in; `located`: what has the key `start`."""
+    """Refuse a start that lies in no mode; `located`: the data with the key `start`."""
     names, mode = automaton.mode_names, start_mode(automaton, start)[0]
     if mode is not None:
         _check_ties(start, automaton, automaton.mode(mode), located)
@@ -367,7 +367,7 @@ def check_start(start: Start, automaton: HybridAutomaton, located: Located) -> N
 
 
 def _check_ties(start: Start, automaton: HybridAutomaton, mode: Mode, located: Located) -> None:
-    """Refuse a start at which a coordinate is not where those that it follows put it, except for its own std."""
+    """Refuse a start that violates a tie of its mode beyond the coordinate's std."""
     for tie in mode.ties:
         coordinate, found = automaton.coordinates[tie.coordinate], start.mean[tie.coordinate]
         expected = float(tie.value(np.array(start.mean)))
@@ -379,7 +379,7 @@ def _check_ties(start: Start, automaton: HybridAutomaton, mode: Mode, located: L
 
 
 def _invariants(automaton: HybridAutomaton, modes: Sequence[str]) -> str:
-    """The remedy that says what the modes allow: ``allowed: swings (door >= 0, door <= 1.2)``."""
+    """The remedy that lists the invariants of modes: ``allowed: swings (door >= 0, door <= 1.2)``."""
     scope, texts = scope_of(automaton), []
     for name in modes[:_MOST_LISTED]:
         mode = automaton.mode(name)

@@ -1,4 +1,4 @@
-"""What is around the object and which arm holds it: the entries `scene`, `robot` and `grasp` of a problem file."""
+"""The surroundings and the arm: entries `scene`, `robot` and `grasp` of a problem file."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class BodyShapeDocument(Document):
 
     @classmethod
     def written(cls, value: Shape, scope: Scope) -> Mapping[str, Any]:
-        """Meshes with their corners."""
+        """Meshes are written as their corners."""
         return {**vars(value), **({"kind": "mesh"} if isinstance(value, Hull) else {})}
 
 
@@ -110,7 +110,7 @@ class RobotDocument(Document):
     srdf_text: str | None = doc("Content of the file at `srdf`; plan files carry it.", None)
 
     def read(self, at: Located, scope: Scope) -> RobotDescription:
-        """The robot with the content of its files; whether they are a robot is not checked here."""
+        """The robot with the content of its files, unvalidated."""
         values = self.meanings(at, scope)
         path, srdf, text = _robot_file(self.path, at), values.pop("srdf_text") or "", values.pop("text")
         if self.srdf is not None:
@@ -136,7 +136,7 @@ class GraspDocument(Document):
 
 
 def _robot_file(path: str, at: Located) -> Path:
-    """The file, or that of the robot of this name."""
+    """The path of the file, or of the installed robot of this name."""
     beside = at.folder / path
     if not is_name(path) or beside.exists():
         return beside
@@ -150,7 +150,7 @@ def _robot_file(path: str, at: Located) -> Path:
 
 
 def _pairs(srdf: str, source: str) -> str:
-    """Of an SRDF what is used of it: nothing else of a file goes into plans."""
+    """The used part of an SRDF, which alone goes into plans."""
     if not srdf:
         return ""
     root = parse_xml(srdf, source)

@@ -57,7 +57,7 @@ def load_sweep(path: str | Path) -> Sweep:
 
 
 def sweep_of(data: Mapping[str, Any], folder: str | Path = ".") -> Sweep:
-    """The sweep that the plain data of a sweep file describes; its problems are looked for from a folder.
+    """The sweep of plain data of a sweep file; problems are relative to a folder.
 
     Raises:
         InputError: as `load_sweep`.
@@ -87,7 +87,7 @@ def _sweep(located: Located, folder: Path) -> Sweep:
 
 
 def _check_grid(document: SweepDocument, located: Located) -> None:
-    """Raise an InputError where two cases would be the same, or no problem could have a value."""
+    """Refuse grids with duplicate cases, or with values that no problem accepts."""
     _check_distinct(document.problems, "problem", located.at("problems"))
     keys = [key.split(".") for key in document.grid]
     for key, values in document.grid.items():
@@ -106,7 +106,7 @@ def _check_grid(document: SweepDocument, located: Located) -> None:
 
 
 def _dotted_paths(layout: type[Document], prefix: str = "") -> Iterator[str]:
-    """The dotted paths of all values that a layout has, without those below mappings and lists."""
+    """The dotted paths of all values of a layout, without those below mappings and lists."""
     for name in layout.model_fields:
         yield prefix + name
         inner = kind_at(layout, [name])
@@ -145,5 +145,5 @@ def _problem(document: SweepDocument, number: int, located: Located, folder: Pat
 
 
 def _digests(problem: Problem) -> Digests:
-    """Digests of the files, and of the bodies around the object, whose meshes lie in files of their own."""
+    """Digests of the files, including meshes of bodies around the object."""
     return {**problem.digests, "scene": hashlib.sha256(repr(problem.scene).encode()).hexdigest()}

@@ -67,7 +67,7 @@ class TagsDocument(Document):
 
 
 def load_tags(path: str | Path) -> TagLayout:
-    """The tags that a file describes: ours, or the one of apriltag_ros for ROS 1 or 2.
+    """The tags of a file: our format, or apriltag_ros for ROS 1 or 2.
 
     Raises:
         InputError: if it cannot be used; one line names file, line, key, what was expected and found, and the remedy.

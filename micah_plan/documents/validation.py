@@ -1,4 +1,4 @@
-"""Located data -> document, or an error for everything that is wrong with it, the first in the file in front."""
+"""Validation of located data against a document, reporting all errors in file order."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def validated(located: Located, document: type[D]) -> D:
 
 
 def check_format(located: Located, document: type[Document]) -> None:
-    """Raise an InputError unless the file says that it is of the document's format and version."""
+    """Raise an InputError unless the file states the document's format and version."""
     (expected,) = get_args(document.model_fields["format"].annotation)
     kind = expected.split("/")[1]
     data, says = located.data, f"says 'format: {expected}'"
@@ -87,7 +87,7 @@ def _path(detail: ErrorDetails) -> KeyPath:
 
 
 def _explained(detail: ErrorDetails, document: type[Document]) -> tuple[str, str | None]:
-    """What is wrong, and the remedy."""
+    """(problem, remedy) of a validation error."""
     kind, path, context = detail["type"], _path(detail), detail.get("ctx") or {}
     if kind == "extra_forbidden":
         owner = kind_at(document, path[:-1])

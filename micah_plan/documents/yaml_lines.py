@@ -139,7 +139,7 @@ def _decoded(content: bytes, source: str) -> str:
 
 
 def _end_of(text: str) -> tuple[int, int]:
-    """Line and column of what comes next, both from 1."""
+    """(line, column) of the position after a text, both from 1."""
     return text.count("\n") + 1, len(text) - text.rfind("\n")
 
 
@@ -214,7 +214,7 @@ class _Reader:
         return value
 
     def _meant(self, event: events.Event, origin: KeyPath, value: Any, path: KeyPath) -> Any:
-        """A copy of what an alias at a path stands for; its parts are where they were written."""
+        """A copy of the value that an alias at a path refers to, with the places of the original."""
         self._check_depth(event, path)
         self._expanded += 1
         if self._expanded > MOST_VALUES:
@@ -231,7 +231,7 @@ class _Reader:
             raise self._error(event, f"expected at most {DEEPEST} levels", "nothing needs to be nested so deep")
 
     def _own(self, event: events.Event, path: KeyPath) -> Any:
-        """The value that an event begins."""
+        """The value that starts at an event."""
         self._check_depth(event, path)
         if isinstance(event, events.ScalarEvent):
             return _scalar(event)

@@ -1,1 +1,1 @@
-"""Plans and models in the formats of others, and the way from one file to another."""
+"""Plans and models in other formats, and conversion between files."""

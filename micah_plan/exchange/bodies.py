@@ -1,4 +1,4 @@
-"""What formats of rigid bodies take of a model: one joint per link, distinct names, masses; and what they leave out."""
+"""Models as rigid bodies for other formats: one joint per link, distinct names, masses; and the losses."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class MovingPart:
 
 @dataclass(frozen=True, eq=False)
 class Inertia:
-    """Mass [kg], centre (3,) [m] and moments (3, 3) about it [kg m^2], in the part's frame."""
+    """Mass [kg], centre (3,) [m] and inertia (3, 3) about it [kg m^2], in the part's frame."""
 
     mass: float
     center: Floats
@@ -88,7 +88,7 @@ def moving_parts(automaton: HybridAutomaton, *, screws: bool) -> list[MovingPart
 
 
 def _followed(automaton: HybridAutomaton, coordinate: int) -> tuple[int, float, float] | None:
-    """The coordinate that another one follows in all modes, by how much, and the offset; None if it follows none."""
+    """(leading coordinate, factor, offset) of a coordinate tied to another in all modes; None otherwise."""
     ties = {next((tie for tie in mode.ties if tie.coordinate == coordinate), None) for mode in automaton.modes}
     tie = ties.pop() if len(ties) == 1 else None
     leaders = [] if tie is None else [i for i, weight in enumerate(tie.weights) if weight]
@@ -96,7 +96,7 @@ def _followed(automaton: HybridAutomaton, coordinate: int) -> tuple[int, float, 
 
 
 def _moving_joint(automaton: HybridAutomaton, k: int, screws: bool) -> Joint:
-    """The one joint of a link that moves it in any mode; a rigid one if there is none."""
+    """The only moving joint of a link; rigid if there is none."""
     part = automaton.links[k].child
     joints = [replace(mode.joints[k], covariance=None) for mode in automaton.modes]
     moving = list(dict.fromkeys(joint for joint in joints if joint.moves))
@@ -110,7 +110,7 @@ def _moving_joint(automaton: HybridAutomaton, k: int, screws: bool) -> Joint:
 
 
 def inertia_of(part: Part, density: float) -> Inertia:
-    """Of all shapes of a part, each solid and of that density [kg/m^3]; a small ball where it has none."""
+    """Inertia of a part's shapes at a density [kg/m^3]; of a small ball without shapes."""
     shapes = part.shapes or (Primitive("sphere", (_BARE_RADIUS,)),)
     scale = density if part.shapes else _BARE_MASS / volume(shapes[0])
     masses = np.array([scale * volume(shape) for shape in shapes])
@@ -125,7 +125,7 @@ def inertia_of(part: Part, density: float) -> Inertia:
 
 
 def _squares(shape: Primitive) -> Sequence[float]:
-    """Moments over the mass of a solid about its own axes [m^2]."""
+    """Moments of inertia per mass of a solid about its own axes [m^2]."""
     if shape.kind == "box":
         x, y, z = (length**2 / 12.0 for length in shape.size)
         return y + z, z + x, x + y
@@ -137,7 +137,7 @@ def _squares(shape: Primitive) -> Sequence[float]:
 
 
 def lost_in_bodies(automaton: HybridAutomaton, density: float, *, handles: bool) -> tuple[str, ...]:
-    """What of a model a file of bodies and joints does not hold, and what it holds that nobody measured."""
+    """Losses of a model in a file of bodies and joints, and assumed values, one line each."""
     lost = [f"{count(len(automaton.modes), 'mode')} with guards"] if len(automaton.modes) > 1 else []
     lost += ["noise"]
     lost += ["probabilities of what was learned"] if automaton.learned else []
@@ -152,12 +152,12 @@ def lost_in_bodies(automaton: HybridAutomaton, density: float, *, handles: bool)
 
 
 def roll_pitch_yaw(rotation: Rotation) -> Floats:
-    """(3,) turns about the fixed axes x, y and z, as URDF and SDF write them; where the pitch is upright yaw is 0."""
+    """(3,) rotations about the fixed axes x, y and z, as in URDF and SDF; yaw is 0 at vertical pitch."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of several such triples SciPy takes one, and says so
         return np.asarray(rotation.as_euler("xyz"))
 
 
 def written(values: ArrayLike) -> str:
-    """Numbers as XML files have them, exactly."""
+    """Numbers for XML files, without loss."""
     return " ".join(repr(float(value)) for value in np.asarray(values, dtype=float))

@@ -1,4 +1,4 @@
-"""From one file to another: what is in it, in the format that the other's ending names."""
+"""Conversion of a file to the format of the target's suffix."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ _BODIES = {".urdf": urdf_text, ".sdf": sdf_text, ".mjcf": mjcf_text, ".xml": mjc
 
 
 def targets(path: str | Path) -> tuple[str, ...]:
-    """The endings that a file may be converted to.
+    """The suffixes that a file may be converted to.
 
     Raises:
         InputError: if there are none.
@@ -81,7 +81,7 @@ def convert(
     packages: Mapping[str, str] | None = None,
     conventions: Conventions | None = None,
 ) -> tuple[Kind, tuple[str, ...]]:
-    """Write what one file holds into another, at once or not at all.
+    """Convert a file to another format, atomically.
 
     Args:
         source, target: the files.
@@ -134,7 +134,7 @@ def convert(
 def write_model(
     automaton: HybridAutomaton, path: str | Path, *, name: str = "object", density: float = DENSITY
 ) -> tuple[str, ...]:
-    """Write a model in the format that the ending of the file names, at once or not at all.
+    """Write a model in the format of the file's suffix, atomically.
 
     Args:
         automaton: the model.
@@ -166,7 +166,7 @@ def write_model(
 def _chosen(
     recording: Recording, part: str | None, run: int | None, poses_only: bool
 ) -> tuple[Recording, tuple[str, ...]]:
-    """The rows that were asked for, and what was left out of them, one line each."""
+    """(requested rows, losses, one line each)."""
     if part is not None or run is not None:
         recording = recording.select(run=run, part=part)
     if not poses_only:

@@ -12,8 +12,7 @@ from micah_plan.recording.ros_mcap import NANOSECONDS, header_at, split_time
 
 
 def trajectory_goal(stored: StoredPlan) -> dict[str, Any]:
-    """The goal of a ``control_msgs/action/FollowJointTrajectory``: the trajectory, which begins when it arrives, and a
-    second by which its end may be late.
+    """The `FollowJointTrajectory` goal of a plan, starting on arrival, with one second of tolerance at its end.
 
     Raises:
         InputError: if the plan is no solution.

@@ -1,4 +1,4 @@
-"""A recording from any file, by the conventions that are given or lie beside it; of tracks of points that of bodies."""
+"""Recordings from any file, by given or adjacent conventions; from tracks of points those of their bodies."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from micah_plan.vision.track_points import track_points
 
 
 def load_recording(path: str | Path, *, minimum_rows: int = 1, conventions: Conventions | None = None) -> Recording:
-    """`read_recording`, by the conventions that are given or else those that lie beside the file; of a log of a robot's
-    joints the poses of its tool, of tracks of points those of the bodies that they are on.
+    """`read_recording` with adjacent conventions; tool poses from logs of joints, body poses from tracks of points.
 
     Args:
         path: the recording; of ``door.csv`` the conventions are in ``door.conventions.yaml``.
@@ -48,7 +47,7 @@ def _loaded(path: str | Path, minimum_rows: int, meant: Conventions | None) -> R
 
 
 def _of_points(path: str | Path, meant: Conventions) -> Recording:
-    """Poses of the bodies that points are on; the command track says more of them."""
+    """Poses of the bodies that points belong to; the command `track` reports more."""
     tracks = load_points(path, unit=meant.length)
     with located_in(path):
         meant.require_open(

@@ -68,7 +68,7 @@ def _body(part: MovingPart, density: float) -> Element:
 
 
 def _joints(part: MovingPart) -> list[Element]:
-    """In the frame of the part, as MJCF has them."""
+    """Joints in the frame of the part, as in MJCF."""
     joint = part.joint
     if not joint.moves:
         return []
@@ -87,7 +87,7 @@ def _joints(part: MovingPart) -> list[Element]:
 
 
 def _solids(part: Part) -> list[Element]:
-    """Shapes that meet nothing: parts overlap where a joint holds them."""
+    """Shapes without collision: parts overlap where a joint holds them."""
     return [_solid(shape) for shape in part.shapes]
 
 

@@ -29,7 +29,7 @@ _HERE = RigidTransform.identity()
 
 
 def load_mjcf(path: str | Path) -> tuple[HybridAutomaton, tuple[str, ...]]:
-    """The model that an MJCF file describes, and what of the file is not in it or looks like a mistake, one line each.
+    """(model of an MJCF file, its losses and suspicions, one line each).
 
     Raises:
         InputError: if it is no MJCF, MuJoCo refuses it, nothing moves, or something moves on a ball joint.
@@ -53,7 +53,7 @@ def load_mjcf(path: str | Path) -> tuple[HybridAutomaton, tuple[str, ...]]:
 
 @dataclass
 class _Part:
-    """A part that is being put together."""
+    """A part under construction."""
 
     name: str
     shapes: list[Primitive] = field(default_factory=list)
@@ -100,7 +100,7 @@ class _Tree:
         self.carried.append((part, place))
 
     def _add_joint(self, joint: int, parent: int, place: RigidTransform, child: str) -> None:
-        """A part on a joint; where its coordinate has the value that the file was drawn at, it is at `place`."""
+        """Add a part on a joint; at the drawn value of its coordinate it is at `place`."""
         compiled, kinds = self._compiled, self._mujoco.mjtJoint
         called = self._joint_name(joint)
         if child == BASE:
@@ -123,7 +123,7 @@ class _Tree:
         self.moving.append(Moving(called, coordinate_of(called, child), link, slide, (low, high)))
 
     def _followers(self) -> dict[str, Follows]:
-        """Joints that an equality makes follow others; of those that close loops a note."""
+        """Joints coupled by equalities; other equalities are noted."""
         compiled, followers = self._compiled, dict[str, Follows]()
         for i in np.flatnonzero(compiled.eq_active0).tolist():
             if int(compiled.eq_type[i]) != int(self._mujoco.mjtEq.mjEQ_JOINT):
@@ -141,7 +141,7 @@ class _Tree:
         return followers
 
     def _add_shape(self, geom: int) -> None:
-        """A solid that collides, or is drawn where nothing of its body collides."""
+        """Add a solid that collides, or a visual one of a body without collision shapes."""
         compiled, body = self._compiled, int(self._compiled.geom_bodyid[geom])
         collide = (compiled.geom_contype != 0) | (compiled.geom_conaffinity != 0)
         if not collide[geom] and collide[compiled.geom_bodyid == body].any():
@@ -197,5 +197,5 @@ def _solid_of_geom(kind: str, size: list[float], pose: RigidTransform, rgba: Any
 
 
 def _pose(position: Any, quaternion: Any) -> RigidTransform:
-    """A pose from MuJoCo's position and quaternion, whose scalar comes first."""
+    """A pose from MuJoCo's position and scalar-first quaternion."""
     return RigidTransform.from_components(np.array(position), Rotation.from_quat(np.roll(quaternion, -1)))

@@ -38,7 +38,7 @@ class Moving(NamedTuple):
 
 
 class Follows(NamedTuple):
-    """What a joint does that follows another one: `multiplier` times the coordinate of that, plus `offset`."""
+    """A mimic joint: `multiplier` times the leading coordinate, plus `offset`."""
 
     leader: str
     multiplier: float
@@ -46,12 +46,12 @@ class Follows(NamedTuple):
 
 
 def coordinate_of(joint: str, part: str) -> str:
-    """The name of the joint; without ``_joint`` where the rest is the name of what it moves, as our writers have it."""
+    """The joint's name, without the suffix ``_joint`` that our writers add to the part's name."""
     return part if joint == f"{part}{JOINT_SUFFIX}" else joint
 
 
 def doubts(moving: Sequence[Moving], parts: Sequence[Part]) -> list[str]:
-    """Limits of hinges that are many turns, as degrees would be, and bodies that are as long as a house."""
+    """Suspicions: hinges with limits of many turns, which may be degrees, and bodies as long as a house."""
     lines = []
     for each in moving:
         widest = max((abs(end) for end in each.limits if abs(end) < NO_LIMIT), default=0.0)
@@ -121,7 +121,7 @@ def one_mode(
 
 
 def _followed(moving: Sequence[Moving], followers: Mapping[str, Follows]) -> dict[int, tuple[int, float, float]]:
-    """By number of a joint that follows another one: that one's number, multiplier and offset."""
+    """(leading joint, multiplier, offset) by number of the coupled joint."""
     numbers, found = {each.called: i for i, each in enumerate(moving)}, dict[int, tuple[int, float, float]]()
     for name, number in numbers.items():
         multiplier, offset, leader, passed = 1.0, 0.0, name, [name]

@@ -21,7 +21,7 @@ _RED_GREEN_BLUE = ((200, 40, 40), (40, 140, 40), (40, 80, 200))
 
 
 def write_rrd(recording: Recording, path: str | Path) -> tuple[str, ...]:
-    """Write a recording; returns the columns that it cannot hold, being no numbers.
+    """Write a recording; returns the non-numeric columns, which are lost.
 
     Raises:
         InputError: if the file cannot be written.
@@ -60,7 +60,7 @@ def write_rrd(recording: Recording, path: str | Path) -> tuple[str, ...]:
 
 
 def _scalars(rows: Recording, lost: dict[str, None]) -> dict[str, Floats]:
-    """Columns of numbers by name; empty entries are NaN. What is none is added to `lost`."""
+    """Numeric columns by name, with NaN for empty entries; others are added to `lost`."""
     columns: dict[str, Floats] = {}
     for name, array in (("action", rows.action), ("force", rows.force)):
         if array is not None:

@@ -47,7 +47,7 @@ def sdf_text(automaton: HybridAutomaton, title: str, density: float = DENSITY) -
 
 
 def _joint(model: _Node, part: MovingPart) -> None:
-    """In the frame of the part, through the centre of what turns."""
+    """Add a joint in the frame of the part, through the centre of rotation."""
     joint, turn = part.joint, Rotation.from_quat(part.joint.quaternion)
     kind = {"rigid": "fixed"}.get(joint.kind, joint.kind)
     found = _add(model, "joint", {"name": part.name, "type": kind})

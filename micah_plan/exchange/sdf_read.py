@@ -1,4 +1,4 @@
-"""Models from SDF (Gazebo, Drake): as a URDF of the same joints, read as that is.
+"""Models from SDF (Gazebo, Drake), converted to a URDF of the same joints.
 
 In SDF a joint has a frame of its own, and every pose says what it is relative to; in URDF a joint's frame is that of
 its child. So each moving link gets a further one that turns on the joint and that it is fixed to, as `urdf_text` makes
@@ -33,7 +33,7 @@ _DEEPEST = 100
 
 
 def load_sdf(path: str | Path, packages: Mapping[str, str] | None = None) -> tuple[HybridAutomaton, tuple[str, ...]]:
-    """The model that an SDF file describes, and what of the file is not in it or looks like a mistake, one line each.
+    """(model of an SDF file, its losses and suspicions, one line each).
 
     Args:
         packages: folder by the name behind ``model://``, for meshes.
@@ -84,7 +84,7 @@ class _Model:
         self._notes: list[str] = []
 
     def urdf(self) -> tuple[Element, list[str]]:
-        """The root element of a URDF, and what is not in it."""
+        """(root element of an equivalent URDF, losses)."""
         robot = Element("robot", {"name": _name(self._model)}, self._model.line, source=self._model.source)
         robot.children.append(_made(self._model, "link", {"name": _WORLD}))
         robot.children += [self._link(name, link) for name, link in self._links.items()]
@@ -169,7 +169,7 @@ class _Model:
         raise asked.error("poses are relative to each other in a circle", "let one be relative to the model")
 
     def _link(self, name: str, link: Element) -> Element:
-        """The URDF link: what may touch, in its frame, and how it is drawn."""
+        """The URDF link: collision and visual shapes in its frame."""
         found = _made(link, "link", {"name": name})
         for tag in ("visual", "collision"):
             for solid in link.all(tag):
@@ -189,7 +189,7 @@ class _Model:
         return found
 
     def _shape(self, link: str, solid: Element, is_told: bool) -> Element | None:
-        """The geometry of a solid; None for one that is left out, which is told once."""
+        """The geometry of a solid; None, with one note, for unsupported ones."""
         geometry = solid.first("geometry")
         for kind in geometry.children if geometry is not None else ():
             if kind.tag not in _SHAPES:
@@ -233,7 +233,7 @@ def _numbers(element: Element, text: str, count: int) -> list[float]:
 
 
 def _placed(owner: Element, otherwise: str) -> _Frame:
-    """The pose of an element, relative to what it says or else to what is usual for it."""
+    """The pose of an element, relative to its stated frame or the default one."""
     pose = owner.first("pose")
     if pose is None or not pose.text.strip():
         within = otherwise if pose is None else pose.attributes.get("relative_to") or otherwise
@@ -260,7 +260,7 @@ def _limits(axis: Element) -> tuple[float, float]:
 
 
 def _mimic(axis: Element) -> list[Element]:
-    """What makes a joint follow another, as URDF says it."""
+    """The URDF mimic element of a coupled joint."""
     mimic = axis.first("mimic")
     if mimic is None:
         return []
@@ -272,7 +272,7 @@ def _mimic(axis: Element) -> list[Element]:
 
 
 def _material(solid: Element) -> list[Element]:
-    """The colour of what is drawn."""
+    """The colour of a visual."""
     material = solid.first("material")
     diffuse = "" if material is None else _text(material, "diffuse") or _text(material, "ambient")
     if material is None or not diffuse:
@@ -284,7 +284,7 @@ def _material(solid: Element) -> list[Element]:
 
 
 def _made(source: Element, tag: str, attributes: Mapping[str, str]) -> Element:
-    """An element of the URDF that messages find in the SDF."""
+    """A URDF element that keeps the SDF source for messages."""
     return Element(tag, dict(attributes), source.line, source=source.source)
 
 

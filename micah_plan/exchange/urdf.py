@@ -106,7 +106,7 @@ def _joint(
 
 
 def _link(name: str, part: Part | None, density: float | None) -> Element:
-    """A link with its shapes; with a density also with its mass and moments."""
+    """A link with its shapes and, given a density, its inertia."""
     shapes = [] if part is None else [_shape(shape, tag) for shape in part.shapes for tag in ("visual", "collision")]
     if part is not None and density is not None:
         shapes.insert(0, _inertial(inertia_of(part, density)))
@@ -140,7 +140,7 @@ def _origin(position: ArrayLike, quaternion: ArrayLike) -> Element:
 
 
 def load_urdf(path: str | Path, packages: Mapping[str, str] | None = None) -> tuple[HybridAutomaton, tuple[str, ...]]:
-    """The model that a URDF describes, and what of the file is not in it or looks like a mistake, one line each.
+    """(model of a URDF, its losses and suspicions, one line each).
 
     Args:
         packages: folder by package name, for meshes; others are looked for among the folders above the file.
@@ -157,7 +157,7 @@ def load_urdf(path: str | Path, packages: Mapping[str, str] | None = None) -> tu
 def automaton_of_urdf(
     root: Element, path: str | Path, packages: Mapping[str, str], method: str
 ) -> tuple[HybridAutomaton, tuple[str, ...]]:
-    """`load_urdf` of the root element of a file; `method` is told as what the model is made of."""
+    """`load_urdf` for a parsed root element; `method` is the provenance of the model."""
     checked = check_urdf(root, str(Path(path).parent), packages, is_arm=False)
     with located_in(path):
         return _Tree(checked, str(path), _meshes_of_handles(root, Path(path).parent)).automaton(method)
@@ -165,7 +165,7 @@ def automaton_of_urdf(
 
 @dataclass
 class _Body:
-    """Links that are fixed to one another."""
+    """Links that are fixed to one another, as one body."""
 
     root: str
     poses: dict[str, RigidTransform]
@@ -174,7 +174,7 @@ class _Body:
 
 
 def _meshes_of_handles(root: Element, folder: Path) -> frozenset[str]:
-    """The files of meshes that are drawn as handles."""
+    """Mesh files that are drawn as handles."""
     drawn = [visual for link in root.all("link") for visual in link.all("visual")]
     handles = [visual for visual in drawn if visual.attributes.get("name", "").lower().startswith("handle")]
     meshes = [mesh for visual in handles for geometry in visual.all("geometry") for mesh in geometry.all("mesh")]
@@ -306,7 +306,7 @@ def _end(joint: Element, key: str) -> str:
 
 
 def _pose(owner: Element) -> RigidTransform:
-    """What the <origin> of a joint or shape says."""
+    """The pose of an <origin> element."""
     origin = owner.first("origin")
     if origin is None:
         return _HERE

@@ -1,4 +1,4 @@
-"""Plants as an execution meets them: made by `make_plant`, and every answer `checked_measurement`.
+"""Plants as executions see them: created by `make_plant`, with every answer checked.
 
 An exception in a plant's code becomes one line about that code, so that a mistake in a user's driver does not look like
 one of the planner.
@@ -50,7 +50,7 @@ def make_plant(problem: Problem, kind: str | PlantMaker) -> Plant:
 
 
 def made(maker: Callable[[Any], Plant], argument: object, what: str) -> Plant:
-    """What a class or function makes when it is called with a problem or a scene, if it is a plant."""
+    """The plant that a class or function returns for a problem or a scene."""
     if isinstance(maker, type):  # before any machine moves
         check_methods(maker, maker.__name__)
     plant: Plant = _called(maker, f"{getattr(maker, '__name__', 'the plant')}({what})", maker, argument)
@@ -59,7 +59,7 @@ def made(maker: Callable[[Any], Plant], argument: object, what: str) -> Plant:
 
 
 class CheckedPlant:
-    """A plant whose answers are checked. As a context it closes the plant at its end, whatever happened."""
+    """A plant with checked answers; as a context manager it closes the plant in any case."""
 
     def __init__(self, plant: Plant, parts: Sequence[str]) -> None:
         """Args: parts: (l,) names of the parts that each measurement has a row of, in this order."""
@@ -74,7 +74,7 @@ class CheckedPlant:
         return self._measured("reset", rng)
 
     def apply(self, command: Command) -> Measurement:
-        """The measurement after a control step; the plant gets copies: what it does to them changes no belief.
+        """The measurement after a control step; the plant gets copies, so it cannot alter the belief.
 
         They can be written to, since SciPy's rotations take no arrays that cannot.
         """
@@ -83,7 +83,7 @@ class CheckedPlant:
         return self._measured("apply", Command(**fields))
 
     def truth(self) -> Truth | None:
-        """The true state now; None if the plant is no referee."""
+        """The true state; None if the plant is no referee."""
         if not isinstance(self._plant, Referee):
             return None
         answer = self.ask("truth")
@@ -102,7 +102,7 @@ class CheckedPlant:
                 self.ask("close")
 
     def ask(self, method: str, *arguments: object) -> object:
-        """What a method of the plant answers, unchecked; an exception of its code becomes one line.
+        """The unchecked answer of a method of the plant; its exceptions become one line.
 
         Raises:
             PlantError: if it does not answer within the plant's `patience` [s], 60 if it has none; None: for ever.
@@ -125,7 +125,7 @@ class CheckedPlant:
 
 
 def _filled(answer: object, last: Measurement) -> object:
-    """An answer with the last poses of parts that have NaN for theirs, which are then `unseen`."""
+    """An answer with NaN poses replaced by the last ones and marked `unseen`."""
     if not isinstance(answer, Measurement):
         return answer
     try:
@@ -139,7 +139,7 @@ def _filled(answer: object, last: Measurement) -> object:
 
 @contextmanager
 def _watched(what: str, patience: float | None) -> Iterator[None]:
-    """Break off what takes longer [s], where this can be done: in the main thread, on systems with alarms."""
+    """Abort calls that take longer than `patience` [s], where possible: in the main thread, on systems with alarms."""
     in_main = threading.current_thread() is threading.main_thread()
     if patience is None or not in_main or not hasattr(signal, "setitimer"):
         yield
@@ -168,7 +168,7 @@ def _watched(what: str, patience: float | None) -> Iterator[None]:
 
 
 def checked_measurement(answer: object, parts: Sequence[str], after: float = -np.inf) -> Measurement:
-    """A plant's answer, if it is a usable measurement, with copies of its arrays.
+    """A validated measurement with copies of its arrays.
 
     Args:
         answer: what `reset` or `apply` returned.
@@ -206,7 +206,7 @@ def checked_measurement(answer: object, parts: Sequence[str], after: float = -np
 
 
 def _array(value: object, name: str, shape: tuple[int, ...] | None, column: str) -> Floats:
-    """A copy of finite numbers of that shape (None: one row), no larger than those of a column of recordings."""
+    """A read-only copy of finite numbers with a shape (None: one row) and the range of a recording's column."""
     expected, largest = "(J,)" if shape is None else str(shape), LARGEST[column]
     try:
         array = np.array(value, dtype=float)
@@ -233,7 +233,7 @@ def _flags(value: object, rows: int) -> Booleans:
 
 
 def error_in_user_code(error: BaseException, file: str | None, what: str) -> InputError:
-    """An exception from a user's code as one line: what raised it, and the line of their file in which it did.
+    """An exception from a user's code as one line: its type and message, with the line in the user's file.
 
     Args:
         file: theirs; None: unknown.
@@ -249,7 +249,7 @@ def error_in_user_code(error: BaseException, file: str | None, what: str) -> Inp
 
 
 def _called(culprit: object, what: str, call: Callable[..., Any], *arguments: object) -> Any:
-    """The result of a call; an exception from code that is not the package's becomes one line about that code."""
+    """The result of a call to user code; exceptions become one line about that code."""
     try:
         return call(*arguments)
     except MicahError:
@@ -264,7 +264,7 @@ def _called(culprit: object, what: str, call: Callable[..., Any], *arguments: ob
 
 
 def check_methods(plant: object, name: str) -> None:
-    """Refuse what lacks a method of a plant."""
+    """Refuse an object that lacks a method of a plant."""
     missing = [method for method in _METHODS if not callable(getattr(plant, method, None))]
     if missing:
         methods = ", ".join(f"{method}()" for method in missing)

@@ -40,7 +40,7 @@ _LOST = "; what was measured is not where the model has it: calibrate the model 
 
 @dataclass(frozen=True, eq=False)
 class TrialResult:
-    """One execution and how it ended.
+    """One execution with its outcome.
 
     Attributes:
         recording: the log; `learn` and `predict` accept it.
@@ -79,7 +79,7 @@ class TrialResult:
 
 
 class Episode:
-    """The decisions of one execution, apart from its plant and from the filter of its belief.
+    """The decisions of one execution, independent of its plant and of the filter.
 
     A step of an execution is, for a belief b over the states of `automaton` that starts as `prior`:
 
@@ -105,7 +105,7 @@ class Episode:
         run: int = 0,
         release: ReleasePlan | None = None,
     ) -> None:
-        """Nothing has happened yet.
+        """Initial state of an episode.
 
         Args:
             problem: automaton, start belief, goal, confidence and input limits; of one with a release, the goal is of
@@ -146,11 +146,11 @@ class Episode:
 
     @property
     def recording(self) -> Recording | None:
-        """The log so far; None if nothing was decided yet."""
+        """The log so far; None before the first decision."""
         return self._log.recording(self._run) if len(self._log) else None
 
     def reading(self, belief: HybridBelief, measurement: Measurement) -> Floats:
-        """(n,) what the filter gets of a measurement [rad or m]; NaN for what it does not show.
+        """(n,) the configuration in a measurement [rad or m]; NaN where it shows none.
 
         Args:
             belief: before it, to tell whole turns apart and for the joints of the most likely mode.
@@ -160,7 +160,7 @@ class Episode:
         return reading(self._problem.automaton, belief, measurement)
 
     def observed(self, belief: HybridBelief, measurement: Measurement) -> Floats:
-        """The `reading` of a measurement with the belief before it; by how much they differ is taken down."""
+        """The `reading` of a measurement given the belief before it; the watch records the difference."""
         z = self.reading(belief, measurement)
         self._watch.expected(belief, z)
         plain, mode = self._problem.automaton, belief.most_likely
@@ -208,7 +208,7 @@ class Episode:
         return replace(order, posture=self._pilot.posture)
 
     def result(self, failure: str = "") -> TrialResult:
-        """How the execution ended.
+        """The outcome of the execution.
 
         Args:
             failure: what the machine failed with after the last command; empty if it did not.
@@ -251,7 +251,7 @@ class Episode:
 
     @property
     def _is_away(self) -> bool:
-        """Whether the hand has left the object, and the parts are no longer where it is."""
+        """Whether the hand has left the object, so that poses no longer follow the hand."""
         return self._release_controller is not None and self._release_controller.phase == "withdrawing"
 
     @property
@@ -260,7 +260,7 @@ class Episode:
         return self._release_controller is not None and self._release_controller.felt
 
     def _is_released(self) -> bool | None:
-        """Whether the object stands in the goal on its own, as far as is known; None if it is not released."""
+        """Whether the released object stands in the goal, as far as is known; None without a release."""
         if self._release_controller is None:
             return None
         if self._truth is None:  # it is put down from where it comes to rest in the goal
@@ -269,7 +269,7 @@ class Episode:
         return self._is_open and self._truth.stands and not self._truth.incident and self._rest_goal.contains(mode, x)
 
     def _state(self, belief: HybridBelief) -> tuple[str, Floats]:
-        """Mode and x (n,) in the model's terms: the true ones or, where they are unknown, the believed ones."""
+        """(mode, x (n,)) of the model: true values where known, else believed ones."""
         plain, likely = self._problem.automaton, belief.most_likely
         if self._truth is not None:
             return true_state(plain, self._truth)
@@ -281,15 +281,15 @@ class Episode:
 
     @property
     def _is_over(self) -> bool:
-        """Whether the plan or the parts are lost, or the steps used up."""
+        """Whether the plan or the parts are lost, or the steps are used up."""
         return len(self._beliefs) > self._longest or self._pilot.is_lost or bool(self._watch.failure)
 
     def _is_done(self, belief: HybridBelief) -> bool:
-        """Whether the goal is believed reached with the plan done."""
+        """Whether the goal is believed reached at the end of the plan."""
         return self._is_confident and (len(self._beliefs) == 1 or self._pilot.is_finished(belief))
 
     def _ending(self) -> str:
-        """Why the execution ended."""
+        """The reason for the end of the execution."""
         pilot, steps = self._pilot, len(self._beliefs) - 1
         lost = self._is_lost or any(belief.was_reinitialised for belief in self._beliefs)
         refused = _LOST if lost else _BEHIND if self._watch.is_biased else ""
@@ -306,7 +306,7 @@ class Episode:
         return f"the {steps} allowed steps ended with {percent(self._confidence)} probability of the goal{refused}"
 
     def _misses(self, goal: Goal, mode: str, x: Floats) -> list[str]:
-        """In which respects the true or believed state is not in a goal set, and which constraints were broken."""
+        """Violations of a goal set and of constraints by the true or believed state."""
         automaton = self._problem.automaton
         is_, true = ("is", "true") if self._truth is not None else ("is believed", "believed")
         misses = []
@@ -321,7 +321,7 @@ class Episode:
 
 
 def execute_episode(episode: Episode, plant: Plant | CheckedPlant, rng: np.random.Generator) -> TrialResult:
-    """Carry out an episode on a plant, which is reset first.
+    """Execute an episode on a plant after a reset.
 
     If the plant is also a `Referee`, the result is scored by the truth; else by the belief, and says so.
 
@@ -342,7 +342,7 @@ def execute_batch(
     rngs: Sequence[np.random.Generator],
     ended: Callable[[TrialResult], None] | None = None,
 ) -> list[TrialResult]:
-    """Carry out episodes of one model in step with each other, each on its own plant, as `execute_episode` does one.
+    """Execute episodes of one model in lockstep, each on its own plant; equivalent to `execute_episode` for each.
 
     What the filter computes for all of them at once costs little more than for one. Several only in simulations: a
     machine does not wait for others.
@@ -387,7 +387,7 @@ def execute_batch(
 
 
 def goal_probability(automaton: HybridAutomaton, goal: Goal, belief: HybridBelief) -> float:
-    """Probability, never overstated, that the state is in the goal set.
+    """A lower bound of the probability that the state is in the goal set.
 
     Within a mode, coordinates may be correlated; Bonferroni's bound 1 - Σ P(outside) holds whatever the correlation.
     """
@@ -401,7 +401,7 @@ def goal_probability(automaton: HybridAutomaton, goal: Goal, belief: HybridBelie
 
 
 def lasting_probability(automaton: HybridAutomaton, goal: Goal, belief: HybridBelief) -> float:
-    """Probability of the goal now, and when all that was commanded has arrived: the smaller of both."""
+    """The smaller of the goal probabilities now and after all delayed commands."""
     now = goal_probability(automaton, goal, belief)
     if not automaton.input_memories:
         return now

@@ -1,4 +1,4 @@
-"""What every plant must do; run `check_plant` on yours before you execute plans on it."""
+"""Conformance of plants; run `check_plant` on yours before executing plans on it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _FIRST_SECONDS = 60.0
 
 
 def check_plant(plant: Plant, problem: Problem, seed: int = 0) -> tuple[str, ...]:
-    """Refuse a plant that does not do what executions rely on.
+    """Refuse a plant that violates an assumption of executions.
 
     It is reset twice, moved along every input by the fewest steps that show above the noise, if the start's mode allows
     them, and told to stand still. On a real machine, stand by. Checked: methods, types, shapes, unit quaternions, time;
@@ -62,7 +62,7 @@ def check_plant(plant: Plant, problem: Problem, seed: int = 0) -> tuple[str, ...
 
 
 class _Trial:
-    """A plant under test, and what the model says of its state."""
+    """A plant under test, with the model's prediction of its state."""
 
     def __init__(self, plant: Plant, problem: Problem, seed: int) -> None:
         augmented = with_input_memory(problem)
@@ -82,7 +82,7 @@ class _Trial:
         """Commands, and after how many of them each part was not seen."""
 
     def faults(self) -> Iterator[str]:
-        """One sentence for each."""
+        """One sentence per fault."""
         first = self._plant.reset(np.random.default_rng(self._seed))
         if abs(first.time) > _FIRST_SECONDS:
             yield f"time must count from the reset. Got {first.time:.9g} s in the first measurement"
@@ -107,7 +107,7 @@ class _Trial:
             yield "a simulation must start alike for the same seed; draw all chances from the rng of reset"
 
     def _misplaced(self, measurement: Measurement) -> Iterator[str]:
-        """Parts that are not where the model's joints allow them to be, whatever the configuration."""
+        """Faults: parts at poses that no configuration of their joints allows."""
         joints, x = moving_joints(self._plain, self._mode), self._measured(measurement)
         allowed = [placements(j, x[link.coordinate])[0] for j, link in zip(joints, self._plain.links, strict=True)]
         rolled = replace(measurement, quaternion=np.roll(measurement.quaternion, -1, axis=1))
@@ -127,8 +127,7 @@ class _Trial:
     def _off(
         self, measurement: Measurement, expected: Sequence[Floats], x: Floats
     ) -> Iterator[tuple[str, float, float]]:
-        """Each part with how far [m] and by which angle [rad] its measured pose relative to its parent is off an
-        expected one (4, 4); 0 where the noise of the model at x explains that."""
+        """(part, distance [m], angle [rad]) of each part off an expected relative pose (4, 4); 0 within noise at x."""
         noise = pose_noise(self._plain, self._noise(x))
         measured = relative(self._plain, measurement.position, measurement.quaternion)
         for row, part in enumerate(self._parts):
@@ -148,7 +147,7 @@ class _Trial:
                 yield f"{coordinate.name} is measured at {quantity(x[i], coordinate.unit)} after a reset, but {stated}"
 
     def _hides_truth(self, measurement: Measurement, truth: Truth) -> Iterator[str]:
-        """A referee that does not say what the tracker shows."""
+        """Faults of a referee whose truth contradicts the tracker."""
         rows, n = len(self._parts), self._plain.n
         shapes = {"position": (rows, 3), "quaternion": (rows, 4), "x": (n,), "latched": (n,)}
         shapes_given = {name: np.shape(getattr(truth, name)) for name in shapes}
@@ -163,7 +162,7 @@ class _Trial:
                     yield f"part '{part}' is measured {quantity(away, 'm')} from its true place"
 
     def _goes_elsewhere(self, j: int) -> Iterator[str]:
-        """Along one input, in the direction in which the mode stays what it is: does it go where it is told to?"""
+        """Faults along one input, in the direction that keeps the mode: motion other than commanded."""
         name = self._plain.inputs[j].name
         for sign in (1.0, -1.0):
             u = np.zeros(self._plain.m)
@@ -185,7 +184,7 @@ class _Trial:
         )
 
     def _telling_steps(self, u: Floats) -> int:
-        """The fewest steps with an input that show above noise and stay in the mode; 0 if there are none."""
+        """The fewest steps of an input that exceed the noise within the mode; 0 if there are none."""
         x = self._x
         for steps in range(1, _MOST_STEPS + 1):
             after = step(self._augmented, self._mode, x, u)
@@ -205,7 +204,7 @@ class _Trial:
             yield f"without a command {coordinate.name} moved by {moved}; it must stand still"
 
     def _commanded(self, u: Floats, steps: int) -> Floats:
-        """Give a command some times, and measure; (n,) where the model expects the configuration then."""
+        """Repeat a command and measure; returns the expected configuration (n,)."""
         n, expected = self._plain.n, self._x.copy()
         for _ in range(steps):
             order = command(self._plain, self._mode, self._x[:n], u)
@@ -217,7 +216,7 @@ class _Trial:
         return np.asarray(expected[:n])
 
     def _measured(self, measurement: Measurement) -> Floats:
-        """(n,) the configuration that a measurement shows; where it shows nothing, as the model predicts."""
+        """(n,) the measured configuration; the predicted one where nothing was measured."""
         n = self._plain.n
         z = configuration(
             self._plain, self._mode, measurement.position, measurement.quaternion, self._x[:n], measurement.unseen
@@ -230,6 +229,6 @@ class _Trial:
         return np.nan_to_num(self._plain.sensing(self._plain.mode(self._mode)).std_at(x[: self._plain.n]), posinf=1e9)
 
     def _std(self, steps: int) -> Floats:
-        """(n,) of a measured displacement over some steps."""
+        """(n,) std of a displacement measured over some steps."""
         process = np.array(self._plain.noise.process_std)
         return np.asarray(np.sqrt(2.0 * self._noise(self._x) ** 2 + steps * process**2))

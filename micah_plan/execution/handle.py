@@ -1,4 +1,4 @@
-"""Plants with a handle in the hand, for explorations: those of the package, and the answers of all of them checked.
+"""Plants with a handle for explorations: the built-in ones, and the check of their answers.
 
 The part that is measured is the handle itself: its place is where the hand holds it, its orientation turns with the
 part that it is fixed to. A command displaces the equilibrium of the hand, a spring, from where the handle is; the force
@@ -61,7 +61,7 @@ def make_handle_plant(scene: Scene, kind: str | Callable[[Any], Plant]) -> Plant
 
 
 class HandlePlant:
-    """A plant whose answers are checked, but may lack a pose: a tracker may see nothing, or answer late.
+    """A plant with checked answers that may lack a pose: a tracker may lose the handle or be late.
 
     As a context it closes the plant at its end, whatever happened.
     """
@@ -71,7 +71,7 @@ class HandlePlant:
         self._plant = CheckedPlant(plant, [HANDLE])
 
     def reset(self, rng: np.random.Generator) -> Measurement:
-        """The first measurement, with a pose."""
+        """The first measurement with a pose."""
         return self._plant.reset(rng)
 
     def apply(self, command: Command) -> Measurement:
@@ -96,7 +96,7 @@ class HandlePlant:
 
 
 def usable(answer: object) -> Measurement:
-    """A plant's answer, checked; a pose or force that is missing or has a NaN becomes NaN throughout.
+    """A validated answer; poses or forces with a NaN become NaN throughout.
 
     Raises:
         InputError: if anything else is wrong with it.
@@ -147,7 +147,7 @@ class NominalHandle:
         return self._measure()
 
     def apply(self, command: Command) -> Measurement:
-        """Moves along the joint in small steps while the spring pulls harder than what holds."""
+        """Move along the joint in small steps while the spring's pull exceeds friction and latch."""
         automaton, parameters = self._problem.automaton, self._parameters
         target = self._place()[0] + np.asarray(command.handle)[0]
         coordinate = automaton.links[0].coordinate
@@ -169,10 +169,10 @@ class NominalHandle:
         return self._measure()
 
     def close(self) -> None:
-        """Nothing to free."""
+        """No resources to release."""
 
     def _place(self) -> tuple[Floats, Floats]:
-        """(3,) of the handle [m], and how it moves per unit of the coordinate."""
+        """(3,) position of the handle [m], and its derivative by the coordinate."""
         automaton = self._problem.automaton
         joints = moving_joints(automaton, self._mode)
         pose = chain(automaton, joints, self._x)[0]
@@ -189,7 +189,7 @@ class NominalHandle:
 
 
 class PhysicalHandle:
-    """A plant that measures the origin of a part, seen as one that measures the part's handle."""
+    """Adapter of a plant that measures a part's origin to one that measures its handle."""
 
     def __init__(self, problem: Problem, plant: Plant) -> None:
         self._plant = plant

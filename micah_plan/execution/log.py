@@ -1,4 +1,4 @@
-"""The log of a run: a Recording with the belief and, where it is known, the true state beside the poses."""
+"""Log of a run: a Recording with the belief and, where known, the true state."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class RunLog:
         return len(self._beliefs)
 
     def add(self, measurement: Measurement, belief: HybridBelief, true_x: Floats | None, action: Floats | None) -> None:
-        """A sample.
+        """Append a sample.
 
         Args:
             belief: after the measurement: what the action was chosen with.
@@ -71,7 +71,7 @@ class RunLog:
         )
 
     def _belief_columns(self) -> dict[str, list[str]]:
-        """One text per sample."""
+        """Belief columns as strings, one per sample."""
         likely = [(belief, belief.most_likely) for belief in self._beliefs]
         columns = {"mode": [self._automaton.mode_names[q] for _, q in likely]}
         for index, name in enumerate(coordinate.name for coordinate in self._automaton.coordinates):
@@ -82,7 +82,7 @@ class RunLog:
         return columns
 
     def _estimate_columns(self) -> dict[str, tuple[str, ...]]:
-        """One text per sample and part."""
+        """Estimate columns as strings, one per sample and part."""
         automaton, poses = self._automaton, []
         for belief in self._beliefs:
             number = belief.most_likely

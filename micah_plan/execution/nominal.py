@@ -1,4 +1,4 @@
-"""The nominal plant: the automaton itself with process noise, seen through a tracker of the model's precision."""
+"""The nominal plant: the automaton with process noise, measured by a tracker of the model's precision."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _MOST_ROTATION = 0.5
 
 
 class NominalPlant:
-    """The planner's model: x⁺ = step(x, u) + w, and poses whose configurations are as noisy as the model says.
+    """The planner's model as a plant: x⁺ = step(x, u) + w, with poses of the model's observation noise.
 
     Thresholds and gains are drawn at every reset, as well as the model knows them.
 
@@ -43,8 +43,7 @@ class NominalPlant:
         control_period: float = 0.5,
         release: tuple[Release, Rest] | None = None,
     ) -> None:
-        """Args: the model, the belief from which true starts are drawn, the duration of a control step [s], and how an
-        object in a hand is released, if it is."""
+        """Args: the model, the start belief, the duration of a control step [s], and the release, if any."""
         self._release = release
         self.automaton = self._true = automaton
         self.start, self._period = start, control_period
@@ -53,7 +52,7 @@ class NominalPlant:
 
     @classmethod
     def of(cls, problem: Problem) -> NominalPlant:
-        """The plant that is just what the problem says."""
+        """The nominal plant of a problem."""
         release = None if problem.release is None else (problem.release, resting_place(problem))
         return cls(problem.automaton, problem.start, parameters_of(problem).control_period, release)
 
@@ -83,7 +82,7 @@ class NominalPlant:
         return self._measure(self._tracker, self._period)
 
     def _let_go(self, command: Command, disturbance: Floats, release: Release, rest: Rest) -> None:
-        """A step of a hand that puts the object down: it stops at the support, and lets the object turn until it lies.
+        """A step of a hand that puts the object down: it stops at the support, where the object settles.
 
         What stands stays, wherever the hand goes."""
         if self._stands:
@@ -109,10 +108,10 @@ class NominalPlant:
         return Truth(self._mode, self._x.copy(), position, quaternion, latched, stands=self._stands)
 
     def close(self) -> None:
-        """Nothing to free."""
+        """No resources to release."""
 
     def _shown(self) -> tuple[Floats, Floats]:
-        """(n,) what the sensors make of the configuration now, and by how much of each rad or m they change."""
+        """(n,) sensor readings of the present configuration, and (n,) their derivatives."""
         shown, slope = self._x.copy(), np.ones(self.automaton.n)
         for effect in self.automaton.effects:
             i, effect_form, here = self.automaton.index(effect.coordinate), form(effect.name), shown.copy()
@@ -134,7 +133,7 @@ class NominalPlant:
 
 
 def pose_noise(automaton: HybridAutomaton, observation_std: Floats | None = None) -> TrackerNoise:
-    """The white pose noise that shows as `observation_std` (n,; None: the model's) in each link's configuration.
+    """White pose noise equivalent to `observation_std` (n,; None: the model's) in each link's configuration.
 
     The inverse kinematics is the least-squares fit of position p and rotation L r (L the rotation length), so noise of
     std s in p and s / L in r gives a configuration of std s / |J|, J the Jacobian with its rotation scaled by L.
@@ -147,7 +146,7 @@ def pose_noise(automaton: HybridAutomaton, observation_std: Floats | None = None
 
 @memoised
 def _sensitivity(automaton: HybridAutomaton) -> Floats:
-    """(n,) |J| of each coordinate that is measured, 0 for the others."""
+    """(n,) |J| of each measured coordinate, 0 for others."""
     configuration, joints = np.zeros(automaton.n), moving_joints(automaton, automaton.modes[0].name)
     for number, link in measuring_links(automaton):
         scaled = jacobian(joints[number], 0.0)[0] * np.repeat([ROTATION_LENGTH, 1.0], 3)

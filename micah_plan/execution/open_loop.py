@@ -1,4 +1,4 @@
-"""Experiments carried out: each command as it is written, whatever is measured. The log is that of any execution."""
+"""Open-loop execution of experiments: commands as written, with the log of any execution."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def carry_out(
     progress: Callable[[str, float], None] | None = None,
     keep: Callable[[Recording], None] | None = None,
 ) -> tuple[Recording, tuple[tuple[int, str], ...]]:
-    """Make all motions of an experiment; each run has its own random stream.
+    """Carry out all motions of an experiment; each run has its own random stream.
 
     Args:
         plant: as of `trials.run_trials`, made anew for each motion, whose start it is to know.
@@ -74,7 +74,7 @@ def _make(
     rng: np.random.Generator,
     log: RunLog,
 ) -> None:
-    """One run: the belief only says from where a command leads, and is logged."""
+    """One run: the belief provides the origin of each command and is logged."""
     whole, plain = with_input_memory(problem), problem.automaton
     belief = initial_belief(whole.automaton, whole.start.mean, whole.start.std, whole.start.mode)
     measurement = machine.reset(rng)

@@ -1,4 +1,4 @@
-"""Deciding the input of each step: `PlanFollower` follows a plan, `Pilot` asks for another when it no longer serves."""
+"""Choice of each step's input: `PlanFollower` follows a plan, `Pilot` requests another when it fails."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Advice:
 
 
 class PlanFollower:
-    """Walks along one trajectory, a knot per call, as the roll-outs of its verification do.
+    """Follows one trajectory knot by knot, as in the roll-outs of its verification.
 
     A belief in another mode than the knot's may still be on its way: transitions come a little earlier or later than
     planned, and that a plan passes a guard by more than once is what makes them sure. So the plan goes on as long as
@@ -66,7 +66,7 @@ class PlanFollower:
         self._knot = 0
 
     def advise(self, belief: HybridBelief) -> Advice:
-        """The input for the belief, and how well plan and belief agree. Advances along the plan."""
+        """The input for the belief, with the agreement of plan and belief; advances along the plan."""
         plan = self._trajectory
         number = belief.most_likely
         mode, estimate = self._automaton.modes[number].name, belief.means[number]
@@ -96,18 +96,18 @@ class PlanFollower:
         return self._knot == len(self._trajectory.inputs) and self._has_arrived(belief)
 
     def _has_arrived(self, belief: HybridBelief) -> bool:
-        """Whether it is in the mode in which the plan ends, or in another one in which the goal is reached."""
+        """Whether the belief is in the plan's final mode, or in another one within the goal."""
         number = belief.most_likely
         mode = self._automaton.modes[number].name
         return mode == self._trajectory.modes[-1] or self._problem.goal.contains(mode, belief.means[number])
 
     def _skip_transitions(self) -> None:
-        """Move on to the knot that the next input belongs to."""
+        """Advance to the knot of the next input."""
         while self._knot < len(self._trajectory.inputs) and self._trajectory.is_transition[self._knot]:
             self._knot += 1
 
     def _still_arrives(self, mode: str, estimate: Floats) -> bool:
-        """Whether the rest of the plan, with its feedback and without noise, takes a state to the goal."""
+        """Whether the remaining plan with feedback leads a state to the goal without noise."""
         plan, x = self._trajectory, estimate
         for knot in range(self._knot, len(plan.inputs)):
             if not plan.is_transition[knot]:
@@ -119,7 +119,7 @@ class PlanFollower:
         return self._limited(mode, estimate, feedback_input(self._trajectory, knot, estimate))
 
     def _strayed(self, belief: HybridBelief, knot: int) -> bool:
-        """Whether the estimate is further from the knot than plan and belief together allow (Mahalanobis distance)."""
+        """Whether the estimate is farther from the knot than plan and belief allow (Mahalanobis distance)."""
         number = belief.most_likely
         n = self._size  # a memory of inputs is known exactly
         away = belief.means[number][:n] - self._trajectory.means[knot][:n]
@@ -130,7 +130,7 @@ class PlanFollower:
         return distance > float(chdtri(away.size, _OFF_PLAN_PROBABILITY))
 
     def _settle(self, belief: HybridBelief, knot: int) -> Floats:
-        """The input at the end of the plan: repeat the last transition as long as it may not have happened, or hold.
+        """The input at the end of the plan: repeat the last transition while it may not have occurred, else hold.
 
         A door that is believed shut is pressed once more: if it was, nothing changes, and else it now is. Where the
         press would move what reached its goal, it is not repeated.
@@ -150,7 +150,7 @@ class PlanFollower:
         return self._towards(mode, estimate, knot)
 
     def _towards(self, mode: str, estimate: Floats, knot: int) -> Floats:
-        """The smallest input that brings what the mode moves closest to a knot; it does not pull at pins."""
+        """The smallest input that moves the driven coordinates closest to a knot."""
         effect, away = np.array(self._automaton.mode(mode).B), np.zeros_like(estimate)
         ahead = coasted(self._automaton, mode, estimate)  # what is on its way need not be commanded again
         away[: self._size] = self._trajectory.means[knot][: self._size] - ahead[: self._size]
@@ -158,7 +158,7 @@ class PlanFollower:
         return self._limited(mode, estimate, np.asarray(u, dtype=float))
 
     def _without_unplanned(self, belief: HybridBelief, u: Floats, knot: int) -> Floats:
-        """An input without what would take a transition that the planned one of a knot is out of; -1: at rest."""
+        """An input outside the guards that the planned input of a knot is outside of; knot -1: at rest."""
         planned = self._trajectory.inputs[knot] if knot >= 0 else np.zeros_like(u)
         return np.asarray(cut_off(self._automaton, belief.weights[None], u[None], self._max_step, planned)[0])
 
@@ -168,7 +168,7 @@ class PlanFollower:
 
 @dataclass(frozen=True)
 class Replanning:
-    """Where new trajectories come from during an execution, and who may refuse them.
+    """Sources of new trajectories during an execution, and their acceptance test.
 
     Attributes:
         replan: gives a trajectory from a belief, or None if there is none, told the trajectory that is followed and the
@@ -199,7 +199,7 @@ class Pilot:
         arm: ArmTrajectory | None = None,
         replanning: Replanning | None = None,
     ) -> None:
-        """Args: as of `closed_loop.Episode`, the problem with the memory of its inputs."""
+        """Args: as for `closed_loop.Episode`, the problem including memories of inputs."""
         self._problem, self._arm, self._replanning = problem, arm, replanning or Replanning()
         self._follower = PlanFollower(problem, trajectory)
         self._followed = self._waited = self._asked = 0
@@ -213,7 +213,7 @@ class Pilot:
 
     @property
     def posture(self) -> Floats | None:
-        """(J,) joints that the arm shall come to by the next input, as the plan that is followed has them."""
+        """(J,) joints of the arm after the next input, as in the plan."""
         return None if self._arm is None else self._arm.positions[self._follower.place[1]]
 
     def input(self, belief: HybridBelief, joints: Floats | None = None) -> Floats:
@@ -237,7 +237,7 @@ class Pilot:
         return self._follower.advise(belief).u
 
     def _follow(self, trajectory: Trajectory, joints: Floats | None) -> bool:
-        """Whether a new trajectory is followed from now on: not if the arm cannot."""
+        """Switch to a new trajectory unless the arm cannot follow it; returns whether it did."""
         if self._replanning.ask_arm is not None:
             answer = self._replanning.ask_arm(trajectory, self.posture if joints is None else joints)
             if not isinstance(answer, ArmTrajectory):

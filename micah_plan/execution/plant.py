@@ -1,4 +1,4 @@
-"""What a plan is executed on: `Plant`, what it is told and what it answers; and, apart from it, `Referee`.
+"""The interface of machines: `Plant`, its commands and measurements; and, separate from it, `Referee`.
 
 A plant is a machine with an object: a robot, a simulation, the model itself. It need not know the true state. One that
 does is a referee; only scores and logs may ask it.
@@ -19,7 +19,7 @@ from micah_plan.task.problem import Problem
 
 
 class PlantError(MicahError):
-    """The machine failed: it stopped itself, lost the object or no longer answers.
+    """The machine failed: it stopped, lost the object or does not answer.
 
     A plant raises it with one sentence for people. From `apply` it ends the trial as a failure, and the next trial asks
     the plant for a reset; from `reset` it ends the execution. Nothing is commanded in between.
@@ -77,7 +77,7 @@ class Command:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """The true state, for scores and logs only: nothing that decides on inputs may read it.
+    """The true state, for scores and logs only: no decision may use it.
 
     Attributes:
         mode: the true mode; None if the plant has no modes (physics), then `latched` says what is latched.
@@ -100,7 +100,7 @@ class Truth:
 
 @runtime_checkable
 class Plant(Protocol):
-    """Something that a plan can be executed on. `conformance.check_plant` tries whether a plant keeps to this.
+    """Interface of a machine. `conformance.check_plant` tests whether a plant conforms.
 
     One that may take longer than a minute to answer says so by an attribute ``patience`` [s]; None: however long. What
     does not answer by then has failed.
@@ -117,7 +117,7 @@ class Plant(Protocol):
         ...
 
     def apply(self, command: Command) -> Measurement:
-        """Carry out one control step, wait until it has ended, and measure.
+        """Carry out one control step, wait for its end, and measure.
 
         Raises:
             PlantError: if the machine failed; it must be standing still by then.
@@ -125,7 +125,7 @@ class Plant(Protocol):
         ...
 
     def close(self) -> None:
-        """Stop, and free what the plant has taken. Called once, also after a failure; then it is not used any more."""
+        """Stop and release all resources. Called once, also after a failure; the plant is not used afterwards."""
         ...
 
 
@@ -135,7 +135,7 @@ PlantMaker = Callable[[Problem], Plant]
 
 @runtime_checkable
 class Referee(Protocol):
-    """What knows the true state: a simulation. A plant that has this method too is its own referee."""
+    """Access to the true state, as simulations have. A plant with this method is its own referee."""
 
     def truth(self) -> Truth:
         """The true state now."""

@@ -1,4 +1,4 @@
-"""Between configurations and poses: where the parts are, what a measurement says of x, what a hand has to be told.
+"""Conversion between configurations and poses: forward kinematics, measured configurations, commands.
 
 A link's pose is relative to its parent; measurements and commands are in the base frame. Links are parents first.
 """
@@ -86,7 +86,7 @@ def configuration(
     near: Floats,
     unseen: Booleans | None = None,
 ) -> Floats:
-    """The configuration that measured poses show, by each link's inverse kinematics.
+    """The configuration of measured poses, by each link's inverse kinematics.
 
     Args:
         mode: whose joints are used; a rigid joint does not show the configuration, so a moving one replaces it.
@@ -113,7 +113,7 @@ def configuration(
 
 
 def reading(automaton: HybridAutomaton, belief: HybridBelief, measurement: Measurement) -> Floats:
-    """What a filter gets of a measurement [rad or m]; NaN for what it does not show.
+    """The configuration in a measurement [rad or m]; NaN where it shows none.
 
     Args:
         automaton: the model without memories of inputs, of n coordinates.

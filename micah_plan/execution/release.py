@@ -1,4 +1,4 @@
-"""Releases, carried out: steps down until contact is felt, the gripper opened, steps away from what then stands.
+"""Execution of releases: step down until contact is felt, open the gripper, step away.
 
 What the hand feels ends the way down: it knows the height of the support by its force, not by its place. A hand that
 feels nothing down to the lowest place where the support may be releases nothing.
@@ -28,7 +28,7 @@ Phase = Literal["lowering", "opening", "withdrawing", "done"]
 
 
 class ReleaseController:
-    """The commands after the last knot of a plan that releases the object.
+    """Issues the commands after the last knot of a plan with a release.
 
     Attributes:
         phase: what it is doing.
@@ -48,7 +48,7 @@ class ReleaseController:
         self._force: float | None = None
 
     def command(self, belief: HybridBelief, measurement: Measurement) -> Command | None:
-        """The next command; None if nothing is left to do.
+        """The next command; None when the release is complete.
 
         Args:
             belief: after the measurement, or for what follows the opening, before it.
@@ -80,7 +80,7 @@ class ReleaseController:
         return replace(order, force_limit=limit, posture=posture)
 
     def _input(self, automaton: HybridAutomaton, mean: Floats) -> Floats:
-        """(m,) displacement of the hand: down, where it strayed back to where it is to be put down; or away."""
+        """(m,) displacement of the hand: down with a correction toward the planned position, or away."""
         u = np.zeros(automaton.m)
         if self.phase == "withdrawing":
             u[:3] = self._plan.withdrawal[self._steps]
@@ -91,7 +91,7 @@ class ReleaseController:
         return u
 
     def _pull(self, measurement: Measurement) -> float:
-        """How hard the hand pulls the object up [N]."""
+        """Upward force of the hand on the object [N]."""
         if measurement.force is None:
             text = "a release needs a plant that measures the force on the hand: Measurement.force is None"
             raise InputError(text, remedy="measure it, or leave 'release' out of the problem")

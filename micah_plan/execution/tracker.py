@@ -1,4 +1,4 @@
-"""A simulated pose tracker: white noise on every sample and, optionally, an error that wanders slowly."""
+"""A simulated pose tracker with white noise and optional drift."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class TrackerNoise:
 
 
 class PoseTracker:
-    """Adds the noise of one tracker, from its start, to true poses."""
+    """Adds a tracker's noise to true poses, with its state."""
 
     def __init__(self, noise: TrackerNoise, links: int, rng: np.random.Generator) -> None:
         self._noise = noise

@@ -75,7 +75,7 @@ def run_trials(
     progress: Progress | None = None,
     keep: Keep | None = None,
 ) -> TrialStatistics:
-    """Execute a plan several times; trial i has its own random stream, the same whatever runs before it.
+    """Execute a plan several times; trial i has its own random stream, independent of earlier trials.
 
     Args:
         plant: name of one that comes with the package, or what makes one from the problem: it is closed at the end,
@@ -125,7 +125,7 @@ def run_trials(
 
 
 def _opened(problem: Problem, plant: str | PlantMaker | Plant) -> AbstractContextManager[CheckedPlant]:
-    """A plant, checked; one that is made here is closed at the end."""
+    """A checked plant; one created here is closed at the end."""
     parts = [link.child for link in problem.automaton.links]
     if isinstance(plant, str | type) or not isinstance(plant, Plant):
         return CheckedPlant(make_plant(problem, plant), parts)
@@ -133,7 +133,7 @@ def _opened(problem: Problem, plant: str | PlantMaker | Plant) -> AbstractContex
 
 
 def _replanning(problem: Problem, plan: Plan, trajectory: Trajectory) -> Replanning:
-    """Where new plans come from, which the arm must be able to follow where it follows the present one."""
+    """Sources of new plans, which the arm must be able to follow if it follows the present one."""
     from micah_plan.planning.receding_horizon import RecedingHorizon
     from micah_plan.planning.replanning import replan
 

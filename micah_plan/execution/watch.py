@@ -1,4 +1,4 @@
-"""Whether what a machine measures can be acted on: what the belief excludes, or nobody saw, is looked at again first.
+"""Validity of measurements: readings that the belief excludes, or that are missing, are repeated first.
 
 A tracker leaps, freezes, answers in millimetres or sees nothing. The filter then begins anew from what was measured,
 or goes on without it, and is as sure as before. So the machine holds still and measures again. What stays where it was
@@ -46,13 +46,13 @@ class Watch:
 
     @property
     def is_biased(self) -> bool:
-        """Whether measurements lie to one side of what the filter expects, again and again or far once."""
+        """Whether innovations are biased: repeatedly by a little, or once by much."""
         enough = self._numbers >= _FEWEST
         off = np.abs(self._sums[enough]) > _BIASED * np.sqrt(self._numbers[enough])
         return self._was_surprised or bool(off.any())
 
     def expected(self, belief: HybridBelief, z: Floats) -> None:
-        """A measurement z (n,) [rad or m] and the belief before it; what followed no command shows no bias.
+        """Record a measurement z (n,) [rad or m] and the belief before it; only steps with a command count for bias.
 
         Nor does what is measured with a noise that depends on the place: in the dark, another look tells nothing.
         """
@@ -69,7 +69,7 @@ class Watch:
             self._numbers[measured] += 1
 
     def placed(self, belief: HybridBelief, off: float) -> None:
-        """By how much parts were measured beside where their joints have them at the measured configuration [m].
+        """Record by how much parts were measured off their joints [m].
 
         Where noise depends on the place, which is not known, this says nothing.
         """
@@ -78,7 +78,7 @@ class Watch:
         self._off += [] if self._is_off else [off]
 
     def looks_again(self, belief: HybridBelief, *, is_lost: bool, unseen: Booleans | None, ends: bool) -> bool:
-        """Whether the machine holds still and measures again.
+        """Whether the machine should hold still and measure again.
 
         Args:
             belief: after the measurement.

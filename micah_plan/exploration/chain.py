@@ -1,4 +1,4 @@
-"""How the handle goes: a chain of joints, each a slide or a hinge, fitted to poses and to the odometer of force.
+"""Kinematic chains of the handle: slides and hinges in sequence, fitted to poses and to the force odometer.
 
 With s the way of the handle [m], a joint turns it by w per metre, from the direction t at its beginning; w = 0 is a
 slide, w normal to t a hinge with its axis along w at the distance 1/|w|. A joint goes on where the one before ends, at
@@ -31,7 +31,7 @@ _BACKTRACKING = (1.0, 0.3, 0.05)
 
 @dataclass(frozen=True, eq=False)
 class StepRows:
-    """What was seen after each step, and before the first: k rows.
+    """Observations of k rows: before the first step, and after each.
 
     Attributes:
         place: (k, 3) measured place of the handle [m]; NaN where not seen.
@@ -55,7 +55,7 @@ class StepRows:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """n joints that move the handle one after another. Place to rate may have leading axes: many chains of like kinds.
+    """n joints in sequence that move the handle. Position to rate may have leading axes for batches of chains.
 
     Attributes:
         hinges: (n,) whether each joint is a hinge; else it is a slide.
@@ -90,7 +90,9 @@ class Chain:
         return tuple("revolute" if hinge else "prismatic" for hinge in self.hinges)
 
     def poses(self, way: Floats) -> tuple[Floats, Floats, Floats]:
-        """Places (..., k, 3), orientations (..., k, 3, 3) and directions (..., k, 3) at ways s (k,)."""
+        """Positions (..., k, 3), orientations (..., k, 3, 3) and tangents (..., k, 3) at distances s (k,) along the
+        chain.
+        """
         places, turns = self.place[..., None, :], self.turn[..., None, :, :]
         ends = np.concatenate([self.begin[..., 1:], np.full((*self.begin.shape[:-1], 1), np.inf)], axis=-1)
         tangents = np.zeros(3)
@@ -103,7 +105,7 @@ class Chain:
         return places, turns, tangents
 
     def numbers(self) -> tuple[Floats, Floats]:
-        """What can change: (p, q) directions of change for `changed`, and (p,) how far each is free before (std).
+        """Free parameters: (p, q) directions of change for `changed`, and (p,) their prior stds.
 
         The place along the first direction is none of them: the way of the first row is 0.
         """
@@ -138,7 +140,7 @@ class Chain:
         )
 
     def ahead(self, way: float) -> tuple[Floats, Floats]:
-        """Its direction (3,) at a way, and how the numbers change it (p, 3)."""
+        """(tangent (3,) at a distance, its derivatives (p, 3) by the free parameters)."""
         here = self.poses(np.array([way]))[2][0]
         return here, (self.changed(DIFFERENCE * self.numbers()[0]).poses(np.array([way]))[2][:, 0] - here) / DIFFERENCE
 
@@ -152,14 +154,14 @@ def _normal_to(direction: Floats) -> tuple[Floats, Floats]:
 
 
 def _series(rate: Floats, s: Floats) -> tuple[Floats, Floats, Floats]:
-    """cos(a), s sin(a) / a and s² (1 - cos a) / a² for angles a = |w| s: smooth where w is 0. (..., k, 1) each."""
+    """cos(a), s sin(a) / a and s² (1 - cos a) / a², (..., k, 1) each, for angles a = |w| s; smooth at w = 0."""
     angle = np.linalg.norm(rate, axis=-1)[..., None] * s / np.pi
     values = np.cos(np.pi * angle), s * np.sinc(angle), 0.5 * s**2 * np.sinc(0.5 * angle) ** 2
     return values[0][..., None], values[1][..., None], values[2][..., None]
 
 
 def _rotations(rate: Floats, s: Floats) -> Floats:
-    """(..., k, 3, 3) rotations by w s (Rodrigues), of rates (..., 3) and ways (..., k)."""
+    """(..., k, 3, 3) rotations by w s (Rodrigues), for rates (..., 3) and distances (..., k)."""
     x, y, z = rate[..., 0], rate[..., 1], rate[..., 2]
     zero = np.zeros_like(x)
     hat = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 1, 3, 3)
@@ -168,14 +170,14 @@ def _rotations(rate: Floats, s: Floats) -> Floats:
 
 
 def _carried(direction: Floats, rate: Floats, s: Floats) -> tuple[Floats, Floats, Floats]:
-    """Displacements, rotations and directions after ways s (..., k) of a joint."""
+    """Displacements, rotations and tangents at distances s (..., k) along a joint."""
     cosine, first, second = _series(rate, s)
     side, straight = np.cross(rate, direction)[..., None, :], direction[..., None, :]
     return first * straight + second * side, _rotations(rate, s), cosine * straight + first * side
 
 
 def _placed(chain: Chain, rows: StepRows) -> Chain:
-    """The chain with each row where tracker and odometer together say that it is along it: a tridiagonal system."""
+    """The chain with each row at its most probable distance given tracker and odometer: a tridiagonal system."""
     places, _, tangents = chain.poses(chain.way)
     is_seen = rows.seen
     off = np.where(is_seen, np.einsum("ij,ij->i", np.nan_to_num(rows.place) - places, tangents), 0.0)
@@ -197,7 +199,7 @@ def _placed(chain: Chain, rows: StepRows) -> Chain:
 
 
 def _residuals(chain: Chain, rows: StepRows) -> tuple[Floats, Floats, Floats]:
-    """What is left: of places (k, 3) and of steps (k - 1, 3), both normal to the way, and of turns (k, 3); in std."""
+    """Residuals in stds: positions (k, 3) and steps (k - 1, 3) normal to the path, and orientations (k, 3)."""
     places, turns, tangents = chain.poses(chain.way)
     is_seen = rows.seen[:, None]
     off = np.where(is_seen, np.nan_to_num(rows.place) - places, 0.0) / chain.place_std
@@ -207,7 +209,7 @@ def _residuals(chain: Chain, rows: StepRows) -> tuple[Floats, Floats, Floats]:
 
 
 def _weights(residual: Floats) -> Floats:
-    """(k, 1) roots of Huber's weights of residuals (k, 3): beyond his bound squares grow linearly."""
+    """(k, 1) square roots of Huber weights of residuals (k, 3)."""
     size = np.linalg.norm(residual, axis=1)
     return np.asarray(np.sqrt(np.minimum(1.0, _HUBER / np.maximum(size, 1e-12)))[:, None])
 
@@ -218,7 +220,7 @@ def _stacked(chain: Chain, rows: StepRows) -> Floats:
 
 
 def fitted(chain: Chain, rows: StepRows, rounds: int = 1) -> Chain:
-    """The chain of these kinds that explains the rows best, from a guess whose `way` may be shorter than the rows.
+    """The maximum-likelihood chain of these kinds, from a guess whose `way` may be shorter than the rows.
 
     Args:
         rounds: of placing the rows along the way and improving the chain; one will do from a good guess.
@@ -237,7 +239,7 @@ def fitted(chain: Chain, rows: StepRows, rounds: int = 1) -> Chain:
 
 
 def _improved(chain: Chain, rows: StepRows) -> tuple[Chain, float]:
-    """One damped Gauss-Newton step, and its largest change."""
+    """(chain after one damped Gauss-Newton step, largest change)."""
     here, (steps, free) = _stacked(chain, rows), chain.numbers()
     slope = _slope(chain, rows, steps)
     change = -np.linalg.solve(slope.T @ slope + np.diag(free**-2.0), slope.T @ here)
@@ -250,7 +252,7 @@ def _improved(chain: Chain, rows: StepRows) -> tuple[Chain, float]:
 
 
 def _slope(chain: Chain, rows: StepRows, steps: Floats) -> Floats:
-    """(r, p) derivative of the stacked residuals by the numbers, the directions of the way taken as fixed."""
+    """(r, p) derivative of the stacked residuals by the free parameters, at fixed tangents."""
     places, turns, tangents = chain.poses(chain.way)
     tried = chain.changed(DIFFERENCE * steps)
     moved, turned, _ = tried.poses(chain.way)
@@ -283,7 +285,7 @@ def _vectors(matrices: Floats) -> Floats:
 
 
 def _heard(chain: Chain, rows: StepRows) -> Chain:
-    """With the noise of tracker and odometer that it leaves, and the likelihood under it."""
+    """The chain with noise scales of tracker and odometer from its residuals, and its likelihood."""
     rows_seen = int(rows.seen.sum())
     parts = _residuals(chain, rows)
     off, turned, step = (np.square(_weights(part) * part).sum() for part in parts)
@@ -297,7 +299,7 @@ def _heard(chain: Chain, rows: StepRows) -> Chain:
 
 
 def _judged(chain: Chain, rows: StepRows) -> Chain:
-    """With the covariance of its numbers and its evidence; none speaks for what a joint would do within its play."""
+    """The chain with covariance and log evidence; a joint shorter than its play gets none."""
     steps, free = chain.numbers()
     slope = _slope(chain, rows, steps)  # of the rates' prior too
     precision = slope.T @ slope + np.diag(np.where(free == _RATE, 0.0, free**-2.0))
@@ -309,7 +311,7 @@ def _judged(chain: Chain, rows: StepRows) -> Chain:
 
 
 def opening(chain: Chain) -> Chain:
-    """The chain counted so that its way grows as the handle opens, which is where it has been farthest."""
+    """The chain oriented so that its distance grows toward the farthest point."""
     if chain.way.max() >= -chain.way.min() or len(chain.hinges) > 1:
         return chain
     return replace(chain, direction=-chain.direction, rate=-chain.rate, way=-chain.way)

@@ -1,4 +1,4 @@
-"""Chains of slides and hinges for the same rows, and how probable their kinds are."""
+"""Chains of slides and hinges for the same rows, with the probabilities of their kinds."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SPLITS = (0.2, 0.45, 0.7)  # of the way of a joint: from where the place is fit
 def with_joint(
     before: Chain | None, pose: tuple[Floats, Floats], along: Floats, rows: StepRows, row: int
 ) -> tuple[Chain, Chain]:
-    """Chains in which a joint that was not seen before moves the handle from a row on, as a slide and as a hinge.
+    """Chains in which a new joint moves the handle from a row on, as a slide and as a hinge.
 
     Args:
         before: the chain until then; None: nothing had moved.
@@ -38,7 +38,7 @@ def with_joint(
 
 
 def refitted(chains: tuple[Chain, Chain], rows: StepRows) -> tuple[Chain, Chain]:
-    """Both chains with the rows that came since."""
+    """Both chains refitted with the new rows."""
     slide, hinge = (fitted(chain, rows) for chain in chains)
     if hinge.loss > slide.loss + 0.5:  # what hinges can do includes slides: it is in a wrong valley
         hinge = _of_kind(slide, -1, rows, _FIRST)
@@ -46,7 +46,7 @@ def refitted(chains: tuple[Chain, Chain], rows: StepRows) -> tuple[Chain, Chain]
 
 
 def judged(chains: Sequence[Chain], rows: StepRows) -> tuple[Chain, float]:
-    """The most probable chain and the probability of its kinds, among all that differ from the best in one joint."""
+    """(most probable chain, probability of its kinds) among all that differ from the best in one joint."""
     compared, best = list(chains), max(chains, key=_log)
     while True:
         compared += _neighbours(best, rows)
@@ -65,14 +65,14 @@ def _log(chain: Chain) -> float:
 
 
 def _neighbours(chain: Chain, rows: StepRows) -> list[Chain]:
-    """Chains that differ in one joint: in its kind, or that it is there."""
+    """Chains that differ in one joint: in its kind, or in its presence."""
     numbers = range(len(chain.hinges))
     others = [_without(chain, number, rows) for number in numbers if len(numbers) > 1]
     return [*_split(chain, rows), *(_of_kind(chain, number, rows) for number in numbers), *others]
 
 
 def _of_kind(chain: Chain, number: int, rows: StepRows, rounds: int = _WELL) -> Chain:
-    """The chain with one joint of the other kind; a hinge that was a slide begins without turning."""
+    """The chain with one joint of the other kind; a hinge from a slide starts without curvature."""
     hinges, rate = list(chain.hinges), chain.rate.copy()
     hinges[number] = not hinges[number]
     rate[number] = 0.0
@@ -87,7 +87,7 @@ def _without(chain: Chain, number: int, rows: StepRows) -> Chain:
 
 
 def _followed(chain: Chain, begin: float, hinge: bool, direction: Floats, rate: Floats) -> Chain:
-    """The chain with a joint that takes over at a way."""
+    """The chain continued by another joint from a distance on."""
     return replace(
         chain,
         hinges=(*chain.hinges, hinge),
@@ -98,7 +98,7 @@ def _followed(chain: Chain, begin: float, hinge: bool, direction: Floats, rate: 
 
 
 def _split(chain: Chain, rows: StepRows) -> list[Chain]:
-    """The chain with a joint of the other kind that takes over from the last one, or that was there before it."""
+    """The chain with an additional joint of the other kind, behind or before the last one."""
     chains, last = list[Chain](), chain.rate[-1]
     straight = replace(chain, hinges=(*chain.hinges[:-1], False), rate=np.append(chain.rate[:-1], np.zeros((1, 3)), 0))
     for share in _SPLITS:

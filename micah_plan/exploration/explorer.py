@@ -1,4 +1,4 @@
-"""The decisions of one exploration: what is believed after each measurement, and what to command next.
+"""Decisions of an exploration: the belief after each measurement, and the next command.
 
 First six small pushes tell the hand's stiffness. Then each push is the one with the best chance of a motion per force;
 what should have moved and did not is ruled out. Once the handle moves it is led along the chain of joints that fits
@@ -47,7 +47,7 @@ _LEAST_SPREAD, _LARGEST_SPREAD = 0.01, 0.14  # of the direction ahead [rad]
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """What was done and believed at one step, for the page and the log.
+    """Action and belief of one step, for the page and the log.
 
     Attributes:
         place: (3,) estimated place of the handle after it [m].
@@ -67,7 +67,7 @@ class Moment:
 
 
 class _Rest(NamedTuple):
-    """Where the handle last went along its way: row, chain, place and its variance."""
+    """The last row at which the handle moved along the chain: row, chain, position and its variance."""
 
     row: int
     chain: Chain
@@ -76,7 +76,7 @@ class _Rest(NamedTuple):
 
 
 class Explorer:
-    """Believes, decides and logs; it calls no plant."""
+    """Belief, decisions and log of an exploration; it does not call a plant."""
 
     def __init__(self, scene: Scene, first: Measurement) -> None:
         self.scene, self.record = scene, Record(first)
@@ -101,11 +101,11 @@ class Explorer:
 
     @property
     def chain(self) -> Chain | None:
-        """The most probable chain of joints; None while nothing has moved."""
+        """The most probable chain of joints; None before any motion."""
         return max(self.chains, key=lambda chain: chain.evidence) if self.chains else None
 
     def decide(self) -> Floats | None:
-        """(3,) the next command [m]; None if the exploration has ended."""
+        """(3,) the next command [m]; None at the end of the exploration."""
         if self.outcome is None and self.steps >= self.scene.steps:
             self._end("gave_up", f"{count(self.steps, 'step')} {'was' if self.steps == 1 else 'were'} not enough")
         if self.outcome is not None:
@@ -121,7 +121,7 @@ class Explorer:
         return self.outcome is not None
 
     def stopped(self, reason: str) -> None:
-        """The machine failed while it carried out the last command."""
+        """Record a failure of the machine during the last command."""
         self.record.withdrawn()
         self._end("gave_up", reason)
 
@@ -129,7 +129,7 @@ class Explorer:
         self.outcome, self.reason = outcome, reason
 
     def _lead(self) -> tuple[Floats, bool]:
-        """The next lead, and whether it leads on along a known chain."""
+        """The next lead, and whether it continues a known chain."""
         record, chain, still = self.record, self.chain, (np.zeros(3), False)
         if record.blind or record.looks_again:
             return still
@@ -167,7 +167,7 @@ class Explorer:
         return largest_lead(self.scene, record.hand, *record.pushes(), doubt)
 
     def _probe(self) -> Floats:
-        """A push along an axis of the handle, as strong as what is known of the hand makes safe."""
+        """A push along an axis of the handle, as strong as the known stiffness allows safely."""
         record, stiffness = self.record, self.scene.largest_stiffness or UNKNOWN.stiffness
         size = min(_FIRST_PUSH, 0.5 * self.scene.largest_force / stiffness)
         if record.forces:
@@ -177,16 +177,14 @@ class Explorer:
         return np.asarray(size * self._axes[self.steps % _PUSHES])
 
     def _ahead(self, chain: Chain) -> Floats:
-        """(3,) direction to the place a step further along its way."""
+        """(3,) direction to the position one step further along the chain."""
         here = chain.way[-1]
         places, _, _ = chain.poses(np.array([here, here + self.sense * _AHEAD]))
         chord = places[1] - places[0]
         return np.asarray(chord / np.linalg.norm(chord))
 
     def _other_end(self, chain: Chain | None) -> tuple[Floats, bool]:
-        """Nothing more is to be had at this end of the way, or only with more force than the way needed: at the other
-        end it may be less. It was perhaps ajar, and what was met is where it shuts. Force is spent when both are tried.
-        """
+        """Turn to the other end: this one is reached, or needs more force. The search ends after both."""
         opposite = self._left.get(-self.sense)
         if chain is None or (self.can < _HELD and opposite is not None and opposite[1] is None):
             self._nothing_moves()
@@ -209,7 +207,7 @@ class Explorer:
             self._end("gave_up", f"after {self.widest:.2g} m nothing within {force:.3g} N moved it on")
 
     def take(self, measurement: Measurement) -> None:
-        """A measurement after the last command: believe, and note the moment."""
+        """Process a measurement: update the belief, and record the step."""
         record = self.record
         slip = record.take(measurement)
         if slip is not None:
@@ -233,7 +231,7 @@ class Explorer:
         self.moments.append(Moment(record.place.copy(), force, lead, self.probabilities(), fan, way))
 
     def _pull(self) -> float:
-        """With what force a command to stay would pull: where it counts from was measured [N]."""
+        """The force [N] of a command to stay, which counts from the measured position."""
         record = self.record
         if record.blind:
             return 0.0
@@ -245,7 +243,7 @@ class Explorer:
         return float(np.linalg.norm(away)) * record.hand.stiffness if counts else 0.0
 
     def _hold_at(self, slip: Floats) -> None:
-        """The hand now holds the handle elsewhere, by (3,) in its frame [m]: so does all that is remembered of it."""
+        """Shift all stored positions by a slip of the grip (3,) in the handle's frame [m]."""
         moved = [replace(chain, place=chain.place + chain.turn @ slip) for chain in self.chains]
         self.chains = tuple(moved)
         if self._rest is not None:
@@ -282,13 +280,13 @@ class Explorer:
             self._follow(self.chain)
 
     def _rule_out(self, k: int) -> None:
-        """What should have moved in step k and did not, or otherwise."""
+        """Update the belief over motions by the response to step k."""
         record, lead = self.record, self.record.leads[k]
         if self.moves is not None and lead.any():
             self.moves = self.moves.updated(lead, record.lasting(k), record.step_std(k), record.hand.compliance)
 
     def _leaves_chain(self) -> bool:
-        """Whether the handle has moved across its way since it went along it last: another joint does that."""
+        """Whether the handle has left its chain sideways: evidence of another joint."""
         if self._rest is None:
             return False
         _, chain, place, variance = self._rest
@@ -307,7 +305,7 @@ class Explorer:
         self._is_gentle, self._is_returning = True, False
 
     def _follow(self, chain: Chain) -> None:
-        """Where the handle is on its way, and what is believed there."""
+        """Update the belief of a handle that follows its chain."""
         record = self.record
         record.fitted(chain)
         way = self.sense * float(chain.way[-1])
@@ -343,14 +341,14 @@ class Explorer:
             self._end("gave_up", f"{problem}: the hand, its force sensor or the tracker is not what it was")
 
     def _moved(self, chain: Chain) -> tuple[float, float]:
-        """How far the handle went along its chain, as the crow flies, and how much of that the tracker saw [m]."""
+        """Distance of the handle along its chain, as a straight line, and the part of it that the tracker saw [m]."""
         places, _, _ = chain.poses(np.array([0.0, chain.way[-1]]))
         net = places[1] - places[0]
         size = float(np.linalg.norm(net))
         return size, float((self.record.last_seen - self.record.first_seen) @ net) / max(size, 1e-9)
 
     def _onwards(self, chain: Chain) -> Moves:
-        """The belief of a handle that goes its way: on in the directions that it may take, as well as known."""
+        """The belief over the continued motion: along the tangent, as uncertain as the chain."""
         _, slope = chain.ahead(float(chain.way[-1]))
         values, axes = np.linalg.eigh(slope.T @ chain.covariance @ slope)
         spread = (axes * np.sqrt(np.clip(values, _LEAST_SPREAD**2, _LARGEST_SPREAD**2))) @ axes.T
@@ -359,15 +357,14 @@ class Explorer:
         return onwards(made / np.linalg.norm(made, axis=1)[:, None], self.friction, self._frame, _CHANGE)
 
     def judged(self) -> tuple[Chain | None, float]:
-        """The most probable chain and the probability of its kinds; where nothing moved, None and the probability that
-        nothing does within the force."""
+        """(most probable chain, probability of its kinds); (None, probability of a stuck handle) if nothing moved."""
         if not self.chains or self.widest < _MOVED or self.travel < _MOVED:
             return None, (1.0 - self.can if self.outcome == "held" else self.probabilities().get("fast", 0.0))
         rows = self.record.rows()
         return judged([opening(chain) for chain in refitted((self.chains[0], self.chains[1]), rows)], rows)
 
     def probabilities(self) -> dict[str, float]:
-        """Of what is known now, by name: fast, unknown, or the kind of the last joint."""
+        """Probabilities by name: fast (stuck), unknown, or the kind of the last joint."""
         if not self.chains:
             fast = self.moves.fast if self.moves is not None else 0.1
             return {"fast": fast, "unknown": 1.0 - fast}

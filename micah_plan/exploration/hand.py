@@ -1,4 +1,4 @@
-"""The hand: a spring of unknown stiffness, whose force tells how far the handle went.
+"""The hand: a spring of unknown stiffness, whose force measures the displacement of the handle.
 
 A command u puts the spring's equilibrium at E = r + u, with r the place of the handle: where it is or, with plants that
 know no better, where it was measured. When all rests again the hand exerts F = K (E - p) at the handle's new place p,
@@ -24,7 +24,7 @@ _TURNED = 0.5  # of a map's size, how far it is from symmetric where forces are 
 
 @dataclass(frozen=True)
 class Hand:
-    """What is known of the hand.
+    """Estimated properties of the hand.
 
     Attributes:
         compliance: c [m/N].
@@ -59,7 +59,7 @@ UNKNOWN = Hand(1.0 / _STIFFEST, 1.0, 0.3)
 
 
 def stiffest(commands: Floats, forces: Floats) -> float:
-    """The largest stiffness that pushes (k, 3) and their forces speak for, for the size of the next [N/m]."""
+    """The largest stiffness compatible with pushes (k, 3) and their forces, for sizing the next push."""
     sizes = np.linalg.norm(commands, axis=1)
     pushed = sizes > 0
     if not pushed.any():
@@ -68,7 +68,7 @@ def stiffest(commands: Floats, forces: Floats) -> float:
 
 
 def hand_of(commands: Floats, places: Floats, forces: Floats) -> Hand:
-    """The hand from pushes of a handle that stays within some millimetres.
+    """The hand's properties from pushes of a handle that stays within some millimetres.
 
     Force is a linear map of the command, F = K (1 - a t tᵀ) u: a joint yields along one line t at most, so two singular
     values of three are the stiffness, whatever moves. The middle one is taken, the largest being that with most noise.
@@ -95,7 +95,7 @@ def hand_of(commands: Floats, places: Floats, forces: Floats) -> Hand:
 
 
 def _fitted(displacements: Floats, forces: Floats) -> tuple[Hand, float]:
-    """The hand for linear inputs (k, 3 or 4), and the mean square that it leaves of the forces across the yield."""
+    """(hand fitted to linear inputs (k, 3 or 4), mean square residual across the yielding direction)."""
     slope = np.linalg.lstsq(displacements, forces, rcond=None)[0]
     matrix = slope[:3].T
     vectors, values, _ = np.linalg.svd(matrix)

@@ -1,4 +1,4 @@
-"""The chain of joints that an exploration found, as a hybrid automaton that plans at once.
+"""Conversion of an explored chain of joints to a hybrid automaton for planning.
 
 Segments of the way become local models along one coordinate, as those of a demonstration do. A latch is a rigid model
 where the handle was found, left by a pull. Dry friction is a dead zone of the commands: a hand that is a spring loses
@@ -32,7 +32,7 @@ _LATCHED = 2.5  # times the friction that held it in motion
 
 
 def explored_model(explorer: Explorer, chain: Chain) -> HybridAutomaton:
-    """The automaton of a chain of joints, with how well all of it is known."""
+    """The automaton of a chain of joints with its uncertainties."""
     ends = np.append(chain.begin, chain.way.max())
     ends[0] = min(0.0, chain.way.min())
     rates = [float(np.linalg.norm(rate)) or 1.0 for rate in chain.rate]
@@ -69,7 +69,7 @@ def explored_model(explorer: Explorer, chain: Chain) -> HybridAutomaton:
 
 
 def _known(edge: Edge, place_std: float) -> Edge:
-    """A transition between two joints with how well its place is known: the way where one gave way to the other."""
+    """An edge between two joints with the std of its threshold."""
     if edge.is_self_transition or not any(half.on_state for half in edge.guard.half_spaces):
         return edge
     return replace(edge, threshold_std=place_std)
@@ -95,7 +95,7 @@ def _segment(
 
 
 def _friction(explorer: Explorer, chain: Chain) -> tuple[float, float]:
-    """What held the handle while it moved: mean and spread [N]."""
+    """Mean and std of the friction against the handle's motion [N]."""
     tangents = chain.poses(chain.way)[2]
     moved = np.flatnonzero(np.diff(chain.way) > 0.004)
     held = np.einsum("ij,ij->i", np.array(explorer.record.forces)[moved], tangents[moved + 1])
@@ -105,7 +105,7 @@ def _friction(explorer: Explorer, chain: Chain) -> tuple[float, float]:
 
 
 def _latch(explorer: Explorer, chain: Chain) -> float:
-    """The largest pull along its way that did not move the handle where it was found [N]."""
+    """The largest pull along the path that did not move the handle from its first position [N]."""
     along = chain.direction[0]
     still = np.flatnonzero(np.abs(chain.way[1:]) < 0.003)
     still = still[still < int(np.argmax(chain.way > 0.005))]
@@ -114,7 +114,7 @@ def _latch(explorer: Explorer, chain: Chain) -> float:
 
 
 def _numbers(chain: Chain, number: int) -> Floats:
-    """Axis, centre and place of a joint of the chain at its beginning (..., 9), and its orientation there (..., 9)."""
+    """(axis, centre and position (..., 9), orientation (..., 9)) of a joint of the chain at its start."""
     direction, rate, begin = (a[..., number, :] for a in (chain.direction, chain.rate, chain.begin[..., None]))
     places, turns, _ = chain.poses(begin)
     place, turn = places[..., 0, :], turns[..., 0, :, :]
@@ -145,7 +145,7 @@ def _joint(chain: Chain, number: int) -> Joint:
 
 
 def _at_rest(chain: Chain) -> ParameterCovariance:
-    """Of the pose where the handle was found."""
+    """The rigid joint at the pose where the handle was found."""
     place, turn = np.full(3, chain.place_std**2 / 4), np.full(3, chain.turn_std**2 / 4)
     matrix = np.diag(np.concatenate([turn, place]))
     return ParameterCovariance(_ORIGIN, tuple(map(tuple, matrix.tolist())))

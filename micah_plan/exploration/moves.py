@@ -1,4 +1,4 @@
-"""What would make the handle move: one belief over directions, thresholds and friction of the side force.
+"""Belief over motions of the handle: directions, thresholds, and friction under side forces.
 
 A hypothesis says: the handle can go along t (and not back), once the pull along t exceeds a threshold τ (dry friction,
 or a latch on top of it) by more than μ times the force across; or it is fast. Every push tells, the ones without motion
@@ -30,7 +30,7 @@ _SHARE_FRICTION, _SHARE_LATCHED = 0.65, 0.25
 
 @dataclass(frozen=True, eq=False)
 class Moves:
-    """Weighted hypotheses; those with an infinite threshold say that the handle is fast, and may give along t.
+    """Weighted hypotheses; an infinite threshold means a stuck handle, which may yield elastically.
 
     Attributes:
         direction: (n, 3) unit vectors, base frame.
@@ -46,11 +46,11 @@ class Moves:
 
     @property
     def fast(self) -> float:
-        """Probability that nothing moves it."""
+        """Probability that the handle is stuck."""
         return float(self.weight[np.isinf(self.threshold)].sum())
 
     def needed(self, directions: Floats, compliance: float) -> Floats:
-        """(k, n) lead [m] along each of k unit directions from which on each hypothesis moves; infinite if none."""
+        """(k, n) smallest lead [m] along k unit directions that moves each hypothesis; infinite if none."""
         along = directions @ self.direction.T
         across = np.sqrt(np.maximum(1.0 - along**2, 0.0))
         effective = along - self.side * across
@@ -58,7 +58,7 @@ class Moves:
             return np.where(effective > 0.05, compliance * self.threshold / np.maximum(effective, 0.05), np.inf)
 
     def updated(self, lead: Floats, moved: Floats, std: float, compliance: float) -> Moves:
-        """The belief after a push with a lead (3,) that displaced the handle by `moved` (3,), seen with a std [m]."""
+        """The belief after a push with a lead (3,) and a measured displacement (3,) with std [m]."""
         along, shift = self.direction @ lead, self.direction @ moved
         across = np.sqrt(np.maximum(lead @ lead - along**2, 0.0))
         excess = along - self.side * across - compliance * self.threshold
@@ -73,7 +73,7 @@ class Moves:
         return replace(self, weight=weight / weight.sum())
 
     def likely(self, count: int = 4) -> Floats:
-        """(k, 3) directions of the most probable hypotheses, and their mean in front if they agree."""
+        """((k, 3) directions of the most probable hypotheses), preceded by their mean if they agree."""
         mean = self.weight @ self.direction
         size = float(np.linalg.norm(mean))
         heaviest = self.direction[np.argpartition(-self.weight, count)[:count]]
@@ -81,7 +81,7 @@ class Moves:
 
 
 def _at_rest(lead: Floats, moved: Floats, std: float) -> float:
-    """Density of a displacement (3,) of what rests: none, or some giving towards the push; whatever could move it."""
+    """Density of a displacement (3,) at rest: none, or elastic yielding in the direction of the push."""
     size, squared = float(np.linalg.norm(lead)), float(moved @ moved)
     none = math.exp(-0.5 * squared / std**2) / (std**3 * math.sqrt(2 * math.pi))
     if size == 0.0:
@@ -109,7 +109,7 @@ def compass() -> Floats:
 
 
 def anywhere(turn: Floats, mass: float = 1.0, friction: float = _FRICTION, count: int = 240) -> Moves:
-    """The prior: any direction is alike, dry friction or a latch holds the handle, or it is fast.
+    """The prior: uniform directions; friction or a latch holds the handle, or it is stuck.
 
     Args:
         turn: (3, 3) orientation of the handle, with which the directions turn, so that the answer does.
@@ -130,7 +130,7 @@ def anywhere(turn: Floats, mass: float = 1.0, friction: float = _FRICTION, count
 
 
 def onwards(tangents: Floats, friction: float, turn: Floats, change: float) -> Moves:
-    """The belief of a handle that has just moved: on along its way against about the same friction, or all is new.
+    """The belief after a motion: it continues along the path against similar friction, or all is new.
 
     Args:
         tangents: (k, 3) equally probable directions of its way.

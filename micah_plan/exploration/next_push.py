@@ -1,4 +1,4 @@
-"""The largest probability of a motion per force.
+"""Choice of the next push: the largest probability of motion per force.
 
 A step costs some newtons whatever it pushes with, so weak pushes in many directions come first, and stronger ones when
 the weak ones have been in vain: what they ruled out is no longer worth a push.
@@ -23,7 +23,7 @@ _LEVELS, _LEAST_FORCE = 12, 2.0
 
 @dataclass(frozen=True, eq=False)
 class Push:
-    """A push, and what is left to be had.
+    """A push, and the probability that any push moves the handle.
 
     Attributes:
         lead: (3,) of the hand's equilibrium before the handle [m].
@@ -48,7 +48,7 @@ def best_push(moves: Moves, directions: Floats, hand: Hand, most: float) -> Push
 
 
 def largest_lead(scene: Scene, hand: Hand, leads: Floats, forces: Floats, doubt: float) -> float:
-    """The largest lead that keeps the force below its limit even if nothing gives way [m].
+    """The largest lead [m] whose force stays below its limit even against a stuck handle.
 
     Args:
         leads, forces: (k, 3) of pushes so far; none may have met more force per lead than is reckoned with.

@@ -1,4 +1,4 @@
-"""What was done and seen, and the faults of tracker and grip.
+"""Record of actions and observations, with faults of tracker and grip.
 
 A tracker may be out (no pose, a late answer, or the same pose to the last digit), leap once, or see the handle
 elsewhere for good: then the grip has slipped on it, or the hand is off it.
@@ -30,7 +30,7 @@ _SAME = 0.3  # std, by which a hand is no other
 
 
 class Record:
-    """Rows of one exploration.
+    """Rows of one exploration, with the estimates derived from them.
 
     Attributes:
         hand: as well as it is known.
@@ -68,12 +68,12 @@ class Record:
 
     @property
     def odd(self) -> bool:
-        """Whether what the tracker saw lately contradicts the odometer, and it is not known yet why."""
+        """Whether recent readings contradict the odometer for an unknown reason."""
         return self._leapt[-1] or self.slips.doubt > _DOUBT
 
     @property
     def looks_again(self) -> bool:
-        """Whether that will tell."""
+        """Whether further readings will resolve the contradiction."""
         return self._leapt[-1] or (self.odd and self._rests < _LOOKS)
 
     @property
@@ -85,7 +85,7 @@ class Record:
         return self._off > _PERHAPS_OFF
 
     def command(self, lead: Floats, led: bool, most: float) -> Floats:
-        """(3,) the command for a lead, noted.
+        """(3,) the command for a lead, which is recorded.
 
         Args:
             most: the largest that is safe [m], whether the tracker is right on where the handle is or the odometer.
@@ -102,12 +102,12 @@ class Record:
         return lead_now
 
     def withdrawn(self) -> None:
-        """The last command was not carried out."""
+        """Remove the last command, which was not carried out."""
         for column in (self.leads, self.commands, self.led):
             column.pop()
 
     def take(self, measurement: Measurement) -> Floats | None:
-        """A measurement after the last command; (3,) by what the grip has slipped on the handle, if that is found [m].
+        """Record a measurement; returns the slip (3,) of the grip in the handle's frame [m], if one was detected.
 
         The offset counts in the handle's own frame.
         """
@@ -137,7 +137,7 @@ class Record:
         return None if self.doubtful else self._slip()
 
     def _passed(self, k: int) -> None:
-        """Step k, by odometer and tracker."""
+        """Process step k by odometer and tracker."""
         before = self.place
         self.moved[k], self.moved_std[k] = self._odometer(k)
         self.place = before + self.moved[k]
@@ -149,7 +149,7 @@ class Record:
         self.shifted[k] = self.place - before
 
     def _tested(self, k: int) -> None:
-        """Step k, for whether the grip slipped."""
+        """Process step k in the test for slips."""
         is_certain = not self._late[k] and self.hand is not UNKNOWN
         if self._counted(k):
             size = float(np.linalg.norm(self.leads[k]))
@@ -171,21 +171,21 @@ class Record:
         return bool(np.isfinite(self.places[row]).all())
 
     def _repeats(self, place: Floats) -> bool:
-        """Whether a noisy tracker says to the last digit what it said before: then it has not measured."""
+        """Whether a noisy tracker repeats its last reading exactly: then it is no measurement."""
         places = [p for p in self.places if np.isfinite(p).all()]
         if len(places) < 3 or not np.array_equal(place, places[-1]):
             return False
         return not any(np.array_equal(a, b) for a, b in pairwise(places))
 
     def _odometer(self, k: int) -> tuple[Floats, float]:
-        """Displacement in step k by its force, and the std [m]; a late answer's force is an old one too."""
+        """(displacement in step k by its force, std) [m]; a late answer carries an old force."""
         unknown = self.hand.from_measured and not self._saw(k)  # what the command counted from
         if self._late[k] or unknown:
             return np.zeros(3), float(np.linalg.norm(self.leads[k])) + self.place_std
         return self.leads[k] - self.hand.compliance * self.forces[k], self.hand.std(self.forces[k])
 
     def _doubt_hand(self, place: Floats) -> None:
-        """Log odds that the hand is off: without a force the handle followed the whole command, or it did not move."""
+        """Log odds that the hand does not hold the handle: it follows without force, or does not move."""
         before = self.places[-2]
         if np.linalg.norm(self.forces[-1]) > 5.0 * self.hand.force_std + 0.3:
             self._off, self._usual = 0.0, max(self.slips.tracker_std, self.place_std)
@@ -194,7 +194,7 @@ class Record:
             self._off = max(self._off + float(led @ (led - 2.0 * gone)) / (4.0 * self._usual**2), 0.0)
 
     def _slip(self) -> Floats | None:
-        """Earlier places become those of the point now held, if the grip has surely slipped."""
+        """Detect a slip and move earlier positions to the point that is now held."""
         slip = self.slips.found()
         if slip is None:
             return None
@@ -210,7 +210,7 @@ class Record:
         return shift
 
     def know_hand(self) -> None:
-        """The hand from all pushes so far, and with it all displacements anew."""
+        """Re-estimate the hand from all pushes, and with it all displacements."""
         usable = ~np.array(self._late)
         commands, places = np.array(self.commands), np.array(self.places[:-1])
         self.hand = hand_of(commands[usable], places[usable], np.array(self.forces)[usable])
@@ -221,7 +221,7 @@ class Record:
         self._again()
 
     def _again(self) -> None:
-        """Where the handle was, from the start."""
+        """Recompute the handle's positions from the start."""
         self.place, self.variance = self.places[0].copy(), self.place_std**2
         if self.hand.from_measured:  # the force says where it is, the first place only as well as the tracker
             self.place = self.place + self.commands[0] - self.hand.compliance * self.forces[0]
@@ -231,23 +231,23 @@ class Record:
             self._passed(k)
 
     def _test_again(self) -> None:
-        """Whether the grip slipped, from the start."""
+        """Repeat the test for slips from the start."""
         self.slips = Slips(self.places[0], self.hand)
         for k in range(len(self.commands)):
             self._tested(k)
 
     def step_std(self, k: int) -> float:
-        """Std per axis of the displacement in step k [m]: the odometer's, and what a hand is not a linear spring."""
+        """Std of the displacement in step k per axis [m]: the odometer's, and the nonlinearity of the hand."""
         away = _NOT_LINEAR * float(np.linalg.norm(self.leads[k]))
         return float(np.sqrt(self.moved_std[k] ** 2 + _LEAST_STD**2 + away**2))
 
     def lasting(self, k: int) -> Floats:
-        """(3,) displacement in step k without that of what only bends [m]."""
+        """(3,) displacement in step k without elastic bending [m]."""
         before = self.forces[k - 1] if k else np.zeros(3)
         return np.asarray(self.shifted[k] - self.bending() @ (self.forces[k] - before))
 
     def bending(self) -> Floats:
-        """(3, 3) compliance of what the handle is fixed to [m/N]: how far it comes back when the hand lets go.
+        """(3, 3) compliance of the handle's support [m/N], from how far it springs back.
 
         Bayesian regression; before, it is isotropic, by how much most pushes displace the handle per change of force:
         what only a few pushes do is a motion.
@@ -266,18 +266,18 @@ class Record:
         return np.asarray(alike * np.eye(3) + np.linalg.solve(force.T @ force + doubt, force.T @ back).T)
 
     def pushes(self) -> tuple[Floats, Floats]:
-        """(k, 3) leads and (k, 3) forces of all commands that were not to rest, with a force that belongs to them."""
+        """(k, 3) leads and (k, 3) forces of all nonzero commands with a valid force."""
         rows = [k for k in range(len(self.forces)) if self.leads[k].any() and not self._late[k]]
         leads, forces = ([column[k] for k in rows] for column in (self.leads, self.forces))
         return np.array(leads).reshape(-1, 3), np.array(forces).reshape(-1, 3)
 
     def rows(self) -> StepRows:
-        """All rows, to fit a chain to."""
+        """All rows for fitting chains."""
         std = np.hypot(np.array(self.moved_std), _LEAST_STD)
         leapt = np.array(self._leapt)
         places = np.where(leapt[:, None], np.nan, self.places)
         return StepRows(places, np.array(self.turns), np.array(self.moved), std)
 
     def fitted(self, chain: Chain) -> None:
-        """What a chain leaves tells the noise of the tracker."""
+        """Estimate the tracker's noise from the residuals of a chain."""
         self.place_std = float(np.clip(chain.place_std, 2e-4, 0.01))

@@ -1,4 +1,4 @@
-"""An exploration from the first touch to its end, and its result as a value."""
+"""An exploration from first contact to its end, with its result."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _NEAR = 0.05  # m, of the place where the scene says that the hand holds
 
 @dataclass(frozen=True, eq=False)
 class Exploration:
-    """What was found.
+    """Result of an exploration.
 
     Attributes:
         outcome: ``"opened"``: the handle went the way that the scene asks for, and the tracker saw it; ``"held"``:
@@ -71,7 +71,7 @@ def explore(
     rng: np.random.Generator,
     progress: Callable[[str, float], None] | None = None,
 ) -> Exploration:
-    """Open what is in the hand, or find that it is held.
+    """Open the held object, or establish that it is locked.
 
     Args:
         plant: checked; it is reset first, and not closed here.

@@ -1,4 +1,4 @@
-"""Whether the grip has slipped on the handle: a test of likelihood ratios over looks of the tracker.
+"""Detection of slips of the grip: likelihood-ratio test over the tracker's readings.
 
 A slip is a sudden and lasting offset between where the odometer says that the handle is and where the tracker sees it;
 a leap is an offset of one look. Each hypothesis, that nothing happened or that the grip slipped just before a certain
@@ -27,7 +27,7 @@ _SEEN = np.concatenate([np.eye(3), np.zeros((3, 1)), np.eye(3)], axis=1)  # the 
 
 
 class Slips:
-    """A bank of filters: the first says that nothing happened, the others that the grip slipped before a look.
+    """A bank of Kalman filters: one without a slip, and one for a slip before each look.
 
     Attributes:
         hand: what is reckoned with.
@@ -54,26 +54,26 @@ class Slips:
 
     @property
     def doubt(self) -> float:
-        """Probability that the grip has slipped before one of the last looks."""
+        """Probability of a slip before one of the last readings."""
         return 1.0 - float(self._share[0])
 
     @property
     def tracker_std(self) -> float:
-        """Noise of the tracker per axis, if nothing happened [m]."""
+        """Std of the tracker per axis without a slip [m]."""
         return float(np.sqrt(self._noise[0]))
 
     @property
     def expected(self) -> Floats:
-        """(3,) from where the handle would be had nothing happened to where it is, mean of all hypotheses [m]."""
+        """(3,) mean displacement of the handle due to slips over all hypotheses [m]."""
         held = self.state @ _SEEN.T
         return np.asarray(self._share @ held - held[0])
 
     def went(self, command: Floats, force: Floats) -> None:
-        """The equilibrium was displaced by (3,) from where the handle was [m], and met a force [N]."""
+        """Process a displacement of the equilibrium (3,) [m] that met a force [N]."""
         self._went(command, force, np.eye(3, 7))
 
     def came(self, equilibrium: Floats, force: Floats, along: Floats | None) -> None:
-        """The equilibrium was at (3,), as the tracker counts [m]: what is held is at one place by all hypotheses.
+        """Process an equilibrium position (3,) [m] in the tracker's frame: it relates all hypotheses to one position.
 
         So the next looks tell no more of them; how the handle must have moved does.
 
@@ -86,11 +86,11 @@ class Slips:
         self._went(equilibrium, force, np.eye(3, 7, k=4) * -1.0)
 
     def went_unseen(self, std: float) -> None:
-        """Nothing is known of a step but how far it may have gone, per axis [m]."""
+        """Process an unobserved step of at most `std` per axis [m]."""
         self.covariance = self.covariance + np.diag([*[std**2] * 3, 0.0, 0.0, 0.0, 0.0])
 
     def _moved_so(self, equilibrium: Floats, force: Floats, along: Floats | None) -> Floats:
-        """(n,) log likelihood of the displacement: it rests, or it goes within what the lead can do."""
+        """(n,) log likelihoods of a displacement: at rest, or within the range of the lead."""
         lead = equilibrium - self.state @ _SEEN.T
         gone, covariance = lead - self.hand.compliance * force, _SEEN @ self.covariance @ _SEEN.T
         length = np.linalg.norm(lead, axis=1)[:, None, None]
@@ -104,7 +104,7 @@ class Slips:
         return np.asarray(np.logaddexp(rests, goes))
 
     def _went(self, shift: Floats, force: Floats, carry: Floats) -> None:
-        """The place becomes `carry` of the state, and goes by a shift less the stretch of the hand."""
+        """Propagate the state: the position becomes `carry` of it, plus a shift minus the hand's extension."""
         stretch = self.hand.compliance * force
         whole = np.concatenate([carry, np.eye(7)[3:]])
         whole[:3, 3] = -stretch
@@ -115,7 +115,7 @@ class Slips:
         self.went_unseen(float(np.sqrt(noise)))
 
     def look(self, measured: Floats, row: int) -> None:
-        """The tracker sees the handle at (3,) [m]."""
+        """Process a reading of the handle at (3,) [m]."""
         self._branch(row)
         off, noise = measured - self.state @ _SEEN.T, self._noise
         covariance = _SEEN @ self.covariance @ _SEEN.T
@@ -138,7 +138,7 @@ class Slips:
         self._count, self.leapt = count, not bool(taken[0])
 
     def _branch(self, row: int) -> None:
-        """A hypothesis more: the grip slipped just now."""
+        """Add the hypothesis of a slip before this row."""
         kept = np.append(0, np.arange(max(len(self.row) - _MOST_LOOKS, 1), len(self.row)))
         first = np.append(kept, 0)
         self.state, self.covariance = self.state[first], self.covariance[first]
@@ -147,7 +147,7 @@ class Slips:
         self.row, self.odds = np.append(self.row[kept], row), np.append(self.odds[kept], np.log(_SLIPS))
 
     def found(self) -> tuple[int, Floats] | None:
-        """The look before which the grip surely slipped, and by what (3,) [m]; None if it is not sure."""
+        """(row, slip (3,) [m]) of the most probable slip; None if it is not certain."""
         if self.doubt < _SURE:
             return None
         best = int(np.argmax(self.odds))

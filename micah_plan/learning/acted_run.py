@@ -1,4 +1,4 @@
-"""Learning from a run whose actions came through a channel: in another frame, scaled, early or late.
+"""Learning from a run with an action channel: actions in another frame, scaled, early or late.
 
 Frame and gain are part of the evidence, where a step model with any of them may explain the motion. A delay is not: it
 is estimated from what was learned without it, and where it matters the run is learned again with the actions moved to
@@ -32,7 +32,7 @@ def learn_acted_run(
     inlier: Booleans | None = None,
     counted: Booleans | None = None,
 ) -> tuple[LearnedRun, ActionChannel | None]:
-    """What a run tells, with its actions, and the channel that they came through.
+    """The learned run with its actions, and the channel that relates the actions to the motion.
 
     Args:
         track: with or without actions.

@@ -1,4 +1,4 @@
-"""Actions that a servo is too coarse to follow: asked for, and no sign of a stop.
+"""Dead band of a coarse servo: actions without motion that are not signs of a stop.
 
 A servo that an encoder reads rests some counts beside its goal, and what is commanded there (the goal less the pose) is
 asked for in vain for as long as it rests. That is not what a stop does, which withstands larger actions than those that
@@ -34,7 +34,7 @@ _IDLE, _ALIVE = (0.5, 9.5), (0.5, 0.5)
 
 
 def without_dead_band(position: Floats, quaternion: Floats | None, action: Floats) -> Floats:
-    """Actions (n, 3) without those within the dead band of what moves the part; 0 there.
+    """Actions (n, 3) with those inside the dead band of the actuator set to 0.
 
     Args:
         position: (n, 3) [m]; quaternion: (n, 4) unit, or None.
@@ -55,7 +55,7 @@ def without_dead_band(position: Floats, quaternion: Floats | None, action: Float
 
 
 def without_arrived(position: Floats, action: Floats) -> Floats:
-    """Actions (n, 3) that lead to places, without those of rows in which the part is there; 0 there.
+    """Actions (n, 3) to commanded places, set to 0 in rows in which the part has arrived.
 
     Args:
         position: (n, 3) [m].
@@ -70,7 +70,7 @@ def without_arrived(position: Floats, action: Floats) -> Floats:
 
 
 def _dead_band(asked: Floats, moves: Booleans, most: float) -> float:
-    """The likeliest width of a dead band, by rows (n,) that are asked so much, and move or not; 0 if there is none."""
+    """Most probable width of a dead band, from sizes of actions (n,) and whether the part moves; else 0."""
     order = np.argsort(asked, kind="stable")
     asked, moves = asked[order], moves[order]
     within = np.arange(1.0, len(asked) + 1)
@@ -86,5 +86,5 @@ def _dead_band(asked: Floats, moves: Booleans, most: float) -> float:
 
 
 def _log_density(moved: Floats, rows: Floats, prior: tuple[float, float]) -> Floats:
-    """Of so many rows that move among some, whatever the probability is [nats]."""
+    """Beta-binomial log density of `moved` among `rows` [nats]."""
     return np.asarray(betaln(moved + prior[0], rows - moved + prior[1]) - betaln(*prior))

@@ -1,4 +1,4 @@
-"""Whether any joint holds a part: what else may explain rows that the joints of an answer miss.
+"""Goodness of fit: alternatives for rows that the joints of an answer miss.
 
 Real joints and trackers deviate from what models say of them. Where an answer misses its rows further than that, the
 part may move freely, or along a path that no joint of a constant twist follows.
@@ -41,7 +41,7 @@ _FEWEST_TO_DOUBT = 16  # rows; fewer lie on any smooth path, and tell no joint f
 
 @dataclass(frozen=True, eq=False)
 class GoodnessOfFit:
-    """What else may explain the rows than the joints of an answer.
+    """Alternatives to the joints of an answer.
 
     Attributes:
         log_odds: of what no joint follows, over the best joints [nats].
@@ -68,7 +68,7 @@ def assess_joints(
     noise: MeasurementNoise,
     settings: LearnSettings,
 ) -> GoodnessOfFit | None:
-    """What may explain the rows better than an answer; None if its joints miss them by little.
+    """Alternatives that explain the rows better than an answer; None if its joints miss them by little.
 
     Joints in turn follow many a curve closely, and a slide forgives a turn: what counts is how far either the answer or
     the best single joint misses the rows. What real joints miss comes back in every pass, and a curve follows it better
@@ -123,7 +123,7 @@ def no_single_joint_of(
     settings: LearnSettings,
     log_odds: float,
 ) -> NoSingleJoint:
-    """How far joints miss rows of free motion."""
+    """The error of joints on rows of free motion."""
     missed, scatter = _missed(fitted, track, inlier), _scatter(track, inlier, noise, settings)
     turned = track.quaternion is not None
     return NoSingleJoint(
@@ -138,7 +138,7 @@ def no_single_joint_of(
 def _follows_a_curve(
     fitted: Sequence[FittedPiece], track: PartTrack, inlier: Booleans, noise: MeasurementNoise
 ) -> bool:
-    """Whether a part goes over from moving joint to moving joint, again and again, without a corner."""
+    """Whether a part passes smoothly from joint to joint several times, which indicates a curve."""
     if len({piece.joint for piece in fitted}) < _CHAIN or not all(piece.joint.moves for piece in fitted):
         return False
     weight = np.repeat([noise.rotation_length, 1.0], 3)[-6 if track.quaternion is not None else -3 :]
@@ -154,20 +154,20 @@ def _follows_a_curve(
 
 
 def _missed(fitted: Sequence[FittedPiece], track: PartTrack, inlier: Booleans) -> Floats:
-    """(2,) or (1,) how far rows lie off their joints (root mean square): rotation [rad], if measured, position [m]."""
+    """(2,) or (1,) root mean square distance of rows from their joints: rotation [rad], if measured, position [m]."""
     errors = [left_by(piece.joint, piece.index(inlier), track, ROTATION_LENGTH) for piece in fitted]
     error = np.concatenate(errors)
     return np.asarray(np.sqrt((error.reshape(len(error), -1, 3) ** 2).sum(axis=2).mean(axis=0)))
 
 
 def _missed_by(answer: Segmented) -> Floats:
-    """The same of the steps that an answer was found in, under its own joints."""
+    """As `_missed`, for the steps and joints of an answer."""
     error, _ = misses(answer.table.pool, answer.segmentation.which)
     return np.asarray(np.sqrt((error.reshape(len(error), -1, 3) ** 2).sum(axis=2).mean(axis=0)))
 
 
 def _scatter(track: PartTrack, inlier: Booleans, noise: MeasurementNoise, settings: LearnSettings) -> Floats:
-    """(2,) or (1,) how far rows lie off a joint that holds: rotation [rad], if it was measured, and position [m].
+    """(2,) or (1,) expected distance of rows from a correct joint: rotation [rad], if measured, and position [m].
 
     By their white noise, of which a few rows leave open how much it is, and because neither joints nor trackers are
     ideal.

@@ -77,7 +77,9 @@ def learn_graph(
 
 
 def _widened(graph: KinematicGraph, recording: Recording) -> KinematicGraph:
-    """The graph with joints as uncertain as errors that rows share make them; the base's frame moves no inner joint."""
+    """The graph with joints' covariances enlarged by shared errors; errors of the base frame affect edges to the base
+    only.
+    """
     edges = []
     for edge in graph.edges:
         error = shared_error_of(recording, edge.child)
@@ -94,7 +96,7 @@ def _widened(graph: KinematicGraph, recording: Recording) -> KinematicGraph:
 
 
 def _in_common(recording: Recording, settings: LearnSettings) -> tuple[LearnSettings, Counted]:
-    """One number of steps, one power of the likelihood and the same rows of a part for all pairs that it is in.
+    """Common number of steps, likelihood power and rows of a part, for all its pairs.
 
     A tree compares their evidence.
     """
@@ -117,7 +119,7 @@ def _in_common(recording: Recording, settings: LearnSettings) -> tuple[LearnSett
 
 
 def learn_edge(recording: Recording, settings: LearnSettings, counted: Counted | None = None) -> KinematicEdge:
-    """How the only part of a recording moves in the frame that its poses are given in, all runs on one coordinate.
+    """The edge of the only part of a recording in the frame of its poses, with one coordinate for all runs.
 
     Args:
         counted: times of the rows that steps are means of, by part and run; of others by how the part moves here.
@@ -159,14 +161,14 @@ def _learned(
     inlier: Booleans | None = None,
     counted: Booleans | None = None,
 ) -> tuple[LearnedRun, EdgeCertainty]:
-    """What one track tells, and how sure that is of all of its segments."""
+    """The learned run of a track and its certainty."""
     learned, channel = learn_acted_run(track, settings, inlier, counted)
     counts = tuple(float(p) for p in learned.posterior.counts)
     return learned, EdgeCertainty(learned.posterior.log_evidence, (counts,), channel, learned.trace)
 
 
 def _edge_of_short_runs(recording: Recording, tracks: list[PartTrack], settings: LearnSettings) -> KinematicEdge:
-    """The edge of runs that show little one by one; their numbers of changepoints are not told apart."""
+    """The edge from runs that are too short one by one, learned jointly."""
     together = one_after_another(tracks)
     # Every row is a step, and segments are as long as those of one run.
     run_settings = replace(settings, resolution=max(settings.resolution, len(together)))
@@ -192,7 +194,7 @@ def _edge_of_short_runs(recording: Recording, tracks: list[PartTrack], settings:
 
 
 def _together(runs: Sequence[EdgeCertainty]) -> EdgeCertainty:
-    """What all runs say; how many changepoints there are only if each run says it."""
+    """The certainty of all runs; the number of changepoints only if each run has one."""
     channels = [run.channel for run in runs if run.channel is not None]
     counts = [run.changepoint_counts for run in runs]
     return EdgeCertainty(
@@ -215,7 +217,7 @@ def _segments(learned: LearnedRun, run: int) -> list[Segment]:
 def _aligned(
     segments: list[Segment], longest: Segment | None, reference: Joint, track: PartTrack, noise: MeasurementNoise
 ) -> list[Segment]:
-    """A later run's segments, counted along the first run's coordinate: a shift and, if it ran backwards, a sign."""
+    """A later run's segments on the first run's coordinate: shifted and, if it ran backward, reversed."""
     backwards, offset = False, 0.0
     if longest is None:
         held = float(np.median(segment_configurations(reference, np.arange(len(track)), track, noise)))
@@ -242,7 +244,7 @@ def _aligned(
 def _alignment(
     joint: Joint, reference: Joint, rows: Ints, track: PartTrack, noise: MeasurementNoise
 ) -> tuple[bool, float]:
-    """Whether a joint counts backwards along a reference, and what to add to its configurations then."""
+    """(whether a joint's configurations decrease along a reference, offset between the two)."""
     along_joint, common = (
         segment_configurations(joint, rows, track, noise),
         segment_configurations(reference, rows, track, noise),

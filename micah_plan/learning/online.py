@@ -1,4 +1,4 @@
-"""Learning rows in windows: recordings of many motions, and rows that still come in.
+"""Windowed learning: long recordings, and rows that arrive one by one.
 
 A window is a run of its own: it is learned as `learning.run` learns a recording. It is full when the part has moved
 `WINDOW_SWEEPS` times there and back, or after `settings.window` rows. What lies before its last quarter is committed
@@ -44,7 +44,7 @@ _MOST_KNOWN = 24  # joints; the ones used last are kept
 
 
 class OnlineLearner:
-    """Segments of one part's rows, as they come.
+    """Learns the segments of one part from rows as they arrive.
 
     Args:
         settings: None: the defaults.
@@ -78,7 +78,7 @@ class OnlineLearner:
         self._log_evidence = 0.0
 
     def __len__(self) -> int:
-        """How many rows came in."""
+        """Number of rows received."""
         return self._rows
 
     def push(
@@ -88,7 +88,7 @@ class OnlineLearner:
         quaternion: ArrayLike | None = None,
         action: ArrayLike | None = None,
     ) -> None:
-        """Take in k rows, or a single one.
+        """Process k rows, or a single one.
 
         Args:
             time: (k,) or () [s].
@@ -105,7 +105,7 @@ class OnlineLearner:
         self.extend(Recording(stamps, at, turned, acted))
 
     def extend(self, recording: Recording) -> None:
-        """Take in the rows of a recording of one run of one part."""
+        """Process the rows of a recording of one run of one part."""
         if len(set(recording.part)) > 1 or len(recording.runs) > 1:
             raise InputError("an online learner learns one part in one run", remedy="use one learner for each")
         rows = np.arange(self._rows, self._rows + len(recording), dtype=np.int64)
@@ -117,7 +117,7 @@ class OnlineLearner:
         self._take(track)
 
     def take(self, track: PartTrack) -> None:
-        """Take in rows that are prepared for learning, with the actions in the part's frame."""
+        """Process prepared rows, with actions in the part's frame."""
         self._acts = self._acts or track.action is not None
         self._take(track)
 
@@ -143,29 +143,29 @@ class OnlineLearner:
                 self._look()
 
     def segments(self) -> tuple[Segment, ...]:
-        """All segments as they are most probable now: those committed, and the open ones, which may still change."""
+        """All segments as presently most probable: the committed ones, and the open ones, which may still change."""
         return (*self._committed, *self._open_segments())
 
     @property
     def committed(self) -> tuple[Segment, ...]:
-        """The segments that will not change any more."""
+        """The final segments."""
         return tuple(self._committed)
 
     def take_committed(self) -> tuple[Segment, ...]:
-        """The committed segments, which are forgotten: for streams without an end."""
+        """The final segments, which are removed: for unbounded streams."""
         committed, self._committed = tuple(self._committed), []
         return committed
 
     @property
     def noise(self) -> MeasurementNoise:
-        """Of single rows, as the window shows it."""
+        """Noise of single rows, from the present window."""
         window = self._learned()
         if window is None:
             raise InputError(f"learning needs at least {FEWEST_ROWS} rows", remedy="push more rows")
         return window.run.noise
 
     def edge(self) -> KinematicEdge:
-        """How the part moves, as it is most probable now; without committed segments it is what `learn_graph` finds."""
+        """The edge as presently most probable; without committed segments it equals the result of `learn_graph`."""
         segments, window = self.segments(), self._learned()
         if self._entry is None and window is not None:
             posterior = window.run.posterior
@@ -177,14 +177,14 @@ class OnlineLearner:
         return KinematicEdge(BASE, self.part, segments, certainty)
 
     def _open_segments(self) -> list[Segment]:
-        """The open segment and what the window adds."""
+        """The open segment continued by those of the window."""
         window = self._learned()
         if window is None:
             return [] if self._open is None else [self._open]
         return self._after_open(window, window.segments(self.run))
 
     def _after_open(self, window: LearnedWindow, segments: list[Segment]) -> list[Segment]:
-        """A window's segments after the open one, which the first of them may go on with."""
+        """A window's segments after the open one, which the first of them may continue."""
         if self._open is None or self._entry is None or not segments:
             return segments
         first, before = window.pieces[0].joint, self._entry.before[-1].joint
@@ -192,7 +192,7 @@ class OnlineLearner:
         return [joined_segments(self._open, segments[0]), *segments[1:]] if goes_on else [self._open, *segments]
 
     def _learned(self) -> LearnedWindow | None:
-        """The window as it is segmented now."""
+        """The segmentation of the present window."""
         if self._latest is not None and self._latest[0] == self._rows:
             return self._latest[1]
         rows = self._window.rows()
@@ -218,7 +218,7 @@ class OnlineLearner:
         return window
 
     def _look(self) -> None:
-        """Whether the window is full."""
+        """Check whether the window is full."""
         rows = self._window.settle()
         if rows is None:
             return
@@ -231,7 +231,7 @@ class OnlineLearner:
         self._next_look = self._rows + min(more, max(self.settings.window - held, 1)) * self._window.stride
 
     def _commit(self, full: bool) -> None:
-        """Commit what lies before the last quarter of the window, or make the window coarser."""
+        """Commit the segments before the last quarter of the window, or make the window coarser."""
         window = self._learned()
         if window is None:
             return
@@ -254,7 +254,7 @@ class OnlineLearner:
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """Where a window begins.
+    """Boundary conditions at the start of a window.
 
     Attributes:
         known: joints of committed segments, on the coordinate of the edge, the latest ones last.
@@ -280,7 +280,7 @@ class Entry:
         start: RowPosterior | None,
         reached: float,
     ) -> Entry:
-        """The entry of the window that begins in the row `cut` of another one, in its piece `middle`."""
+        """The boundary conditions of the window that starts in row `cut`, within piece `middle`, of another one."""
         within = cut > window.pieces[middle].start
         ended = [*window.before, *window.pieces[: middle + within]]
         moving = next((piece for piece in reversed(ended) if piece.joint.moves), None)
@@ -294,7 +294,7 @@ class Entry:
         return cls(tuple(latest), tuple(replace(piece, settled=True) for piece in before), within, reached, start)
 
     def continued_by(self, run: LearnedRun, last: Ints, settings: LearnSettings) -> LearnedWindow:
-        """A window that begins here, with the known joints in place of those that they explain the rows as well as."""
+        """A window that starts here, with known joints replacing new ones that explain the rows no better."""
         same: dict[int, Joint | None] = {}
         for hypothesis in dict.fromkeys(run.hypotheses):
             pieces_of_joint = [piece for piece, of in zip(run.pieces, run.hypotheses, strict=True) if of == hypothesis]
@@ -309,7 +309,7 @@ class Entry:
         return LearnedWindow(replace(run, certainties=certainties), tuple(on_edge), self.before, last)
 
     def _known(self, joint: Joint, rows: Ints, run: LearnedRun, settings: LearnSettings) -> Joint | None:
-        """The known joint that misses rows least, if by no more than joints of one kind deviate from one another."""
+        """The known joint closest to the rows, if within the usual deviation of joints of one kind."""
         deviation = np.array([settings.rotation_misfit, settings.position_misfit])
         deviation = deviation[-1:] if run.track.quaternion is None else deviation
 
@@ -342,12 +342,12 @@ class LearnedWindow:
     last: Ints
 
     def is_new(self, index: int) -> bool:
-        """Whether a piece is on a moving joint that was not known."""
+        """Whether a piece is on a new moving joint."""
         piece = self.pieces[index]
         return piece.joint.moves and not piece.settled and self.run.certainties[index].no_single_joint is None
 
     def cut(self) -> tuple[int, int]:
-        """The piece with which the next window begins, and the first row of that.
+        """(piece in which the next window starts, its first row).
 
         At best a motion begins there: the rows of a part that rests do not tell whether its joint has moved before.
         """
@@ -361,7 +361,7 @@ class LearnedWindow:
         return next(i for i, piece in enumerate(self.pieces) if piece.end >= latest), latest
 
     def segments(self, number: int, end: int | None = None) -> list[Segment]:
-        """Segments of its rows, or of those before `end`, of the run of that number."""
+        """The segments of the window's rows, or of those before `end`, for run `number`."""
         segments: list[Segment] = []
         chain = [*self.before, *self.pieces]
         for i, (piece, sure) in enumerate(zip(self.pieces, self.run.certainties, strict=True)):
@@ -403,7 +403,7 @@ def joined_segments(first: Segment, second: Segment) -> Segment:
 
 @dataclass(frozen=True, eq=False)
 class WindowRows:
-    """Rows of a window, each the mean of a few measured ones, of which `last` (n,) has the last ones' numbers."""
+    """Rows of a window, each the mean of several measured ones; `last` (n,) are the numbers of the last of each."""
 
     track: PartTrack
     last: Ints
@@ -412,7 +412,7 @@ class WindowRows:
         return len(self.track)
 
     def take(self, index: slice) -> WindowRows:
-        """Some of the rows."""
+        """The rows with these indices."""
         return WindowRows(self.track.take(index), self.last[index])
 
     def coarsened(self, size: int) -> WindowRows:
@@ -421,12 +421,12 @@ class WindowRows:
         return WindowRows(self.track.coarsened(size), self.last[ends])
 
     def followed_by(self, later: WindowRows) -> WindowRows:
-        """These rows and later ones."""
+        """These rows followed by later ones."""
         return WindowRows(self.track.followed_by(later.track), np.concatenate([self.last, later.last]))
 
 
 class RowWindow:
-    """Rows that came in and have not been dropped.
+    """Rows that were received and are still held.
 
     Attributes:
         stride: measured rows that one row of the window stands for.
@@ -438,11 +438,11 @@ class RowWindow:
         self._new: list[WindowRows] = []
 
     def add(self, track: PartTrack) -> None:
-        """Take in measured rows."""
+        """Add measured rows."""
         self._new.append(WindowRows(track, track.rows))
 
     def rows(self) -> WindowRows | None:
-        """What the window holds; None if nothing."""
+        """The rows of the window; None if there are none."""
         new = _joined(self._new)
         if new is None:
             return self._rows
@@ -451,18 +451,18 @@ class RowWindow:
         return new if self._rows is None else self._rows.followed_by(new)
 
     def settle(self) -> WindowRows | None:
-        """The same, and from now on measured rows begin a new row of the window."""
+        """Return the rows; later measured rows start a new row of the window."""
         self._rows, self._new = self.rows(), []
         return self._rows
 
     def coarsen(self) -> None:
-        """Make one row of every two."""
+        """Average pairs of rows."""
         rows = self.settle()
         self._rows = None if rows is None else rows.coarsened(2)
         self.stride *= 2
 
     def drop(self, count: int) -> None:
-        """Forget the first rows."""
+        """Remove the first rows."""
         rows = self.settle()
         if rows is not None:
             kept = rows.take(slice(count, None))
@@ -471,7 +471,7 @@ class RowWindow:
 
 
 def _joined(parts: list[WindowRows]) -> WindowRows | None:
-    """All parts at once: joining one by one would copy each row as often as there are parts."""
+    """The concatenation of all parts at once, since pairwise joins would copy quadratically."""
     if not parts:
         return None
     tracks = [part.track for part in parts]

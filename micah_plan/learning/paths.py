@@ -1,4 +1,4 @@
-"""Paths: what explains rows that no single joint does, if the part came along the same curve again.
+"""Paths: curves for rows that no single joint explains, if the part passes along the same curve again.
 
 A path is free motion in the order of its poses along a curve, instead of in the order of time: what a row is told from
 are the rows next to it on the curve, of whichever pass. So it wins where the curve was passed more than once and agrees
@@ -52,7 +52,7 @@ _WANDERS = (1.0, 3.0, 9.0)  # sizes, over the white noise
 
 @dataclass(frozen=True, eq=False)
 class FoundPath:
-    """A path, and how it explains a track.
+    """A path with its evidence.
 
     Attributes:
         curve: as a joint.
@@ -66,7 +66,7 @@ class FoundPath:
 
 
 def principal_path(track: PartTrack, std: float, near: Joint | None = None) -> Joint | None:
-    """The smooth curve along which the rows lie, as a joint; None where they are too few, or do not move.
+    """The smooth curve through the rows as a joint; None with too few rows or without motion.
 
     Args:
         std: of a row beside the curve [m], rotations taken as lengths.
@@ -86,7 +86,7 @@ def principal_path(track: PartTrack, std: float, near: Joint | None = None) -> J
 
 
 def likeliest_path(track: PartTrack, noise: NoiseModel, likelihood_power: float) -> FoundPath | None:
-    """The path that explains a track best; None if none does that was passed again.
+    """The likeliest path of a track; None unless one is passed repeatedly and explains it.
 
     Args:
         noise, likelihood_power: as for free motion.
@@ -101,12 +101,12 @@ def likeliest_path(track: PartTrack, noise: NoiseModel, likelihood_power: float)
 
 
 def length_std(noise: NoiseModel) -> float:
-    """Std of white noise of a row [m], rotations taken as lengths."""
+    """Std of white noise of a row [m], with rotations converted to lengths."""
     return _length(rough(noise))
 
 
 def told_along(curve: Joint, track: PartTrack, noise: NoiseModel, likelihood_power: float) -> FoundPath | None:
-    """How a path explains a track, to compare with free motion; None where it was passed only once.
+    """The evidence of a path against free motion; None where it is passed only once.
 
     Whatever moves follows some curve once. That it agrees with itself is seen where it was passed again.
 
@@ -135,7 +135,7 @@ def told_along(curve: Joint, track: PartTrack, noise: NoiseModel, likelihood_pow
 
 
 def _beside(vector: Floats, std: float, c: Floats, row: Ints) -> tuple[Trend, float]:
-    """The likeliest trend along a curve of rows (n, 3) in the order of their configurations c (n,), and their std.
+    """The likeliest trend along a curve of rows (n, 3) ordered by their configurations c (n,), and their std.
 
     As for free motion, but in the order of the curve, and beside it the tracker wanders in time: one Gaussian process
     of both (Rasmussen and Williams, "Gaussian processes for machine learning", 2006, chapters 2 and 6.3).
@@ -169,7 +169,7 @@ def _closest(curve: Joint, track: PartTrack) -> Floats:
 
 
 def _passes(c: Floats) -> float:
-    """How often a part with configurations c (n,) came by at the places of its path; their median.
+    """Median number of passes over the places of a path, from configurations c (n,).
 
     In strides: that noise carries it to and fro at a place is no pass.
     """
@@ -185,7 +185,7 @@ def _passes(c: Floats) -> float:
 
 
 def _length(stds: Sequence[float]) -> float:
-    """Of stds of rotation [rad], if it was measured, and position [m]."""
+    """A combined length from stds of rotation [rad], if measured, and position [m]."""
     return float(np.linalg.norm(np.multiply(stds, [ROTATION_LENGTH, 1.0][-len(stds) :])))
 
 
@@ -204,7 +204,7 @@ def _vectors(track: PartTrack, middle: int) -> list[Floats]:
 
 
 def _along_graph(points: Floats, std: float) -> Floats:
-    """(n,) distances [m] of points (n, k) from an end of the curve on which they lie, from neighbour to neighbour."""
+    """(n,) geodesic distances [m] of points (n, k) from an end of their curve, by neighbours."""
     apart = cdist(points, points)
     steps = np.diagonal(apart, 1)
     reach = _NEIGHBOURS * max(float(np.quantile(steps, 0.9)), std)
@@ -216,7 +216,7 @@ def _along_graph(points: Floats, std: float) -> Floats:
 
 
 def _smooth(c: Floats, points: Floats, std: float) -> Joint | None:
-    """The path through points (n, 7) at c (n,), smoothed by their noise, its length counted from its beginning.
+    """The smoothing spline through points (n, 7) at c (n,), parameterised by length.
 
     None where the points are at too few places.
     """

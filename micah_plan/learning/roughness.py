@@ -1,4 +1,4 @@
-"""How far points lie apart and how rough a path of rows is, in any dimension and in no preferred axes."""
+"""Extent and roughness of paths of rows, in any dimension and isotropic."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _BEND_VARIANCE = 1.5  # of a row from the middle of its neighbours, for white no
 
 
 def extent(points: Floats, ignored: float = 0.0) -> float:
-    """Distance of points (n, k) from the one that is farthest from the first, at most; 0 without points.
+    """Diameter estimate of points (n, k): largest distance from the point farthest from the first; 0 if empty.
 
     Args:
         ignored: share of the points that may lie further away.
@@ -25,12 +25,12 @@ def extent(points: Floats, ignored: float = 0.0) -> float:
 
 
 def bends(rows: Floats, lag: int = 1) -> Floats:
-    """(n - 2 lag, k) by how much rows (n, k) miss the middle of those `lag` before and after."""
+    """(n - 2 lag, k) second differences: deviation of rows (n, k) from the mean of the rows at distance `lag`."""
     return np.asarray(rows[lag:-lag] - 0.5 * (rows[: -2 * lag] + rows[2 * lag :]))
 
 
 def std_of_bends(missed: Floats, size: ArrayLike = 3.0) -> Floats:
-    """Std (...) per axis of the white noise that leaves such `bends` (..., n, 3), blind to outliers.
+    """Robust std (...) per axis of the white noise behind second differences (..., n, 3).
 
     Args:
         size: in how many directions there is noise.

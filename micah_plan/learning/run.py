@@ -34,7 +34,7 @@ _NEGLIGIBLE = 1e-3  # rows less likely than this are not reported
 
 @dataclass(frozen=True, eq=False)
 class LearnedRun:
-    """What one run of one part tells.
+    """Result of learning one run of one part.
 
     Attributes:
         track, inlier: its rows, and which are no outliers.
@@ -60,7 +60,7 @@ class LearnedRun:
 
 @dataclass(frozen=True, eq=False)
 class SegmentedRun:
-    """A run cut into segments of steps, its joints not yet fitted to rows.
+    """A run segmented at the resolution of steps, before joints are fitted to rows.
 
     Attributes:
         track, inlier: its rows, and which are no outliers.
@@ -207,7 +207,7 @@ def _refined(
     inlier: Booleans,
     settings: LearnSettings,
 ) -> RefinedChangepoint:
-    """The row at which one piece, which begins at the row `since`, goes over into the next."""
+    """The row of the transition between two pieces, of which the first begins at row `since`."""
     joints = segmented.table.pool.hypotheses.joints.take([before.hypothesis, after.hypothesis])
     limits = since, int(steps.first[after.end + 1])
     row = max(int(steps.first[after.start]), since + 1)
@@ -255,7 +255,7 @@ def _row_posterior(refined: RefinedChangepoint, track: PartTrack) -> RowPosterio
 
 
 def _trace(segmented: Segmented, posterior: ChangepointPosterior, settings: LearnSettings) -> EvidenceTrace:
-    """Evidence over time of the joints in use, and of the best other one of every kind."""
+    """Evidence over time of the joints in use, and of the best alternative of every kind."""
     table = segmented.table
     used = list(dict.fromkeys(piece.hypothesis for piece in segmented.segmentation.pieces))
     names = table.pool.hypotheses.joints.kinds
@@ -276,7 +276,7 @@ def _trace(segmented: Segmented, posterior: ChangepointPosterior, settings: Lear
 
 
 def _numbered(kinds: Sequence[JointKind]) -> tuple[str, ...]:
-    """Names of models: their kind, numbered from the second of a kind on."""
+    """Names of models: their kind, numbered from its second occurrence."""
     counts: dict[str, int] = {}
     names = []
     for kind in kinds:

@@ -26,7 +26,7 @@ _SAME_DIRECTION = 0.7  # cosine above which a joint continues the direction of t
 
 @dataclass(frozen=True, eq=False)
 class FittedPiece:
-    """A stretch of rows with its joint, fitted to all rows that share it, and what the actions say there.
+    """A stretch of rows with its joint, fitted to all rows that share it, and its action gain.
 
     Attributes:
         start, end: first and last row (inclusive) within the track.
@@ -161,7 +161,7 @@ def left_by(joint: Joint, rows: Ints, track: PartTrack, rotation_length: float) 
 
 
 def _meeting(before: Joint, before_near: float, after: Joint, after_near: float, length: float) -> tuple[float, float]:
-    """Configurations of two joints, near given ones, at which their poses are closest: by projecting to and fro."""
+    """Configurations of two joints, near given ones, where their poses are closest, by alternating projection."""
     for _ in range(_PROJECTIONS):
         pose = forward(after, after_near)
         before_near = float(inverse(before, pose.translation, pose.rotation, length, near=before_near)[0])
@@ -179,7 +179,7 @@ def _configuration_of(rigid: Joint, moving: Joint, length: float) -> float:
 def _directed(
     piece: FittedPiece, chain: Sequence[FittedPiece], track: PartTrack, inlier: Booleans, noise: MeasurementNoise
 ) -> Joint:
-    """The piece's joint, counted in the direction that the chain continues or, without one, that the part went."""
+    """The piece's joint, oriented like the chain or, at its start, in the direction of motion."""
     index = piece.index(inlier)
     c = _smoothed(segment_configurations(piece.joint, index, track, noise))
     moving = _last_moving(chain)
@@ -197,7 +197,7 @@ def _directed(
 def _near(
     joint: Joint, row: int, piece: FittedPiece, track: PartTrack, inlier: Booleans, noise: MeasurementNoise
 ) -> float:
-    """The configuration at a row, from a line through the piece's rows next to it: it averages the noise of rows."""
+    """The configuration at a row from a local linear fit, which averages noise."""
     index = piece.index(inlier)
     c = segment_configurations(joint, index, track, noise)
     return _line_at(index.astype(float), c, float(row))
@@ -222,7 +222,7 @@ def _smoothed(c: Floats) -> Floats:
 
 
 def _observation_std(joint: Joint, measured_by: Joint, rows: Ints, track: PartTrack, noise: MeasurementNoise) -> float:
-    """Std of one pose measurement as a configuration: what the rows leave across the joint, seen along it."""
+    """Std of one pose measurement as a configuration: the residuals across the joint, projected along it."""
     error = left_by(joint, rows, track, noise.rotation_length)
     direction = jacobian(measured_by, 0.0)[0]
     moves = float(direction[3:] @ direction[3:]) if measured_by.kind != "rigid" else 1.0
@@ -238,7 +238,7 @@ def _observation_std(joint: Joint, measured_by: Joint, rows: Ints, track: PartTr
 
 
 def _process_std(piece: FittedPiece, c: Floats, rows: Ints, track: PartTrack, observation_std: float) -> float:
-    """Std of the steps that the actions, or without them a smooth motion, leave unexplained."""
+    """Std of the steps beyond the actions' prediction or, without actions, beyond a smooth motion."""
     steps = np.diff(c)
     if len(steps) < 3:
         return 0.0

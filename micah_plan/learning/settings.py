@@ -1,4 +1,4 @@
-"""Settings of model learning: one default configuration for all recordings; what is None is estimated from the data."""
+"""Settings of model learning, one default for all recordings; None is estimated from the data."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FEWEST_ROWS = 5
 
 @dataclass(frozen=True)
 class LearnSettings:
-    """What the learner assumes before it sees the rows.
+    """Assumptions of the learner.
 
     Attributes:
         kinds: candidate joints of a constant twist.
@@ -65,7 +65,7 @@ class LearnSettings:
                 raise InputError(f"LearnSettings.{item.name} must be positive. Got {shown(value)}")
 
     def of_steps(self, rows: float) -> LearnSettings:
-        """The same assumptions about means of so many rows: a white noise that was set is averaged."""
+        """The assumptions for means of so many rows: a given white noise is averaged."""
         share = rows**-0.5
         return replace(
             self,

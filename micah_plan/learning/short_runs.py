@@ -1,4 +1,4 @@
-"""Runs of one part that are too short to show its joint, learned together as demonstrations of one object.
+"""Short runs of one part, learned jointly as demonstrations of one object.
 
 A run in which the part moves for two rows shows no joint; all of them one after another may. To the learner they are
 one run in which the tracker slips wherever a run begins, which is no changepoint. What is found is cut into runs again.
@@ -25,7 +25,7 @@ Sliced = tuple[FittedPiece, SegmentCertainty, int]
 
 
 def one_after_another(tracks: Sequence[PartTrack]) -> PartTrack:
-    """The rows of runs as one track; a run begins as long after the one before as its rows are apart.
+    """The concatenated rows of runs, with gaps as long as their rows are apart.
 
     Where only some of the runs have actions, nothing was commanded in the others.
     """
@@ -51,7 +51,7 @@ def one_after_another(tracks: Sequence[PartTrack]) -> PartTrack:
 def cut_into_runs(
     pieces: Sequence[FittedPiece], certainties: Sequence[SegmentCertainty], lengths: Sequence[int]
 ) -> list[Sliced]:
-    """Pieces of a track of runs, each within one run, with what is known of it and the index of its run.
+    """Pieces of concatenated runs cut at run boundaries, each with its certainty and run index.
 
     Args:
         lengths: rows of every run.

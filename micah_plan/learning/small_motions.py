@@ -1,4 +1,4 @@
-"""Parts whose motions are too small to tell a joint by."""
+"""Warnings of motions that are too small to identify a joint."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _FEW = 0.02  # share of the rows that do not count
 
 
 def small_motions(recording: Recording, settings: LearnSettings) -> tuple[str, ...]:
-    """One line for each part that moves, but by less than ten times the wander of the settings in all its runs."""
+    """A warning for each part whose motion is less than ten times the assumed drift in all runs."""
     warnings = []
     names = np.array(recording.part)
     for part in recording.parts:
@@ -44,7 +44,7 @@ def _told(part: str, moved: float, turned: float, has_orientation: bool, setting
 
 
 def _reach(track: PartTrack) -> tuple[float, float] | None:
-    """How far a part moves [m] and turns [rad]; None if not further than the noise of its rows."""
+    """Translation [m] and rotation [rad] of a part; None within the noise of its rows."""
     inlier = find_inliers(track)
     position = track.position[inlier]
     noise = float(np.sqrt(3) * std_of_bends(bends(position)))

@@ -56,7 +56,7 @@ class PartTrack:
         return None if self.quaternion is None else Rotation.from_quat(self.quaternion)
 
     def take(self, index: NDArray[np.int64] | slice) -> PartTrack:
-        """Some of the rows, as they are."""
+        """The rows with these indices."""
         return PartTrack(
             self.rows[index],
             self.time[index],
@@ -100,7 +100,7 @@ class PartTrack:
 
 
 def find_inliers(track: PartTrack) -> Booleans:
-    """(n,) rows that are measurements of one continuous motion: neither repeated nor where the part cannot get."""
+    """(n,) rows that are measurements of one continuous motion, excluding repeats and strays."""
     found = continuity(track.time, track.position, track.quaternion, track.action)
     return found.is_measured | found.rests
 
@@ -129,7 +129,7 @@ def part_track(recording: Recording, run: int, part: str) -> PartTrack:
 
 
 def tells_places(track: PartTrack) -> bool:
-    """Whether a run's actions lead to places: as the recording says, or as the places show."""
+    """Whether a run's actions are goal positions: as stated by the recording, or as its data show."""
     if track.action is None or track.meaning is not None:
         return track.action is not None and track.meaning == "position"
     ways = track.action if track.rotation is None else track.rotation.apply(track.action)
@@ -137,14 +137,14 @@ def tells_places(track: PartTrack) -> bool:
 
 
 def are_held(places: Floats, at: Floats) -> bool:
-    """Whether places (n, k) that actions lead to stay while the part moves on (n, k): a displacement leads further."""
+    """Whether commanded points (n, k) stay constant while the part (n, k) moves, unlike displacements."""
     changed, moved = (np.linalg.norm(np.diff(rows, axis=0), axis=1) for rows in (places, at))
     is_moving = moved > _MOVES * moved.max(initial=0.0)
     return bool(is_moving.any() and np.median(changed[is_moving]) < _STAYS * np.median(moved[is_moving]))
 
 
 def measured_track(recording: Recording, rows: Ints, index: Ints, where: str) -> PartTrack:
-    """Some rows (`index`) of a recording, of one part and run, prepared for learning and numbered `rows`.
+    """Selected rows (`index`) of a recording, of one part and run, prepared for learning and numbered `rows`.
 
     Raises:
         InputError: if a pose is not finite, or time does not increase.
@@ -170,7 +170,7 @@ def measured_track(recording: Recording, rows: Ints, index: Ints, where: str) ->
 
 
 def _continuous(quaternion: Floats) -> Floats:
-    """q and -q are the same orientation: choose signs so that neighbours are close."""
+    """Quaternions with signs chosen for continuity."""
     flips = np.where(np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0, -1.0, 1.0)
     unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
     return np.asarray(unit * np.concatenate([[1.0], np.cumprod(flips)])[:, None])

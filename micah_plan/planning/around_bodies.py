@@ -1,4 +1,4 @@
-"""What stands around an object that nobody's hand carries: its parts keep clear of the bodies of the scene.
+"""Collision avoidance for objects without a robot: their parts keep clear of the bodies of the scene.
 
 Of a part that only slides, whatever the others do, the states in which the box around it meets the box around a body
 are an intersection of half-spaces, like any guard: p(c) = p₀ + J c is affine, and two boxes along the axes of one of
@@ -28,7 +28,7 @@ _TOUCHING = 1e-3
 
 
 def with_scene(problem: Problem) -> Problem:
-    """The problem with the bodies of its scene as guards, and without the scene; itself where a hand holds the object.
+    """The problem with the bodies of its scene as guards; unchanged if a hand holds the object.
 
     There contacts say what may be touched (`automaton.contacts`).
     """
@@ -40,7 +40,7 @@ def with_scene(problem: Problem) -> Problem:
 
 
 def unchecked(problem: Problem) -> tuple[str, ...]:
-    """A line on the parts that turn, which plans do not keep clear of the scene; an arm that carries them does."""
+    """A warning on rotating parts, for which plans do not avoid the scene."""
     if not problem.scene or problem.hold is not None or problem.robot is not None:
         return ()
     cuts = {
@@ -56,7 +56,7 @@ def unchecked(problem: Problem) -> tuple[str, ...]:
 
 
 def slides_of(automaton: HybridAutomaton, mode: str) -> dict[str, Floats]:
-    """(3, n) how each part that only slides in a mode moves with the state, by name."""
+    """(3, n) Jacobian of each part that only slides in a mode, by name."""
     n = automaton.n
     poses = poses_of_states(automaton, automaton.mode(mode), np.vstack([np.zeros(n), np.eye(n)]))
     return {name: _slides(pose) for name, pose in poses.items() if not _turns(pose)}
@@ -75,7 +75,7 @@ def _moving(automaton: HybridAutomaton) -> list[Mode]:
 
 
 def _parts(automaton: HybridAutomaton, mode: Mode) -> dict[str, tuple[Floats, Floats | None]]:
-    """Of each part with shapes: corners (k, 3) at x = 0 in the base frame, and J (3, n); None if it turns."""
+    """Corners (k, 3) at x = 0 in the base frame and J (3, n) of each part with shapes; J is None for rotating ones."""
     n, bounds = automaton.n, dict[str, tuple[Floats, Floats | None]]()
     poses = poses_of_states(automaton, mode, np.vstack([np.zeros(n), np.eye(n)]))
     for part in automaton.parts:
@@ -88,7 +88,7 @@ def _parts(automaton: HybridAutomaton, mode: Mode) -> dict[str, tuple[Floats, Fl
 
 
 def _cuts(problem: Problem, mode: Mode) -> Iterator[Cut]:
-    """The states of a mode in which a part meets a body, except for those that meet at the start."""
+    """The regions of a mode in which a part overlaps a body, except for overlaps at the start."""
     start = np.array(problem.start.mean)[: problem.automaton.n]
     for name, (points, slides) in _parts(problem.automaton, mode).items():
         if slides is None or not slides.any():
@@ -103,7 +103,7 @@ def _cuts(problem: Problem, mode: Mode) -> Iterator[Cut]:
 
 
 def _overlap(points: Floats, slides: Floats, box: tuple[Floats, Floats, Floats]) -> list[tuple[Floats, float]] | None:
-    """Half-spaces a'x >= c of the states in which a part's box meets another; None where it never does.
+    """Half-spaces a'x >= c of the states in which a part's box overlaps another; None if there are none.
 
     Args:
         points: (k, 3) corners of the part at x = 0 [m]; slides: (3, n).

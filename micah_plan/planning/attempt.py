@@ -1,4 +1,4 @@
-"""One attempt at a plan: what every planner begins with, and the plan or the refusal that it ends with."""
+"""The frame of every planning attempt: its inputs, and the plan or refusal that it ends with."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from micah_plan.task.start import start_mode
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """What a planner is given.
+    """Inputs of a planner.
 
     Attributes:
         problem: what to solve; its start names the mode that it is in.
@@ -48,7 +48,7 @@ class Attempt:
         return limits_of(self.problem)
 
     def made_by(self, planner: Callable[[Attempt], Plan], level: Level) -> Plan:
-        """What a planner makes of it; no plan, for a reason at a level, if it finds nothing or not in time."""
+        """The plan of a planner; no plan with the reason at a level if it fails or runs out of time."""
         try:
             return planner(self)
         except (NoWayError, TimeLimitError) as failed:
@@ -62,7 +62,7 @@ class Attempt:
         candidates: tuple[Candidate, ...] = (),
         findings: tuple[Finding, ...] = (),
     ) -> Plan:
-        """The plan with a trajectory, still to be verified; `how` says in a few words how it was found."""
+        """A solved but unverified plan with its trajectory; `how` states in a few words how it was found."""
         answer = replace(self._plan("solved", "", findings, candidates), trajectory=trajectory, cost=cost)
         return replace(
             answer,
@@ -72,13 +72,13 @@ class Attempt:
         )
 
     def refused(self, reason: str, findings: tuple[Finding, ...], candidates: tuple[Candidate, ...] = ()) -> Plan:
-        """No plan, for a reason that ends with its remedy; a wrong start or goal is found before anything else."""
+        """No plan, with the reason and its remedy; an invalid start or goal takes precedence as the reason."""
         return self._plan("no_plan", reason, endpoint_findings(self.problem) or findings, candidates)
 
     def refused_for(
         self, findings: tuple[Finding, ...], before: str = "", candidates: tuple[Candidate, ...] = ()
     ) -> Plan:
-        """No plan, for the first of some findings, whose sentence and remedy are the reason behind some words."""
+        """No plan, for the first of the findings, with `before` prefixed to its sentence."""
         first, *others = findings
         plan = self._plan("no_plan", "", tuple(others), candidates).refused_for(first, before, outcome="no_plan")
         return replace(plan, findings=endpoint_findings(self.problem) or plan.findings)
@@ -98,7 +98,7 @@ def attempted(
     progress: Progress | None,
     deadline: Deadline | None,
 ) -> Plan:
-    """What a planner makes of a problem from the mode that its start is in; no plan if it is in none.
+    """The plan of a planner from the mode that the start is in; no plan if it is in none.
 
     Args:
         planner: gives a plan, still to be verified, or raises `NoWayError`.

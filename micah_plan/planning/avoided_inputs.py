@@ -1,4 +1,4 @@
-"""Inputs that no step is meant to make: those that take a transition which is not planned.
+"""Inputs that a step must avoid: those that trigger an unplanned transition.
 
 Whether a guard on the input alone holds (carried faster than this a glass spills, pulled harder than this a string
 tears) follows from what is sent, which nothing makes uncertain. So, as with the largest step and with admissible
@@ -32,13 +32,13 @@ _LEAST_WEIGHT = 1e-3
 
 
 def leads_back(automaton: HybridAutomaton, edge: Edge) -> bool:
-    """Whether a transition leads to where one leads back: a lost contact is found again, what is broken is not."""
+    """Whether an edge can be undone by one back: a contact can be made again, a broken part cannot be mended."""
     return any(back.target == edge.source for back in automaton.edges_from(edge.target))
 
 
 @memoised
 def _final_guards(automaton: HybridAutomaton, mode: Mode) -> tuple[tuple[HalfSpace, ...], ...]:
-    """The guards on the input alone of a mode's transitions that nothing leads back from."""
+    """The guards on the input alone of a mode's irreversible transitions."""
     # What is sent arrives later or in part, or leads to a place: how fast depends on where the part is.
     if automaton.input_memories or any(form(effect.name).layer == "place" for effect in automaton.effects):
         return ()
@@ -48,7 +48,7 @@ def _final_guards(automaton: HybridAutomaton, mode: Mode) -> tuple[tuple[HalfSpa
 
 
 def needs_margin(automaton: HybridAutomaton, edge: Edge) -> bool:
-    """Whether a plan leaves room for feedback before the half-spaces on inputs of a guard that it keeps out of.
+    """Whether a plan keeps a margin to the half-spaces on inputs of a guard that it must not enter.
 
     Not where feedback is cut off, nor where it may take the transition since one leads back.
     """
@@ -57,7 +57,7 @@ def needs_margin(automaton: HybridAutomaton, edge: Edge) -> bool:
 
 
 def cut_off(automaton: HybridAutomaton, weights: Floats, u: Floats, max_step: Floats, planned: Floats) -> Floats:
-    """(t, m) inputs, out of those guards that a planned input (m,) is out of.
+    """(t, m) inputs moved out of the guards that a planned input (m,) is outside of.
 
     Of a guard that it is out of by several half-spaces, the one that it misses by most is kept to.
 
@@ -78,7 +78,7 @@ def cut_off(automaton: HybridAutomaton, weights: Floats, u: Floats, max_step: Fl
 
 
 def admissible_inputs(mode: Mode, max_step: Floats) -> tuple[Floats, Floats]:
-    """(m,) lowest and (m,) highest inputs that a mode admits, within the largest step, each input by itself.
+    """(m,) lowest and (m,) highest inputs of a mode within the largest step, each bounded by itself.
 
     Half-spaces that couple inputs, or inputs and states, are left out.
     """
@@ -86,7 +86,7 @@ def admissible_inputs(mode: Mode, max_step: Floats) -> tuple[Floats, Floats]:
 
 
 def input_bounds(automaton: HybridAutomaton, mode: Mode, max_step: Floats) -> tuple[Floats, Floats]:
-    """As `admissible_inputs`, of those that take no transition; rest is one of them."""
+    """Bounds as of `admissible_inputs`, restricted to inputs that trigger no transition; zero is within them."""
     rows = list(mode.inputs.half_spaces)
     for edge in automaton.edges_from(mode.name):
         if len(edge.guard.half_spaces) == 1 and not edge.is_self_transition:
@@ -95,7 +95,7 @@ def input_bounds(automaton: HybridAutomaton, mode: Mode, max_step: Floats) -> tu
 
 
 def _bounded(half_spaces: Sequence[HalfSpace], lowest: Floats, highest: Floats) -> tuple[Floats, Floats]:
-    """(m,) lowest and (m,) highest inputs within those half-spaces that are on one of them alone."""
+    """(m,) lowest and (m,) highest inputs, from the half-spaces that bound a single input."""
     lowest, highest = lowest.copy(), highest.copy()
     for h in half_spaces:  # b'u >= c
         at = np.flatnonzero(h.b)

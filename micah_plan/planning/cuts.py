@@ -1,4 +1,4 @@
-"""States that plans are to keep out of: cut out of a problem as if a body stood there, for the next search.
+"""Cuts: states excluded from the next search as if a body stood there.
 
 A search finds the shortest path through each sequence of modes. Where the belief is too wide for a narrow place on it,
 or an arm cannot take the hand there, that place is cut out, and a search finds the next path, around it. All paths
@@ -27,7 +27,7 @@ Cut = tuple[str | None, Region]
 
 
 def without(problem: Problem, cuts: Sequence[Cut]) -> Problem:
-    """The problem with a body wherever a state is cut out. Its first transitions are those of the problem."""
+    """The problem with a body in the place of each cut; its first edges are those of the original."""
     automaton = problem.automaton
     modes = automaton.modes
     if COLLIDED not in automaton.mode_names:
@@ -39,7 +39,7 @@ def without(problem: Problem, cuts: Sequence[Cut]) -> Problem:
 
 
 def half_space(automaton_sizes: tuple[int, int], a: Floats, least: float, name: str) -> HalfSpace:
-    """a'x >= least over n states and m inputs, of which a may name the first ones only."""
+    """a'x >= least over n states and m inputs, where a may cover only the first states."""
     n, m = automaton_sizes
     weights = np.zeros(n)
     weights[: len(a)] = a
@@ -47,7 +47,7 @@ def half_space(automaton_sizes: tuple[int, int], a: Floats, least: float, name: 
 
 
 def tight_places(problem: Problem, limits: Limits, path: BeliefPath, size_of_state: int) -> list[Cut]:
-    """Where a path keeps clear of what it must not enter with less than the planned confidence, each with its mode.
+    """Regions, each with its mode, in which a path is closer to an obstacle than the planned confidence allows.
 
     A step to either side, and as wide as the corridor there. None where the path begins or ends: no other path could
     keep clear of that.
@@ -76,7 +76,7 @@ def tight_places(problem: Problem, limits: Limits, path: BeliefPath, size_of_sta
 
 
 def with_room(problem: Problem) -> Problem:
-    """The problem with what must not be entered larger on all sides by what a belief needs, for one more search.
+    """The problem with obstacles enlarged on all sides by the space that a belief needs, for another search.
 
     A shortest path goes along faces and around corners as if the state were known. What ends everything is enlarged by
     k stds of a belief that has settled, but not so far that the start lies in it.
@@ -101,12 +101,12 @@ def with_room(problem: Problem) -> Problem:
 
 
 def _settled(automaton: HybridAutomaton) -> Floats:
-    """(n,) std of a coordinate that is moved and measured for long: the steady state of its Kalman filter."""
+    """(n,) steady-state std of each coordinate under its Kalman filter."""
     process, observed = (np.array(stds, dtype=float) for stds in (automaton.noise.process_std, _seen(automaton)))
     return np.asarray(np.sqrt(0.5 * process * (process + np.sqrt(process**2 + 4.0 * observed**2))))
 
 
 def _seen(automaton: HybridAutomaton) -> Floats:
-    """(n,) std of a measurement; 0 for what is not measured: no room helps there."""
+    """(n,) std of a measurement; 0 where not measured, since a margin cannot help there."""
     stds = np.array(automaton.noise.observation_std, dtype=float)
     return np.where(np.isfinite(stds), stds, 0.0)

@@ -27,7 +27,7 @@ _NARROWEST = 1e-4
 
 
 def _relative(problem: Problem, edge: Edge, tracking: Floats) -> tuple[Floats, Floats]:
-    """(n, n) weights of deviations on the way to a guard, and at it.
+    """(n, n) weights of deviations on the way to a guard, and (n, n) at the guard.
 
     A guard between two bounds on the distance from something that no input of the source mode moves is met by following
     what is believed of that, not by being where the plan is: deviations of the distance count there instead of those of
@@ -50,7 +50,7 @@ def _relative(problem: Problem, edge: Edge, tracking: Floats) -> tuple[Floats, F
 
 
 def time_knots(trajectory: Trajectory) -> Ints:
-    """(T,) the knots k whose step to knot k + 1 takes time; transitions are left out."""
+    """(T,) knots k whose step to knot k + 1 takes time; transitions are excluded."""
     return np.asarray(np.flatnonzero(~trajectory.is_transition))
 
 

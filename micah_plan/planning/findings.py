@@ -1,4 +1,4 @@
-"""How a failure becomes words: what stands in the way of a plan, with amounts and the nearest remedy.
+"""Findings on failed plans: what prevents a plan, by how much, and the remedies closest to the problem.
 
 Level by level, as planning goes: start and goal, search, optimisation. `verification` adds what roll-outs ran into, and
 `explain` puts all of it in order: the level that failed, the place, the constraint, its amount and the nearest remedy.
@@ -53,13 +53,13 @@ _MOST_NAMED = 4
 
 
 def endpoint_findings(problem: Problem) -> tuple[Finding, ...]:
-    """What is wrong with the start, else with the goal, whatever leads from one to the other; empty if nothing is."""
+    """Findings on the start, else on the goal, that hold for any path between them; empty if there are none."""
     _, reason = start_mode(problem.automaton, problem.start)
     return tuple(_goal_findings(problem)) if reason is None else (_start_finding(problem, reason),)
 
 
 def _start_finding(problem: Problem, reason: Reason) -> Finding:
-    """The start in no mode, or outside of its own: which coordinate is out of the nearest mode's range, and how far."""
+    """Finding on a start outside the ranges of its mode, with the coordinate and the amount."""
     automaton, start = problem.automaton, problem.start
     outside = []
     for mode in [automaton.mode(start.mode)] if start.mode is not None else modes_to_be_in(automaton):
@@ -87,7 +87,7 @@ def _start_finding(problem: Problem, reason: Reason) -> Finding:
 
 
 def _goal_findings(problem: Problem) -> Iterator[Finding]:
-    """Targets that no mode (of those that the goal names) allows."""
+    """Targets outside the ranges of all modes that the goal admits."""
     named = problem.goal.modes
     modes = [mode for mode in modes_to_be_in(problem.automaton) if not named or mode.name in named]
     modes = modes or [mode for mode in problem.automaton.modes if problem.goal.admits(mode.name)]
@@ -114,7 +114,7 @@ def _goal_findings(problem: Problem) -> Iterator[Finding]:
 
 
 def why_unreachable(problem: Problem, limits: Limits, samples: Samples) -> Reason | None:
-    """Why no chain of transitions leads to the goal, whatever the path inside the modes; None if one does."""
+    """The reason why no sequence of transitions leads to the goal, for any paths in modes; None if one does."""
     if not samples.goals:
         return _no_mode_holds_goal(problem, limits)
     edges = [(i, edge) for i, edge in enumerate(problem.automaton.edges) if not edge.is_self_transition]
@@ -134,7 +134,7 @@ def why_unreachable(problem: Problem, limits: Limits, samples: Samples) -> Reaso
 def why_disconnected(
     problem: Problem, limits: Limits, samples: Samples, in_the_way: tuple[str, ...], *, revisiting: bool = True
 ) -> Reason:
-    """Why the roadmaps do not connect start and goal although the transitions do.
+    """The reason why the roadmaps do not connect start and goal although transitions do.
 
     Args:
         in_the_way: constraints on the path and guards without any one of which they would be connected.
@@ -183,7 +183,7 @@ def why_disconnected(
 
 
 def _why_inside(problem: Problem, samples: Samples) -> Reason | None:
-    """Whether the start, or all of the goal, lies where a transition on the state leaves the mode; else None."""
+    """The reason if the start, or all of the goal, lies in a guard on the state that leaves the mode; else None."""
     automaton, (mode, number) = problem.automaton, samples.start
     start = samples.points[mode][[number]]
     if (inside := _deepest(automaton, mode, start)) is not None:
@@ -207,7 +207,7 @@ def _why_inside(problem: Problem, samples: Samples) -> Reason | None:
 
 
 def _deepest(automaton: HybridAutomaton, mode: str, point: Floats) -> tuple[Edge, float, str] | None:
-    """The transition on the state alone in whose guard a state (1, n) lies deepest, how deep, and the unit of that."""
+    """(edge, depth, unit): the edge with a guard on the state alone in which a state (1, n) lies deepest."""
     candidates: list[tuple[float, Edge, str]] = []
     for edge in automaton.edges_from(mode):
         rows = [h for h in edge.guard.half_spaces if h.on_state]
@@ -224,7 +224,7 @@ def _deepest(automaton: HybridAutomaton, mode: str, point: Floats) -> tuple[Edge
 
 
 def _why_excluded(problem: Problem, limits: Limits, start_mode: str, revisiting: bool) -> Reason | None:
-    """Why the goal is out of reach even with nothing in the way, if what inputs keep tells; else None."""
+    """The reason why the goal is unreachable even without obstacles, if the invariants of inputs show it; else None."""
     automaton, revisits = problem.automaton, problem.settings.revisits
     leaves = [
         leaves_of_mode
@@ -283,7 +283,7 @@ def _closed_edge(problem: Problem, limits: Limits, edge: Edge) -> Reason:
 
 
 def _reachable(start: str | Iterable[str], edges: Iterable[Edge]) -> set[str]:
-    """The modes that edges lead to from one or some."""
+    """The modes reachable by edges from one or several."""
     edges, reached = list(edges), {start} if isinstance(start, str) else set(start)
     for _ in edges:  # no chain of transitions is longer
         reached |= {edge.target for edge in edges if edge.source in reached}
@@ -291,12 +291,12 @@ def _reachable(start: str | Iterable[str], edges: Iterable[Edge]) -> set[str]:
 
 
 def sentence_of(shortfall: Shortfall) -> str:
-    """Which row is missed, by how much and where."""
+    """The violated row, with the amount and the place."""
     return f"{_missed(shortfall)} at knot {shortfall.row.knot} in mode '{shortfall.row.mode}'"
 
 
 def partly_met(shortfall: Shortfall) -> str:
-    """Which boundary a plan keeps with less than its confidence, and where most."""
+    """Finding on a boundary that a plan keeps with less than its confidence."""
     row = shortfall.row
     return (
         f"{row.name} holds with less than {percent(row.confidence or 0.0)} around knot {row.knot} in mode '{row.mode}'"
@@ -304,14 +304,14 @@ def partly_met(shortfall: Shortfall) -> str:
 
 
 def finding_of_status(modes: tuple[str, ...], status: str, *, is_out_of_time: bool = False) -> Finding:
-    """An optimisation that failed although no constraint has to be broken."""
+    """Finding on an optimisation that failed without a violated constraint."""
     ways = ("raise time_limit_s",) if is_out_of_time else (MORE_STATES, MORE_CANDIDATES, "try another seed")
     code: Code = "time_limit_reached" if is_out_of_time else "optimisation_failed"
     return Finding.of("optimisation", Reason(code, f"the optimisation failed: {status}", ways), modes)
 
 
 def findings_of(problem: Problem, modes: tuple[str, ...], shortfalls: Sequence[Shortfall]) -> list[Finding]:
-    """The findings of a mode sequence, in the order given; the two sides of one corridor are one."""
+    """The findings of a mode sequence in the given order, with the two sides of a corridor merged."""
     findings: dict[tuple[object, ...], Finding] = {}
     for number, shortfall in enumerate(shortfalls):
         row = shortfall.row
@@ -321,7 +321,7 @@ def findings_of(problem: Problem, modes: tuple[str, ...], shortfalls: Sequence[S
 
 
 def finding_of(problem: Problem, modes: tuple[str, ...], shortfall: Shortfall) -> Finding:
-    """A constraint of the optimisation that does not hold, in the words of the user."""
+    """Finding on a violated constraint of the optimisation, in the user's terms."""
     row, amount = shortfall.row, float(shortfall.amount)
     ways = _plain_ways(shortfall)
     finding = Finding(
@@ -360,7 +360,7 @@ def _missed(shortfall: Shortfall) -> str:
 
 
 def _sentence(problem: Problem, row: Row, room: float, need: float, is_narrow: bool) -> str:
-    """The available room, and what the belief needs."""
+    """The available space, and the space that the belief needs."""
     name = row.name if row.half_space is None else f"'{row.half_space.name}'"
     has, behind = quantity(room, row.unit), quantity(-room, row.unit)
     needs = f"the belief needs {quantity(need, row.unit)} at {percent(problem.settings.confidence)}"
@@ -380,7 +380,7 @@ def _sentence(problem: Problem, row: Row, room: float, need: float, is_narrow: b
 
 
 def _ways(problem: Problem, row: Row, room: float, need: float, possible: float) -> tuple[str | Offer, ...]:
-    """What could help where a belief lacks room.
+    """Remedies where a belief lacks space.
 
     Args:
         room, need: what there is and what the belief needs [unit].
@@ -407,7 +407,7 @@ def _ways(problem: Problem, row: Row, room: float, need: float, possible: float)
 
 
 def _turned_by(problem: Problem, row: Row) -> str | None:
-    """The mode behind a boundary that one step is to cross, because that mode moves the other way; None elsewhere."""
+    """The mode behind a boundary that a single step must cross, since motion reverses there; None elsewhere."""
     for edge in problem.automaton.edges_from(row.mode) if row.kind == "boundary" and row.sign < 0 else ():
         turn = input_reversal_of(problem.automaton, edge)
         if turn is not None and turn.half_space == row.half_space:
@@ -416,7 +416,7 @@ def _turned_by(problem: Problem, row: Row) -> str | None:
 
 
 def _plain_ways(shortfall: Shortfall) -> tuple[str | Offer, ...]:
-    """What could help where a constraint cannot hold, whatever the belief is."""
+    """Remedies for a constraint that is violated by the mean."""
     row, amount = shortfall.row, float(shortfall.amount)
     steps = MORE_KNOTS, LARGER_STEPS
     if row.kind == "goal":
@@ -452,7 +452,7 @@ class Explanation:
 
 
 def explain(problem: Problem, plan: Plan) -> Explanation:
-    """What stands in the way of a plan (of any outcome, also one read from a file).
+    """Explain a plan of any outcome, also one read from a file: the findings that prevent or weaken it.
 
     A plan file of an older version has no findings; then start and goal are checked again, and else its reason stands.
     """
@@ -471,7 +471,7 @@ def explain(problem: Problem, plan: Plan) -> Explanation:
 
 
 def finding_lines(finding: Finding) -> list[str]:
-    """Place and sentence of a finding, and its remedy."""
+    """Level and sentence of a finding, and its remedy, as lines."""
     place: str = finding.level
     place += f", {' -> '.join(finding.modes)}" if finding.modes else ""
     if finding.knot is not None:

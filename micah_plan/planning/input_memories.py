@@ -1,4 +1,4 @@
-"""A problem whose model remembers inputs: with the memory in its state, and without.
+"""Problems whose models remember inputs: with the memory as part of the state, and without.
 
 Goals, starts and pages refer to the model's own coordinates x. Planner, feedback and filter work on (x, m), see
 `automaton.input_memory`; a start is at rest. The search for mode sequences needs x only: how far the inputs of a mode
@@ -30,7 +30,7 @@ _LONGEST = 60
 
 
 def with_input_memory(problem: Problem) -> Problem:
-    """The problem over (x, m), started at rest; itself where nothing remembers or m is there already."""
+    """The problem over (x, m), with memories at rest; unchanged if there is no memory or it is included already."""
     whole = with_memory_states(problem.automaton)
     if whole is problem.automaton:
         return problem
@@ -50,7 +50,7 @@ def without_input_memory(problem: Problem) -> Problem:
 
 
 def coasted(automaton: HybridAutomaton, mode: str, x: Floats) -> Floats:
-    """Where states (..., n) come to rest in a mode if nothing more is commanded and no guard is in the way."""
+    """(..., n) states after the memories have run out: no further command, and no guard in the way."""
     nothing = np.zeros((*x.shape[:-1], automaton.m))
     for _ in range(_LONGEST if automaton.input_memories else 0):
         passed, kept = passed_arrays(automaton.input_memories, mode, x, nothing)
@@ -59,7 +59,7 @@ def coasted(automaton: HybridAutomaton, mode: str, x: Floats) -> Floats:
 
 
 def steps_of_memory(automaton: HybridAutomaton, max_step: Floats) -> tuple[int, int]:
-    """Steps until half of the largest input is felt, and steps that its last part needs after it has ended."""
+    """Steps until half of the largest input arrives, and steps until its last part has arrived."""
     felt, gone = 0, 0
     if not automaton.input_memories:
         return felt, gone
@@ -77,7 +77,7 @@ def steps_of_memory(automaton: HybridAutomaton, max_step: Floats) -> tuple[int, 
 
 
 def linear_step(automaton: HybridAutomaton, mode: str, x: Floats, u: Floats, largest: Floats) -> tuple[Floats, Floats]:
-    """A (n, n) and B (n, m) of a mode's step x⁺ near (x, u): of its flow, with what the memories make of the input.
+    """A (n, n) and B (n, m) of a mode's flow linearised at (x, u), with the memories of inputs.
 
     Effects on the command change B by what they leave of the largest inputs (m,): where a dead zone or a saturation has
     no slope, larger corrections still count.

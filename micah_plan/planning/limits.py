@@ -21,7 +21,7 @@ _LEAST_ROOM = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What bounds a plan.
+    """Bounds of a plan.
 
     Attributes:
         max_step: (m,) largest |u| per step [rad or m]; none that effects on the command cut off.
@@ -36,7 +36,7 @@ class Limits:
 
 
 def limits_of(problem: Problem) -> Limits:
-    """Limits from the settings, else from the automaton's admissible inputs, else from the coordinates' ranges."""
+    """Limits from the settings, else from the admissible inputs, else from the coordinates' ranges."""
     automaton = problem.automaton
     lower, upper = _coordinate_range(problem)
     if problem.settings.max_step is not None:
@@ -53,7 +53,7 @@ def limits_of(problem: Problem) -> Limits:
 
 
 def motion_per_input(automaton: HybridAutomaton, mode: str, largest: Floats) -> Floats:
-    """(n, m) B of a mode's flow, with what effects on the command leave of it between the largest inputs (m,) and back.
+    """(n, m) secant gain of a mode's flow between the largest inputs (m,) and their negatives.
 
     So larger corrections still count where a dead zone or a saturation has no slope.
     """
@@ -66,7 +66,7 @@ def motion_per_input(automaton: HybridAutomaton, mode: str, largest: Floats) -> 
 
 
 def drift_of(automaton: HybridAutomaton, mode: Mode, x: Floats) -> Floats:
-    """(n,) how far a step of a mode moves what none of its inputs moves, at a state x (n,)."""
+    """(n,) drift per step of the coordinates that no input of a mode moves, at a state x (n,)."""
     if not automaton.effects:
         return np.zeros(automaton.n)
     moved = displaced(automaton, mode, x[None], np.zeros((1, automaton.m)))[0][0]
@@ -74,13 +74,13 @@ def drift_of(automaton: HybridAutomaton, mode: Mode, x: Floats) -> Floats:
 
 
 def drifts(problem: Problem) -> bool:
-    """Whether something moves by itself that no input of its mode moves: time matters then."""
+    """Whether a coordinate drifts without an input, so that time matters."""
     automaton, start = problem.automaton, np.array(problem.start.mean)
     return any(drift_of(automaton, mode, start).any() for mode in automaton.modes)
 
 
 def holding_inputs(automaton: HybridAutomaton, mode: str, x: Floats, B: Floats) -> Floats:
-    """(..., m) inputs that keep states x (..., n) where they are, against a bias, a spring or gravity.
+    """(..., m) inputs that hold states x (..., n) against a bias, a spring or gravity.
 
     Args:
         B: (n, m) by which inputs move the mode.
@@ -93,12 +93,12 @@ def holding_inputs(automaton: HybridAutomaton, mode: str, x: Floats, B: Floats) 
 
 
 def room_for_motion(held: Floats, max_step: Floats) -> Floats:
-    """(..., m) what of the largest inputs is left to move, where part of them is needed to keep still (..., m)."""
+    """(..., m) largest inputs minus the share needed to hold still (..., m), at least a small remainder."""
     return np.asarray(np.maximum(max_step - np.abs(held), _LEAST_ROOM * max_step))
 
 
 def input_length(path: Floats, B: Floats, bounds: tuple[Floats, Floats], held: Floats, drift: Floats) -> float:
-    """Least number of steps (not rounded) that lead along waypoints (w, n), by inputs through B (n, m) and by drift.
+    """Minimum number of steps (not rounded) along waypoints (w, n), by inputs through B (n, m) and drift.
 
     Args:
         bounds: (m,) lowest and (m,) highest inputs.
@@ -129,7 +129,7 @@ def limited_input(mode: Mode, x: Floats, u: Floats, max_step: Floats) -> Floats:
 
 
 def named_values(problem: Problem) -> list[list[float]]:
-    """Per coordinate the values that the problem and the model name: start, goal, pins, boundaries and resets.
+    """Values of each coordinate that occur in problem and model: start, goal, pins, boundaries and resets.
 
     A coordinate that a mode lets follow others goes as far as those lead it.
     """
@@ -155,7 +155,7 @@ def named_values(problem: Problem) -> list[list[float]]:
 
 
 def _coordinate_range(problem: Problem) -> tuple[Floats, Floats]:
-    """(n,) smallest and largest named values, with room where no invariant bounds a side."""
+    """(n,) smallest and largest such values, extended where no invariant bounds a side."""
     values = named_values(problem)
     lower, upper = np.array([min(value) for value in values]), np.array([max(value) for value in values])
     inside = [h.bound for mode in problem.automaton.modes for h in mode.invariant.half_spaces if h.bound]
@@ -166,7 +166,7 @@ def _coordinate_range(problem: Problem) -> tuple[Floats, Floats]:
 
 
 def _default_step(automaton: HybridAutomaton, index: int, width: Floats) -> float:
-    """Largest admissible |u| if all modes together bound it on both sides, else a share of the range that it moves."""
+    """Largest admissible |u| if the modes bound it on both sides, else a fraction of the range that it moves."""
     rows = [h for mode in automaton.modes for h in mode.inputs.half_spaces]
     rows = [h for h in rows if not h.on_state and np.count_nonzero(h.b) == 1 and h.b[index] != 0]
     if {np.sign(h.b[index]) for h in rows} == {-1.0, 1.0}:
@@ -177,7 +177,7 @@ def _default_step(automaton: HybridAutomaton, index: int, width: Floats) -> floa
 
 
 def _useful_step(automaton: HybridAutomaton, index: int, largest: float) -> float:
-    """The smallest input that moves everything as far as the largest one does: beyond a saturation, more does nothing.
+    """The smallest input with the effect of the largest: beyond a saturation more input has no effect.
 
     An optimiser that starts beyond would see no slope, and a search would count with steps that are never made.
     """
@@ -193,7 +193,7 @@ def _useful_step(automaton: HybridAutomaton, index: int, largest: float) -> floa
 
 
 def _reach(motion: CoordinateMotion, gain: float, largest: float) -> float:
-    """The smallest input whose command, `gain` of it, arrives as large as that of the largest one; by bisection."""
+    """The smallest input whose command has the effect of the largest input's; by bisection."""
     full = abs(motion.commanded(np, gain * largest))
     low, high = 0.0, largest
     for _ in range(_HALVINGS):

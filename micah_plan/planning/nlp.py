@@ -1,4 +1,4 @@
-"""Nonlinear programmes, and the solver for them: IPOPT through CasADi. No other file knows which solver it is.
+"""Nonlinear programmes and their solver: IPOPT through CasADi. No other module depends on the solver.
 
     minimise cost(w)  with  lower <= w <= upper  and  row_lower <= rows(w) <= row_upper
 
@@ -82,7 +82,7 @@ class Programme:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where a solver ended.
+    """Final point of a solver.
 
     Attributes:
         w: (d,) variables; cost: there; rows: (r,) there.
@@ -106,17 +106,17 @@ class Solution:
 
     @property
     def is_number(self) -> bool:
-        """Whether cost and rows are numbers; a start where they are not is not tried."""
+        """Whether cost and rows are finite; the solver is not started where they are not."""
         return bool(np.isfinite(self.cost)) and bool(np.isfinite(self.rows).all())
 
 
 class Solver:
-    """A programme made ready to be solved once or, from other starts and with other bounds, again and again."""
+    """A programme prepared for repeated solution with different starts and bounds."""
 
     def __init__(
         self, programme: Programme, time_limit_s: float, *, expand: bool = True, warm_start: bool = False
     ) -> None:
-        """Make a programme ready.
+        """Prepare a programme.
 
         Args:
             programme: what to solve.
@@ -136,7 +136,7 @@ class Solver:
         row_bounds: Bounds | None = None,
         before: Solution | None = None,
     ) -> Solution:
-        """The local optimum next to a start.
+        """The local optimum near a start.
 
         Args:
             start: (d,); None: the programme's, as with the two bounds.
@@ -176,7 +176,7 @@ class Solver:
 
 
 def _options(time_limit_s: float, expand: bool, warm_start: bool) -> dict[str, Any]:
-    """IPOPT without output on the terminal, and never longer than the time limit."""
+    """IPOPT options: no terminal output, and the time limit."""
     options = {"print_level": 0, "sb": "yes", "max_iter": _MAX_ITERATIONS, "max_cpu_time": time_limit_s}
     options |= _WARM_START if warm_start else {"mu_strategy": "adaptive"}
     silent = {"print_time": False, "show_eval_warnings": False, "error_on_fail": False}

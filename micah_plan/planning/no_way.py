@@ -1,4 +1,4 @@
-"""The error that a planner raises where it finds nothing; `attempt` makes a plan without a trajectory of it."""
+"""The error of a planner without a solution; `attempt` converts it to a plan without a trajectory."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from micah_plan.task.reason import Reason
 
 
 class NoWayError(Exception):
-    """A planner found nothing, for a reason."""
+    """A planner found no solution, with the reason."""
 
     def __init__(self, reason: Reason) -> None:
         self.reason = reason

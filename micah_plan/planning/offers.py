@@ -1,4 +1,4 @@
-"""What a remedy can change of a problem: each offer in words, as a changed problem, and as the number to be written."""
+"""Offers: changes to a problem that a remedy can name, as words, as a changed problem, and with their number."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ _SETTINGS: tuple[OfferKind, ...] = (
 
 
 def more_knots(factor: float) -> Offer:
-    """The offer of so many times as many knots, which were counted: what they lack is a margin."""
+    """The offer of `factor` times as many knots, where the need was counted; only a margin is added."""
     return replace(MORE_KNOTS, values=((0, factor),), growth=_MARGIN)
 
 
 def larger_steps(factor: float) -> Offer:
-    """The offer of steps that are so many times as large, as was counted."""
+    """The offer of steps larger by a computed factor."""
     return replace(LARGER_STEPS, values=((0, factor),), growth=_MARGIN)
 
 
@@ -51,7 +51,7 @@ def moved_target(index: int, value: float) -> Offer:
 
 
 def more_revisits(words: str, revisits: int) -> Offer:
-    """The offer to let a plan come back to a mode so many times."""
+    """The offer to allow `revisits` returns to a mode."""
     return Offer(words, f"{words} to", "revisits", ((0, revisits),))
 
 
@@ -81,7 +81,7 @@ def changed(problem: Problem, offer: Offer) -> Problem:
 
 
 def _setting(problem: Problem, offer: Offer) -> tuple[str, Any]:
-    """Name and new value of the setting that an offer changes."""
+    """(name, new value) of the setting that an offer changes."""
     kind, value = offer.kind, offer.values[0][1]
     if kind == "surer":
         return "confidence", _surer(problem, value)
@@ -93,12 +93,12 @@ def _setting(problem: Problem, offer: Offer) -> tuple[str, Any]:
 
 
 def _surer(problem: Problem, factor: float) -> float:
-    """The confidence with fewer failures, by the square of a factor, to four digits."""
+    """The confidence whose failure probability is divided by the square of a factor, to four digits."""
     return round(1.0 - (1.0 - problem.settings.confidence) / (factor * factor), 4)
 
 
 def as_written(offer: Offer) -> Offer:
-    """The offer with numbers as they are printed: tolerances up, confidences down."""
+    """The offer with printable numbers: tolerances rounded up, confidences down."""
     if offer.kind == "confidence":
         return replace(offer, values=((0, math.floor(100.0 * offer.values[0][1] + 1e-9) / 100.0),))
     if offer.kind == "root":
@@ -111,13 +111,13 @@ def as_written(offer: Offer) -> Offer:
 
 
 def _rounded_up(value: float) -> float:
-    """The next number of three significant digits."""
+    """The next larger number of three significant digits."""
     unit = 10.0 ** (math.floor(math.log10(value)) - 2)
     return float(f"{math.ceil(value / unit - 1e-9) * unit:.3g}")
 
 
 def in_words(problem: Problem, offer: Offer) -> str:
-    """The offer with its numbers, as they are to be written into the file; of noise and steps by which factor."""
+    """The offer in words with its numbers as in the file; noise and steps as factors."""
     value = offer.values[0][1]
     if offer.kind in ("noise", "start_std", "max_step"):
         return f"{offer.words} ({_SHARES.get(value, f'{value:,.0f} times as much')} suffices)"
@@ -128,7 +128,7 @@ def in_words(problem: Problem, offer: Offer) -> str:
 
 
 def _numbers(problem: Problem, offer: Offer) -> str:
-    """Those of tolerances, targets, starts and places."""
+    """The values of tolerances, targets, starts and places, as text with units."""
     if offer.kind == "root":
         return f"[{', '.join(_text(value) for _, value in offer.values)}] m"
     coordinates = problem.automaton.coordinates

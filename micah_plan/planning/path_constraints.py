@@ -1,5 +1,4 @@
-"""Constraints and costs on the path (`task.path`), evaluated with arrays: on roll-outs, executions, trajectories and
-states.
+"""Path constraints and costs (`task.path`) evaluated with arrays: roll-outs, executions, trajectories.
 
 A step counts where it ends: one that ends with a transition, behind it.
 """
@@ -23,7 +22,7 @@ from micah_plan.task.reason import Offer, one_of
 
 @dataclass(eq=False)
 class PathRecord:
-    """Which constraints t roll-outs or executions break: `add` their steps, one after the other.
+    """Record of the constraints that t roll-outs or executions violate, updated step by step.
 
     Attributes:
         problem: with the constraints, over the coordinates of the true states.
@@ -36,7 +35,7 @@ class PathRecord:
     worst: dict[tuple[str, str], Floats] = field(default_factory=dict)
 
     def add(self, modes: Ints, x: Floats, u: Floats, factors: Floats) -> None:
-        """One step of each.
+        """Record one step of each roll-out.
 
         Args:
             modes: (t,) indices of the true modes behind it; x: (t, n) true states there.
@@ -57,17 +56,17 @@ class PathRecord:
 
     @property
     def is_broken(self) -> Booleans:
-        """(t,) whether any constraint was broken."""
+        """(t,) whether any constraint was violated."""
         broken = [worst < -EQUAL for worst in self.worst.values()]
         return np.any(broken, axis=0) if broken else np.zeros(self.count, dtype=bool)
 
     def sentences(self) -> list[str]:
-        """What was broken, and by how much at worst."""
+        """The violated constraints, each with its largest violation."""
         worst = [(name, unit, -float(margin.min())) for (name, unit), margin in self.worst.items()]
         return [f"'{name}' was broken by {quantity(by, unit)}" for name, unit, by in worst if by > EQUAL]
 
     def findings(self, modes: tuple[str, ...]) -> list[tuple[float, Finding]]:
-        """(share that broke it, finding) per constraint that roll-outs break, for a plan through these modes."""
+        """(violating fraction, finding) of each constraint that roll-outs of a plan through these modes violate."""
         findings, confidence = list[tuple[float, Finding]](), self.problem.settings.confidence
         for (name, unit), worst in self.worst.items():
             share, amount = float((worst < -EQUAL).mean()), -float(worst.min())
@@ -95,7 +94,7 @@ def joined_records(records: Sequence[PathRecord]) -> PathRecord:
 
 
 def path_cost(problem: Problem, trajectory: Trajectory) -> float:
-    """What the steps of a trajectory cost by the problem's constraints."""
+    """Cost of a trajectory under the problem's path constraints."""
     automaton, cost = problem.automaton, 0.0
     for knot in np.flatnonzero(~trajectory.is_transition) if problem.constraints else ():
         end = int(knot) + 1
@@ -112,7 +111,7 @@ def path_cost(problem: Problem, trajectory: Trajectory) -> float:
 
 
 def admitted(problem: Problem, limits: Limits, mode: str, x: Floats) -> Booleans:
-    """(k,) whether exactly known states (k, n) of a mode meet the constraints after no step or some largest one."""
+    """(k,) whether known states (k, n) of a mode satisfy the constraints at rest or for some largest input."""
     m, margins = problem.automaton.m, []
     for u in np.vstack([np.zeros(m), np.diag(limits.max_step), -np.diag(limits.max_step)]):
         terms = _terms(problem, mode, x, np.tile(u, (len(x), 1)), np.zeros_like(x))
@@ -122,7 +121,7 @@ def admitted(problem: Problem, limits: Limits, mode: str, x: Floats) -> Booleans
 
 
 def _terms(problem: Problem, mode: str, x: Floats, u: Floats, std: Floats) -> Iterator[Require | Pay]:
-    """What the constraints that act in a mode ask of k steps: states and stds (k, n), inputs (k, m)."""
+    """Terms of the constraints that are active in a mode, for k steps: states and stds (k, n), inputs (k, m)."""
     for constraint in problem.constraints:
         if constraint.acts_in(mode):
             yield from path_terms(constraint, np, problem.automaton, x.T, u.T, std.T)

@@ -1,4 +1,4 @@
-"""One formula for planning, optimisation and comparison.
+"""The cost function, shared by planning, optimisation and comparison.
 
     weight_effort · Σ |u / max_step|²                                                    over all steps
       + Σ_i (weight_goal · (μ_i - target_i)² + weight_covariance · P_ii) / tolerance_i²  at the last knot
@@ -34,12 +34,12 @@ _SMALLEST_WEIGHT = 1e-3
 
 
 def effort_cost(problem: Problem, squares: Value) -> Value:
-    """Cost of inputs, from the sum of their squares over those of the largest step."""
+    """Cost of inputs, from the sum of their squares relative to the largest step."""
     return problem.settings.weight_effort * squares
 
 
 def time_cost(problem: Problem, is_transition: Booleans) -> float:
-    """What the steps (K-1,) from knot to knot cost, where plans of different length are compared."""
+    """Cost of the steps (K-1,) between knots, which makes plans of different length comparable."""
     steps = len(is_transition) + int(is_transition.sum())
     return problem.settings.weight_effort * problem.settings.pace**2 * steps
 
@@ -51,7 +51,7 @@ def goal_cost(problem: Problem, mean: Value) -> Value:
 
 
 def goal_weights(problem: Problem) -> Floats:
-    """(n,) what `goal_cost` weighs the squared error of each coordinate with; 0 where the goal is free."""
+    """(n,) weights of `goal_cost` on the squared error of each coordinate; 0 where the goal is free."""
     weights = np.zeros(problem.automaton.n)
     for index, _, tolerance in problem.goal.target:
         weights[index] += problem.settings.weight_goal / tolerance**2
@@ -59,18 +59,18 @@ def goal_weights(problem: Problem) -> Floats:
 
 
 def variance_cost(problem: Problem, variance: Value) -> Value:
-    """Cost of the last variances [rad² or m²]."""
+    """Cost of the final variances [rad² or m²]."""
     weight = problem.settings.weight_covariance
     return sum(weight * variance[index] / tolerance**2 for index, _, tolerance in problem.goal.target)
 
 
 def in_steps(problem: Problem, cost: Value) -> Value:
-    """A cost as that many steps of the largest input, the unit of search and feedback."""
+    """A cost in units of a step of the largest input, as used by search and feedback."""
     return cost / max(problem.settings.weight_effort, _SMALLEST_WEIGHT)
 
 
 def cost_of(problem: Problem, limits: Limits, trajectory: Trajectory) -> float:
-    """What a trajectory costs, without the slack that an optimisation may have paid for."""
+    """Cost of a trajectory without slack penalties."""
     effort = effort_cost(problem, np.square(trajectory.inputs / limits.max_step).sum())
     variance = np.square(trajectory.factors[-1]).sum(axis=-1)
     ending = goal_cost(problem, trajectory.means[-1]) + variance_cost(problem, variance)

@@ -1,4 +1,4 @@
-"""POMDP-HD: mode sequences from a search, a belief trajectory through each, the cheapest with feedback around it.
+"""POMDP-HD: mode sequences from a search, a belief trajectory along each, and the cheapest with feedback.
 
     1. high level   search the roadmaps of all modes for the cheapest mode sequences        `search`
     2. low level    optimise the belief trajectory through each of them                     `transcription`
@@ -49,7 +49,7 @@ _MOST_DETOURS = 2
 
 
 def plan(problem: Problem, seed: int = 0, progress: Progress | None = None, deadline: Deadline | None = None) -> Plan:
-    """Plan from the start belief to the goal. Deterministic except for the limits of processor time.
+    """Plan from the start belief to the goal. Deterministic up to the limits on processor time.
 
     Args:
         problem: what to solve.
@@ -64,14 +64,14 @@ def plan(problem: Problem, seed: int = 0, progress: Progress | None = None, dead
 
 
 def with_memory(problem: Problem, sequence: ModeSequence) -> ModeSequence:
-    """A sequence found over x as one over (x, m), m as at the start of the problem: search asks for x only."""
+    """A sequence found over x as one over (x, m), with m as at the start of the problem."""
     memory = np.array(problem.start.mean[own_size(problem.automaton) :])
     paths = [np.hstack([path, np.tile(memory, (len(path), 1))]) for path in sequence.waypoints]
     return replace(sequence, waypoints=tuple(paths))
 
 
 def planned(attempt: Attempt, search_result: SearchResult | None = None) -> Plan:
-    """The algorithm; `search_result`: mode sequences to optimise over x, None: those that a search finds.
+    """Plan by POMDP-HD; `search_result`: mode sequences over x to optimise, None: search for them.
 
     A memory of inputs does not change which mode sequences there are. Where the mean of no plan follows its own modes
     other transitions come first, and search and optimisation are told which (`zero_time_transitions`).
@@ -93,7 +93,7 @@ def planned(attempt: Attempt, search_result: SearchResult | None = None) -> Plan
 
 
 def _with_detours(attempt: Attempt) -> list[_Tried]:
-    """The belief paths through the mode sequences that a search finds, and around their narrow places.
+    """Belief paths along the mode sequences of a search, and around their narrow places.
 
     Raises:
         NoWayError, TimeLimitError: if there is no sequence.
@@ -122,7 +122,7 @@ def _with_detours(attempt: Attempt) -> list[_Tried]:
 
 
 def _searched(attempt: Attempt, plain: Problem, cuts: Sequence[Cut]) -> SearchResult:
-    """The mode sequences of a problem over x, with states cut out of it."""
+    """Mode sequences of a problem over x, with some states cut out."""
     attempt.deadline.check("search", "no detour was looked for", "candidates")
     with attempt.clock.stage("search"):
         task = with_passing_time(without(plain, cuts) if cuts else plain)
@@ -130,7 +130,7 @@ def _searched(attempt: Attempt, plain: Problem, cuts: Sequence[Cut]) -> SearchRe
 
 
 def _untried(attempt: Attempt, found: SearchResult, tried: Sequence[_Tried]) -> SearchResult:
-    """The sequences that were not optimised yet, through modes of the problem; that there are none is no failure.
+    """Sequences without an optimisation so far, through modes of the problem; none is not an error.
 
     A state that is cut out may be in the goal, but to be stuck there is no plan.
     """
@@ -140,7 +140,7 @@ def _untried(attempt: Attempt, found: SearchResult, tried: Sequence[_Tried]) -> 
 
 
 def _is_known(sequence: ModeSequence, tried: Sequence[_Tried]) -> bool:
-    """Whether a path was optimised already: through the same transitions, around the same corners."""
+    """Whether a path with the same transitions and corners was optimised already."""
     return any(
         attempt_result.sequence.edges == sequence.edges
         and all(
@@ -168,7 +168,7 @@ def _optimised_each(attempt: Attempt, found: SearchResult) -> list[_Tried]:
 
 
 def _chosen(attempt: Attempt, asked: Problem, tried: Sequence[_Tried]) -> Plan:
-    """The cheapest plan whose mean follows its own modes, with the others as its alternatives."""
+    """The cheapest plan whose mean keeps to its mode sequence, with the others as alternatives."""
     candidates = tuple(attempt_result.candidate(asked) for attempt_result in tried)
     paths = [
         (attempt_result.path, attempt_result.sequence, attempt_result.price(asked))
@@ -199,7 +199,7 @@ def _chosen(attempt: Attempt, asked: Problem, tried: Sequence[_Tried]) -> Plan:
 
 @dataclass(frozen=True, eq=False)
 class _Tried:
-    """A mode sequence that was optimised: the belief path, if there is any, and what stands in the way of it.
+    """A mode sequence after optimisation: its belief path if there is one, and its shortfalls.
 
     Attributes:
         corners: waypoints of the sequence over x, as the search found them.
@@ -213,23 +213,23 @@ class _Tried:
 
     @property
     def is_whole(self) -> bool:
-        """Whether there is a path on which all boundaries hold with the confidence."""
+        """Whether all boundaries of the path hold with the confidence."""
         return self.path is not None and self.path.feasible and not self.path.in_part
 
     def price(self, problem: Problem) -> float:
-        """Its cost with that of its time; infinite if there is no path."""
+        """The cost including time; infinite without a path."""
         if self.path is None or not self.path.feasible:
             return np.inf
         return self.path.cost + time_cost(problem, self.path.is_transition)
 
     def candidate(self, problem: Problem) -> Candidate:
-        """As plans list it."""
+        """The sequence as an entry of a plan's candidates."""
         price = self.price(problem)
         return Candidate(self.sequence.modes, self.sequence.total, price if np.isfinite(price) else None, self.message)
 
 
 def _low_level(attempt: Attempt, sequence: ModeSequence) -> _Tried:
-    """The belief path through a mode sequence, in as few steps as lead through it."""
+    """The belief path along a mode sequence in the fewest feasible steps."""
     try:
         return _optimised(attempt, sequence)
     except (NoWayError, TimeLimitError) as failed:
@@ -266,7 +266,7 @@ def _optimised(attempt: Attempt, sequence: ModeSequence) -> _Tried:
 
 
 def _with_other_sides(attempt: Attempt, phases: tuple[PhaseGuess, ...], path: BeliefPath) -> BeliefPath:
-    """A path on which boundaries hold in part only, once more with the sides of obstacles and guards that suit it.
+    """A partly feasible path optimised again with the sides of obstacles that suit it.
 
     By which side a step stays out of them is chosen before the optimisation, and may be another where it ends.
     """
@@ -285,12 +285,12 @@ def _with_other_sides(attempt: Attempt, phases: tuple[PhaseGuess, ...], path: Be
 
 
 def _time_limit(attempt: Attempt) -> float:
-    """Time limit of an optimisation that begins now [s]."""
+    """Time limit of the next optimisation [s]."""
     return min(attempt.problem.settings.time_limit_s, attempt.deadline.left_s)
 
 
 def trajectory_of(problem: Problem, limits: Limits, path: BeliefPath) -> Trajectory:
-    """A belief path with the feedback around it."""
+    """The trajectory of a belief path, with feedback gains."""
     inputs = np.where(np.abs(path.inputs) < EQUAL * limits.max_step, 0.0, path.inputs)
     inputs = np.clip(inputs, -limits.max_step, limits.max_step)  # the solver meets bounds only to its tolerance
     gains = belief_lqr(problem, limits, path.modes, path.is_transition, (path.means, inputs))

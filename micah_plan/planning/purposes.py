@@ -1,4 +1,4 @@
-"""How what a mode is there for becomes words."""
+"""Purposes of modes in words."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from micah_plan.task.plan import ModePurpose, Plan
 
 
 def purpose_sentences(plan: Plan) -> tuple[tuple[str, str], ...]:
-    """(mode, sentence): why the plan visits each of its modes but the first, as far as the search could tell."""
+    """(mode, sentence): why the plan visits each mode but the first, as far as the search could decide."""
     sentences = dict[str, str]()
     for purpose in plan.purposes:
         if purpose.mode not in plan.mode_sequence:

@@ -1,4 +1,4 @@
-"""What is left of a plan, optimised again and again from the beliefs of an execution.
+"""Receding horizon: the remainder of a plan, optimised repeatedly from the beliefs of an execution.
 
 The plan's programme is built once. Variables of past steps are fixed by their bounds, their rows are released; the
 state of the knot where the plan is left is the belief there. The solver starts from the plan and its multipliers.
@@ -35,7 +35,7 @@ _LEARNED = 0.1
 
 
 class RecedingHorizon:
-    """Continues one plan: modes and numbers of steps stay, there is no search, and the end comes no later.
+    """Replans the remainder of one plan: modes and numbers of steps are kept, without search, and never longer.
 
     The plan's programme is built once and reused (`WarmStartedProgramme`). A new one is built where that would differ:
     if the filter has learned where a threshold ahead lies, or if the trajectory is not the end of the plan; and where
@@ -56,7 +56,7 @@ class RecedingHorizon:
         self.reused = self.built = 0
 
     def __call__(self, belief: HybridBelief, trajectory: Trajectory, knot: int) -> Trajectory | None:
-        """The rest of a trajectory from a knot on, optimised again from a belief in that knot's mode.
+        """The remainder of a trajectory from a knot, optimised from a belief in that knot's mode.
 
         None where the steps left do not suffice, the belief is in another mode, or the trajectory is of a planner that
         leaves a memory of inputs out.
@@ -74,19 +74,19 @@ class RecedingHorizon:
         return trajectory_of(here, limits_of(here), path) if path.feasible else None
 
     def from_plan(self, start: Start, trajectory: Trajectory, knot: int) -> BeliefPath:
-        """What is left of the plan from a belief on, by the plan's programme; it may be infeasible."""
+        """The remainder of the plan from a belief, by the reused programme; it may be infeasible."""
         return self._programme.rest(np.array(start.mean), np.diag(np.array(start.std)), trajectory, knot)
 
     @cached_property
     def _programme(self) -> WarmStartedProgramme:
-        """The programme of the whole plan, from where it starts."""
+        """The programme of the whole plan."""
         plan, stds = self._plan, np.linalg.norm(self._plan.factors[0], axis=1)
         start = Start(tuple(map(float, plan.means[0])), tuple(map(float, stds)), plan.modes[0])
         whole = replace(self._problem, start=start)
         return WarmStartedProgramme(_programme(whole, self._limits, plan, 0), whole.settings.time_limit_s)
 
     def _is_rest(self, trajectory: Trajectory, knot: int) -> bool:
-        """Whether a trajectory from a knot on goes the way that the plan does at its end, in as many steps."""
+        """Whether a trajectory from a knot equals the end of the plan in modes, edges and steps."""
         (plan, steps), (rest, remaining) = (
             self._whole,
             rest_of(with_zero_time_transitions(self._problem).automaton, trajectory, knot),
@@ -96,7 +96,7 @@ class RecedingHorizon:
         return same and steps[first + 1 :] == remaining[1:] and steps[first] >= remaining[0]
 
     def _has_learned(self, belief: HybridBelief, trajectory: Trajectory, knot: int) -> bool:
-        """Whether the filter has moved the estimate of a threshold that is still ahead, or made it more precise."""
+        """Whether the filter has changed the estimate of a threshold ahead, or its std."""
         automaton, number = self._problem.automaton, belief.most_likely
         if belief.shifts is None or belief.shift_stds is None:
             return False
@@ -115,12 +115,12 @@ class RecedingHorizon:
 
 
 def from_new(here: Problem, trajectory: Trajectory, knot: int) -> BeliefPath:
-    """What is left of a trajectory from a knot on, from a problem's start, by a programme of its own."""
+    """The remainder of a trajectory from a knot and a problem's start, by a programme built for it."""
     return solve_transcription(_programme(here, limits_of(here), trajectory, knot), here.settings.time_limit_s)
 
 
 def _programme(problem: Problem, limits: Limits, trajectory: Trajectory, knot: int) -> Transcription:
-    """The programme of what is left of a trajectory from a knot on, from the problem's start."""
+    """The programme of the remainder of a trajectory from a knot and the problem's start."""
     problem = with_zero_time_transitions(problem)
     sequence, steps = rest_of(problem.automaton, trajectory, knot)
     return transcribe(problem, limits, guess_again(problem, limits, sequence, steps))
@@ -145,7 +145,7 @@ class WarmStartedProgramme:
         self.path = self._path(self._first)
 
     def rest(self, mean: Floats, factor: Floats, trajectory: Trajectory, knot: int) -> BeliefPath:
-        """What is left of the plan from a belief on; infeasible if the solver did not find that it can be.
+        """The remainder of the plan from a belief; infeasible if the solver did not converge to a feasible one.
 
         Args:
             mean, factor: (n,), (n, n) of the belief.
@@ -167,17 +167,17 @@ class WarmStartedProgramme:
         return replace(path, **rest_of_path)
 
     def half_spaces(self, trajectory: Trajectory, knot: int) -> set[HalfSpace]:
-        """The boundaries that the rest of the plan has to stay within, or to cross."""
+        """The boundaries that the rest of the plan must respect or cross."""
         done = len(self.path.modes) - (len(trajectory.modes) - knot)
         ahead = zip(self._nlp.rows, self._row_ends > done, strict=True)
         return {row.half_space for row, is_ahead in ahead if is_ahead and row.half_space is not None}
 
     def _path(self, solution: Solution) -> BeliefPath:
-        """The path of a solution, feasible only if the solver has converged: it may have stopped on its way."""
+        """The path of a solution, feasible only if the solver has converged."""
         return path_of(self._nlp, replace(solution, is_feasible=solution.has_converged and solution.is_feasible))
 
     def _values(self, trajectory: Trajectory, knot: int, done: int) -> Floats:
-        """The decision variables of the plan up to a knot of it, and from there of a rest of it; slacks of the plan."""
+        """Decision variables: of the plan up to a knot, of its remainder after it, and the plan's slacks."""
         means, factors, inputs = (
             np.concatenate([getattr(self.path, name)[:done], getattr(trajectory, name)[knot:]])
             for name in ("means", "factors", "inputs")
@@ -191,7 +191,7 @@ class WarmStartedProgramme:
 
 
 def _layout(nlp: Transcription) -> tuple[Ints, Booleans]:
-    """Per decision variable: the first knot at which it belongs to the past, and whether it is of a state."""
+    """Per decision variable: the first knot at which it is in the past, and whether it belongs to a state."""
     ends, is_state = [], []
     for guess, phase in zip(nlp.guess, nlp.phases, strict=True):
         knots = guess.first_knot + np.arange(guess.steps + 1)

@@ -1,4 +1,4 @@
-"""Releases, planned: from the last knot of a plan down to the contact, and away with the gripper open.
+"""Planning of releases: from the last knot down to contact, and away with the gripper open.
 
 The height of the support is known up to a spread, so the hand goes down in small steps to the lowest place where
 contact may be felt. It withdraws along the first of some directions in which the way is free: back along its fingers,
@@ -37,7 +37,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class Blocked:
-    """Where an arm cannot lower what it holds.
+    """A place where the arm cannot lower the held object.
 
     Attributes:
         arm: what it fails at.
@@ -51,7 +51,7 @@ class Blocked:
 
 
 def with_release(problem: Problem, plan: Plan, deadline: Deadline) -> tuple[Plan, Blocked | None]:
-    """The plan with its release, where the problem asks for it; one that cannot be released is none to execute.
+    """The plan with its release, if the problem has one; a plan that cannot release cannot be executed.
 
     Returns:
         the plan, and what is in the way of lowering the object, if it is that.
@@ -92,7 +92,7 @@ def _withdrawal(direction: Floats, release: Release) -> Floats:
 def _with_arm(
     problem: Problem, plan: Plan, asked: tuple[ReleasePlan, Rest, float], deadline: Deadline
 ) -> ReleasePlan | Blocked | Finding:
-    """The release with the arm's way down and away, or what stands in the way."""
+    """The release with the arm's path down and away, or the obstacle to it."""
     from micah_plan.robot.release_path import lowered, withdrawn
 
     (release_problem, rest, lowest), trajectory, arm = asked, plan.trajectory, plan.arm
@@ -117,7 +117,7 @@ def _with_arm(
 
 
 def _directions(problem: Problem) -> Iterator[Floats]:
-    """Directions (3,) of length 1 in which the hand may withdraw, the most natural ones first."""
+    """Unit directions (3,) for withdrawing the hand, in order of preference."""
     back = _UP if problem.grasp is None else -problem.grasp.pose.rotation.apply(_UP)
     for share in (0.0, 0.5, 1.0):
         way = (1.0 - share) * back + share * _UP
@@ -135,7 +135,7 @@ def _refused(plan: Plan, finding: Finding) -> Plan:
 
 
 def _judged(problem: Problem, plan: Plan) -> Plan:
-    """The plan with the probability that the support is as high as the goal asks for in its success."""
+    """The plan with the probability that the support's height suits the goal included in its success."""
     release, release_plan, share = problem.release, plan.release, plan.success_probability
     heights = [(value, tol) for index, value, tol in problem.goal.target if index == 2]
     if release is None or release_plan is None or share is None or not heights:

@@ -1,4 +1,4 @@
-"""Remedies that were tried: each change that one offers is planned with before it is named.
+"""Tested remedies: each offered change is planned with before it is named.
 
 What a failure measures, such as how far too many roll-outs end from the goal, says where to begin, not what suffices: a
 plan for a wider tolerance is another plan. So a remedy names a number only if planning with it succeeds, with the
@@ -34,14 +34,14 @@ _NECESSARY: tuple[OfferKind, ...] = ("start", "target")
 
 
 class PlanSolver(Protocol):
-    """What solves a problem, without advice, to see whether a change helps."""
+    """Solves a problem without advice, to test whether a change helps."""
 
     def __call__(self, problem: Problem, *, seed: int) -> Plan:
-        """The plan, verified, and with its arm if it has one."""
+        """The verified plan, with the arm's trajectory if there is an arm."""
 
 
 def advised(problem: Problem, plan: Plan, solver: PlanSolver, seed: int = 0, progress: Progress | None = None) -> Plan:
-    """A plan that failed, with remedies that help; of each kind of change the first is tried.
+    """A failed plan with remedies that were tested; the first of each kind.
 
     Args:
         progress: called with what is tried, and the share of the trials that are used up.
@@ -59,11 +59,11 @@ def advised(problem: Problem, plan: Plan, solver: PlanSolver, seed: int = 0, pro
 
 
 class _NoneLeftError(Exception):
-    """No more problems may be solved."""
+    """The budget of test problems is exhausted."""
 
 
 class _Trials:
-    """What came out of trying changes: by kind the words of what helps, "" if nothing does."""
+    """Results of trial changes: the words of each helpful kind, "" if none helps."""
 
     def __init__(self, problem: Problem, solver: PlanSolver, seed: int, progress: Progress | None) -> None:
         self._problem, self._solver, self._seed, self._progress = problem, solver, seed, progress
@@ -71,7 +71,7 @@ class _Trials:
         self._words = dict[OfferKind, str]()
 
     def tried(self, finding: Finding) -> str:
-        """The remedy of a finding, without what does not help."""
+        """The remedy of a finding without the ways that failed in trials."""
         ways, failed = list[str](), list[str]()
         for way in finding.ways:
             words = way if isinstance(way, str) else self._of(way)
@@ -97,7 +97,7 @@ class _Trials:
         return self._words[offer.kind]
 
     def _that_helps(self, offer: Offer) -> Offer | None:
-        """The offer, or the next larger change of its kind, with which planning succeeds with two seeds.
+        """The offer, or a larger change of its kind, with which planning succeeds for two seeds.
 
         Raises:
             _NoneLeftError: if all that may be solved was solved before that is known.
@@ -126,7 +126,7 @@ class _Trials:
 
 
 def _further(problem: Problem, offer: Offer, next_offers: Sequence[Offer], answer: Plan) -> Offer:
-    """A larger change of the same kind than one that did not suffice, as its failure proposes."""
+    """A larger change of the same kind, as the failure of a smaller one proposes."""
     if offer.kind in _FACTORS:
         value = offer.values[0][1]
         return replace(offer, values=((0, value * offer.growth if value > 1.0 else value / offer.growth),))

@@ -1,4 +1,4 @@
-"""Planning anew during an execution: from the current belief, if possible through the modes that remain of the plan."""
+"""Replanning during execution: from the current belief, along the remaining modes of the plan if possible."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def believed_problem(problem: Problem, belief: HybridBelief) -> Problem:
 
 
 def rest_through(here: Problem, trajectory: Trajectory, knot: int) -> ModeSequence | None:
-    """The way over x through the modes that a trajectory still leads through, from where a problem starts.
+    """The path over x through the modes that remain of a trajectory, from a problem's start.
 
     It joins the trajectory where that is nearest, which may be before or after the knot.
 
@@ -105,7 +105,7 @@ def rest_through(here: Problem, trajectory: Trajectory, knot: int) -> ModeSequen
 
 
 def rest_of(automaton: HybridAutomaton, trajectory: Trajectory, knot: int) -> tuple[ModeSequence, list[int]]:
-    """The modes and means that a trajectory goes through from a knot on, as a search would give them.
+    """The modes and means of a trajectory from a knot on, in the format of a search.
 
     Returns:
         the sequence, and the number of steps in each of its modes.
@@ -119,7 +119,7 @@ def rest_of(automaton: HybridAutomaton, trajectory: Trajectory, knot: int) -> tu
 
 
 def _edge_taken(automaton: HybridAutomaton, trajectory: Trajectory, knot: int) -> int:
-    """The edge of the transition after a knot: of several between its modes the one whose guard holds best."""
+    """The edge of the transition after a knot: of parallel edges the one whose guard holds best."""
     ends = trajectory.modes[knot], trajectory.modes[knot + 1]
     u = trajectory.inputs[min(knot + 1, len(trajectory.inputs) - 1)]
     between = [i for i, edge in enumerate(automaton.edges) if (edge.source, edge.target) == ends]

@@ -39,7 +39,7 @@ _HARDLY = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Chances:
-    """All that is random in t roll-outs of T steps.
+    """The random numbers of t roll-outs of T steps.
 
     Attributes:
         objects: t of them, each with its own true thresholds and gains.
@@ -57,7 +57,7 @@ class Chances:
 
 @dataclass(frozen=True, eq=False)
 class RollOuts:
-    """Where t roll-outs ended.
+    """Final states of t roll-outs.
 
     Attributes:
         modes: (t,) indices of the true modes.
@@ -75,7 +75,7 @@ class RollOuts:
 
 
 def draw_chances(problem: Problem, trajectory: Trajectory, trials: int, seed: int | tuple[int, ...]) -> Chances:
-    """Everything random of that many roll-outs; the same seed gives the same."""
+    """The random numbers of `trials` roll-outs, determined by the seed."""
     problem = without_input_memory(problem)
     automaton, rng = problem.automaton, np.random.default_rng(seed)
     shifts = drawn_shifts(automaton, rng, trials)
@@ -89,7 +89,7 @@ def draw_chances(problem: Problem, trajectory: Trajectory, trials: int, seed: in
 
 
 def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadline: Deadline = NEVER) -> RollOuts:
-    """Execute a trajectory in each of the roll-outs, then wait until all commands have arrived.
+    """Execute a trajectory in every roll-out, then wait for delayed commands.
 
     Raises:
         TimeLimitError: if the deadline passes.
@@ -129,7 +129,7 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
 
 
 def nearby(problem: Problem, trajectory: Trajectory) -> tuple[Problem, frozenset[str]]:
-    """The problem with the modes near those of a plan, and the names of the outermost; all of them if they are few.
+    """The problem restricted to modes near those of a plan, and the names of the outermost; unrestricted if few.
 
     A belief moves to a neighbour at most at every event, so of hundreds of modes roll-outs see a handful. What reaches
     an outermost mode would go on from there, and must be rolled out among all modes.
@@ -148,7 +148,7 @@ def nearby(problem: Problem, trajectory: Trajectory) -> tuple[Problem, frozenset
 
 @dataclass(frozen=True)
 class Departure:
-    """Where a plan, replayed without any noise, is in another mode than planned.
+    """The knot where a noise-free replay leaves the planned modes.
 
     Attributes:
         knot: of the plan, at the end of the step.
@@ -161,7 +161,7 @@ class Departure:
 
     @property
     def sentence(self) -> str:
-        """What happens, in one sentence."""
+        """The event in one sentence."""
         return (
             f"even without noise the plan is in mode '{self.visited}' at knot {self.knot} and not in '{self.planned}': "
             "on the way there other transitions come first"
@@ -169,7 +169,7 @@ class Departure:
 
 
 def departure(problem: Problem, trajectory: Trajectory) -> Departure | None:
-    """Where a plan leaves its own modes if nothing is random; None if it leads into the goal, or follows them all.
+    """Where the noise-free plan leaves its own mode sequence; None if it reaches the goal or keeps to the sequence.
 
     The pilot knows that, so its estimates are the true states.
     """
@@ -203,7 +203,7 @@ def measurement_std(problem: Problem, modes: Ints, x: Floats) -> Floats:
 
 
 def are_in_goal(problem: Problem, ends: RollOuts) -> Booleans:
-    """(t,) whether each true end lies in the goal set, and no constraint on the path was broken on the way.
+    """(t,) whether each true end lies in the goal set without a violated path constraint.
 
     Of a problem with a release, ends of the plan are those of the hand: whether it is where it is to release it.
     """

@@ -1,4 +1,4 @@
-"""From a problem to a plan that holds: planned, checked by roll-outs, and of one that does not, remedies that help."""
+"""From a problem to a verified plan, or to a failed plan with tested remedies."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def solve(
     advise: bool = True,
     planner: Callable[..., Plan] | None = None,
 ) -> Plan:
-    """Plan by POMDP-HD and check the plan by rolling out the true hybrid system from sampled states.
+    """Plan by POMDP-HD, and verify by roll-outs of the true hybrid system from sampled states.
 
     Where the roll-outs fail too often, it plans again with more room (`planning.tightening`).
 

@@ -1,4 +1,4 @@
-"""A plan that too many roll-outs fail is planned again with a higher confidence, and accepted only on fresh roll-outs.
+"""Replanning with a higher confidence where roll-outs fail too often, accepted only on fresh roll-outs.
 
 Planning holds each guard and each boundary with the confidence, one by one. Where several may fail, or the Gaussian is
 too optimistic, all of them together hold less often; roll-outs tell how often. The plan is then made anew with a higher
@@ -33,14 +33,14 @@ _SEED_STRIDE = 7_919
 
 
 class Planner(Protocol):
-    """What finds a plan for a problem before a deadline."""
+    """Finds a plan for a problem before a deadline."""
 
     def __call__(self, problem: Problem, /, *, deadline: Deadline) -> Plan:
         """The plan, or one without a trajectory."""
 
 
 class Verifier(Protocol):
-    """What judges a plan by roll-outs, as `verification.verify` does."""
+    """Verifies a plan by roll-outs, as `verification.verify` does."""
 
     def __call__(self, problem: Problem, plan: Plan, *, seed: int, deadline: Deadline) -> Plan:
         """The plan with its success probability, or refused."""
@@ -55,7 +55,7 @@ def verified_plan(
     *,
     verifier: Verifier = verify,
 ) -> Plan:
-    """Plan, verify, and plan again with a higher confidence while the roll-outs succeed too rarely.
+    """Plan, verify, and replan with a higher confidence while roll-outs fail too often.
 
     As long as each round succeeds more often than the best before. Each round has roll-outs of its own. A plan that a
     round accepts is verified once more with others, because the best of several looks better than it is; the plan
@@ -104,7 +104,7 @@ def verified_plan(
 
 
 def _best_verified(plan: Plan, verified: Callable[[Plan], Plan], deadline: Deadline) -> Plan:
-    """The first of a plan and its alternatives that roll-outs confirm, else the one that succeeds most often."""
+    """The first verified of a plan and its alternatives, else the one with the highest success rate."""
     if plan.trajectory is None:
         return plan
     begin, best = perf_counter(), None
@@ -119,7 +119,7 @@ def _best_verified(plan: Plan, verified: Callable[[Plan], Plan], deadline: Deadl
 
 
 def _cut_short(plan: Plan, deadline: Deadline) -> Plan:
-    """A plan that was to be planned again when the time was over: that, not the noise, is the first thing to change."""
+    """A plan whose replanning was cut off by the deadline, with that as the first finding."""
     if plan.success_probability is None:  # the roll-outs were cut short, and it says so
         return plan
     sentence = (
@@ -130,12 +130,12 @@ def _cut_short(plan: Plan, deadline: Deadline) -> Plan:
 
 
 def _added(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
-    """Seconds by stage of both."""
+    """Sums of seconds by stage."""
     return {stage: first.get(stage, 0.0) + second.get(stage, 0.0) for stage in {**first, **second}}
 
 
 def tightened(planned: float, asked: float, failing: float) -> float:
-    """The confidence to plan with next.
+    """The next confidence to plan with.
 
     Args:
         planned: confidence of the last plan.
@@ -147,7 +147,7 @@ def tightened(planned: float, asked: float, failing: float) -> float:
 
 
 def _told(answer: Plan, before: Plan, confidence: float, rounds: int) -> Plan:
-    """A confirmed plan whose reason tells that and why it was planned again."""
+    """A verified plan whose reason mentions that and why it was planned again."""
     sentences = [finding.sentence for finding in before.findings if finding.level == "verification"]
     why = f": {sentences[0]}" if sentences else ""
     times = "once" if rounds == 1 else f"{rounds} times"

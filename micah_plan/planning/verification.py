@@ -1,4 +1,4 @@
-"""Whether a plan works: how many roll-outs of the real hybrid system end in the goal, and how sure that share is."""
+"""Verification: the fraction of roll-outs of the true hybrid system that end in the goal, with its interval."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def verify(
     *,
     sequential: bool = False,
 ) -> Plan:
-    """The plan with its success probability; ``"not_verified"`` if that is clearly below the confidence.
+    """The plan with its success rate; ``"not_verified"`` if that is clearly below the confidence.
 
     Args:
         problem: what the plan is for.
@@ -98,7 +98,7 @@ def verify(
 
 @dataclass(frozen=True, eq=False)
 class _Ends:
-    """Ends of t roll-outs: modes (t,) by index, states (t, n) [rad or m], whether in the goal (t,); and their paths."""
+    """Final states of t roll-outs: modes (t,), states (t, n) [rad or m], success (t,), and path records."""
 
     modes: Ints
     states: Floats
@@ -109,7 +109,7 @@ class _Ends:
 def _ends(
     problem: Problem, trajectory: Trajectory, count: int, seed: int, deadline: Deadline, sequential: bool
 ) -> _Ends:
-    """Ends of `count` roll-outs, at once or sequentially until they suffice, among the modes that they get to."""
+    """Final states of `count` roll-outs, at once or sequentially until decided, among reachable modes."""
     near, outermost = nearby(problem, trajectory)
     ends, visited = _rolled(near, trajectory, count, seed, deadline, sequential)
     if visited & outermost:
@@ -121,7 +121,7 @@ def _ends(
 def _rolled(
     problem: Problem, trajectory: Trajectory, count: int, seed: int, deadline: Deadline, sequential: bool
 ) -> tuple[_Ends, set[str]]:
-    """The ends, and the names of the modes that roll-outs were in."""
+    """(final states, names of visited modes)."""
     turns: list[RollOuts] = []
     in_goal, confidence = np.zeros(0, dtype=bool), problem.settings.confidence
     looks = looks_of(count, confidence) if sequential else (*range(_AT_ONCE, count, _AT_ONCE), count)
@@ -139,7 +139,7 @@ def _rolled(
 
 
 def plain_answer(successes: int, trials: int, confidence: float) -> bool | None:
-    """Whether the successes show that a plan has the confidence (True) or fails twice as often (False).
+    """Whether the successes establish the confidence (True) or twice its failure rate (False); None: undecided.
 
     None where more roll-outs are needed to tell. The sequential probability ratio test between these two, with errors
     of one in a hundred. Source: Wald, "Sequential analysis", 1947.
@@ -150,7 +150,7 @@ def plain_answer(successes: int, trials: int, confidence: float) -> bool | None:
 
 
 def looks_of(trials: int, confidence: float) -> tuple[int, ...]:
-    """After how many of the roll-outs a sequential verification tests whether they suffice.
+    """Numbers of roll-outs at which a sequential verification tests for a decision.
 
     A step of few roll-outs takes nearly as long as one of some more, so it tests once before the end: when a plan that
     fails half as often as the confidence allows is expected to be decided. Not at all where that is late.
@@ -162,14 +162,14 @@ def looks_of(trials: int, confidence: float) -> tuple[int, ...]:
 
 
 def _evidence(confidence: float) -> tuple[float, float]:
-    """How the logarithm of the probability ratio grows with a success and with a failure."""
+    """Increments of the log likelihood ratio for a success and a failure."""
     failing = 1.0 - confidence
     worse = min(2.0 * failing, 0.5 * (1.0 + failing))
     return math.log(confidence / (1.0 - worse)), math.log(failing / worse)
 
 
 def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Finding]:
-    """Why roll-outs fail: the modes they end in, and how far from the goal; what fails most often first."""
+    """Findings on failed roll-outs: final modes and distances from the goal, most frequent first."""
     automaton, goal, confidence = problem.automaton, problem.goal, problem.settings.confidence
     findings: list[tuple[float, Finding]] = ends.path.findings(modes)
     names = [automaton.modes[i].name for i in ends.modes]
@@ -220,7 +220,7 @@ def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Fin
 
 
 def _joint_offer(problem: Problem, ends: _Ends) -> tuple[tuple[int, float], ...]:
-    """The tolerances, of targets that too many miss, within which as many end as asked for, all at once."""
+    """Tolerances of the missed targets within which the requested share of roll-outs ends jointly."""
     goal, confidence = problem.goal, problem.settings.confidence
     distances = goal.distances(ends.states)
     tolerances = np.array([tolerance for _, _, tolerance in goal.target])
@@ -232,14 +232,14 @@ def _joint_offer(problem: Problem, ends: _Ends) -> tuple[tuple[int, float], ...]
 
 
 def _elsewhere(names: list[str], missed: Booleans, modes: tuple[str, ...]) -> str:
-    """Where most of those that missed ended, if it is not the plan's last mode."""
+    """The most frequent final mode of the failed roll-outs, if it is not the plan's last mode."""
     ends = [name for name, out in zip(names, missed, strict=True) if out]
     commonest = max(sorted(set(ends)), key=ends.count, default=modes[-1])
     return "" if commonest == modes[-1] else f", most of them in mode '{commonest}'"
 
 
 def _localising(automaton: HybridAutomaton, last: str, index: int) -> str:
-    """A mode that pins a coordinate or senses it better than the last one; empty if there is none."""
+    """A mode that pins or senses a coordinate better than the last one; empty if there is none."""
     worst = automaton.sensing(automaton.mode(last)).std[index]
     for mode in automaton.modes:
         if mode.name != last and (not mode.free[index] or automaton.sensing(mode).std[index] < worst):

@@ -1,4 +1,4 @@
-"""A plan that the arm can follow: the object is planned for first, and again where the arm cannot take it.
+"""Plans that the arm can follow: planned for the object first, and again where the arm fails.
 
 The states around the knot where the arm fails are a body like any other for the plans after: roll-outs that get there
 count as collided, so the belief keeps as clear of it as of the bodies of the scene. What moves with the tool and meets
@@ -46,7 +46,7 @@ _NEARER, _LEAST = 1.2, 0.05
 
 @dataclass(frozen=True, eq=False)
 class _Stop:
-    """Where the arm cannot take the hand.
+    """A place where the arm cannot follow the hand.
 
     Attributes:
         arm: what it fails at.
@@ -62,7 +62,7 @@ class _Stop:
 
 
 def planned_with_arm(problem: Problem, planned: Callable[[Problem], Plan], seed: int, deadline: Deadline) -> Plan:
-    """A plan with the arm's trajectory; where the arm can follow none that is found, the last with what it fails at.
+    """A plan with the arm's trajectory; if the arm can follow no plan, the last one with the reason.
 
     Args:
         problem: without a robot, only how the object is released is added.
@@ -91,7 +91,7 @@ def planned_with_arm(problem: Problem, planned: Callable[[Problem], Plan], seed:
 
 
 def _with_arm(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> tuple[Plan, _Stop | None]:
-    """The plan with the arm's trajectory and with how it releases the object, or refused with where the arm fails."""
+    """The plan with the arm's trajectory and release, or refused with the arm's failure."""
     if (trajectory := plan.trajectory) is None:
         return plan, None
     if problem.robot is not None:
@@ -109,7 +109,7 @@ def _with_arm(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> tu
 def _followed(
     problem: Problem, plan: Plan, trajectory: Trajectory, seed: int, deadline: Deadline
 ) -> tuple[Plan, ArmFailure | None]:
-    """The plan with the arm's trajectory, or refused with where the arm fails."""
+    """The plan with the arm's trajectory, or refused with the arm's failure."""
     from micah_plan.robot.along_plan import arm_along
 
     begin, says = time.perf_counter(), "the arm cannot follow the plan: "
@@ -141,7 +141,7 @@ def _finding(problem: Problem, plan: Plan, arm: ArmFailure, mode: str) -> Findin
 
 
 def _impossible(plan: Plan, stop: _Stop) -> Plan:
-    """No plan: with this grasp what moves with the tool meets something wherever in the goal the hand is."""
+    """No plan: with this grasp the tool or object collides for every hand pose in the goal."""
     where = "the hand is" if stop.lowest is None else "the hand puts the object down"
     meets = f"{stop.arm.names[0]} meets {stop.arm.names[1]}"
     sentence = f"wherever in the goal {where}, {meets}: the grasp does not allow it"
@@ -160,7 +160,7 @@ def _impossible(plan: Plan, stop: _Stop) -> Plan:
 
 
 def _in_all_of_the_goal(problem: Problem, stop: _Stop) -> bool:
-    """Whether two solids that meet do so in all of the goal: where convex ones overlap is convex, so corners decide."""
+    """Whether two solids overlap in all of the goal: overlaps of convex solids are convex, so corners decide."""
     from micah_plan.robot.along_plan import problem_clearance, tool_path
 
     if problem.hold is None:
@@ -178,7 +178,7 @@ def _in_all_of_the_goal(problem: Problem, stop: _Stop) -> bool:
 
 
 def _cuts(problem: Problem, stop: _Stop, around: float) -> list[Region]:
-    """States of the hand that the arm cannot take it to, as it cannot at a stop; none where these are not its place.
+    """Regions of hand states around a failure of the arm; empty if position does not matter.
 
     Args:
         around: half the width of what is cut out where the arm ends [m].
@@ -203,7 +203,7 @@ def _cuts(problem: Problem, stop: _Stop, around: float) -> list[Region]:
 
 
 def _carried(problem: Problem, mode: str) -> Floats | None:
-    """(3, n) how the tool moves with the state, if it only slides with it; None if it turns."""
+    """(3, n) Jacobian of the tool if it only slides with the state; None if it rotates."""
     n = problem.automaton.n
     if problem.hold is not None:
         return np.eye(3, n)
@@ -219,7 +219,7 @@ def _overlapping(
     lowest: float | None,
     name: str,
 ) -> Region | None:
-    """Places of the hand at which two solids may meet, or above which they do on its way down to a height; None: none.
+    """Hand positions at which two solids may overlap, or above which they do on the way down; None if unbounded.
 
     Args:
         overlap: where the tool is then, as `ClearanceModel.overlap` tells.

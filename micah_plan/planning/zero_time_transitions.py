@@ -1,5 +1,4 @@
-"""Transitions as search and transcription take them: sequences of those in one instant, and parts of those that others
-precede.
+"""Zero-time transitions for search and transcription: sequences within one instant, and parts behind earlier edges.
 
 Of transitions whose guards hold at one instant the first listed happens. So a later one is taken only outside of those
 before it: where the hand lets go high above the support, the object drops; where it lets go, it stands. Its guard less
@@ -53,7 +52,7 @@ class PlannedEdge(Edge):
 
 @dataclass(frozen=True)
 class ZeroTimeEdge(PlannedEdge):
-    """Transitions that happen at one instant.
+    """Consecutive transitions at one instant.
 
     Attributes:
         through: the modes between.
@@ -63,7 +62,7 @@ class ZeroTimeEdge(PlannedEdge):
 
 
 def with_zero_time_transitions(problem: Problem, in_parts: bool = False) -> Problem:
-    """The problem with the edges that its model can take, and the sequences that these allow behind them.
+    """The problem with the edges its model can take, and the zero-time sequences they allow.
 
     Args:
         in_parts: whether transitions are divided where others listed before them happen first. Few problems need it: a
@@ -108,7 +107,7 @@ def _with_zero_time_edges(automaton: HybridAutomaton, asked: str) -> HybridAutom
 
 
 def _parts(automaton: HybridAutomaton, number: int) -> list[Edge]:
-    """Where a transition is taken: itself, or its parts outside of those listed before it."""
+    """The parts of a transition's guard outside the guards listed before it; the edge itself if there are none."""
     edge = automaton.edges[number]
     mode, guard = automaton.mode(edge.source), edge.guard
     if edge.is_self_transition or not guard.half_spaces:
@@ -145,12 +144,12 @@ def _parts(automaton: HybridAutomaton, number: int) -> list[Edge]:
 
 
 def _overlap(first: Sequence[HalfSpace], second: Sequence[HalfSpace]) -> bool:
-    """Whether two sets have more in common than a boundary."""
+    """Whether two sets share more than a boundary."""
     return not is_empty(Region(tuple(replace(h, strict=True) for h in (*first, *second))))
 
 
 def _leading_on(automaton: HybridAutomaton, name: str, goal_modes: list[str]) -> list[Edge]:
-    """The edges from a mode that can be the next of a sequence: on the state alone, and not to where all ends."""
+    """Edges from a mode that can continue a zero-time sequence: on the state alone, and not into a final mode."""
     ends = {mode.name for mode in automaton.modes if is_final(automaton, mode)}
     return [
         edge
@@ -163,7 +162,7 @@ def _leading_on(automaton: HybridAutomaton, name: str, goal_modes: list[str]) ->
 
 
 def _continued(automaton: HybridAutomaton, first: Edge, following: list[Edge]) -> list[ZeroTimeEdge]:
-    """The sequences of an edge, perhaps a sequence itself, and one of those that can follow it."""
+    """Sequences of an edge, which may be a sequence itself, with each edge that can follow it."""
     following = [edge for edge in following if edge.target not in (first.source, *_through(first))]
     if not following:
         return []
@@ -183,7 +182,7 @@ def _continued(automaton: HybridAutomaton, first: Edge, following: list[Edge]) -
 
 
 def _joined(automaton: HybridAutomaton, first: Edge, second: Edge, arrival: tuple[Floats, Floats]) -> ZeroTimeEdge:
-    """Two transitions as one; the first leads to A x + c."""
+    """Two consecutive transitions as one; the first maps to A x + c."""
     (A, c), rows, stds = arrival, list(first.guard.half_spaces), list(stds_of(first))
     for h in second.guard.half_spaces:
         a = np.array(h.a) @ A
@@ -210,7 +209,7 @@ def _through(edge: Edge) -> tuple[str, ...]:
 
 
 def _arrival(automaton: HybridAutomaton, edge: Edge) -> tuple[Floats, Floats, Floats]:
-    """A, B and c of the state A x + B u + c behind an edge, with what its target pins and ties."""
+    """A, B and c of the state A x + B u + c after an edge, with the target's pins and ties."""
     A, B, c = edge.reset.matrices(automaton.n, automaton.m)
     target: Mode = automaton.mode(edge.target)
     for pin in target.pins:
@@ -222,7 +221,7 @@ def _arrival(automaton: HybridAutomaton, edge: Edge) -> tuple[Floats, Floats, Fl
 
 
 def _box(automaton: HybridAutomaton, edge: Edge) -> tuple[Floats, Floats]:
-    """(n,) least and largest values of the source's states at the guard, as far as single coordinates tell."""
+    """(n,) least and greatest values of the source's states at the guard, by bounds on single coordinates."""
     source = automaton.mode(edge.source)
     low, high = np.array([source.interval(i) for i in range(automaton.n)]).T
     for h in edge.guard.half_spaces:
@@ -243,7 +242,7 @@ def _image(low: Floats, high: Floats, A: Floats, c: Floats) -> tuple[Floats, Flo
 
 
 def _is_possible(automaton: HybridAutomaton, first: Edge, rows: Floats, least: Floats) -> bool:
-    """Whether at a state where the source meets the first guard also rows @ x >= least."""
+    """Whether rows @ x >= least is feasible after the first guard."""
     source = automaton.mode(first.source)
     inside = [h for h in (*source.invariant.half_spaces, *first.guard.half_spaces) if not h.on_input]
     A = np.vstack([rows, *(h.a for h in inside)])

@@ -1,4 +1,4 @@
-"""Commands of a robot beside a recording by another clock: joined at its rows, with the offset between both.
+"""Joining a robot's commands to a recording with another clock, including the clock offset.
 
 Where nobody says the offset, it is the one at which the part moves when something is commanded: the speeds of both are
 compared, whatever frame the commands are in (correlation; its std is that of a shift of a signal in white noise).
@@ -41,7 +41,7 @@ class ClockOffset:
 def with_commands_beside(
     recording: Recording, commands: Recording, offset: float | None = None
 ) -> tuple[Recording, ClockOffset]:
-    """The recording with what was commanded from each row to the next.
+    """The recording with the commands between its rows, and the clock offset.
 
     Args:
         recording: poses of one run.
@@ -68,7 +68,7 @@ def with_commands_beside(
 
 
 def _commanded(commands: Recording, action: Floats) -> tuple[Floats, Floats]:
-    """Times (n,) and what was commanded until then (n, 3) [m]: where to, or the sum of all displacements."""
+    """Times (n,) and the commanded path (n, 3) [m]: positions, or summed displacements."""
     if command_meaning(commands) == "position":
         is_told = np.isfinite(action).all(axis=1)
         return commands.time[is_told], (commands.position + action)[is_told]
@@ -129,7 +129,7 @@ def _correlation(recording: Recording, part: str, time: Floats, total: Floats, o
 
 
 def _speed(position: Floats) -> Floats:
-    """(n,) way from some rows before to some rows after each."""
+    """(n,) distance between the smoothing window's ends around each row."""
     n = len(position)
     before, after = (np.clip(np.arange(n) + sign * _SMOOTHED, 0, n - 1) for sign in (-1, 1))
     return np.asarray(np.linalg.norm(position[after] - position[before], axis=1))

@@ -1,4 +1,4 @@
-"""What is printed of rows that are no measurements of one continuous motion, see `continuity`."""
+"""Warnings about rows that are not measurements of one continuous motion, see `continuity`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _CLOSER = 0.25
 
 @dataclass(frozen=True, eq=False)
 class _Track:
-    """One part in one run: where it is in the recording, its rows, and which are measurements."""
+    """One part in one run with its rows, and which of them are measurements."""
 
     name: str
     index: tuple[int, ...]
@@ -38,13 +38,13 @@ class _Track:
     continuity: Continuity
 
     def says(self, first: int, last: int) -> str:
-        """Rows as they are numbered in the recording, and their times."""
+        """The row numbers and times of a range, in words."""
         number = f"rows {self.index[first]} to {self.index[last]}" if last > first else f"row {self.index[first]}"
         begin, end = self.rows.time[[first, last]].tolist()
         return f"{number} (t = {begin:.4g}" + (f" to {end:.4g} s)" if last > first else " s)")
 
     def beside(self, first: int, last: int) -> int:
-        """The measured row next to rows that are none: before them or, at the start, behind them."""
+        """The nearest measured row before a range or, at the start, behind it."""
         measured = np.flatnonzero(self.continuity.is_measured)
         before = measured[measured < first]
         return int(before[-1] if len(before) else measured[measured > last][0])
@@ -55,7 +55,7 @@ _Stray = tuple[_Track, int, int]
 
 
 def breaks(recording: Recording) -> tuple[str, ...]:
-    """One line for each piece of a track that is no measurement of its motion, and for each jump that is left."""
+    """Warnings, one line for each stretch that is not a measurement of the motion, and for each jump."""
     recording, turned = turned_back(recording)
     every: list[str] = []
     for run in recording.runs:
@@ -75,7 +75,7 @@ def breaks(recording: Recording) -> tuple[str, ...]:
 
 
 def _turned_line(recording: Recording, turned: ReadTurned) -> str:
-    """Rows in which a part was taken for what it looks the same as."""
+    """The warning of rows in which a symmetric part was read in another orientation."""
     share, first = 360 // turned.symmetry.fold, int(turned.rows[0])
     return (
         f"part '{turned.part}' is read turned by {'' if turned.symmetry.fold == 2 else 'multiples of '}{share}° in "
@@ -86,7 +86,7 @@ def _turned_line(recording: Recording, turned: ReadTurned) -> str:
 
 
 def _noise_lines(track: _Track) -> list[str]:
-    """A part that is somewhere else in every row, whatever the row before said.
+    """Warnings of parts whose positions are white noise, not a trajectory.
 
     The mean square of successive differences is twice the variance of white noise, and less of any motion (von Neumann,
     Annals of Mathematical Statistics 1941).
@@ -142,7 +142,7 @@ def _jump_lines(track: _Track) -> list[str]:
 
 
 def _stray_lines(tracks: Sequence[_Track]) -> list[str]:
-    """Strays of all parts of a run; of two that stray to each other's place the names were exchanged."""
+    """Warnings of the strays of all parts of a run; parts that swap places are reported as exchanged."""
     every = [(track, first, last) for track in tracks for first, last in track.continuity.strays]
     pairs = [
         (a, b)
@@ -162,7 +162,7 @@ def _stray_lines(tracks: Sequence[_Track]) -> list[str]:
 
 
 def _stray_line(track: _Track, strays: Sequence[tuple[int, int]]) -> str:
-    """The longest of the strays of a track, and how many there are."""
+    """The warning of a track's longest stray, with their number."""
     first, last = max(strays, key=lambda stray: stray[1] - stray[0])
     size = _size(*apart(track.rows.position, track.rows.quaternion, track.beside(first, last), first).tolist())
     is_at_end = first == 0 or last == len(track.rows) - 1
@@ -175,14 +175,14 @@ def _stray_line(track: _Track, strays: Sequence[tuple[int, int]]) -> str:
 
 
 def _size(distance: float, angle: float) -> str:
-    """A distance and an angle in words, without what is nothing beside the other."""
+    """A distance and an angle in words, without a negligible one."""
     shown = [quantity(distance, "m", digits=2)] if distance > 0.1 * FLOORS[0] else []
     shown += [quantity(angle, "rad", digits=2)] if angle > 0.1 * FLOORS[1] else []
     return " and ".join(shown)
 
 
 def _at_once(track: _Track, second: _Track) -> list[tuple[_Stray, _Stray]]:
-    """Strays of two parts that lie in the same rows, most of the time of the longer one."""
+    """Whether strays of two parts share most of their rows."""
     pairs = []
     begins, ends = (second.rows.time[[stray[k] for stray in second.continuity.strays]] for k in (0, 1))
     for first, last in track.continuity.strays:
@@ -195,7 +195,7 @@ def _at_once(track: _Track, second: _Track) -> list[tuple[_Stray, _Stray]]:
 
 
 def _is_taken_for(stray: _Stray, another: _Stray) -> bool:
-    """Whether a stray of one part is where another part, which strays in the same rows, was before."""
+    """Whether a stray of one part lies where another part was before."""
     (track, first, last), (place, begin, end) = stray, another
     here = track.rows.position[first]
     from_own = np.linalg.norm(here - track.rows.position[track.beside(first, last)])

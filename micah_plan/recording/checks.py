@@ -1,5 +1,4 @@
-"""What makes columns and rows a recording, whatever file they came from: their names, finite values, time order, unit
-quaternions, actions."""
+"""Validation of recordings from any file: column names, finite values, time order, unit quaternions, actions."""
 
 from __future__ import annotations
 
@@ -44,12 +43,12 @@ _UNSTORABLE = re.compile(r"[\0\r\n\ud800-\udfff]")
 
 
 def row_and_column(row: int, column: str) -> str:
-    """The place in a recording that is not (yet) a text file; rows count from 0 as in NumPy."""
+    """A place in a recording that is no text file; rows count from 0 as in NumPy."""
     return f"row {row}, column {shown(column)}"
 
 
 def checked_recording(recording: Recording, *, minimum_rows: int = 1, place: Place = row_and_column) -> Recording:
-    """The recording with its quaternions normalised, if its rows are what a recording promises.
+    """The recording with normalised quaternions, after validation of its rows.
 
     Args:
         recording: the rows as they were found.
@@ -71,7 +70,7 @@ def checked_recording(recording: Recording, *, minimum_rows: int = 1, place: Pla
 
 
 def check_header(names: Collection[str], where: str) -> None:
-    """Check that the columns are complete: no name twice, the required ones there, groups whole or absent.
+    """Refuse incomplete columns: repeated names, missing required ones, partial groups.
 
     Args:
         names: as they stand in the file.
@@ -144,7 +143,7 @@ def _check_values(recording: Recording, place: Place) -> None:
 
 
 def _check_rows(recording: Recording, minimum_rows: int, place: Place) -> None:
-    """Time, actions and number of rows within each run and part."""
+    """Refuse invalid times, actions or numbers of rows within a run and part."""
     if not len(recording):
         raise InputError("expected rows of measurements, found none", remedy="record at least one row")
     numbers: dict[tuple[int, str], int] = {}
@@ -189,7 +188,7 @@ def _normalised(quaternion: Floats, place: Place) -> Floats:
 
 
 def _of(recording: Recording, row: int) -> str:
-    """Which run and part a message is about, where the recording tells them apart."""
+    """The run and part of a row for messages, where the recording distinguishes them."""
     names = [f"run {recording.run[row]}"] if recording.has_run else []
     names += [f"part {shown(recording.part[row])}"] if recording.has_part else []
     return f" ({', '.join(names)})" if names else ""

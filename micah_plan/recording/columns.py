@@ -1,4 +1,4 @@
-"""Tables as recordings: columns by name, from files and from programs, read by conventions."""
+"""Tables as recordings: columns by name, from files or programs, under conventions."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Columns = Mapping[str, Any]
 
 
 def recording_of_columns(columns: Columns, conventions: Conventions | None = None) -> Recording:
-    """The rows of a table whose columns are those of a recording CSV, or are called so by conventions.
+    """The recording of a table with the columns of a recording CSV, or with names given by conventions.
 
     Args:
         columns: (n,) numbers and texts; times may be ``datetime64``, which become seconds since 1970.
@@ -67,7 +67,7 @@ def recording_of_columns(columns: Columns, conventions: Conventions | None = Non
 
 
 def gathered(values: Mapping[str, NDArray[Any]], others: Columns, meant: Conventions) -> Recording:
-    """The recording of its columns.
+    """The recording of some columns.
 
     Args:
         values: (n,) numbers of those with numbers, of targets, and of ``run``.
@@ -99,8 +99,7 @@ def gathered(values: Mapping[str, NDArray[Any]], others: Columns, meant: Convent
 def columns_by_name(
     raw: Sequence[str], meant: Conventions, where: str = ""
 ) -> tuple[list[str], dict[str, ColumnSource]]:
-    """The names of columns as a recording has them, and where their numbers come from by name; what else is called so
-    stays a further column.
+    """(recording names of columns, sources of their numbers); other columns keep their names.
 
     Args:
         raw: names in the order of the columns.
@@ -131,7 +130,7 @@ def columns_by_name(
 
 
 def counted(columns: Columns, rows: int) -> NDArray[np.float64]:
-    """(n,) the number of each row among those of its run and part, from 0."""
+    """(n,) index of each row within its run and part, from 0."""
     numbers: Counter[tuple[Any, ...]] = Counter()
     values = np.empty(rows)
     for i, group in enumerate(zip(*(columns.get(name, ("",) * rows) for name in ("run", "part")), strict=True)):
@@ -141,7 +140,7 @@ def counted(columns: Columns, rows: int) -> NDArray[np.float64]:
 
 
 def as_texts(columns: Columns) -> dict[str, tuple[str, ...]]:
-    """Columns that mean nothing here, as text; empty where there is no number; each entry of a vector by itself."""
+    """Further columns as strings; empty for NaN; each entry of a vector is a column."""
     plain = {name: part for key, values in columns.items() for name, part in entry_columns(key, values).items()}
     return {
         name: values if isinstance(values, tuple) else tuple("" if math.isnan(v) else repr(v) for v in values.tolist())
@@ -150,14 +149,14 @@ def as_texts(columns: Columns) -> dict[str, tuple[str, ...]]:
 
 
 def entry_columns(key: str, values: Any) -> dict[str, Any]:
-    """A column as columns of single values; a vector's entries without names are numbered."""
+    """A vector column as scalar columns, numbered where entries have no names."""
     if isinstance(values, tuple) or values.ndim == 1:
         return {key: values}
     return {f"{key}.{i}": entry for i, entry in enumerate(values.T)}
 
 
 def _plain(values: Any, unit: float) -> NDArray[Any] | tuple[str, ...]:
-    """Numbers as an array, times of day and durations in units of so many seconds, everything else as texts."""
+    """Numbers as an array, times and durations in units of `unit` seconds, other columns as strings."""
     if isinstance(values, tuple) and all(isinstance(value, str) for value in values):
         return values
     array = np.atleast_1d(np.asarray(values))
@@ -173,7 +172,7 @@ def _plain(values: Any, unit: float) -> NDArray[Any] | tuple[str, ...]:
 
 
 def _times_of_texts(texts: Sequence[str], unit: float) -> NDArray[np.float64]:
-    """Times in units of so many seconds of texts such as ISO 8601 (see `text.seconds`)."""
+    """Times in units of `unit` seconds from strings such as ISO 8601 (see `text.seconds`)."""
     try:
         return seconds(texts, unit)
     except UnreadableValue as error:

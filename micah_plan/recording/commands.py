@@ -1,4 +1,4 @@
-"""What a recorded command means: a displacement from wherever the part is, a place, or a velocity.
+"""Meaning of recorded commands: a displacement, a position, or a velocity.
 
 The action of a row is a vector (ax, ay, az). Of a machine that is told *displacements* it is the way that the part is
 to move from where it is. Of one that is told *positions* it is the way from the measured pose to the commanded place:
@@ -32,7 +32,7 @@ TARGETS = ("target x", "target y", "target z")
 
 
 def command_meaning(recording: Recording) -> Meaning | None:
-    """What the actions of a recording mean; None where it does not say.
+    """The meaning of a recording's actions; None where it is not stated.
 
     Raises:
         InputError: if its column says something else, or not the same in all rows.
@@ -49,7 +49,7 @@ def command_meaning(recording: Recording) -> Meaning | None:
 
 
 def with_commands(recording: Recording, kind: CommandKind) -> Recording:
-    """The recording, whose commands are said to be of a kind; velocities [m/s] become displacements [m].
+    """The recording with a stated kind of commands; velocities [m/s] become displacements [m].
 
     Raises:
         InputError: if it has no actions, or says itself that they are of another kind.
@@ -71,7 +71,7 @@ def with_commands(recording: Recording, kind: CommandKind) -> Recording:
 
 
 def with_targets(recording: Recording, target: Floats) -> Recording:
-    """The recording with commanded places (n, 3) [m, base frame] as its actions, NaN where there is none.
+    """The recording with commanded positions (n, 3) [m, base frame] as its actions, NaN where there is none.
 
     Raises:
         InputError: if it has actions as well.
@@ -82,7 +82,7 @@ def with_targets(recording: Recording, target: Floats) -> Recording:
 
 
 def check_one_meaning(recordings: Sequence[Recording]) -> None:
-    """Check that recordings which are joined do not say different things.
+    """Refuse to join recordings whose commands have different meanings.
 
     Raises:
         InputError: if they do.

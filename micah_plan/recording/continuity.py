@@ -1,4 +1,4 @@
-"""Which rows of a track are measurements of one continuous motion.
+"""Continuity of a track: which rows measure one continuous motion.
 
 A tracker that is lost writes zeros or its last pose again; one that mistakes a marker, an edge or another body reads
 poses that the part cannot get to and back from. Two questions are asked of every row before anything is fitted:
@@ -46,7 +46,7 @@ FEWEST = 8
 
 @dataclass(frozen=True)
 class Jump:
-    """A step that is kept though the part does not move so: to `row`, by a distance [m] and an angle [rad]."""
+    """A step that the part cannot make but that is kept: to `row`, by a distance [m] and an angle [rad]."""
 
     row: int
     distance: float
@@ -55,7 +55,7 @@ class Jump:
 
 @dataclass(frozen=True, eq=False)
 class Continuity:
-    """What the rows of one part in one run are.
+    """Classification of the rows of one part in one run.
 
     Attributes:
         is_measured: (n,) rows to learn from.
@@ -73,7 +73,7 @@ class Continuity:
 
 
 def continuity(time: Floats, position: Floats, quaternion: Floats | None, action: Floats | None = None) -> Continuity:
-    """Tell measurements of one motion from repeated rows and strays.
+    """Classify rows as measurements of one motion, repeated rows, or strays.
 
     Args:
         time: (n,) [s]; position: (n, 3) [m]; quaternion: (n, 4) unit, scalar last, or None.
@@ -113,7 +113,7 @@ def _rests(is_measured: Booleans, repeats: Booleans, position: Floats, quaternio
 
 @dataclass(frozen=True, eq=False)
 class _Steps:
-    """Readings one after another, and the steps between them.
+    """Consecutive readings with the steps between them.
 
     Attributes:
         time: (k,) in rows of the usual pause; position: (k, 3) [m]; quaternion: (k, 4), or None.
@@ -144,7 +144,7 @@ class _Steps:
         return cls(rows, position, quaternion, lengths, steps(2), usual)
 
     def jumps(self, commanded: Floats) -> Booleans:
-        """(k-1,) steps that the part does not make."""
+        """(k-1,) whether each step exceeds the part's motion."""
         is_gap, rows = np.zeros(len(self.time) - 1, dtype=bool), np.diff(self.time)
         for number, (length, usual, floor) in enumerate(zip(self.lengths, self.usual, FLOORS, strict=False)):
             speed = length / rows
@@ -158,11 +158,11 @@ class _Steps:
         return is_gap
 
     def between(self, a: Ints | int, b: Ints | int) -> Floats:
-        """(2, k) from some readings to others, see `apart`."""
+        """(2, k) distances between readings, see `apart`."""
         return apart(self.position, self.quaternion, a, b)
 
     def comes_back(self, leaves: Ints, first: Ints, last: int, back: int) -> Booleans:
-        """Whether readings from each of `first` to `last` lie beside the way from those before to the one behind them.
+        """Whether readings from each of `first` to `last` lie on the path between the rows before and behind them.
 
         The part must get from there to here in the time, and the way over them must be much longer: what lies on the
         way was measured, though rows are missing before and behind it.
@@ -184,12 +184,12 @@ def apart(position: Floats, quaternion: Floats | None, a: Ints | int, b: Ints | 
 
 
 def continuity_of(rows: Recording) -> Continuity:
-    """Of the rows of one part in one run."""
+    """The continuity of the rows of one part in one run."""
     return continuity(rows.time, rows.position, rows.quaternion, rows.action)
 
 
 def _kept(steps: _Steps, pieces: list[tuple[int, int]], cost: float) -> list[int]:
-    """Numbers of the pieces with the most rows that follow one another; going over a jump costs so many rows."""
+    """Numbers of the pieces in the chain with most rows, where each jump costs a number of rows."""
     if len(pieces) == 1:
         return [0]
     starts, ends = np.transpose(pieces)

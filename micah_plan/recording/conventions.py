@@ -1,4 +1,4 @@
-"""How a file of somebody else says what a recording says: names of columns, units, rate, upward axis, quaternions.
+"""Conventions of foreign files: names of columns, units, rate, upward axis, quaternions.
 
 A recording is in metres, radians and seconds, with z upwards and the scalar of a quaternion last. What a laboratory
 logs is not. `Conventions` say how to read it; nothing of them is guessed but by formats that state it themselves.
@@ -45,7 +45,7 @@ _UPRIGHT: Mapping[str, tuple[float, float, float]] = {
 
 @dataclass(frozen=True)
 class Conventions:
-    """What a file means; None: as recordings have it, or as the format of the file states.
+    """Conventions of a file; None: those of recordings, or of the file's format.
 
     Attributes:
         columns: what the file calls a column of a recording (`NAMEABLE`), by the name here, as in ``{"t": "Time"}``.
@@ -115,14 +115,14 @@ class Conventions:
                 raise InputError(f"columns: expected all of {','.join(group)}", remedy="name the others as well")
 
     def stated(self) -> dict[str, str]:
-        """What of it is not left open, as texts by its name here."""
+        """The stated conventions as strings by name."""
         lists = {"columns": [f"{ours}={theirs}" for ours, theirs in self.columns.items()], "topics": self.topics}
         texts = {field.name: getattr(self, field.name) for field in fields(self)}
         texts |= {name: ",".join(each) or None for name, each in lists.items()}
         return {name: str(text) for name, text in texts.items() if text is not None}
 
     def require_open(self, names: Sequence[str], problem: str) -> None:
-        """Check that they say nothing of what a format does not have.
+        """Refuse conventions that do not apply to a format.
 
         Raises:
             InputError: with the problem, if they do.
@@ -131,7 +131,7 @@ class Conventions:
             raise InputError(problem, remedy=f"leave out {' and '.join(names)}")
 
     def or_else(self, default: Conventions) -> Conventions:
-        """These, and where they leave something open those of the file's format."""
+        """These conventions, completed by the defaults of the file's format."""
         open_ones = {
             field.name: getattr(default, field.name) for field in fields(self) if getattr(self, field.name) is None
         }
@@ -148,16 +148,16 @@ class ColumnSource:
 
     @property
     def is_plain(self) -> bool:
-        """Whether the numbers are taken as they are."""
+        """Whether the numbers need no conversion."""
         return self.factor == 1.0 and self.offset == 0.0
 
     def values(self, numbers: Any) -> Any:
-        """What numbers of the column mean."""
+        """Numbers of the column converted to the recording's unit."""
         return self.factor * (numbers + self.offset) if self.offset else self.factor * numbers
 
 
 def source_of(text: str, header: Collection[str]) -> ColumnSource:
-    """The column of a file that a text names, with factor and offset; a name of the header is always that column."""
+    """The source column of an expression with factor and offset; a name in the header takes precedence."""
     if text in header:
         return ColumnSource(text)
     scaled = _SCALED.fullmatch(text)
@@ -172,7 +172,7 @@ def source_of(text: str, header: Collection[str]) -> ColumnSource:
 
 
 def as_recorded(rows: Recording, conventions: Conventions) -> Recording:
-    """The rows in the units, order and frame of a recording, those without a pose too.
+    """The rows converted to the units, order and frame of a recording, including rows without a pose.
 
     Raises:
         InputError: if a name is given to several parts, or commands that are not there are said to mean something.
@@ -215,7 +215,7 @@ def as_recorded(rows: Recording, conventions: Conventions) -> Recording:
 
 
 def without_gaps(rows: Recording) -> tuple[Recording, Ints]:
-    """The rows that have a pose, with a note of how many do not, and their numbers (k,).
+    """(rows with a pose and a note on the others, their indices (k,)).
 
     What was commanded in a row without a pose is part of the displacement to the next one that has.
 
@@ -274,6 +274,6 @@ def _times(first: Floats, right: Floats) -> Floats:
 
 
 def _longest(lost: Booleans) -> int:
-    """How many rows in turn."""
+    """Length of the longest run of missing rows."""
     ends = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]]).astype(int)))
     return int((ends[1::2] - ends[::2]).max())

@@ -71,7 +71,7 @@ def read_csv(path: str | Path, *, minimum_rows: int = 1, conventions: Convention
 
 
 def csv_columns(path: str | Path) -> dict[str, Any]:
-    """The columns of a CSV file, whatever they are called: (n,) numbers, NaN where empty, or texts.
+    """All columns of a CSV file by name: (n,) numbers, NaN where empty, or strings.
 
     Raises:
         InputError: if it is none, or a name stands twice.
@@ -91,7 +91,7 @@ def csv_columns(path: str | Path) -> dict[str, Any]:
 
 
 def write_csv(recording: Recording, path: str | Path) -> None:
-    """Write what `csv_bytes` makes, at once or not at all.
+    """Write the output of `csv_bytes` atomically.
 
     Raises:
         InputError: also if the file cannot be written.
@@ -130,8 +130,7 @@ def _table(lines: list[str], meant: Conventions) -> CaptureTable:
 
 
 def _rows(lines: list[str], *, are_numbered: bool = False) -> tuple[list[str], list[list[str]], list[int]]:
-    """Names, fields of each row, and line numbers of the header and of each row; blank lines, and comments above the
-    header, are skipped. Columns without a header are called by their numbers, from 1, where these may be named."""
+    """(names, fields of each row, line numbers), skipping blank lines and leading comments."""
     filled = [number for number, line in enumerate(lines, start=1) if line and not line.isspace()]
     comments = list(takewhile(lambda number: lines[number - 1].lstrip().startswith("#"), filled))
     filled = filled[len(comments) :]
@@ -163,13 +162,13 @@ def _rows(lines: list[str], *, are_numbered: bool = False) -> tuple[list[str], l
 
 
 def _separator(header: str) -> str:
-    """What separates the names of a header: the first of the usual ones that it has, else blanks between its words."""
+    """The separator of a header: the first usual one that occurs in it, else blanks."""
     blank = _BLANKS if len(header.split()) > 1 else ","
     return next((separator for separator in _SEPARATORS if separator in header), blank)
 
 
 def _fields(line: str, number: int, separator: str) -> list[str]:
-    """The fields of a line; where commas do not separate them, they may stand for the point of a number."""
+    """The fields of a line; decimal commas are accepted where commas are not the separator."""
     if separator != ",":
         texts = line.split() if separator == _BLANKS else line.split(separator)
         return [text.replace(",", ".") if _DECIMAL_COMMA.fullmatch(text.strip()) else text for text in texts]
@@ -215,7 +214,7 @@ def _recording(table: CaptureTable, place: Place, meant: Conventions) -> Recordi
 
 
 def _texts(recording: Recording) -> dict[str, list[str]]:
-    """The fields of every column, as the file holds them."""
+    """Fields of every column as strings for the file."""
     columns: dict[str, list[str]] = {}
     if recording.has_run or recording.run.any():
         columns["run"] = [str(run) for run in recording.run.tolist()]

@@ -1,4 +1,4 @@
-"""Poses that no tracker read: a simulator wrote them, or they were computed of the one joint that moves the part.
+"""Exact poses: written by a simulator, or computed from the joint that moves the part.
 
 They err nowhere, or along the motion alone. Digits that were left out are no errors.
 """
@@ -47,7 +47,7 @@ def are_exact(position: Floats, quaternion: Floats | None) -> bool:
 
 
 def _digits(position: Floats) -> int:
-    """How many digits behind the point positions that vary are written with, at most `_MOST_DIGITS`."""
+    """Number of decimals of varying positions, at most `_MOST_DIGITS`."""
     varies = position[:, np.ptp(position, axis=0) > 0.0]
     digits = range(1, _MOST_DIGITS) if varies.size else ()
     return next((k for k in digits if np.abs(varies - np.round(varies, k)).max() < ROUND_OFF), _MOST_DIGITS)

@@ -1,4 +1,4 @@
-"""Where frames are in one another over time: a log's transforms composed into the poses of parts in one frame."""
+"""Frame trees over time: composition of a log's transforms to poses of parts in one frame."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class FrameEdge:
     samples: list[tuple[int, tuple[float, ...]]] = field(default_factory=list)
 
     def without_lost(self) -> str:
-        """Leave out samples that are no poses, whose numbers are missing or whose quaternion is zero; the note of it.
+        """Remove samples with missing numbers or zero quaternions; returns the note.
 
         Where all quaternions are zero, orientations were not measured, as of a point. Nothing may be left.
         """
@@ -47,7 +47,7 @@ class FrameEdge:
         return f"{count(lost, 'pose')} of {shown(self.child)} are zeros or no numbers and left out" if lost else ""
 
     def once(self) -> tuple[Ints, Floats]:
-        """(k,) stamps in order, each once, and (k, 7) poses.
+        """((k,) unique sorted stamps, (k, 7) poses).
 
         Raises:
             InputError: if two different poses have one stamp.
@@ -65,7 +65,7 @@ class FrameEdge:
         return stamps[keep], poses[keep]
 
     def at(self, stamps: Ints) -> tuple[Floats, Rotation, Booleans]:
-        """(n, 3) positions and n rotations at stamps [ns], straight between samples, and (n,) where they are known."""
+        """(positions (n, 3), rotations, validity (n,)) interpolated at stamps [ns]."""
         edges, poses = self.once()
         if not np.isfinite(poses).all():
             problem = f"{shown(self.topic)} gives no orientation of {shown(self.child)}, which others are placed by"
@@ -84,13 +84,13 @@ class FrameEdge:
 
 @dataclass(frozen=True)
 class Frames:
-    """All transforms of a log, by the frame that they place."""
+    """All transforms of a log by child frame."""
 
     edges: Mapping[str, FrameEdge]
 
     @classmethod
     def of(cls, edges: Iterable[FrameEdge]) -> Frames:
-        """Those of a log's edges; of several that place one frame the first."""
+        """The frame tree of a log's edges; of several parents of a frame the first."""
         by_child: dict[str, FrameEdge] = {}
         for edge in edges:
             by_child.setdefault(edge.child, edge)
@@ -112,12 +112,12 @@ class Frames:
         return edges
 
     def root(self, frame: str) -> str:
-        """The frame that places it and is placed by none."""
+        """The root frame above a frame."""
         edges = self.upwards(frame)
         return edges[-1].parent if edges else frame
 
     def placed(self, frame: str, target: str, stamps: Ints) -> tuple[Floats, Rotation, Booleans]:
-        """(n, 3) positions and n rotations of a frame in another at stamps [ns], and (n,) where all is known.
+        """(positions (n, 3), rotations, validity (n,)) of a frame in another at stamps [ns].
 
         Raises:
             InputError: if no transforms lead from one to the other.
@@ -136,7 +136,7 @@ class Frames:
 
 
 def _along(edges: Sequence[FrameEdge], stamps: Ints) -> tuple[Floats, Rotation, Booleans]:
-    """The frame at the bottom of edges in that at their top."""
+    """The composed transforms along a chain of edges."""
     position, is_known = np.zeros((len(stamps), 3)), np.full(len(stamps), True)
     turn = Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (len(stamps), 1)))
     for edge in edges:
@@ -151,7 +151,7 @@ def moves(edges: Sequence[FrameEdge]) -> bool:
 
 
 def acting(stamps: Ints, vectors: Floats, at: Ints) -> Floats:
-    """(n, 3) what commands of a displacement ask for from each time to the next, NaN at the last.
+    """(n, 3) displacement commanded between consecutive times, NaN at the last.
 
     Each command acts evenly from its stamp to the next one, at most for as long as it usually takes, so that all that
     falls between two times is theirs and nothing is counted twice.
@@ -172,7 +172,7 @@ def acting(stamps: Ints, vectors: Floats, at: Ints) -> Floats:
 
 
 def between(stamps: Ints, vectors: Floats, at: Ints) -> Floats:
-    """(n, 3) values at times [ns], on the straight way between samples; NaN where these are far apart or none."""
+    """(n, 3) values interpolated linearly at times [ns]; NaN in gaps and outside."""
     begin = min(stamps[0], at[0])
     found = np.stack([np.interp(at - begin, stamps - begin, vectors[:, i]) for i in range(3)], axis=1)
     usual = np.median(np.diff(stamps)) if len(stamps) > 1 else 0.0

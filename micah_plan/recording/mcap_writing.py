@@ -53,7 +53,7 @@ def _check_fits(recording: Recording) -> None:
 
 
 def _kind(column: Sequence[str]) -> MessageType:
-    """The type of message that gives back the same texts."""
+    """The message type that preserves a column's strings."""
     texts = [text for text in column if text]
     if texts and all(_INTEGER.fullmatch(text) for text in texts):
         return "std_msgs/msg/Int64"
@@ -61,7 +61,7 @@ def _kind(column: Sequence[str]) -> MessageType:
 
 
 def _is_shortest(text: str) -> bool:
-    """Whether a number is written as Python writes it."""
+    """Whether a number is in Python's shortest notation."""
     try:
         return repr(float(text)) == text
     except ValueError:

@@ -51,7 +51,7 @@ class CaptureTable:
 
 
 def motion_capture_table(lines: Sequence[str], *, is_upright: bool = False) -> CaptureTable | None:
-    """The bodies' poses in an export of Motive or Vicon; None if it is none.
+    """The bodies' poses in an export of Motive or Vicon; None for other files.
 
     Args:
         lines: of the file.
@@ -129,7 +129,7 @@ def _vicon(lines: Sequence[str], begin: int) -> CaptureTable:
 
 
 def _complete(bodies: Mapping[str, dict[str, int]], kind: str) -> dict[str, dict[str, int]]:
-    """The bodies that have all three positions."""
+    """The bodies with three position columns."""
     complete = {name: columns for name, columns in bodies.items() if {"x", "y", "z"} <= columns.keys()}
     if not complete:
         raise InputError(f"expected positions of a {kind}, found none", remedy="export the bodies' positions")
@@ -144,7 +144,7 @@ def _stacked(
     conventions: Conventions,
     note: str,
 ) -> CaptureTable:
-    """One row for each body of each line; columns that a body does not have stay empty."""
+    """One row for each body of each line; columns that a body lacks stay empty."""
     used = [column for column in (*_POSE, *_TURN) if any(column in columns for columns in bodies.values())]
     rows: list[list[str]] = []
     numbers: list[int] = []

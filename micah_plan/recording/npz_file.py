@@ -30,7 +30,7 @@ _REMEDY = "write it again with write_recording or numpy.savez"
 
 
 def read_npz(path: str | Path, *, minimum_rows: int = 1, conventions: Conventions | None = None) -> Recording:
-    """`read_recording` of an NPZ archive; pickled objects are refused, and so is what unpacks to over 256 MiB.
+    """`read_recording` for NPZ archives; pickled objects and archives above 256 MiB unpacked are refused.
 
     Raises:
         InputError: with file, row (from 0), column and remedy, for whatever is not as the format says.
@@ -53,7 +53,7 @@ def read_npz(path: str | Path, *, minimum_rows: int = 1, conventions: Convention
 
 
 def write_npz(recording: Recording, path: str | Path) -> None:
-    """Write what `npz_bytes` makes, at once or not at all.
+    """Write the output of `npz_bytes` atomically.
 
     Raises:
         InputError: also if the file cannot be written.
@@ -88,7 +88,7 @@ def npz_bytes(recording: Recording, path: str | Path) -> bytes:
 
 
 def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
-    """The arrays of the archive, checked before and after they are unpacked."""
+    """The arrays of the archive, checked before and after unpacking."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive, warnings.catch_warnings():
         warnings.simplefilter("error")
         members = archive.infolist()
@@ -110,7 +110,7 @@ def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
 
 
 def _array(content: bytes, name: str) -> NDArray[Any]:
-    """One array; its header is believed only as far as there are bytes for it, so that it cannot reserve memory."""
+    """One array; its header is validated against the available bytes before memory is reserved."""
     file = io.BytesIO(content)
     version = np.lib.format.read_magic(file)
     read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0

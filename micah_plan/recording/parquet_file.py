@@ -52,8 +52,7 @@ def read_parquet(path: str | Path, *, minimum_rows: int = 1, conventions: Conven
 
 
 def parquet_columns(path: str | Path) -> dict[str, Any]:
-    """The columns of a Parquet file, whatever they are called, each entry of a vector by itself; of LeRobot with the
-    names of the entries, the time as ``t`` and the episode as ``run``.
+    """All columns of a Parquet file by name, vectors by entry; LeRobot's with entry names, time ``t`` and ``run``.
 
     Raises:
         InputError: if it is no Parquet file.
@@ -99,7 +98,7 @@ def _table(data: bytes) -> Columns:
 
 
 def _column(pyarrow: Any, column: Any) -> NDArray[Any] | tuple[str, ...] | None:
-    """The values of a column; None for what is no number, vector of numbers of one length, or text."""
+    """The values of a column; None unless numbers, equally long vectors, or strings."""
     kind = column.type
     if pyarrow.types.is_string(kind) or pyarrow.types.is_large_string(kind):
         return tuple("" if text is None else text for text in column.to_pylist())
@@ -117,7 +116,7 @@ def _column(pyarrow: Any, column: Any) -> NDArray[Any] | tuple[str, ...] | None:
 
 
 def _names(path: Path) -> Mapping[str, Sequence[str]]:
-    """The names of the entries of each vector, as the data set's own description has them; empty without one."""
+    """Entry names of each vector, from the data set's description; empty without one."""
     root = next((folder for folder in path.absolute().parents[:4] if (folder / _INFO).is_file()), None)
     if root is None:
         return {}
@@ -136,7 +135,7 @@ def _names(path: Path) -> Mapping[str, Sequence[str]]:
 
 
 def _episodes(table: Columns, names: Mapping[str, Sequence[str]]) -> Recording:
-    """Of a table of a LeRobot data set."""
+    """The recording of a LeRobot table."""
     for key in ("timestamp", "episode_index"):
         if key not in table or isinstance(table[key], tuple) or table[key].ndim != 1:
             raise InputError(f"expected numbers in the column {shown(key)}", remedy="give a file of a LeRobot data set")
@@ -200,7 +199,7 @@ def _of_part(
 
 
 def _joined(recordings: Sequence[Recording]) -> Recording:
-    """The rows of several parts, one part behind the other; what not all have is left out of all."""
+    """The rows of several parts concatenated, with the columns that all have."""
 
     def all_of(name: str) -> NDArray[Any] | None:
         arrays = [getattr(recording, name) for recording in recordings]

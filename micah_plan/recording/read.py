@@ -1,4 +1,4 @@
-"""One way in and out for recordings: the reader and writer that fit a file."""
+"""Reading and writing of recordings by file type."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def read_recording(path: str | Path, *, minimum_rows: int = 1, conventions: Conv
 
 
 def read_columns(path: str | Path, topics: Collection[str] = ()) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """The columns of a table or the joints of a ROS log, whatever they are called: (n,) numbers or texts by name.
+    """All columns of a table, or the joints of a ROS log: (n,) numbers or strings by name.
 
     Args:
         path: the file.
@@ -96,7 +96,7 @@ def write_recording(recording: Recording, path: str | Path) -> None:
 
 
 def recording_bytes(recording: Recording, path: str | Path) -> bytes:
-    """What `write_recording` writes to a file of that name, for files that are replaced together.
+    """The bytes that `write_recording` writes to a path, for files that are replaced together.
 
     Raises:
         InputError: if its format cannot hold all that the recording has.

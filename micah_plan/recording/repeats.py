@@ -1,4 +1,4 @@
-"""Which rows say again what the row before said: a reading that was lost, or a part at rest that was read anew.
+"""Repeated rows: a lost reading, or a part at rest.
 
 A tracker that loses the part, or is slower than the log, writes its last pose again. An encoder does the same whenever
 the part rests. What is equal to the bit is lost only if it is improbable under *motion and encoder together*:
@@ -44,7 +44,7 @@ _OFF_BEAT = 0.05
 
 
 def repeated_readings(position: Floats, quaternion: Floats | None, action: Floats | None = None) -> Booleans:
-    """(n,) rows that are the reading of the row before, not a new one that happens to be equal.
+    """(n,) rows that repeat the previous reading, as opposed to new readings that are equal.
 
     Args:
         position: (n, 3) [m]; quaternion: (n, 4) unit, or None.
@@ -69,7 +69,7 @@ def repeated_readings(position: Floats, quaternion: Floats | None, action: Float
 
 @dataclass(frozen=True, eq=False)
 class _Waits:
-    """From each new reading to the next.
+    """Intervals between new readings.
 
     Attributes:
         first: (m,) their first rows. rows: (m,) how many rows each lasts. usual: a short one of them.
@@ -81,7 +81,7 @@ class _Waits:
 
     @classmethod
     def of(cls, same: Booleans) -> _Waits:
-        """Of rows (n,) that are equal to the one before."""
+        """The intervals of rows (n,) flagged as equal to the previous one."""
         new = np.flatnonzero(~same)
         rows = np.diff(new)
         # Longer ones are rests, and a few shorter ones are off the beat.
@@ -89,7 +89,7 @@ class _Waits:
 
     @property
     def are_long(self) -> bool:
-        """Whether hardly any two rows that follow one another are both new."""
+        """Whether consecutive rows are hardly ever both new."""
         return self.usual > 1
 
     def ask_all_along(self, action: Floats) -> bool:
@@ -105,7 +105,7 @@ class _Waits:
         return bool(squared.sum() > _SEVERAL * squares.sum())
 
     def log_odds_of_clock(self) -> float:
-        """Log odds that a tracker with a clock reads the part now and then, rather than that it rests [nats]."""
+        """Log odds that a tracker with a slower clock causes the repeats, rather than rests [nats]."""
         mean, period = float(self.rows.mean()), float(self.rows[np.abs(self.rows - self.usual) <= 1].mean())
         rest = (1.0 - 1.0 / mean) ** (self.rows - 1.0) / mean
         ticks = np.maximum(np.round(self.rows / period), 1.0)
@@ -119,7 +119,7 @@ class _Waits:
 
 
 def _log_odds_of_steps(vector: Floats, same: Booleans) -> float:
-    """Log odds that readings (n, k) were lost in the repeated rows (n,) rather than the part at rest [nats].
+    """Log odds that readings (n, k) were lost in repeated rows (n,), rather than the part at rest [nats].
 
     Only repeats count beside which the part moves by more than speeds usually change: elsewhere both are the same.
     """
@@ -144,7 +144,7 @@ def _log_odds_of_steps(vector: Floats, same: Booleans) -> float:
 
 
 def _speed_beside(step: Floats, is_single: Booleans) -> tuple[Floats, Ints]:
-    """(m, k) mean of the steps before and after each that go over one row, and (m,) how many of those there are."""
+    """(m, k) mean of the single-row steps on both sides of each step, and (m,) their number."""
     padded = np.pad(np.where(is_single[:, None], step, 0.0), ((1, 1), (0, 0)))
     there = np.pad(is_single, 1).astype(np.int64)
     neighbours = there[:-2] + there[2:]
@@ -158,7 +158,7 @@ def _step_density(error: Floats, scale: Floats | float) -> Floats:
 
 
 def _chance_of_equal(vector: Floats) -> float:
-    """Probability that readings (n, k) of the same place are equal, none of which is a reading that is held.
+    """Probability that two independent readings (n, k) of one place are equal.
 
     By the grid and the noise of each column. Columns may lie on no grid though the tracker reads on one, as angles that
     became quaternions, and positions in another frame. Then readings are equal where the rest of the pose is not, or
@@ -175,7 +175,7 @@ def _chance_of_equal(vector: Floats) -> float:
 
 
 def _chance_on_grid(column: Floats) -> float:
-    """Probability that two readings (n,) of the same value are equal: the grid that they lie on over their noise.
+    """Probability that two independent readings (n,) of one value are equal, from their grid and noise.
 
     Noise is what differences of every order show, and what turns back in the next row; the rest is motion.
     """
@@ -187,7 +187,7 @@ def _chance_on_grid(column: Floats) -> float:
 
 
 def _alternating_std(column: Floats) -> float:
-    """Largest std of white noise on rows (n,) that the autocovariance of their second differences allows for.
+    """Largest std of white noise on rows (n,) compatible with the autocovariance of second differences.
 
     Of white noise it is -4 times the variance at lag 1. The steps of a servo between two rests are large in differences
     of every order, but go on in one direction: their covariance there is not negative. Differences are cut at twice

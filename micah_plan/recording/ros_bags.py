@@ -1,5 +1,4 @@
-"""Logs of ROS messages of every kind, as those of `log`: MCAP files, bags of ROS 1 (`.bag`) and rosbag2 (`.db3`), and
-folders that rosbag2 records into.
+"""ROS logs of every kind as those of `log`: MCAP files, ROS 1 bags (`.bag`), rosbag2 (`.db3`) and its folders.
 
 A `.db3` is a SQLite database with messages as ROS 2 writes them; `metadata.yaml` beside it is not needed. Of both kinds
 only messages of `log.MESSAGE_TYPES` are looked at, read by definitions that do not come from the file.
@@ -42,12 +41,12 @@ _TABLES = (
 
 
 def is_log(path: str | Path) -> bool:
-    """Whether a file is called like a log, or a folder holds some as rosbag2 records it."""
+    """Whether a path names a log, or a folder with one as rosbag2 records it."""
     return Path(path).suffix.lower() in LOGS or bool(_pieces(Path(path)))
 
 
 def messages_of(path: str | Path) -> Iterator[Logged]:
-    """The messages of the known types in a log, in the order in which they were logged.
+    """The messages of known types in a log, in order of logging.
 
     Raises:
         InputError: if it is no such log, is damaged, or unpacks to over 256 MiB.
@@ -63,7 +62,7 @@ def messages_of(path: str | Path) -> Iterator[Logged]:
 
 
 def topics_of(path: str | Path) -> tuple[Topic, ...]:
-    """The topics of a log, of all types, in the order of their names.
+    """The topics of a log, of all types, by name.
 
     Raises:
         InputError: as `messages_of` does.
@@ -82,14 +81,14 @@ def topics_of(path: str | Path) -> tuple[Topic, ...]:
 
 
 def _pieces(path: Path) -> list[Path]:
-    """The files of a folder of rosbag2, in their order; none: it is no such folder."""
+    """The files of a rosbag2 folder in order; empty for other folders."""
     if not path.is_dir():
         return []
     return sorted((file for file in path.iterdir() if file.suffix.lower() in (".db3", ".mcap")), key=_in_order)
 
 
 def _in_order(file: Path) -> tuple[int, str]:
-    """rosbag2 numbers the pieces: log_0, log_1, ..., log_10."""
+    """Sort key of rosbag2 pieces: log_0, log_1, ..., log_10."""
     number = file.stem.rpartition("_")[2]
     return int(number) if number.isdecimal() else 0, file.name
 
@@ -134,7 +133,7 @@ def _ros1_topics(path: Path) -> list[Topic]:
 
 
 def _rosbags() -> tuple[Any, Any]:
-    """The reader of ROS 1 and the types that it knows.
+    """The ROS 1 reader with its types.
 
     Raises:
         MissingDependencyError: without the extra ``ros``.
@@ -165,7 +164,7 @@ def _ros1(path: Path) -> Iterator[Logged]:
 
 
 def _unpacked(plain: Any, data: bytes) -> bytes:
-    """The content of a chunk of at most 256 MiB; `plain` is what a chunk that is not packed goes through."""
+    """The content of a chunk of at most 256 MiB; `plain` decodes uncompressed chunks."""
     room = LARGEST_FILE_BYTES
     if data[:3] == b"BZh":
         text = bz2.BZ2Decompressor().decompress(data, max_length=room + 1)

@@ -138,7 +138,7 @@ def joint_columns(path: str | Path, topics: Collection[str] = ()) -> tuple[dict[
 def _named_targets(
     topic: str, samples: Sequence[Sample], measured: Mapping[str, list[Sample]]
 ) -> tuple[dict[str, list[Sample]], str]:
-    """Positions that were commanded without names, by joint; empty if it is open whose they are. And what was done.
+    """(commanded positions without names by joint, note); empty if ambiguous.
 
     A controller keeps joints near its commands, so these are of the joints that they are nearest to, all together.
     """
@@ -160,7 +160,7 @@ def _named_targets(
 
 
 def _log_distances(commands: Floats, places: Floats) -> Floats:
-    """(m, k) ln of how far places (k, n) are from commands (m, n) [rad or m], whichever delay suits them best."""
+    """(m, k) log distance of positions (k, n) from commands (m, n) [rad or m] at the best delay."""
     found = np.full((len(commands), len(places)), np.inf)
     for late in range(min(_MOST_LATE, commands.shape[1])):
         apart = commands[:, None, : commands.shape[1] - late] - places[None, :, late:]
@@ -173,7 +173,7 @@ def _log_distances(commands: Floats, places: Floats) -> Floats:
 
 
 def _measured_topics(found: Sequence[str], chosen: Collection[str]) -> tuple[str, ...]:
-    """The topics with measured joints among those found."""
+    """The topics with measured joints."""
     wanted = {name.strip("/") for name in chosen}
     for name in wanted - {topic.strip("/") for topic in found}:
         raise InputError(f"no topic {shown(name)} has joint positions", remedy=choices(name, found))
@@ -191,7 +191,7 @@ def _listed(path: str | Path) -> str:
 
 @dataclass
 class _Log:
-    """What the messages of a log say, by what they are about.
+    """The decoded messages of a log by content.
 
     Attributes:
         edges: by topic and part or child frame.
@@ -206,7 +206,7 @@ class _Log:
     columns: dict[str, dict[int, str]] = field(default_factory=dict)
 
     def add(self, logged: Logged) -> None:
-        """Take in a message.
+        """Process a message.
 
         Raises:
             InputError: if a part was in another frame before.
@@ -239,7 +239,7 @@ class _Log:
             edge.samples.append((stamp_ns(header, logged.time), (p.x, p.y, p.z, *turn)))
 
     def recording(self, topics: Sequence[str], frame: str | None) -> Recording:
-        """The rows of the parts that are chosen, in the frame that is chosen.
+        """The rows of the chosen parts in the chosen frame.
 
         Raises:
             InputError: if a topic or frame is not there, or one must be chosen.
@@ -285,7 +285,7 @@ class _Log:
         )
 
     def _joints(self, parts: Sequence[str], times: Ints) -> dict[str, tuple[str, ...]]:
-        """Columns of joints at the rows, of each run from its own messages."""
+        """Columns of joints at the rows of each run."""
         columns = {f"{JOINT}{name}": [""] * len(times) for name in sorted({name for _, name in self.joints})}
         for (run, name), samples in sorted(self.joints.items()):
             for i, text in enumerate(_held(samples, times)):
@@ -294,8 +294,7 @@ class _Log:
         return {name: tuple(texts) for name, texts in columns.items()}
 
     def _columns(self, tracks: Mapping[str, tuple[Ints, Floats]]) -> dict[str, list[str]]:
-        """Further columns on topics of the parts, as text in the order of the parts: at the stamps of the poses where
-        all have these, or else the last until then."""
+        """Further columns on topics of the parts, as strings: at the stamps of the poses, else the latest before."""
         names: dict[str, None] = {}
         for topic in self.columns:
             part, _, name = topic.rpartition("/")
@@ -314,7 +313,7 @@ class _Log:
         return columns
 
     def _chosen(self, topics: Sequence[str]) -> list[FrameEdge]:
-        """The parts: those on topics or with frames that are named, or else all that do not stand still for good."""
+        """The chosen parts: those named by topic or frame, else all that are not static."""
         wanted = [name.strip("/") for name in topics]
         named = [(edge.topic.strip("/"), edge.child) for edge in self.edges.values()]
         for name, text in zip(wanted, topics, strict=True):
@@ -355,7 +354,7 @@ class _Log:
     def _vectors(
         self, kind: str, stamps_of: dict[str, Ints], target: str, frames: Frames, notes: list[str]
     ) -> Floats | None:
-        """(n, 3) actions or forces at the stamps of the parts, one part after the other; None if there are none."""
+        """(n, 3) actions or forces at the stamps of the parts, part by part; None if there are none."""
         if not any(self.vectors.get(f"{part}/{kind}", ("", {}))[1] for part in stamps_of):
             return None
         pieces = []
@@ -375,7 +374,7 @@ class _Log:
 
 
 def _at_poses(kind: str, part: str, samples: tuple[Ints, Floats], stamps: Ints, notes: list[str]) -> Floats:
-    """(n, 3) actions or forces at stamps of poses: by stamp where they have these, or else joined, which is noted."""
+    """(n, 3) actions or forces at the stamps of poses; interpolated with a note where stamps differ."""
     times, vectors = samples
     aligned = np.isin(times, stamps).all()
     if aligned and (kind == "force" or np.isin(stamps[:-1], times).all()):
@@ -393,7 +392,7 @@ def _at_poses(kind: str, part: str, samples: tuple[Ints, Floats], stamps: Ints, 
 
 
 def _neighbours(stamps: Ints, times: Ints) -> Ints:
-    """(k, 2) of the stamps around each time."""
+    """(k, 2) indices of the stamps around each time."""
     right = np.searchsorted(stamps, times)
     return np.stack([np.maximum(right - 1, 0), np.minimum(right, len(stamps) - 1)], axis=1)
 
@@ -443,7 +442,7 @@ def _poses(logged: Logged) -> Iterator[tuple[str, Any, Any, Any]]:
 
 
 def _held(samples: list[Sample], times: Ints) -> tuple[str, ...]:
-    """The last value until each time, as text; empty before the first."""
+    """The latest value before each time as a string; empty before the first."""
     samples = sorted(samples)
     last = np.searchsorted([time for time, _ in samples], times, side="right") - 1
     return tuple("" if i < 0 else repr(samples[i][1][0]) for i in last.tolist())

@@ -62,7 +62,7 @@ class Logged:
 
 @dataclass(frozen=True)
 class Topic:
-    """What a log has on a topic: its name, the type of its messages, and how many there are."""
+    """A topic of a log: its name, message type and number of messages."""
 
     name: str
     kind: str
@@ -84,12 +84,12 @@ def known_types() -> Any:
 
 
 def definition(kind: str) -> str:
-    """The definition of a message and of all that it is made of, each once."""
+    """The definition of a message with all nested types, each once."""
     return str(known_types().generate_msgdef(kind, ros_version=2)[0])
 
 
 def decoded(data: bytes, kind: MessageType) -> Any:
-    """What the bytes of a message say."""
+    """The decoded message."""
     return known_types().deserialize_cdr(data, kind)
 
 
@@ -99,7 +99,7 @@ def encoded(message: dict[str, Any], kind: MessageType) -> bytes:
 
 
 def _made(value: Any, kind: str) -> Any:
-    """A message of the library from fields, those that are messages or lists of numbers included."""
+    """A library message from fields, including nested messages and lists of numbers."""
     fields = {}
     for name, (_, what) in known_types().fielddefs[kind][1]:
         field = value[name]
@@ -126,7 +126,7 @@ def header_at(time: int, frame: str) -> dict[str, Any]:
 
 
 def split_time(time: int) -> dict[str, int]:
-    """A time [ns] as messages write it."""
+    """A time [ns] in the message format."""
     return {"sec": time // NANOSECONDS, "nanosec": time % NANOSECONDS}
 
 
@@ -221,7 +221,7 @@ def _messages(content: bytes) -> Iterator[Logged]:
 
 
 def _records(content: bytes) -> Iterator[Any]:
-    """All records, those in chunks too."""
+    """All records, including those in chunks."""
     from mcap.records import Chunk
     from mcap.stream_reader import StreamReader, breakup_chunk
 
@@ -237,7 +237,7 @@ def _records(content: bytes) -> Iterator[Any]:
 
 
 def unpacked_lz4(data: bytes, most: int) -> bytes:
-    """The content of an LZ4 frame, of which at most so many bytes."""
+    """The content of an LZ4 frame, limited to `most` bytes."""
     import lz4.frame
 
     return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most))

@@ -1,4 +1,4 @@
-"""Errors that rows of a recording share, so that their number does not average them out.
+"""Shared errors: errors of all rows of a recording, which averaging does not reduce.
 
 All rows have the frame wrong that they are given in, and the scale of their lengths: a camera that stands sees its base
 the same in all frames, and a wrong focal length or tag size stretches everything. Neighbours have their pose wrong
@@ -24,7 +24,7 @@ _UPPER = np.triu_indices(6)
 
 @dataclass(frozen=True, eq=False)
 class SharedError:
-    """How uncertain the poses of a part are, other than by noise of each row.
+    """Uncertainty of a part's poses beyond the noise of single rows.
 
     Attributes:
         frame: (6, 6) covariance of the frame's position [m] and of a small turn of it [rad], along its own axes.
@@ -38,7 +38,7 @@ class SharedError:
 
 
 def with_shared_errors(recording: Recording, errors: Mapping[str, SharedError]) -> Recording:
-    """The recording with the columns that hold errors of its parts."""
+    """The recording with the columns of shared errors."""
     columns: dict[str, list[str]] = {FRAME_COLUMN: [], POSE_COLUMN: [], SCALE_COLUMN: []}
     seen = set[tuple[int, str]]()
     for run, part in zip(recording.run.tolist(), recording.part, strict=True):
@@ -56,7 +56,7 @@ def _texts(error: SharedError) -> tuple[str, str, str]:
 
 
 def shared_error_of(recording: Recording, part: str) -> SharedError | None:
-    """The error that the rows of a part share, over several independent runs that of their mean. None: not told.
+    """The shared error of a part's rows, averaged over independent runs; None if not stated.
 
     Raises:
         InputError: if a column holds something else.
@@ -78,7 +78,7 @@ def _covariance(recording: Recording, column: str) -> Floats:
 
 
 def _distinct(recording: Recording, column: str, count: int) -> Floats:
-    """(k, count) different values of a column."""
+    """(k, count) distinct values of a column."""
     texts: Sequence[str] = tuple(dict.fromkeys(text.strip() for text in recording.extra.get(column, ())))
     rows = []
     for text in texts:

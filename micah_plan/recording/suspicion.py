@@ -1,4 +1,4 @@
-"""What looks like a mistake in a recording that can be read: units of length and time, order and signs of quaternions.
+"""Plausibility of readable recordings: units of length and time, order and signs of quaternions.
 
 Nothing is corrected: each suspicion is one line that says what was seen and what to do. What `Conventions` state is not
 doubted; units that they leave open are, and then nothing should be learned (`require_conventions`).
@@ -77,7 +77,7 @@ _FAR_LESS = 1000.0
 
 
 def suspicions_of_recording(recording: Recording) -> tuple[str, ...]:
-    """What looks wrong in a recording, one line each; empty if nothing does."""
+    """Suspicious properties of a recording, one line each; empty if there are none."""
     lines = [str(misreading) for misreading in misread(recording)]
     for part in recording.parts:
         rows = recording.select(part=part)
@@ -89,7 +89,7 @@ def suspicions_of_recording(recording: Recording) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Misreading:
-    """Numbers that look as if they had other units than a recording.
+    """Numbers that suggest other units than those of a recording.
 
     Attributes:
         sentence: what is odd, with its amount.
@@ -100,12 +100,12 @@ class Misreading:
     remedy: str
 
     def __str__(self) -> str:
-        """Both in one line."""
+        """Sentence and remedy in one line."""
         return f"{self.sentence}; {self.remedy}"
 
 
 def misread(recording: Recording) -> tuple[Misreading, ...]:
-    """What looks as if the file had other units than a recording, and nobody said which."""
+    """Suspected units other than those of a recording, where no convention states them."""
     stated = recording.conventions.keys()
     parts = () if "length" in stated else recording.parts
     lines = [_length(recording.select(part=part), part) for part in parts]
@@ -114,7 +114,7 @@ def misread(recording: Recording) -> tuple[Misreading, ...]:
 
 
 def require_conventions(recording: Recording) -> None:
-    """Check that nothing looks misread.
+    """Refuse a recording that looks misread.
 
     Raises:
         InputError: for the first of `misread`, with the options that say how it is meant.
@@ -137,7 +137,7 @@ def _length(rows: Recording, part: str) -> Misreading | None:
 
 
 def _extent(rows: Recording) -> float:
-    """Over what a part moves, except for the few rows that are furthest out [m]."""
+    """Extent of a part's motion without outlying rows [m]."""
     return float(np.linalg.norm(np.subtract(*np.quantile(rows.position, [0.85, 0.15], axis=0))))
 
 
@@ -206,7 +206,7 @@ def _slow(steps: Floats) -> bool:
 
 
 def _steps(recording: Recording) -> Floats:
-    """Times between rows that follow each other in a run, of each part [s]."""
+    """Time steps between consecutive rows of each part and run [s]."""
     _, part = np.unique(np.array(recording.part), return_inverse=True)
     order = np.lexsort((part, recording.run))  # stable: rows of one run and part stay in the order of time
     group = np.column_stack([recording.run, part])[order]
@@ -247,7 +247,7 @@ def _quaternion(rows: Recording, part: str) -> str:
 
 
 def turned_grips(recording: Recording) -> dict[str, str]:
-    """By part what looks as if a hand had turned on it, one line each; of a part on another one nothing is said."""
+    """Warnings by part of a hand that turned on the object; only for parts on the base."""
     if len(recording.parts) > 1 or not recording.has_orientation:
         return {}
     (part,) = recording.parts
@@ -266,7 +266,7 @@ def _turned_grip(rows: Recording) -> TurnedGrip | None:
 
 
 def _unexplained(position: Floats, rotation: Rotation) -> float:
-    """Share of the spread of the origin that p = c + R r leaves, with the best constant c and r (least squares)."""
+    """Unexplained fraction of the origin's spread under p = c + R r with the best constants c and r."""
     matrices = rotation.as_matrix()
     design = np.concatenate([np.tile(np.eye(3), (len(position), 1, 1)), matrices], axis=2).reshape(-1, 6)
     fitted = design @ np.linalg.lstsq(design, position.ravel(), rcond=None)[0]

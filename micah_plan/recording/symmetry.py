@@ -1,4 +1,4 @@
-"""Orientations of an object that looks the same when it is turned: readings of one and the same pose, told as one.
+"""Symmetric objects: equivalent orientations of one pose are unified.
 
 A tracker of a box, a cup or a handle may read it turned by half a turn from one row to the next, and back. Its place
 goes on, so the part did not turn; the tracker took it for its likeness. Whatever the symmetry, such a jump is a turn in
@@ -38,7 +38,7 @@ _FEWEST_JUMPS = 3
 
 @dataclass(frozen=True, eq=False)
 class Symmetry:
-    """A turn after which an object looks as before.
+    """A rotation that maps an object onto itself.
 
     Attributes:
         fold: it is 1/fold of a whole turn. axis: (3,) unit, about it, in the part's frame.
@@ -48,7 +48,7 @@ class Symmetry:
     axis: Floats
 
     def taken_back(self, quaternion: Floats, turns: Ints) -> Floats:
-        """(n, 4) orientations without so many turns (n,) each."""
+        """(n, 4) orientations with given multiples (n,) of the symmetry's rotation removed."""
         angle = -2.0 * np.pi / self.fold * turns
         back = Rotation.from_quat(quaternion) * Rotation.from_rotvec(angle[:, None] * self.axis)
         return np.where((turns == 0)[:, None], quaternion, back.as_quat())
@@ -56,7 +56,7 @@ class Symmetry:
 
 @dataclass(frozen=True, eq=False)
 class ReadTurned:
-    """Rows of the recording, of one part in one run, in which it was read turned, though it looks the same."""
+    """Rows of one part in one run that were read in an equivalent orientation."""
 
     part: str
     run: int
@@ -65,12 +65,12 @@ class ReadTurned:
 
 
 def settled(recording: Recording) -> Recording:
-    """A recording in which each part is read as most rows of its first run are, whatever it looks the same as."""
+    """A recording in which each part keeps the orientation of most rows of its first run."""
     return turned_back(recording)[0]
 
 
 def turned_back(recording: Recording) -> tuple[Recording, tuple[ReadTurned, ...]]:
-    """The same, and which rows were read otherwise."""
+    """(recording as of `settled`, corrected rows)."""
     if recording.quaternion is None or not np.isfinite(recording.quaternion).all():
         return recording, ()
     quaternion, found = recording.quaternion.copy(), list[ReadTurned]()
@@ -95,7 +95,7 @@ def turned_back(recording: Recording) -> tuple[Recording, tuple[ReadTurned, ...]
 
 
 def likenesses(position: Floats, quaternion: Floats) -> tuple[Symmetry, Ints] | None:
-    """An object's symmetry, and by how many of its turns (n,) rows are from how most are read; None if all are alike.
+    """(symmetry, (n,) multiples of its turn by which rows differ from most); None if all rows agree.
 
     Args:
         position: (n, 3) [m], of one part in one run; quaternion: (n, 4) unit, scalar last.
@@ -123,7 +123,9 @@ def likenesses(position: Floats, quaternion: Floats) -> tuple[Symmetry, Ints] | 
 
 
 def _between(position: Floats, quaternion: Floats, before: Ints, rows: Ints) -> tuple[Symmetry, int] | None:
-    """By which turns the rows of a run were read otherwise than those before where both were closest; None if not."""
+    """(symmetry, multiple) by which a run's orientations differ from an earlier one's at close positions; None if
+    equal.
+    """
     if len(before) < FEWEST or len(rows) < FEWEST:
         return None
     away, nearest = KDTree(position[before]).query(position[rows])
@@ -139,7 +141,7 @@ def _between(position: Floats, quaternion: Floats, before: Ints, rows: Ints) -> 
 
 
 def _turns_of_jumps(turned: Rotation, edges: Ints, usual: float) -> tuple[Floats, Floats]:
-    """(j, 3) rotation vectors of the jumps at the inner edges, in the part's frame, and (j,) their errors [rad].
+    """((j, 3) rotation vectors of the jumps at inner edges in the part's frame, (j,) errors [rad]).
 
     Args:
         usual: what nearly all other steps stay below [rad].
@@ -156,7 +158,7 @@ def _turns_of_jumps(turned: Rotation, edges: Ints, usual: float) -> tuple[Floats
 
 
 def _at_edge(turned: Rotation, first: int, last: int, *, at_end: bool) -> tuple[Rotation, float]:
-    """Orientation half a row beyond an end of the rows first to last - 1, and the standard error of that [rad]."""
+    """(orientation half a row beyond an end of the rows first to last - 1, its standard error [rad])."""
     if at_end:
         rows, edge = np.arange(max(first, last - _ROWS_BESIDE), last), last - 0.5
     else:
@@ -173,7 +175,7 @@ def _at_edge(turned: Rotation, first: int, last: int, *, at_end: bool) -> tuple[
 
 
 def _in_common(turns: Floats, errors: Floats) -> tuple[Symmetry, Ints] | None:
-    """The symmetry of all jumps (j, 3) [rad], with errors (j,), and how many of its turns each is; None without one."""
+    """(symmetry common to all jumps (j, 3) [rad] with errors (j,), their multiples); None without one."""
     angle = np.linalg.norm(turns, axis=1)
     axes = turns / angle[:, None]
     axis = np.linalg.eigh((axes / errors[:, None] ** 2).T @ axes)[1][:, -1]
@@ -193,7 +195,7 @@ def _in_common(turns: Floats, errors: Floats) -> tuple[Symmetry, Ints] | None:
 
 
 def _exact(axis: Floats, error: float) -> Floats:
-    """The axis of the part's frame that is within the error [rad] of one; else that one."""
+    """The axis of the part's frame within an error [rad] of a direction; else that direction."""
     along = int(np.argmax(np.abs(axis)))
     exact = np.sign(axis[along]) * np.eye(3)[along]
     return exact if np.arccos(np.clip(exact @ axis, -1.0, 1.0)) < _SURELY * error else axis

@@ -1,4 +1,4 @@
-"""Which printed tags are on which part, and where: what a video of an object is read by."""
+"""Layout of printed tags on parts, for reading a video."""
 
 from __future__ import annotations
 
@@ -52,5 +52,5 @@ class TagLayout:
         return tuple(dict.fromkeys(tag.part for tag in self.tags.values()))
 
     def of(self, part: str) -> dict[int, PlacedTag]:
-        """The tags of a part, by number; the first is where its frame is, unless it says where it is itself."""
+        """The tags of a part by number; the first defines its frame unless it states a pose itself."""
         return {number: tag for number, tag in self.tags.items() if tag.part == part}

@@ -1,4 +1,4 @@
-"""Text files as numbered lines, and text as numbers."""
+"""Text files as numbered lines, and strings as numbers."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _line_of(data: bytes, offset: int) -> int:
 
 @dataclass(eq=False)
 class UnreadableValue(Exception):  # noqa: N818 - the value is at fault; it becomes an InputError once its place is known
-    """A text that is no number: the row in the column, what is wrong and what to do."""
+    """A string that is not a number: its row in the column, the problem and the remedy."""
 
     row: int
     problem: str
@@ -57,7 +57,7 @@ class UnreadableValue(Exception):  # noqa: N818 - the value is at fault; it beco
 
 
 def floats(texts: Sequence[str], *, may_be_empty: bool = False) -> NDArray[np.float64]:
-    """The numbers that a column of texts spells in decimal; NaN for an empty text where that is allowed.
+    """Numbers from decimal strings of a column; NaN for empty strings where allowed.
 
     Raises:
         UnreadableValue: for the first text that is not one finite number.
@@ -69,8 +69,7 @@ def floats(texts: Sequence[str], *, may_be_empty: bool = False) -> NDArray[np.fl
 
 
 def seconds(texts: Sequence[str], unit: float) -> NDArray[np.float64]:
-    """Times in units of so many seconds: numbers, or times of day in ISO 8601, which count from 1970 (UTC where none is
-    given).
+    """Times in units of `unit` seconds: numbers, or ISO 8601 times since 1970 (UTC by default).
 
     Raises:
         UnreadableValue: for the first text that is neither.
@@ -86,7 +85,7 @@ def seconds(texts: Sequence[str], unit: float) -> NDArray[np.float64]:
 
 
 def _plain_floats(texts: Sequence[str], may_be_empty: bool) -> NDArray[np.float64] | None:
-    """The fast path for columns in order; None if a value needs the closer look that finds the message."""
+    """Fast path of `floats` for valid columns; None otherwise."""
     try:
         values = np.array([np.nan if may_be_empty and not text else float(text) for text in texts])
     except ValueError:

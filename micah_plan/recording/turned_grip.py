@@ -1,4 +1,4 @@
-"""A hand that turns on what it holds: positions that tell a joint, beside orientations that contradict it.
+"""A hand that turns on the object: positions on a joint with orientations that contradict it.
 
 A robot whose fingers pivot on a handle, or a person whose wrist turns, moves its tool round a circle and turns it by
 something else; or along a line, and turns it about another axis. The positions are right then, and the orientations are
@@ -27,7 +27,7 @@ _LEAST_WAY, _STILL = 0.02, 0.02  # m, rad
 
 @dataclass(frozen=True)
 class TurnedGrip:
-    """How a tool that slips moves.
+    """A slipping tool with the joint of its positions.
 
     Attributes:
         radius: of the circle that it goes round [m]; None of a line.
@@ -40,7 +40,7 @@ class TurnedGrip:
     turned: float
 
     def in_words(self, part: str) -> str:
-        """A sentence, with what to do."""
+        """The finding in a sentence, with the remedy."""
         if self.radius is None:
             path = f"moves {quantity(self.angle, 'm', digits=2)} along a line"
         else:
@@ -53,7 +53,7 @@ class TurnedGrip:
 
 
 def turned_grip(position: Floats, rotation: Rotation) -> TurnedGrip | None:
-    """The slip of a tool at positions (n, 3) [m] with orientations (n,); None where both agree, or say too little."""
+    """The slip of a tool at positions (n, 3) [m] with orientations (n,); None if both agree or are inconclusive."""
     away = position - position.mean(axis=0)
     spread, axes = np.linalg.svd(away, full_matrices=False)[1:]
     if len(position) < 10 or spread[0] / np.sqrt(len(position)) < 0.3 * _LEAST_WAY:
@@ -81,7 +81,7 @@ def turned_grip(position: Floats, rotation: Rotation) -> TurnedGrip | None:
 
 
 def _line(at: Floats, values: Floats) -> tuple[float, float]:
-    """Slope of values (n,) over places (n,), and the std that a straight line leaves."""
+    """Slope of values (n,) over places (n,), and the residual std."""
     slope, start = np.polyfit(at, values, 1)
     return float(slope), float((values - slope * at - start).std())
 
@@ -96,7 +96,7 @@ def _along_line(way: Floats, axis: Floats, turns: Floats) -> TurnedGrip | None:
 
 
 def _left_by_turns(position: Floats, rotation: Rotation) -> float:
-    """Root mean square of what p = c + R r leaves, with the best constant c and r; of what rests a line [m]."""
+    """Root mean square residual [m] of p = c + R r, with the best constant c and r; of a line for a part at rest."""
     matrices = rotation.as_matrix()
     design = np.concatenate([np.tile(np.eye(3), (len(position), 1, 1)), matrices], axis=2).reshape(-1, 6)
     rest = position.ravel() - design @ np.linalg.lstsq(design, position.ravel(), rcond=None)[0]

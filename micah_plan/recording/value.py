@@ -96,7 +96,7 @@ class Recording(Summarised):
         return len(self.time)
 
     def summary(self) -> str:
-        """Rows, runs, parts, time, extent and what else was recorded, in a few lines."""
+        """Rows, runs, parts, time, extent and recorded columns, in a few lines."""
         columns = (("orientation", self.quaternion), ("actions", self.action), ("forces", self.force))
         with_them = [name for name, array in columns if array is not None]
         rows = count(len(self), "row") + (f" in {count(len(self.runs), 'run')}" if len(self.runs) > 1 else "")
@@ -133,14 +133,14 @@ class Recording(Summarised):
         return self.action is not None
 
     def poses(self) -> RigidTransform:
-        """(n,) poses of the parts in the base frame; identity orientation where none was measured."""
+        """(n,) poses of the parts in the base frame; identity orientation if not measured."""
         from scipy.spatial.transform import RigidTransform, Rotation
 
         rotation = Rotation.identity(len(self)) if self.quaternion is None else Rotation.from_quat(self.quaternion)
         return RigidTransform.from_components(self.position, rotation)
 
     def believed(self) -> Recording | None:
-        """The rows with the poses that the controller believed, NaN where empty; None without such columns.
+        """The rows with the controller's estimated poses, NaN where empty; None without such columns.
 
         Raises:
             InputError: if one of their values is no number.
@@ -190,7 +190,7 @@ class Recording(Summarised):
 
     @cached_property
     def _numbers(self) -> dict[tuple[int | None, str | None], Ints]:
-        """The numbers of rows, by run, by part, and by both: gathered at once, since files have thousands of runs."""
+        """Row indices by run, by part, and by both, computed together for files with thousands of runs."""
         lists: dict[tuple[int | None, str | None], list[int]] = defaultdict(list)
         for i, (run, part) in enumerate(zip(self.run.tolist(), self.part, strict=True)):
             for key in ((run, None), (None, part), (run, part)):

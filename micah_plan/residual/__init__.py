@@ -1,1 +1,1 @@
-"""What the model says against what was measured: tracks in configuration space and prediction errors."""
+"""Prediction and calibration: predicted against measured motion, and the effects that explain the residual."""

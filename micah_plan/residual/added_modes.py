@@ -1,4 +1,4 @@
-"""Modes that a model lacks: the mode that each lies in is cut, and the search made again in the halves."""
+"""Missing modes: the mode in which each lies is split, and the search is repeated in the halves."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from micah_plan.residual.trace import A_LINE, CoordinateTrace, trace
 def with_missing_modes(
     automaton: HybridAutomaton, traces: tuple[CoordinateTrace, ...], measured: Sequence[Track]
 ) -> tuple[HybridAutomaton, tuple[CoordinateTrace, ...]]:
-    """The automaton with the modes that traces miss, and the traces on it, if that is clear.
+    """(automaton with the missing modes of the traces, traces on it), if the split is unambiguous.
 
     It is if a gain or a bias in the new modes alone, which is how they were found, predicts held-out rows no worse than
     the correction without a name that would stand in their place. Else both are as given.

@@ -1,4 +1,4 @@
-"""Commands averaged over the rows around each: what a recording does that was smoothed, and no object.
+"""Commands averaged over neighbouring rows: the signature of a recording that was smoothed, which no object shows.
 
 Poses that a filter without a delay smoothed move as the average of their commands over rows before and after; so does a
 part whose commands were written down with errors, since its own steps are more alike than what was written. No part
@@ -41,7 +41,7 @@ _EFFECTS, _ROUNDS = 8, 6
 
 @dataclass(frozen=True, eq=False)
 class Average:
-    """Weights (k + 1,) of the command of a row itself, and of each of those so many rows before and after."""
+    """Symmetric weights (k + 1,): of the command of the row itself, then of the rows at distance 1 to k."""
 
     weights: Floats
 
@@ -52,7 +52,7 @@ class Average:
 
 
 def with_averages(data: CoordinateData, average: Average) -> CoordinateData:
-    """The data, and its whole runs, with averages of the commands; these are displacements then."""
+    """The data, and its whole runs, with averaged commands, which are displacements."""
     runs = data if data.whole is None else data.whole
     u, action = np.zeros(data.rows), np.zeros((data.rows, 3))
     for s, steps in enumerate(_steps(runs)):
@@ -77,12 +77,12 @@ def _number(data: CoordinateData) -> Ints:
 
 
 def _steps(data: CoordinateData) -> Ints:
-    """(S,) steps of each segment up to its last row that counts."""
+    """(S,) number of steps of each segment up to its last counted row."""
     return np.asarray(np.where(data.counted, np.arange(data.counted.shape[1]), 0).max(axis=1))
 
 
 def _beside(values: NDArray[Scalar], reach: int) -> NDArray[Scalar]:
-    """(n, ..., 2 reach + 1) values (n, ...) of the rows around each; there are none outside."""
+    """(n, ..., 2 reach + 1) values (n, ...) of the rows around each; 0 outside."""
     padded = np.pad(values, [(reach, reach), *[(0, 0)] * (values.ndim - 1)])
     return np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=0)
 
@@ -92,7 +92,7 @@ def _both_sides(average: Average) -> Floats:
 
 
 def likeliest_average(contenders: Contenders, standings: Standings) -> Average | None:
-    """The average of commands that makes a recording likelier than all that acts on the commands as they were written.
+    """The average of commands under which a recording is likeliest; None if effects on the recorded commands do better.
 
     None if there is none, or if commands are places, of which a response is as smooth.
     """
@@ -114,7 +114,7 @@ def likeliest_average(contenders: Contenders, standings: Standings) -> Average |
 
 
 def weights_of_steps(data: CoordinateData) -> Average | None:
-    """Weights by least squares of measured steps; None if commands up to now foretell these as well, or not at all."""
+    """Least-squares weights of measured steps; None if causal commands predict as well, or neither does."""
     of_past, of_both = [], list[tuple[float, Floats]]()
     for reach in _REACHES:
         around, now = _steps_and_commands(data, reach)
@@ -151,5 +151,5 @@ def _steps_and_commands(data: CoordinateData, reach: int) -> tuple[Floats, Float
 
 
 def _cost_of(reach: int, rows: int) -> float:
-    """What so many weights cost [nats]."""
+    """Bayesian information criterion (Schwarz) for `reach` weights [nats]."""
     return 0.5 * reach * float(np.log(max(rows, 1)))

@@ -1,4 +1,4 @@
-"""Measured against predicted, what the model lacks, and the model with it."""
+"""Calibration: measured against predicted motion, the effects that the model lacks, and the model with them added."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _FAR_SHARE = 0.25
 
 
 def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progress | None = None) -> Calibration:
-    """Find what a model lacks in a recording of measured motion; runs that are unlike the others are set aside.
+    """Calibrate a model on a recording of measured motion; runs that deviate from the others are set aside.
 
     Raises:
         InputError: if the recording has no actions, too few rows, or other parts than the model.
@@ -77,7 +77,7 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
 
 
 def _revised(kept: Calibration, progress: Progress | None) -> Calibration:
-    """The calibration with other effects in place of those of an earlier one, if they are likelier together.
+    """The calibration in which effects of an earlier calibration are replaced, if other effects are jointly likelier.
 
     Fewer effects need not be likelier to be kept; as many must be ahead by as much as an effect more must be. Of two
     that the earlier recording left tied, the one that is likelier now is.
@@ -165,7 +165,7 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
 
 
 def _identity(effect: Effect) -> tuple[object, ...]:
-    """What tells an effect from the others, whatever its parameters are."""
+    """Key of an effect that ignores its parameters: name, coordinate, modes and onset."""
     since = effect.since and (effect.since.run, effect.since.time)
     return effect.name, effect.coordinate, effect.modes, since
 
@@ -173,7 +173,7 @@ def _identity(effect: Effect) -> tuple[object, ...]:
 def _written(
     corrected: HybridAutomaton, exceeded: Sequence[RangeExceeded], added: Sequence[Effect], recording: Recording
 ) -> tuple[HybridAutomaton, dict[Effect, str], str]:
-    """The new automaton, the effects that it cannot have, since they make it refuse what it was calibrated on, and why.
+    """(new automaton, effects that it rejects with the reason, remaining error) so that it loads its own recording.
 
     The last is why it refuses these runs whatever is added; empty if it does not.
     """
@@ -203,7 +203,7 @@ def _note_on_since(effect: Effect) -> str:
 
 
 def began(since: Since | None) -> str:
-    """From when on, in words."""
+    """The onset in words."""
     if since is None:
         return "before"
     run = "each run" if since.run is None else f"run {since.run}"
@@ -230,7 +230,7 @@ def _check_usable(automaton: HybridAutomaton, examination: Examined) -> None:
 
 
 def _off_joint_rms(examination: Examined) -> float:
-    """Share of the evidence that poses lie beside the joints which what was found of them leaves, 0 to 1."""
+    """Fraction (0 to 1) of the evidence for off-joint errors that the geometric effects found do not explain."""
     named, unnamed = (
         sum(finding.evidence for finding in findings)
         for findings in (examination.geometry, examination.off_joint_error)
@@ -266,7 +266,7 @@ def _found(data: CoordinateData, finding: CoordinateFinding, exceeded: Sequence[
 
 
 def _in_seconds(effect: Effect, period: float) -> tuple[tuple[str, float], ...]:
-    """(name, value) of an effect's times, of which it has some in steps; one that is called so is in seconds then."""
+    """(name, value [s]) of an effect's times that are in steps."""
     parameters, stated = form(effect.name).parameters, form(effect.name).stated(effect.parameters)
     names = {parameter.name for parameter in parameters if parameter.unit == "step" and parameter.name in stated}
     return tuple(
@@ -277,7 +277,7 @@ def _in_seconds(effect: Effect, period: float) -> tuple[tuple[str, float], ...]:
 
 
 def _experiment(data: CoordinateData, finding: CoordinateFinding) -> str:
-    """What would tell an effect from those it may be taken for; empty if there are none."""
+    """The experiment that would separate an effect from its alternatives; empty if there are none."""
     if finding.tied:
         return experiment_that_separates(finding.part.name, finding.tied[0])
     return experiment_for_alike_runs(finding.part.name) if may_remember(data, finding) else ""
@@ -295,7 +295,7 @@ def _direct_effect(direct: DirectFinding) -> FoundEffect:
 def effect_of(
     data: CoordinateData, part: TermCandidate, interval: Floats | None = None, tied: tuple[str, ...] = ()
 ) -> Effect:
-    """The value that an automaton takes in of a fitted candidate."""
+    """The effect of a fitted candidate, as the automaton takes it."""
     effect_form = part.term.form
     count = len(effect_form.parameters)
     values = [
@@ -334,7 +334,7 @@ def _to_add(traces: Sequence[CoordinateTrace]) -> list[Effect]:
 
 
 def _acting(part: TermCandidate) -> tuple[object, ...]:
-    """What an effect is, where and since when it acts."""
+    """Key of a term: name, modes and gates."""
     return part.name, part.term.modes, *part.starts[0, -GATES:].tolist()
 
 

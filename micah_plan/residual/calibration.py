@@ -1,4 +1,4 @@
-"""What a calibration found, as values: effects with their evidence, errors before and after, and the new model."""
+"""Result of a calibration as values: effects with their evidence, errors before and after, and the new model."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _POSE_ROWS = 2000
 
 @dataclass(frozen=True, eq=False)
 class FoundEffect:
-    """An effect that was found, with what is known of it.
+    """An identified effect with its uncertainty and alternatives.
 
     Attributes:
         effect: what the new automaton has.
@@ -50,7 +50,7 @@ class FoundEffect:
 
     @property
     def rows(self) -> tuple[tuple[str, float, str, float, float], ...]:
-        """(name, value, unit, ends of its interval) of each parameter, without options that are neutral."""
+        """(name, value, unit, interval) of each parameter, without options at their neutral values."""
         every, stated = zip(self.effect.parameters, self.units, self.interval, strict=True), self._stated
         return tuple((name, value, unit, *ends) for (name, value), unit, ends in every if name in stated)
 
@@ -69,7 +69,7 @@ class ResidualSize:
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of one unit: `of` a coordinate, or of all together; `unit` is that of all numbers, floors included."""
+    """Errors in one unit: `of` a coordinate, or of all together; `unit` applies to all numbers, floors included."""
 
     of: str
     unit: str
@@ -81,7 +81,7 @@ class Errors:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What a calibration found.
+    """Result of a calibration.
 
     Attributes:
         automaton: the new one; the old one if nothing was found.
@@ -113,12 +113,12 @@ class Calibration:
 
     @property
     def least(self) -> float:
-        """Evidence that an effect more must have [nats]."""
+        """Minimum log evidence of an additional effect [nats]."""
         return max(trace.held_out.competition.least for trace in self.traces)
 
     @property
     def errors(self) -> tuple[Errors, ...]:
-        """Of positions where a joint was changed, of all coordinates if they have one unit, else of each."""
+        """Errors before and after: of positions if the geometry changed, else of all coordinates or of each unit's."""
         units = {trace.data.unit for trace in self.traces}
         if any(form(effect.effect.name).layer == "geometry" for effect in self.effects):
             return (Errors("positions", "m", self.before, self.after, self.noise_floor, self.rollout_floor),)
@@ -133,12 +133,12 @@ class Calibration:
 
     @cached_property
     def _runs(self) -> tuple[RunPrediction, ...]:
-        """All runs as the new model has them; none where it refuses one."""
+        """All runs predicted by the new model; empty where it refuses one."""
         return () if refused(self.automaton, self.recording) else predict_recording(self.automaton, self.recording)
 
     @cached_property
     def written(self) -> tuple[ResidualSize, ...]:
-        """Errors of each coordinate with the new model on all of its recording [rad or m], as `predict` has them.
+        """Errors of each coordinate with the new model over its whole recording [rad or m], as `predict` computes them.
 
         `after` is of rows that the parameters were not fitted to. Empty where `predict` refuses these runs.
         """
@@ -149,7 +149,7 @@ class Calibration:
 
     @cached_property
     def predicted(self) -> tuple[list[RunPrediction], list[RunPrediction]]:
-        """Some of the runs as the model has them before and after; none where one of the two refuses them."""
+        """Some runs predicted before and after; empty where either model refuses them."""
         if not self._runs or refused(self.nominal, self.recording):
             return [], []
         chosen = spread_runs(self.recording, _POSE_ROWS)
@@ -158,7 +158,7 @@ class Calibration:
 
     @cached_property
     def pose_errors(self) -> tuple[tuple[str, str, ResidualSize, ResidualSize], ...]:
-        """(what, unit, before, after) of positions [m] and orientations [rad], over all rows of `predicted`."""
+        """(quantity, unit, before, after) of positions [m] and orientations [rad], over all rows of `predicted`."""
         sizes = [pose_sizes(runs) for runs in self.predicted if runs]
         if not sizes:
             return ()
@@ -167,7 +167,7 @@ class Calibration:
 
 
 def size_of(traces: Sequence[CoordinateTrace], *, is_final: bool) -> ResidualSize:
-    """Errors of all coordinates together, with what the new model has or as it was."""
+    """Errors over all coordinates of the nominal or of the final model, on held-out rows."""
     models = [(trace, trace.final if is_final else trace.nominal) for trace in traces]
     steps = [trace.held_out.errors(model, "one_step")[trace.data.counted] for trace, model in models]
     rolls = [trace.held_out.rollout_errors(model) for trace, model in models]
@@ -176,7 +176,7 @@ def size_of(traces: Sequence[CoordinateTrace], *, is_final: bool) -> ResidualSiz
 
 
 def spread_runs(recording: Recording, most: int) -> tuple[int, ...]:
-    """Numbers of runs of two rows and more, all or as many evenly over the recording as have about so many rows."""
+    """Numbers of runs with two rows or more: all, or a subset spread over the recording with about `most` rows."""
     able = tuple(run for run in recording.runs if len(np.unique(recording.time[recording.index(run=run)])) > 1)
     count = max(1, min(len(able), len(able) * most // max(len(recording.time), 1)))
     return tuple(able[k] for k in np.linspace(0, len(able) - 1, count).astype(int).tolist())

@@ -1,4 +1,4 @@
-"""What can and cannot be concluded from a calibration, one sentence each."""
+"""Notes on a calibration: limits of its conclusions, one sentence each."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _AT_BOUND = 1e-3
 
 
 def notes_on_beliefs(corrected: HybridAutomaton, before: Sequence[Track], after: Sequence[Track]) -> list[str]:
-    """By how much the controller's belief was beside what was measured, where effects of its sensor change that."""
+    """Notes on the final error of the controller's estimate, before and after correcting its sensor."""
     if not any(track.is_outside for track in after):
         return []
     notes = []
@@ -45,7 +45,7 @@ def notes_on_beliefs(corrected: HybridAutomaton, before: Sequence[Track], after:
 
 
 def note_on_late_actions(late: int) -> str:
-    """That actions are stored in later rows than those that they move."""
+    """Note that actions are stored in later rows than the motions they cause."""
     rows = count(late, "row")
     return (
         f"the part moves {rows} before its command: actions are stored {rows} late. They were taken {rows} earlier; "
@@ -54,7 +54,7 @@ def note_on_late_actions(late: int) -> str:
 
 
 def notes_on_rows(exceeded: Sequence[RangeExceeded], measured: Sequence[Track], late: int) -> list[str]:
-    """What rows lie beyond the range, that others are missing or no measurements, and where actions were stored."""
+    """Notes on rows beyond the range, on gaps and repeated poses, and on actions stored late."""
     missing = sum(len(sections(track.time)) - 1 for track in measured)
     gaps = f"{count(missing, 'gap')} in t: what was commanded there is missing, so no step over them counts"
     unseen = sum(int((~track.is_measured).sum()) for track in measured)
@@ -64,7 +64,7 @@ def notes_on_rows(exceeded: Sequence[RangeExceeded], measured: Sequence[Track], 
 
 
 def _units(trace: CoordinateTrace) -> list[str]:
-    """Gains that are no property of an object, but of the units that commands were written in."""
+    """Notes on gains that indicate units of the commands instead of a property of the object."""
     names = {name: size for name, (size, unit) in _UNITS.items() if unit in ("", trace.data.unit)}
     notes = []
     for finding in trace.findings:
@@ -77,13 +77,13 @@ def _units(trace: CoordinateTrace) -> list[str]:
 
 
 def _gain_of(finding: CoordinateFinding) -> float:
-    """The gain that an effect gives commands; 1 if it has none."""
+    """The gain of commands under an effect; 1 if it has none."""
     names = [parameter.name for parameter in finding.part.term.form.parameters]
     return float(finding.part.starts[0, names.index("gain")]) if "gain" in names else 1.0
 
 
 def _at_bounds(trace: CoordinateTrace) -> list[str]:
-    """Fitted parameters that ended at a bound of what is sensible: something else may be behind the effect."""
+    """Notes on fitted parameters that ended at a bound, which suggests another cause."""
     notes = []
     for finding in trace.findings:
         parameters = finding.part.term.form.parameters
@@ -98,7 +98,7 @@ def _at_bounds(trace: CoordinateTrace) -> list[str]:
 
 
 def notes_on(traces: Sequence[CoordinateTrace]) -> tuple[str, ...]:
-    """What was seen too little of, what was left out and why, and what remains."""
+    """Notes per coordinate: insufficient excitation, omitted effects, and structure left in the residuals."""
     notes = []
     for traced in traces:
         notes += [*_units(traced), *_at_bounds(traced)]

@@ -1,4 +1,4 @@
-"""What may be missing of a coordinate's model: forms of effects as terms, with where the search for each begins.
+"""Candidate terms for a coordinate's model: forms of effects with the initial values of their fits.
 
 Each form says itself where its parameters begin (`EffectForm.begun`). Commands that are places are one whole form
 (`follow`) in three sizes. Two corrections have no name: a smooth function of place and command, and one of earlier
@@ -43,7 +43,7 @@ class Term:
 
     @property
     def size(self) -> int:
-        """Columns of parameters: those of the form, then the gates."""
+        """Number of parameter columns: those of the form, then the gates."""
         return len(self.form.parameters) + GATES
 
 
@@ -64,7 +64,7 @@ def term_columns(model: Model) -> tuple[slice, ...]:
 
 @dataclass(frozen=True, eq=False)
 class TermCandidate:
-    """A term with starts for its parameters.
+    """A term with initial parameter values.
 
     Attributes:
         starts: (M, size) parameters with gates; those that are not free differ between starts only.
@@ -86,7 +86,7 @@ class TermCandidate:
 
 
 def gated(part: TermCandidate, since_order: Sequence[float], since_time: Sequence[float]) -> TermCandidate:
-    """A candidate that acts only since a place or a time, each of its starts since each of them."""
+    """A candidate with an onset, for each combination of its starts with an order and a time."""
     gates = [(order, NEVER_GATED[1]) for order in since_order] + [(NEVER_GATED[0], time) for time in since_time]
     starts = np.repeat(part.starts, len(gates), axis=0)
     starts[:, -GATES:] = np.tile(gates, (len(part.starts), 1))
@@ -94,14 +94,14 @@ def gated(part: TermCandidate, since_order: Sequence[float], since_time: Sequenc
 
 
 def always(part: TermCandidate) -> TermCandidate:
-    """The same effect from the start."""
+    """The candidate without an onset."""
     starts = part.starts.copy()
     starts[:, -GATES:] = NEVER_GATED
     return replace(part, starts=starts)
 
 
 def gates_of(effect: Effect, data: CoordinateData) -> tuple[float, float]:
-    """From which place in a recording and which time in a run an effect of the model acts."""
+    """(order, time) of an effect's onset in the recording and in a run."""
     since = effect.since
     if since is None:
         return NEVER_GATED
@@ -112,7 +112,7 @@ def gates_of(effect: Effect, data: CoordinateData) -> tuple[float, float]:
 
 
 def candidates(data: CoordinateData) -> tuple[TermCandidate, ...]:
-    """All forms that the data can show, each acting always and everywhere."""
+    """Candidates of all forms that the data can show, without onset and in all modes."""
     possible = []
     for effect_form in forms():
         made = effect_form.begun(data) if effect_form.is_sought and effect_form.same_as(data) is None else None
@@ -123,7 +123,7 @@ def candidates(data: CoordinateData) -> tuple[TermCandidate, ...]:
 
 
 def untried(name: str, data: CoordinateData) -> TermCandidate:
-    """A form that was not tried since it would do the same as another (`indistinguishable`)."""
+    """A form that was not fitted since it is indistinguishable from another in the data (`indistinguishable`)."""
     return _candidate(form(name), form(name).from_neutral(data))
 
 
@@ -134,7 +134,7 @@ def _candidate(effect_form: EffectForm, made: FitStart) -> TermCandidate:
 
 
 def indistinguishable(part: TermCandidate, data: CoordinateData) -> tuple[str, ...]:
-    """Forms that were not tried because in these data they would do exactly the same as another; plainest first."""
+    """Forms that are equivalent to another in these data and were not fitted; simplest first."""
     same = []
     for effect_form in sorted(forms(), key=lambda effect_form: effect_form.complexity_rank):
         equivalent = effect_form.same_as(data) if effect_form.is_sought else None
@@ -145,7 +145,7 @@ def indistinguishable(part: TermCandidate, data: CoordinateData) -> tuple[str, .
 
 @final
 class EarlierCommands(EffectForm):
-    """A correction by the commands before: shares of the last three, and what starts after a rest or a reversal."""
+    """Finite impulse response to the last three commands, plus the first step after a rest or a reversal."""
 
     name = MEMORY
     sentence = "What is done depends on earlier commands."
@@ -179,7 +179,7 @@ def _side(ops: Operations, x: Value) -> Value:
 
 
 def _without_options(part: TermCandidate) -> list[TermCandidate]:
-    """An effect with none of its options: a rival of its own, since those that are not needed are paid for."""
+    """The effect with its options off, as a rival with fewer parameters; empty if it has none that are fitted."""
     options = part.term.form.options()
     at = [k for k, parameter in enumerate(part.term.form.parameters) if parameter.name in options]
     kept = [k for k, column in enumerate(part.free) if column not in at]
@@ -192,20 +192,20 @@ def _without_options(part: TermCandidate) -> list[TermCandidate]:
 
 
 def variants(part: TermCandidate) -> list[TermCandidate]:
-    """A candidate for each of the values of its columns that are not fitted: each is a rival of its own."""
+    """A candidate for each value of its unfitted columns."""
     fixed = [k for k in range(part.starts.shape[1]) if k not in part.free]
     kinds = np.unique(part.starts[:, fixed], axis=0)
     return [replace(part, starts=part.starts[(part.starts[:, fixed] == kind).all(axis=1)]) for kind in kinds]
 
 
 def at_commanded_places() -> TermCandidate:
-    """That the part is at the commanded place after each step: nothing of it is fitted."""
+    """The parameter-free candidate: the part is at the commanded position after each step."""
     values = np.array([[*(value for _, value in AS_COMMANDED), *NEVER_GATED]])
     return TermCandidate(Term(form(FOLLOW)), values, (), np.zeros(0))
 
 
 def smooth(data: CoordinateData, *, is_lean: bool = False) -> TermCandidate:
-    """The correction by a smooth function of configuration, direction and speed of the command.
+    """Unnamed correction: a smooth function of configuration, direction and speed of the command.
 
     Args:
         is_lean: of direction and speed alone.
@@ -220,7 +220,7 @@ def smooth(data: CoordinateData, *, is_lean: bool = False) -> TermCandidate:
 
 
 def earlier_commands(data: CoordinateData) -> TermCandidate:
-    """The correction by earlier commands."""
+    """Unnamed correction by earlier commands."""
     size = data.command_size
     start = np.array([[size, *(0.0,) * 6, *NEVER_GATED]])
     scale = np.array([0.3, 0.2, 0.2, 0.3, 0.2 * size, 0.2 * size])

@@ -1,4 +1,4 @@
-"""What commands mean, where a recording does not say it: displacements from wherever the part is, or places.
+"""Meaning of commands where the recording does not state it: displacements or positions.
 
 A log's action is the same in both: the place relative to the measured pose. But a displacement says nothing of where
 the part is, and a place does: what the part missed before, it makes up for. Both are compared by what they predict of
@@ -28,7 +28,7 @@ _FREEDOM = 2.0
 
 
 def regularity(data: CoordinateData) -> float:
-    """By how much places are more predictable from those before than displacements from those before [nats].
+    """Log-density gain of an autoregression on commanded positions over one on displacements [nats].
 
     What blurs a measurement is in a displacement that leads to a place, and in the place that a displacement leads to.
     """

@@ -1,4 +1,4 @@
-"""Runs of a recording as they are compared with a model: which rows follow each other, and what moves them.
+"""Runs of a recording prepared for comparison with a model: contiguous rows and the commands between them.
 
 A row that is missing takes its command with it, so what happened from the row before to the row after is not told:
 those are not consecutive, as time stamps show.
@@ -27,7 +27,7 @@ _LONGER, _STDS_LONGER = 1.5, 6.0
 
 
 def read_tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[tuple[Track, ...], int]:
-    """Every run of a recording from its first measured row to its last, with actions in the rows that they move.
+    """Every run of a recording from its first to its last measured row, with actions in the rows of their motions.
 
     Returns:
         The runs, and by how many rows all actions were stored after those rows.
@@ -51,7 +51,7 @@ def read_tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[tuple
 
 
 def _taken_back(track: Track, late: int, led: Booleans) -> Track:
-    """A run whose actions are stored `late` rows after those that they move: the last rows then have none.
+    """A run with each action moved `late` rows earlier, to the motion that it causes; the last rows then have none.
 
     Args:
         led: (n,) whether commands mean places: they lead there from the poses that they were stored with.
@@ -64,14 +64,14 @@ def _taken_back(track: Track, late: int, led: Booleans) -> Track:
 
 
 def white_noise_of(x: Floats) -> Floats:
-    """(n,) std of measured configurations (T, n), as third differences show it: no smooth motion has any."""
+    """(n,) std of white noise in configurations (T, n), from third differences, which vanish for smooth motion."""
     if len(x) < FEWEST_ROWS:
         return np.zeros(x.shape[1])
     return white_std(x, 3)
 
 
 def sections(time: Floats) -> list[tuple[int, int]]:
-    """(first row, end) of the rows (T,) that follow one another without a gap."""
+    """(first row, end) of the contiguous stretches of rows (T,)."""
     if len(time) < FEWEST_ROWS:
         return [(0, len(time))]
     pause = np.diff(time)
@@ -82,19 +82,19 @@ def sections(time: Floats) -> list[tuple[int, int]]:
 
 
 def consecutive_parts(track: Track) -> list[Track]:
-    """The parts of a run in which rows are consecutive, of two rows or more."""
+    """The contiguous parts of a run, of two rows or more."""
     return [rows_of(track, a, b) for a, b in sections(track.time) if b - a > 1]
 
 
 def rows_of(track: Track, first: int, end: int) -> Track:
-    """Some rows of a run."""
+    """The rows `first` to `end` of a run."""
     steps = slice(first, end - 1)
     u, action = (None if commands is None else commands[steps] for commands in (track.u, track.action))
     return _taken(track, slice(first, end), u, action)
 
 
 def _taken(track: Track, rows: slice | Ints, u: Floats | None, action: Floats | None) -> Track:
-    """Some rows of a run, with the commands from each to the next."""
+    """Selected rows of a run, with the commands between them."""
     return replace(
         track,
         time=track.time[rows],
@@ -110,7 +110,7 @@ def _taken(track: Track, rows: slice | Ints, u: Floats | None, action: Floats | 
 
 
 def at_measurements(track: Track) -> Track:
-    """The measured rows of a run alone, with all that was commanded from each to the next."""
+    """The measured rows of a run, with the commands in between summed."""
     if track.is_measured.all():
         return track
     rows = np.flatnonzero(track.is_measured)

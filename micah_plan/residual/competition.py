@@ -1,4 +1,4 @@
-"""Which effects a model lacks: single ones, pairs on the best, what began on the way; what is idle is dropped.
+"""Competition of effects: singles, pairs on the best, effects with an onset; parameters without evidence are pruned.
 
 What remains is asked of corrections without a name: a smooth function of the command, or of place and command, and one
 of earlier commands.
@@ -69,7 +69,7 @@ _ROUNDS_OF_CORRECTIONS = 8
 
 @dataclass(frozen=True, eq=False)
 class Standings:
-    """What came out.
+    """Result of a competition.
 
     Attributes:
         nominal: without effects. chosen: with the best. near: those that do as well as it.
@@ -86,10 +86,10 @@ class Standings:
 
 
 class Competition(Contenders):
-    """Lets all that may be missing of a coordinate's model compete."""
+    """Competition among the candidate effects of one coordinate."""
 
     def search(self, progress: Progress) -> Standings:
-        """Let all that may be missing compete."""
+        """Run the competition."""
         data, nominal, library = self.data, self.nominal, self._library()
         progress(f"{data.coordinate}: single effects", 0.1)
         singles = self.fitted([self._single(part) for part in library], restarted=RESTARTED)
@@ -128,15 +128,14 @@ class Competition(Contenders):
         return Standings(nominal, chosen, near, tuple(every), remaining, tuple(loose))
 
     def _with_polished_responses(self, singles: Sequence[Contender]) -> list[Contender]:
-        """The same with the likeliest responses to places fitted to the end: of several optima the first is rarely one
-        that a bound may be asked of."""
+        """The models with the likeliest position responses refitted to convergence, before bounds are checked."""
         best = [model for model in best_first(singles) if FOLLOW in model.names][:_RESPONSES_POLISHED]
         return [self.polished(model) if model in best else model for model in singles]
 
     def _with_a_second(
         self, alone: Contender, near: tuple[Contender, ...], every: Sequence[Contender], pairs: Sequence[Contender]
     ) -> tuple[Contender, tuple[Contender, ...]]:
-        """The best model of two effects, if it is likelier than those of one; what ties with it."""
+        """(best model, its ties) of two effects, if likelier than the best of one."""
         best_of: dict[str, Contender] = {}
         for model in every:
             name = model.names[-1]
@@ -155,13 +154,13 @@ class Competition(Contenders):
         return self._pruned(chosen), near
 
     def _polished(self, simple: Contender, near: Sequence[Contender]) -> tuple[Contender, tuple[Contender, ...]]:
-        """The simplest of models that are tied, and what is tied with it, once they are fitted to the end."""
+        """(simplest, ties) of tied models after fitting them to convergence."""
         return simplest([self.polished(model) for model in dict.fromkeys((simple, *best_first(near)[:_POLISHED]))])
 
     def _changed(
         self, chosen: Contender, every: Sequence[Contender], library: Sequence[TermCandidate]
     ) -> tuple[Contender, list[Contender]]:
-        """The chosen model with what began on top of it; and what one run alone shows, if that is likelier still."""
+        """(chosen model with effects that have an onset, likelier models that only one run supports)."""
         for _ in range(_MOST_CHANGES):
             heads = [chosen]
             if FOLLOW in chosen.names:
@@ -178,11 +177,11 @@ class Competition(Contenders):
         return chosen, []
 
     def _worth(self, corrected: Sequence[Contender], base: Contender) -> tuple[Contender, ...]:
-        """Corrections that are worth it, best first."""
+        """Corrections with enough evidence over a base, best first."""
         return tuple(best_first([model for model in corrected if self.is_worth(model, base, TIE)]))
 
     def _library(self) -> list[TermCandidate]:
-        """What may be added: responses to places where commands may be some, and what these do not contain.
+        """The library for this coordinate: position responses where applicable, and effects outside of these.
 
         A servo moves as a drive does that is told by how far it is from its place: where commands may be places, motion
         does not tell the two apart, and somebody must say that they are speeds or displacements.
@@ -201,11 +200,11 @@ class Competition(Contenders):
         return on_top(self.nominal, part)
 
     def alone(self, parts: Sequence[TermCandidate]) -> list[Contender]:
-        """Models of one effect each, whatever they are worth."""
+        """Models of one effect each, unfiltered, best first."""
         return best_first(self.fitted([replace(self._single(part), base=None) for part in parts], restarted=RESTARTED))
 
     def _in_modes(self, singles: Sequence[Contender]) -> list[Contender]:
-        """The best effects in each of the modes alone."""
+        """The best effects restricted to each mode."""
         rows = self.data.mode[self.data.counted_starts]
         present = [name for k, name in enumerate(self.data.modes) if np.mean(rows == k) > _COMMON]
         if len(present) < 2:
@@ -224,7 +223,7 @@ class Competition(Contenders):
         )
 
     def _later(self, singles: Sequence[Contender], library: Sequence[TermCandidate]) -> list[Contender]:
-        """The best effects and the plainest, from some row on, where that is likelier than that they act always."""
+        """The best effects and the simplest with an onset, where that is likelier than acting from the start."""
         ranked = best_first(singles)
         tried = [*ranked[:3], *(model for model in ranked if model.names[-1] in _LINE_LIKE)]
         able = {model.names: model for model in reversed(tried) if _may_begin(model.parts[-1])}
@@ -237,7 +236,7 @@ class Competition(Contenders):
         ]
 
     def _again(self, heads: Sequence[Contender], library: Sequence[TermCandidate]) -> list[Contender]:
-        """Models with an effect that came on top at some row: what is so once may change."""
+        """Models with an additional effect that sets in at some row."""
         order = np.quantile(self.data.order[self.data.counted_starts], _PLACES_OF_CHANGE)
         options = [
             on_top(head, gated(part, order.tolist(), []))
@@ -248,7 +247,7 @@ class Competition(Contenders):
         return self._begins(self.fitted(options, first=2))
 
     def _begins(self, contenders: Sequence[Contender], *, in_each_run: bool = False) -> list[Contender]:
-        """The same effects, the last since some row: its likelihood over all rows, then the parameters, in turn.
+        """The models with the last effect's onset and parameters fitted alternately.
 
         That something changed between two runs is as likely beforehand as that it did within one (Hinkley, "Inference
         about the change-point from cumulative sum tests", Biometrika 1971).
@@ -291,7 +290,7 @@ class Competition(Contenders):
         return [self._contender(contender.parts, fit) for contender, fit in zip(contenders, weighed, strict=True)]
 
     def _starts_of_runs(self) -> tuple[Floats, Floats]:
-        """Places in the recording of all steps that count, and of the first of each run; both sorted."""
+        """Orders of all counted steps, and of the first of each run; both sorted."""
         order, starts = self.data.order, self.data.counted_starts
         runs = (starts & (self.data.run == run)[:, None] for run in np.unique(self.data.run))
         return np.sort(order[starts]), np.sort([order[counted].min() for counted in runs if counted.any()])
@@ -311,14 +310,14 @@ class Competition(Contenders):
         return self.fitted(options, most=_SECONDS, restarted=RESTARTED)
 
     def of_parts(self, parts: Sequence[TermCandidate]) -> float:
-        """Evidence of a model of fitted effects, fitted again [nats]."""
+        """Log evidence of a model of fitted parts after a refit [nats]."""
         if tuple(parts) == self.nominal.parts or not parts:
             return self.nominal.evidence
         start = np.hstack([part.starts for part in parts])
         return self.fitted([Option(tuple(parts), start)], first=0)[0].evidence
 
     def _pruned(self, contender: Contender) -> Contender:
-        """Without effects, beginnings of effects, and options of them, that do not earn their place."""
+        """The model without effects, onsets and options that lack evidence."""
         parts, options = contender.parts, []
         for k, part in enumerate(parts):
             before, after = parts[:k], parts[k + 1 :]
@@ -334,7 +333,7 @@ class Competition(Contenders):
         return self._pruned(best_first(simpler)[0]) if simpler else contender
 
     def _special_cases(self, part: TermCandidate) -> list[TermCandidate]:
-        """What an effect is if its parameters are alike."""
+        """The special case of an effect: its parameters equal."""
         plain = next((each for each in candidates(self.data) if each.name == SPECIAL_CASES.get(part.name)), None)
         if plain is None:
             return []
@@ -343,13 +342,13 @@ class Competition(Contenders):
         return [replace(plain, term=replace(plain.term, modes=part.term.modes), starts=starts)]
 
     def _odds(self, simpler: Contender, contender: Contender) -> float:
-        """What a model must be ahead of a simpler one [nats]: with one more effect, option or beginning."""
+        """Minimum log-evidence gain [nats] over a simpler model: for another effect, option or onset."""
         if len(simpler.parts) < len(contender.parts):
             return self.least
         return NO_MENTION if simpler.names == contender.names and _free(simpler) < _free(contender) else TIE
 
     def corrected(self, models: Sequence[Contender]) -> list[Contender]:
-        """Models with corrections that have no name on top.
+        """The models with an unnamed correction added.
 
         Where all runs are alike a function of the place could be one of time, and few rows do not tell one.
         """
@@ -366,7 +365,7 @@ class Competition(Contenders):
 
 
 def _with_less(part: TermCandidate) -> list[TermCandidate]:
-    """An effect without one of its options."""
+    """An effect with one of its options off, for each option."""
     options, fewer = part.term.form.options(), []
     for k, parameter in enumerate(part.term.form.parameters):
         if k in part.free and parameter.name in options:
@@ -383,17 +382,17 @@ def _free(model: Contender) -> int:
 
 
 def _of_commands(head: Contender) -> set[str]:
-    """Names of effects on the command: those at a place may be at several."""
+    """Names of the head's effects on the command; those at a place may occur at several places."""
     return {part.name for part in head.parts if part.term.form.layer in ("memory", "command")}
 
 
 def _may_begin(part: TermCandidate) -> bool:
-    """Whether an effect may begin on the way: ends of the model itself, places and frames have no beginning."""
+    """Whether an effect may have an onset; guards, frames and effects at a place may not."""
     return part.term.form.layer not in ("guard", "place", "frame")
 
 
 def _near(row: float, order: Floats, firsts: Floats, stride: int) -> Floats:
-    """Places about one, and starts of runs beside it."""
+    """Candidate onsets: rows around one, and starts of runs nearby."""
     k = int(np.searchsorted(order, row))
     at = np.clip(k + np.linspace(-stride, stride, 9).astype(int), 1, max(len(order) - 10, 2) - 1)
     runs = firsts[np.abs(np.searchsorted(order, firsts) - k) < 2 * stride][:6]
@@ -401,7 +400,7 @@ def _near(row: float, order: Floats, firsts: Floats, stride: int) -> Floats:
 
 
 def _before(head: Contender, part: TermCandidate) -> list[Option]:
-    """The same with the second effect first, if both change the command: a limit of what is pushed is another."""
+    """The two effects in reverse order if both act on the command: limit and gain do not commute."""
     last = head.parts[-1:]
     if not last or {last[0].term.form.layer, part.term.form.layer} != {"command"}:
         return []
@@ -411,7 +410,7 @@ def _before(head: Contender, part: TermCandidate) -> list[Option]:
 
 
 def are_compatible(head: Contender, part: TermCandidate) -> bool:
-    """Whether a second effect may be added: not once more, nor a whole form, nor what does the same."""
+    """Whether a second effect may be added: neither a repetition, nor a complete form, nor an equivalent one."""
     names = {*head.names, part.name}
     if part.name in CONTAINED or any(part.name in CONTAINED.get(name, ()) for name in head.names):
         return False
@@ -423,7 +422,7 @@ def are_compatible(head: Contender, part: TermCandidate) -> bool:
 
 
 def simplest(contenders: Sequence[Contender]) -> tuple[Contender, tuple[Contender, ...]]:
-    """The likeliest, and all within a tie of it; in its place the plainest as good, or a special case that is tied."""
+    """(simplest model tied with the likeliest, all ties)."""
     best = max(contenders, key=_evidence)
     near = tuple(model for model in contenders if model.evidence > best.evidence - TIE)
     plain = [model for model in near if not any(special.is_special_case_of(model) for special in near)]

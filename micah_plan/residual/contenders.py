@@ -1,4 +1,4 @@
-"""Models of effects with their evidence: what competes, and when one is worth more than another.
+"""Models of effects with their evidence, and the criterion by which one replaces another.
 
 Hypotheses are ranked by their evidence (Laplace), and a better one must be so in more than one run.
 
@@ -100,7 +100,7 @@ class Contender:
         return self.weighed.fit
 
     def over(self, rival: Contender) -> tuple[float, float]:
-        """By how much it is likelier than another, and the standard error of that over groups of runs [nats]."""
+        """(log Bayes factor over a rival, its standard error over groups of runs) [nats]."""
         gain = self.weighed.density - rival.weighed.density
         error = float(np.std(gain, ddof=1) * np.sqrt(len(gain))) if len(gain) > 1 else 0.0
         return self.evidence - rival.evidence, error
@@ -111,14 +111,14 @@ class Contender:
 
     @property
     def rank(self) -> tuple[int, int, int, bool]:
-        """Plainest first: parameters, effects, ranks of the forms, and these in the order of the library."""
+        """Order of simplicity: numbers of parameters and effects, ranks of the forms, order in the library."""
         size, order = sum(len(part.free) for part in self.parts), [each.name for each in forms()]
         at = [order.index(name) if name in order else -1 for name in self.names]
         ranks = sum(part.term.form.complexity_rank for part in self.parts)
         return size, len(self.parts), ranks, at != sorted(at)
 
     def is_special_case_of(self, other: Contender) -> bool:
-        """Whether another model does the same with some of its parameters alike, or in an order that is not usual.
+        """Whether another model has this one as a special case, or as the same effects in an unusual order.
 
         Of two orders that fit equally well (a gain of a bias, and a bias of a gain) evidence only tells that their
         parameters are of other sizes.
@@ -133,19 +133,19 @@ class Contender:
 
 
 def _is_gated(part: TermCandidate) -> bool:
-    """Whether gates switch an effect off: places, frames and what an end takes to be left act whatever they say."""
+    """Whether gates can disable an effect; places, frames and the release of an end ignore them."""
     form_of_part = part.term.form
     return form_of_part.layer not in ("place", "frame") and type(form_of_part).release is EffectForm.release
 
 
 def begins_later(part: TermCandidate) -> bool:
-    """Whether an effect acts since some row, or some time in every run, only."""
+    """Whether an effect has an onset, in the recording or in every run."""
     return bool(np.isfinite(part.starts[0, -GATES:]).any())
 
 
 @dataclass(frozen=True, eq=False)
 class Option:
-    """A model to be fitted.
+    """A model to fit.
 
     Attributes:
         starts: (M, columns) values of its terms, without those that the model itself has.
@@ -158,7 +158,7 @@ class Option:
 
 
 class Contenders:
-    """Fits and weighs models of one coordinate."""
+    """Fits and compares models of one coordinate."""
 
     def __init__(self, data: CoordinateData) -> None:
         self.data = data
@@ -182,12 +182,12 @@ class Contenders:
                 self.nominal = self._begun_with(data)
 
     def within(self, searched: Fitting) -> float:
-        """How far behind the best a fit has no chance of a tie [nats]: of some of the rows only as much of it."""
+        """The distance [nats] behind the best at which a fit is abandoned; scaled for subsets of the rows."""
         share = searched.data.counted.sum() / self.data.counted.sum()
         return _LEFT_BEHIND * max(_LEAST, float(share) * self.least)
 
     def _begun_with(self, data: CoordinateData) -> Contender:
-        """Begin with rows as precise as these data say; the nominal model of them."""
+        """Initialise the noise from these data and return the fitted nominal model."""
         self.data, self.fitting = data, Fitting(data)
         few = _some(data, _SCREENED_ROWS)
         self.screening = self.fitting if few is None else Fitting(few)
@@ -202,7 +202,7 @@ class Contenders:
     # -- fits
 
     def _fit(self, option: Option, start: Floats) -> Fit:
-        """A fit that begins at parameters of all parts, with their priors, bounds and steps."""
+        """A fit that starts at parameters of all parts, with their priors, bounds and steps."""
         parts, base = option.parts, option.base
         noise = self.noise if base is None else base.fit.noise
         freedom = self.freedom if base is None else base.fit.freedom
@@ -246,7 +246,7 @@ class Contenders:
         return Fit(model, np.concatenate([self._given, start, noise]), free, freedom)
 
     def _uncertain(self) -> list[tuple[int, float, float, float]]:
-        """(entry, centre, std, what is large) of the noise: its logs, and the ends that the recording gets to.
+        """(entry, centre, std, scale) of the priors of log noise, and of the ends that the recording reaches.
 
         Ends are as uncertain as a measurement: those of a model were measured once.
         """
@@ -275,7 +275,7 @@ class Contenders:
         restarted: int = 0,
         rounds: int = TO_THE_END,
     ) -> list[Contender]:
-        """The best fit of each option; without those that fit hardly better than their base.
+        """The best fit of each option; options that hardly improve on their base are dropped.
 
         Of a long recording the search goes through some of its rows, and what is best there is fitted to all.
 
@@ -321,7 +321,7 @@ class Contenders:
     def _from_other_noise(
         self, searched: Fitting, fits: Sequence[Fit], rest: Sequence[Sequence[Fit]], again: Collection[int], rounds: int
     ) -> list[Fit]:
-        """Fitted to the end; the best also with most of the noise in readings, or in motion: each is an optimum.
+        """The fits at convergence; the best also restarted with other splits of the noise.
 
         Args:
             rest: from where each begins as well. again: numbers of those that other noise is tried with.
@@ -341,7 +341,7 @@ class Contenders:
         return [best[k] for k in range(len(fits))]
 
     def polished(self, contender: Contender) -> Contender:
-        """The same model, fitted to the end, with tails as heavy as suits it.
+        """The model fitted to convergence, including the tails of its noise.
 
         Thresholds and delays make steps and kinks in the density that no slope tells of, and the noise covers what a
         threshold that is a little off leaves. So the fit goes on from where one parameter is elsewhere, and from other
@@ -379,13 +379,13 @@ class Contenders:
     # -- what is worth it
 
     def held_out(self, contender: Contender) -> Floats:
-        """(R,) log density of each run (of an only one: of each group), by the parameters of other groups [nats]."""
+        """(R,) held-out log density of each run (of each fold if there is one run) [nats]."""
         if contender not in self._densities:
             self._densities[contender] = self._by_run(self.fitting.held_out(contender.weighed))
         return self._densities[contender]
 
     def _by_run(self, rows: Floats) -> Floats:
-        """(R,) sums over the rows (N,) of each run: what they share is particular to it."""
+        """(R,) sums over the rows (N,) of each run; of folds if there is one run."""
         data = self.data
         runs, number = np.unique(data.run, return_inverse=True)
         if len(runs) == 1:
@@ -393,7 +393,7 @@ class Contenders:
         return np.asarray(np.bincount(of_rows(data, number), rows))
 
     def is_worth(self, better: Contender, base: Contender, least: float | None = None) -> bool:
-        """Whether a model is likelier than chance makes one of many, and not in one group of runs alone."""
+        """Whether a model replaces a simpler one: enough evidence, and support from more than one group of runs."""
         if better.evidence - base.evidence <= (self.least if least is None else least):
             return False
         gains = self.held_out(better) - self.held_out(base)
@@ -401,12 +401,12 @@ class Contenders:
         return is_borne_out(gains, [self.held_out(better) - self._without(better, k) for k in able])
 
     def _without(self, contender: Contender, number: int) -> Floats:
-        """The same without what one effect does, all else being equal."""
+        """Held-out log density by run with effect `number` disabled and all else equal."""
         gate = columns(contender.fit.model[: len(self.given) + number + 1]) - GATES
         return self._by_run(self.fitting.held_out(contender.weighed, gate))
 
     def is_within_bounds(self, contender: Contender) -> bool:
-        """Whether no parameter ended at a bound: there it is something else."""
+        """Whether no parameter ended at a bound: there the form of the effect is wrong."""
         free, at = contender.fit.free, 0
         x = contender.fit.vector[free.at]
         std = np.sqrt(np.abs(np.diag(np.linalg.inv(contender.weighed.hessian))))
@@ -422,7 +422,7 @@ class Contenders:
 
 
 def _best_starts(fitting: Fitting, every: Sequence[Sequence[Fit]], keep: int) -> list[list[Fit]]:
-    """The best starts of each option, each with as much of the noise as suits it: what explains more leaves less."""
+    """The best starts of each option, each with its own noise level: a better explanation leaves less noise."""
     quieter = [[fit.with_noise(fit.noise[: len(STDS)] - by) for fit in fits for by in _QUIETER] for fits in every]
     started = iter(fitting.started([fit for fits in quieter for fit in fits]))
     kept = []
@@ -433,7 +433,7 @@ def _best_starts(fitting: Fitting, every: Sequence[Sequence[Fit]], keep: int) ->
 
 
 def _is_first_of_places(option: Option) -> bool:
-    """Whether it is the first to say how the part gets to places: the noise of one without it says nothing of its."""
+    """Whether an option introduces a response to positions: the noise of its base is then no guide."""
     is_before = option.base is not None and any(part.name == FOLLOW and part.free for part in option.base.parts)
     return not is_before and any(part.name == FOLLOW and part.free for part in option.parts)
 
@@ -451,22 +451,22 @@ def _best_of_each(pairs: Iterable[tuple[Option, Fit]], most: int | None) -> list
 
 
 def with_other_noise(fit: Fit) -> list[Fit]:
-    """A fit with most of its noise in readings, in motion, and in what wanders: each may be an optimum of its own."""
+    """The fit restarted with most noise in readings, in motion or in drift: each may be a local optimum."""
     return [fit.with_noise(float(fit.noise[: len(STDS)].max()) + np.array(split)) for split in _SPLITS]
 
 
 def _tailed(fit: Fit) -> float:
-    """Loss, heavy tails being less likely beforehand [nats]."""
+    """Loss with a prior against heavy tails [nats]."""
     return fit.loss + _NORMAL * (fit.freedom < NORMAL)
 
 
 def best_first(contenders: Sequence[Contender]) -> list[Contender]:
-    """In the order of their evidence."""
+    """The models sorted by decreasing evidence."""
     return sorted(contenders, key=lambda model: -model.evidence)
 
 
 def is_borne_out(gains: Floats, by_each: Sequence[Floats] = ()) -> bool:
-    """Whether what groups of runs (G,) gain, held out, is more than chance, and not in one of them alone [nats].
+    """Whether held-out gains (G,) of groups of runs [nats] exceed chance, and not in one group only.
 
     Args:
         by_each: (G,) what they lose without each effect, all else being equal.
@@ -478,13 +478,13 @@ def is_borne_out(gains: Floats, by_each: Sequence[Floats] = ()) -> bool:
 
 
 def on_top(head: Contender, part: TermCandidate) -> Option:
-    """A model with one effect more."""
+    """A model with an additional effect."""
     before = (np.repeat(each.starts, len(part.starts), axis=0) for each in head.parts)
     return Option((*head.parts, part), np.hstack([*before, part.starts]), head)
 
 
 def _some(data: CoordinateData, rows: int) -> CoordinateData | None:
-    """Segments with about so many rows, evenly over the recording; None if there are not many more."""
+    """Segments with about `rows` rows, spread over the recording; None if that saves little."""
     per_segment = data.counted.sum(axis=1)
     total = int(per_segment.sum())
     if total < 1.6 * rows:

@@ -1,4 +1,4 @@
-"""Recorded runs cut into segments of one coordinate each: what the identification of effects works on."""
+"""Data of one coordinate for identification: runs cut into segments of equal layout."""
 
 from __future__ import annotations
 
@@ -129,18 +129,18 @@ class CoordinateData:
             raise ValueError(f"all rows must be in {shape[0]} segments of {shape[1]}")
 
     def measured_alike(self) -> CoordinateData:
-        """The data, and its whole runs, with all measurements equally precise."""
+        """The data, and its whole runs, with equal measurement noise in all rows."""
         whole = None if self.whole is None else self.whole.measured_alike()
         return replace(self, noise=np.where(self.is_measured, 1.0, self.noise), whole=whole)
 
     @property
     def clings(self) -> tuple[bool, bool]:
-        """Whether the part may cling to its lower and upper end: where modes hold it or, if none does, at any end."""
+        """Whether the part may be held at its lower and upper end: where modes hold it or, if none does, at any end."""
         return self.holds if any(self.holds) else (bool(np.isfinite(self.lower)), bool(np.isfinite(self.upper)))
 
     @cached_property
     def blur(self) -> float:
-        """Std of a measurement whose `noise` is 1, if the part did as it was told in most steps [rad or m]."""
+        """Robust std of a measurement whose relative `noise` is 1, from steps that followed the command [rad or m]."""
         rows = np.arange(self.z.shape[1])
         latest = np.maximum.accumulate(np.where(self.is_measured, rows, -1), axis=1)
         before = np.concatenate([np.full((len(self.z), 1), -1), latest[:, :-1]], axis=1)
@@ -154,7 +154,7 @@ class CoordinateData:
 
     @cached_property
     def resolution(self) -> float:
-        """Std of what digits or counts of an encoder leave out, where readings are seen to be so many [rad or m]."""
+        """Std of the quantisation error where readings repeat values; else 0 [rad or m]."""
         values, count = np.unique(self.z[self.counted & self.is_measured], return_counts=True)
         if len(values) < 2 or count.mean() < _REPEATED:
             return 0.0
@@ -162,18 +162,18 @@ class CoordinateData:
 
     @property
     def is_measured(self) -> Booleans:
-        """(S, T) rows that are measurements of the part."""
+        """(S, T) whether a row is a measurement."""
         return self.noise < UNSEEN
 
     def visits_end(self) -> bool:
-        """Whether the recording gets to an end of the range, where sensor and motion can be told apart."""
+        """Whether the recording reaches an end of the range, where sensor and motion errors can be separated."""
         low, high = self.visited
         reach = 0.03 * (high - low)
         return low < self.ends_of_model[0] + reach or high > self.ends_of_model[1] - reach
 
     @property
     def repeats_one_motion(self) -> bool:
-        """Whether all runs pass the same places at the same times, so that place and time cannot be told apart."""
+        """Whether all runs pass the same places at the same times, so that place and time are confounded."""
         place, time = self.z[self.counted], self.time[self.counted]
         if not (np.std(place) > 0 and np.std(time) > 0):
             return False
@@ -181,17 +181,17 @@ class CoordinateData:
 
     @property
     def command_size(self) -> float:
-        """Root mean square of the commands; the noise's order where nothing is commanded."""
+        """Root mean square of the commands; at least 1e-9."""
         return max(float(np.sqrt(np.mean(self.u[self.counted_starts] ** 2))), 1e-9)
 
     @property
     def goes_on(self) -> Booleans:
-        """(S,) whether a segment goes on from rows before it: its own first rows do not count."""
+        """(S,) whether a segment continues earlier rows; its own first rows then do not count."""
         return np.asarray(~self.counted[:, 1:3].any(axis=1))
 
     @cached_property
     def numbered(self) -> Ints:
-        """(S, T) number of each row that counts, one segment after the other; -1: it does not."""
+        """(S, T) index of each counted row, segment by segment; -1: not counted."""
         number = np.cumsum(self.counted).reshape(self.counted.shape) - 1
         return np.where(self.counted, number, -1)
 
@@ -201,7 +201,7 @@ class CoordinateData:
         return earlier_rows(self.counted, -1)
 
     def of_segments(self, chosen: Ints) -> CoordinateData:
-        """The rows of some segments (k,) alone."""
+        """The data of some segments (k,)."""
         longest = int(np.flatnonzero(self.counted[chosen].any(axis=0)).max()) + 1
         names = ("z", "u", "place", "counted", "time", "order", "mode", "noise")
         cut = {name: getattr(self, name)[chosen][:, :longest] for name in names}
@@ -249,7 +249,7 @@ def coordinate_data_of(
 
 @dataclass(frozen=True)
 class _Piece:
-    """Rows of a track: read from `first` on, counted after `start`, up to `end`; `order` of the track's first row.
+    """Rows of a track: read from `first`, counted after `start`, up to `end`; `order` of the track's first row.
 
     Without a gap, they go on from row `begun`.
     """
@@ -342,14 +342,14 @@ def _coordinate_data(
 def _before(
     automaton: HybridAutomaton, tracks: tuple[Track, ...], measuring: tuple[int, int], kept: list[_Piece], mode: Mode
 ) -> dict[str, Any]:
-    """What was commanded before each segment, and how fast the part moved where it begins."""
+    """`earlier` commands and initial speeds `moving` of the segments, by field name."""
     earlier = [_earlier(automaton, tracks[piece.track], measuring, piece, mode) for piece in kept]
     moving = [_speed_at(tracks[piece.track], piece, measuring[1]) for piece in kept]
     return {"earlier": np.stack(earlier, axis=1), "moving": np.array(moving)}
 
 
 def _earlier(automaton: HybridAutomaton, track: Track, measuring: tuple[int, int], piece: _Piece, mode: Mode) -> Floats:
-    """(2, k) what `_commanded` gives of the rows before a segment, the last first; NaN where there are none."""
+    """(2, k) commands before a segment, latest first, as `_commanded` returns them; NaN where there are none."""
     begun = max(piece.begun, piece.first - _STILL_TO_COME)
     earlier = np.full((2, _STILL_TO_COME), np.nan)
     earlier[:, : piece.first - begun] = _commanded(automaton, track, measuring, slice(begun, piece.first), mode)[
@@ -359,7 +359,7 @@ def _earlier(automaton: HybridAutomaton, track: Track, measuring: tuple[int, int
 
 
 def _commanded(automaton: HybridAutomaton, track: Track, measuring: tuple[int, int], rows: slice, mode: Mode) -> Floats:
-    """(2, k) displacements that are commanded in some rows, and places to which they lead."""
+    """(2, k) commanded displacements in some rows, and the positions to which they lead."""
     link, i = measuring
     displacement, origin = np.zeros(rows.stop - rows.start), track.origin[rows, i]
     if track.u is not None:
@@ -371,7 +371,7 @@ def _commanded(automaton: HybridAutomaton, track: Track, measuring: tuple[int, i
 
 
 def _speed_at(track: Track, piece: _Piece, i: int) -> float:
-    """By how much coordinate i moves on in a row where a segment begins; 0 where a run does, or measurements lack."""
+    """Speed of coordinate i per row at the start of a segment; 0 where a run starts or measurements are missing."""
     rows = np.arange(max(piece.begun, piece.first - _BESIDE), min(piece.first + _BESIDE + 1, piece.end))
     rows = rows[track.is_measured[rows]]
     if piece.first == piece.begun or len(rows) <= _BESIDE:
@@ -380,14 +380,14 @@ def _speed_at(track: Track, piece: _Piece, i: int) -> float:
 
 
 def _relative(variance: Floats, counted: Booleans) -> Floats:
-    """(S, T) variances over their mean, `UNSEEN` where nothing is measured."""
+    """(S, T) variances relative to their mean, `UNSEEN` where not measured."""
     mean = float(np.mean(variance[counted])) if counted.any() else 0.0
     relative = variance / mean if mean > 0 else np.ones_like(variance)
     return np.where(np.isfinite(variance), relative, UNSEEN)
 
 
 def _is_unclear(path: LinkMotion, z: Floats, action: Floats, std: Floats) -> Booleans:
-    """(T,) steps in which a command may be heard of which noise of that std (T,) decides what it means.
+    """(T,) steps whose commanded displacement depends on noise of std (T,) in the configuration.
 
     Where a slide becomes an arc the displacements of actions (up to T, 3) from configurations (T,) are m before it, and
     rad behind it.
@@ -403,20 +403,20 @@ def _is_unclear(path: LinkMotion, z: Floats, action: Floats, std: Floats) -> Boo
 
 
 def _aimed(path: LinkMotion, z: Floats, action: Floats) -> Floats:
-    """(T,) by how much actions (up to T, 3) lead on from configurations (T,) if they mean places."""
+    """(T,) displacements to commanded positions (up to T, 3) from configurations (T,)."""
     displacement, k = np.zeros_like(z), len(action)
     displacement[:k] = path.aimed(z[:k], np.nan_to_num(action))
     return displacement
 
 
 def _on_motion(automaton: HybridAutomaton, coordinate: str) -> tuple[Effect, ...]:
-    """The effects on a coordinate's motion; those on sensor and geometry are in the configurations already."""
+    """The effects on a coordinate's motion; sensor and geometry are already applied to the configurations."""
     effects = [effect for effect in automaton.effects if effect.coordinate == coordinate]
     return tuple(effect for effect in effects if form(effect.name).layer not in ("sensor", "geometry"))
 
 
 def _cuts(rows: int, runs: int) -> list[tuple[int, int, int]]:
-    """(first row read, first counted from, end) of the segments of a run."""
+    """(first row read, first row counted, end) of the segments of a run."""
     wanted = math.ceil(rows / _LONGEST)
     if runs < ENOUGH_RUNS:
         wanted = max(wanted, min(math.ceil(2 * ENOUGH_RUNS / runs), rows // _SHORTEST))
@@ -430,7 +430,7 @@ def _cuts(rows: int, runs: int) -> list[tuple[int, int, int]]:
 
 
 def _uncut(rows: int, _: int) -> list[tuple[int, int, int]]:
-    """A whole run; one that is very long in parts."""
+    """A whole run as one segment; long ones are cut."""
     edges = np.linspace(0, rows, math.ceil(rows / _LONGEST_ROLLOUT) + 1).astype(int).tolist()
     return [(start, start, end) for start, end in pairwise(edges) if end - start > 1]
 
@@ -444,7 +444,7 @@ def _thinned(pieces: list[_Piece]) -> list[_Piece]:
 
 
 def _ends(automaton: HybridAutomaton, i: int) -> dict[str, Any]:
-    """The ends of coordinate i, whether a mode holds it there, and what command it takes to leave."""
+    """Range of coordinate i: ends, whether a mode holds it there, and the command needed to leave."""
     (lower, upper), holds, release = range_of(automaton, i), [False, False], [0.0, 0.0]
     for mode in automaton.modes:
         for pin in mode.pins:

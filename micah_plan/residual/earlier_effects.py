@@ -1,4 +1,4 @@
-"""Effects that an earlier calibration put into a model: whether a new recording asks for others in their place.
+"""Effects from an earlier calibration: whether a new recording replaces them.
 
 What could not be told apart in an earlier recording may be told in the next. So a model whose effects were estimated is
 calibrated twice, as it is and without these; the likelier of the two is kept. Evidence of earlier recordings is in the
@@ -19,23 +19,23 @@ _ON_MOTION = ("command", "memory", "force", "place")
 
 
 def estimated_effects(automaton: HybridAutomaton) -> tuple[Effect, ...]:
-    """The effects on motion whose parameters a calibration estimated; those that a person wrote have no std."""
+    """The effects on motion that a calibration estimated, recognised by their std."""
     return tuple(effect for effect in automaton.effects if effect.std and form(effect.name).layer in _ON_MOTION)
 
 
 def without_estimated(automaton: HybridAutomaton) -> HybridAutomaton:
-    """The model without `estimated_effects`."""
+    """The model without effects of earlier calibrations (`estimated_effects`)."""
     estimated = estimated_effects(automaton)
     return replace(automaton, effects=tuple(effect for effect in automaton.effects if effect not in estimated))
 
 
 def replaces(found: Sequence[Effect], earlier: Sequence[Effect]) -> bool:
-    """Whether each of the earlier effects is among those that were found, itself or as one that it was tied with."""
+    """Whether each earlier effect is among those found, as itself or as one of its ties."""
     return all(any(_may_be(new, old) for new in found) for old in earlier)
 
 
 def settles_a_tie(found: Sequence[Effect], earlier: Sequence[Effect]) -> bool:
-    """Whether an effect that an earlier recording left tied with another is that other one, and no longer tied."""
+    """Whether an effect that an earlier recording left tied is resolved by this one."""
     return any(
         new.name in old.tied and old.name not in new.tied and new.coordinate == old.coordinate
         for old in earlier
@@ -49,5 +49,5 @@ def _may_be(new: Effect, old: Effect) -> bool:
 
 
 def evidence_of(finals: Sequence[Contender]) -> float:
-    """Log probability of a recording [nats]: the sum over its coordinates."""
+    """Log evidence of a recording [nats], summed over its coordinates."""
     return sum(final.evidence for final in finals)

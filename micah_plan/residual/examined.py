@@ -1,4 +1,4 @@
-"""A recording as a model without anything added sees it: what `predict` judges by, and where `calibrate` begins.
+"""A recording evaluated by the unmodified model: the basis of `predict`, and the starting point of `calibrate`.
 
 Noise is told by innovations: what a filter with the model misses of each row, knowing all rows before. Commands of a
 controller depend on what it measured, so errors from one measured row to the next follow the commands of any closed
@@ -32,7 +32,7 @@ from micah_plan.residual.versions import beginning
 
 @dataclass(frozen=True, eq=False)
 class Examined:
-    """What is known before effects on the motion are sought.
+    """A recording evaluated before effects on the motion are sought.
 
     Attributes:
         automaton: with what poses and beliefs ask for by themselves, and joints that go on where the recording does.
@@ -57,17 +57,17 @@ class Examined:
 
     @property
     def direct(self) -> tuple[DirectFinding, ...]:
-        """Effects that are told without any motion model."""
+        """Effects identified without a motion model: geometry and sensor."""
         return (*self.geometry, *self.estimator_bias)
 
     @cached_property
     def innovation_tests(self) -> tuple[tuple[HeldOut, ResidualTest | None], ...]:
-        """What the innovations of each coordinate follow; None where rows are too few."""
+        """The innovation test of each coordinate; None where there are too few rows."""
         return tuple((model, model.innovation_test(model.nominal)) for model in self.models)
 
     @property
     def is_noise(self) -> bool | None:
-        """Whether the model leaves noise alone; None where that cannot be told without looking for effects."""
+        """Whether the model leaves only noise; None where only a search for effects could decide."""
         if self.direct or self.off_joint_error:
             return False
         tests = [test for _, test in self.innovation_tests]
@@ -77,7 +77,7 @@ class Examined:
 
 
 def examined(automaton: HybridAutomaton, recording: Recording) -> Examined:
-    """Look at a recording with actions.
+    """Evaluate the model on a recording with actions.
 
     Raises:
         InputError: if the recording has other parts than the model.
@@ -110,12 +110,12 @@ def examined(automaton: HybridAutomaton, recording: Recording) -> Examined:
 
 
 def as_begun(data: CoordinateData, gates: Collection[Effect]) -> CoordinateData:
-    """The data whose effects have acted from the start, except for those that began in this recording."""
+    """The data with effects active from the start, except those whose onset is in this recording."""
     return replace(data, effects=tuple(e if e in gates else replace(e, since=None) for e in data.effects))
 
 
 def _has_own_inputs(automaton: HybridAutomaton) -> bool:
-    """Whether each coordinate has an input of its own: what a hand holds moves otherwise, and is not judged."""
+    """Whether each coordinate has an input of its own; held objects do not, and are not tested."""
     if automaton.n != automaton.m:
         return False
     others = ~np.eye(automaton.n, dtype=bool)

@@ -1,4 +1,4 @@
-"""Runs that are unlike the others: something was in the way, the tracker was lost, or a hand slipped.
+"""Runs that deviate from the others: an obstacle, a lost tracker, or a hand that slipped.
 
 What a single run shows no other run can confirm. Left in, it makes the noise of all runs look larger and hides what
 they have in common; so it is set aside, and told. Runs that all come last may be no faults: there something changed,
@@ -28,7 +28,7 @@ _CHANCE = 1e-6  # of one such run among all, if errors are noise
 
 @dataclass(frozen=True)
 class FaultyRun:
-    """A run and its error of one step against that of the others [rad or m].
+    """A deviating run, with its one-step error and that of the others [rad or m].
 
     Attributes:
         is_lasting: whether all runs after it are like it; then it is no fault, but something may have changed.
@@ -47,14 +47,14 @@ class FaultyRun:
 
     @property
     def advice(self) -> str:
-        """The same, and what was done or is to be done about it."""
+        """The finding with its consequence for the user."""
         if self.is_lasting:
             return f"{self}; it was left out. Something may have changed: record more runs like it to tell what"
         return f"{self}; it was left out: was something in the way, or the tracker lost?"
 
 
 def faulty_runs(traces: Sequence[CoordinateTrace]) -> tuple[FaultyRun, ...]:
-    """The runs that no effect explains and that are few, each for the coordinate where it is worst."""
+    """Runs that no effect explains, if few, each for the coordinate with the largest error."""
     worst: dict[int, FaultyRun] = {}
     for trace in traces:
         data, runs = trace.data, np.unique(trace.data.run)
@@ -69,13 +69,13 @@ def faulty_runs(traces: Sequence[CoordinateTrace]) -> tuple[FaultyRun, ...]:
 
 
 def _errors_by_run(trace: CoordinateTrace, model: Contender) -> list[Floats]:
-    """Errors of one step of each run [rad or m]."""
+    """One-step errors of each run [rad or m]."""
     data, errors = trace.data, trace.held_out.errors(model, "one_step")
     return [errors[data.run == run][data.counted[data.run == run]] for run in np.unique(data.run)]
 
 
 def _usual(errors: Sequence[Floats]) -> float:
-    """Mean square of the run in the middle: a model that fits most runs best leaves least of it, whatever few runs do.
+    """Median over runs of the mean square error: robust against a minority of bad runs.
 
     Source: Rousseeuw, "Least median of squares regression", JASA 1984.
     """
@@ -83,7 +83,7 @@ def _usual(errors: Sequence[Floats]) -> float:
 
 
 def unlike_others(runs: Sequence[int], errors: Sequence[Floats], coordinate: str, unit: str) -> list[FaultyRun]:
-    """Those of some runs whose errors of one step, one array per run [rad or m], are much larger than the others'."""
+    """Runs whose one-step errors (one array per run, [rad or m]) are far larger than the median run's."""
     if len(runs) < ENOUGH_INDEPENDENT:
         return []
     rows = np.array([len(run) for run in errors])

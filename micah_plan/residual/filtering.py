@@ -1,4 +1,4 @@
-"""The log density of every row of a coordinate under many hypotheses at once.
+"""Log density of every row of a coordinate under many hypotheses at once.
 
 A hypothesis is a model (terms with their parameters) with noise of its own. The state is the configuration c and a
 measurement error d that wanders: c⁺ = F(c, v, memory) + w, d⁺ = ρ d + e, seen as h(c) + d + ν. Each step is a Kalman
@@ -58,7 +58,7 @@ _ANYWHERE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class ModelBatch:
-    """B hypotheses of one model, which differ in their parameters and noise.
+    """B hypotheses of one model with different parameters and noise.
 
     Attributes:
         model: the terms.
@@ -81,13 +81,13 @@ class ModelBatch:
 
     @cached_property
     def gated(self) -> tuple[bool, ...]:
-        """Whether each term acts since a place or a time only, in some of the hypotheses."""
+        """Whether each term has an onset in some of the hypotheses."""
         gates = (self.values[:, columns.stop - GATES : columns.stop] for columns in term_columns(self.model))
         return tuple(bool((own != -np.inf).any()) for own in gates)
 
     @cached_property
     def neutral(self) -> tuple[Neutral, ...]:
-        """Which parameters of each term have their neutral values in all of the hypotheses."""
+        """Which parameters of each term are neutral in all hypotheses."""
         starts = (columns.start for columns in term_columns(self.model))
         return tuple(
             tuple(
@@ -109,7 +109,7 @@ class ModelBatch:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """What B hypotheses make of the N rows that count, in the order of `of_rows`.
+    """Filter results of B hypotheses on the N counted rows, in the order of `of_rows`.
 
     Attributes:
         total: (B,) log density of all rows [nats].
@@ -124,7 +124,7 @@ class Rows:
     anywhere: float
 
     def density(self, own: slice = slice(None)) -> Floats:
-        """(k, N) log density of each row under some of the hypotheses [nats]."""
+        """(k, N) log density of each row under the hypotheses `own` [nats]."""
         variance, freedom = self.variance[own], self.freedom[own][:, None]
         half = 0.5 * (freedom + 1.0)
         far = np.log1p(np.square(self.error[own]) / (variance * freedom))
@@ -139,7 +139,7 @@ def _peak(freedom: Floats) -> Floats:
 
 
 def filtered(data: CoordinateData, batches: Sequence[ModelBatch], wanted: Sequence[int] | None = None) -> Rows:
-    """Rows of all hypotheses, one batch after the other.
+    """Filter results of all hypotheses, batch by batch.
 
     Args:
         wanted: of how many of each batch, its first ones, errors are wanted as well; None: of all.
@@ -156,12 +156,12 @@ def _anywhere(data: CoordinateData) -> float:
 
 
 def of_rows(data: CoordinateData, of_segment: Ints) -> Ints:
-    """(N,) what each row that counts has from its segment (S,): one segment after the other."""
+    """(N,) value of each counted row's segment (S,), segment by segment."""
     return np.asarray(np.broadcast_to(of_segment[:, None], data.counted.shape)[data.counted])
 
 
 def errors(data: CoordinateData, batches: Sequence[ModelBatch], kind: Kind) -> tuple[Floats, Floats]:
-    """(B, S, T) measured minus predicted [rad or m], 0 where a row does not count, and the variance of that."""
+    """(B, S, T) measured minus predicted [rad or m], 0 in uncounted rows, and its variance."""
     every = np.arange(data.z.size).reshape(data.z.shape)
     _, *found = _gone_through(data, batches, kind, every, [len(batch) for batch in batches])
     error, variance = (rows.reshape(-1, *data.z.shape) for rows in found)
@@ -171,7 +171,7 @@ def errors(data: CoordinateData, batches: Sequence[ModelBatch], kind: Kind) -> t
 def _gone_through(
     data: CoordinateData, batches: Sequence[ModelBatch], kind: Kind, number: Ints, wanted: Sequence[int]
 ) -> tuple[Floats, Floats, Floats]:
-    """(B,) log densities, and (K, N) errors and variances of rows with a number (S, T) that is not negative."""
+    """(B,) log densities, and (K, N) errors and variances of rows with a non-negative number (S, T)."""
     sizes = np.array([len(batch) for batch in batches])
     at, first = np.full(int(sizes.sum()), -1), np.cumsum(sizes) - sizes
     for start, count, before in zip(first, wanted, np.cumsum(wanted) - wanted, strict=True):
@@ -202,7 +202,7 @@ def _gone_through(
 def _rows_for(
     data: CoordinateData, rows: RowsGiven, batch: ModelBatch, mode_sets: Sequence[tuple[str, ...]]
 ) -> RowsGiven:
-    """The rows with commands, ends and modes as a model has them."""
+    """The rows with the commands, ends and modes of a model."""
     in_mode = np.zeros((len(mode_sets), len(data.modes)), dtype=bool)
     for k, names in enumerate(mode_sets):
         in_mode[k] = [name in names for name in data.modes]
@@ -251,12 +251,12 @@ def _rows_given(data: CoordinateData, number: Ints) -> RowsGiven:
 
 
 def _own(rows: NDArray[Scalar]) -> NDArray[Scalar]:
-    """Rows as they lie in memory everywhere: what lies otherwise would be compiled for once more."""
+    """The rows as a C-contiguous writable array, so that Numba compiles one signature."""
     return np.require(rows, requirements=("C", "W"))
 
 
 def _joined(batches: Sequence[ModelBatch]) -> ModelBatch:
-    """All hypotheses of some batches of one model."""
+    """All hypotheses of several batches of one model."""
     if len(batches) == 1:
         return batches[0]
     values, noise, freedom = (
@@ -277,7 +277,7 @@ def _per_hypothesis(data: CoordinateData, batch: ModelBatch) -> Floats:
 
 
 def _commands(data: CoordinateData, action: Floats, batch: ModelBatch) -> Floats:
-    """(B, S, T) commands of hypotheses that read actions (S, T, 3) in another frame."""
+    """(B, S, T) commands under hypotheses that rotate the frame of actions (S, T, 3)."""
     ((form, p),) = batch.terms("frame")
     parts, wide = list(np.moveaxis(action, -1, 0)), [value[:, None, None] for value in p]
     meant = np.stack([form.frame_command(np, parts, list(unit), wide) for unit in np.eye(3)], axis=-1)
@@ -287,7 +287,7 @@ def _commands(data: CoordinateData, action: Floats, batch: ModelBatch) -> Floats
 
 
 def noiseless_data(data: CoordinateData, hypothesis: ModelBatch, mode_at: Callable[[Floats], Ints]) -> CoordinateData:
-    """Data whose measurements are what one hypothesis makes of their starts and commands, without noise.
+    """The data with measurements replaced by one hypothesis' noise-free prediction from the same starts and commands.
 
     Args:
         mode_at: index of the mode at configurations.

@@ -1,4 +1,4 @@
-"""Parameters and noise of many hypotheses at once, and how likely each is whatever its parameters are.
+"""Maximum-a-posteriori fits of many hypotheses at once, and their evidence by Laplace's method.
 
 Fisher scoring on exact log densities, with the difference quotients of innovations and variances, and in each round a
 step in every single parameter, which also works where a formula has kinks or plateaus (thresholds). The evidence is
@@ -47,7 +47,7 @@ _GROUPS_OF_RUNS, _GROUPS_OF_ROWS = 12, 10
 
 @dataclass(frozen=True, eq=False)
 class Free:
-    """Which entries of a hypothesis are fitted: (k,) each, those of the model first, then the noise.
+    """Free entries of a hypothesis (k,): those of the model first, then the noise.
 
     Attributes:
         at: columns of the values with the noise behind them.
@@ -68,7 +68,7 @@ class Free:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A hypothesis with what is free of it.
+    """A hypothesis with its free entries and loss.
 
     Attributes:
         model: terms. vector: values of the terms, then the noise.
@@ -84,16 +84,16 @@ class Fit:
 
     @property
     def values(self) -> Floats:
-        """(1, columns) of the terms."""
+        """(1, columns) parameter values of the terms."""
         return self.vector[None, : columns(self.model)]
 
     @property
     def noise(self) -> Floats:
-        """As `filtering.NOISE`."""
+        """Noise parameters, in the order of `filtering.NOISE`."""
         return self.vector[-len(NOISE) :]
 
     def without(self, number: int) -> Fit:
-        """The same without one of the stds of `filtering.NOISE`; the white noise begins with both."""
+        """The fit without one of the stds of `filtering.NOISE`; its variance is added to the white noise."""
         first, first_of_noise = len(self.vector) - len(NOISE), self.free.of_model
         vector, kept = self.vector.copy(), np.delete(np.arange(len(self.free.at)), first_of_noise + number)
         vector[first] = 0.5 * np.logaddexp(2.0 * vector[first], 2.0 * vector[first + number])
@@ -102,24 +102,24 @@ class Fit:
         return replace(self, vector=vector, free=replace(self.free, **free), loss=np.inf)
 
     def with_noise(self, logs: Floats) -> Fit:
-        """The same with other stds of `filtering.STDS` [logs], within their bounds."""
+        """The fit with other log stds (`filtering.STDS`), within their bounds."""
         entries, first = slice(self.free.of_model, self.free.of_model + len(STDS)), len(self.vector) - len(NOISE)
         vector = self.vector.copy()
         vector[first : first + len(STDS)] = np.clip(logs, self.free.low[entries], self.free.high[entries])
         return replace(self, vector=vector, loss=np.inf)
 
     def hypotheses(self, vectors: Floats) -> ModelBatch:
-        """Its model with other vectors (B, ...)."""
+        """The model's hypotheses for vectors (B, ...)."""
         count = columns(self.model)
         return ModelBatch(self.model, vectors[:, :count], vectors[:, count:], np.full(len(vectors), self.freedom))
 
     def penalty(self, vectors: Floats) -> Floats:
-        """(B,) negative log of the prior, up to its constant."""
+        """(B,) negative log prior, up to its constant."""
         away = (vectors[:, self.free.at] - self.free.centre) / self.free.std
         return np.asarray(0.5 * (away**2).sum(axis=1))
 
     def moved(self, jumps: Floats) -> Floats:
-        """(B, ...) vectors with the free entries (B, k) further on, within their bounds."""
+        """(B, ...) vectors with the free entries displaced by jumps (B, k), within their bounds."""
         vectors = np.repeat(self.vector[None], len(jumps), axis=0)
         k = jumps.shape[1]
         at = self.free.at[:k]
@@ -129,7 +129,7 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Slopes:
-    """Rows of one hypothesis, and their quotients by its first k free entries.
+    """Rows of one hypothesis, and their difference quotients by its first k free entries.
 
     Attributes:
         tried: vectors whose losses were needed for the quotients, its own first; losses: theirs.
@@ -156,12 +156,12 @@ class _Slopes:
     per_width: Floats
 
     def by_row(self) -> tuple[Floats, Floats]:
-        """(k, N) gradients of the log density of each row, and (N,) that."""
+        """(k, N) gradients of each row's log density, and (N,) the log density."""
         density = self.rows.density(self.at)
         return (density[1 : len(self.below) + 1] - density[self.below]) * self.per_width[:, None], density[0]
 
     def spread(self, jump: Floats | None = None) -> float:
-        """Log of the root mean square of innovations over their stds, here or after a jump of the first entries."""
+        """Log root mean square of normalised innovations, here or after a jump of the first entries."""
         if jump is None:
             return _spread(self.innovations, self.variance, self.freedom)
         changed = (jump @ self.scores[: len(jump), : len(self.root)]) / self.root
@@ -196,7 +196,7 @@ class Fitting:
         return of_rows(self.data, self.group)
 
     def losses(self, fits: Sequence[Fit], vectors: Sequence[Floats]) -> list[Floats]:
-        """Losses of some vectors (b, ...) of each fit."""
+        """Losses of vectors (b, ...) for each fit."""
         if not fits:
             return []
         batches = [fit.hypotheses(tried) for fit, tried in zip(fits, vectors, strict=True)]
@@ -205,12 +205,12 @@ class Fitting:
         return [fit.penalty(tried) + total for fit, tried, total in zip(fits, vectors, sums, strict=True)]
 
     def started(self, fits: Sequence[Fit]) -> list[Fit]:
-        """With their losses."""
+        """The fits with their losses evaluated."""
         losses = self.losses(fits, [fit.vector[None] for fit in fits])
         return [replace(fit, loss=float(loss[0])) for fit, loss in zip(fits, losses, strict=True)]
 
     def beside(self, fit: Fit, count: int) -> list[Fit]:
-        """The likeliest so many of the fits with one parameter of the model elsewhere, near or far."""
+        """The `count` likeliest fits among those with one model parameter displaced by small or large jumps."""
         k = fit.free.of_model
         if not k:
             return []
@@ -222,7 +222,7 @@ class Fitting:
     def improved(
         self, fits: Sequence[Fit], rounds: int, *, is_noise_free: bool = True, within: float = np.inf
     ) -> list[Fit]:
-        """Better fits after at most so many rounds; those of the noise as well, or of the model's own alone.
+        """Fits improved by at most `rounds` iterations, over model and noise or over the model only.
 
         Args:
             within: a fit that would stay so far behind the best if all its rounds were like its last is left [nats].
@@ -244,7 +244,7 @@ class Fitting:
         return [climb.fit for climb in climbs]
 
     def weighed(self, fits: Sequence[Fit]) -> list[Weighed]:
-        """With their evidence, and what held-out groups need."""
+        """The fits with their evidence and what held-out predictions need."""
         if not fits:
             return []
         none = [fit.vector[None][:0] for fit in fits]
@@ -271,7 +271,7 @@ class Fitting:
         )
 
     def without_each(self, weighed: Weighed) -> Floats:
-        """(G, ...) vectors to which one Newton step without each group leads, as far as that suits the other groups."""
+        """(G, ...) vectors after one Newton step that removes each group, accepted as far as the other groups allow."""
         if weighed not in self._without_each:
             self._without_each[weighed] = self._stepped(weighed)
         return self._without_each[weighed]
@@ -297,7 +297,7 @@ class Fitting:
         return np.asarray(tried.reshape(3, count, -1)[rest.argmax(axis=0), each])
 
     def held_out(self, weighed: Weighed, without: int | None = None) -> Floats:
-        """(N,) log density of each row by the parameters of the other groups [nats].
+        """(N,) log density of each row under the parameters of the other groups [nats].
 
         Args:
             without: column of a gate that is shut: what its effect does is left out, all else being equal.
@@ -315,7 +315,7 @@ class Fitting:
         at: Sequence[Floats],
         more: Sequence[Floats],
     ) -> tuple[list[_Slopes], list[Floats]]:
-        """Quotients of each fit at a vector, and the losses of some more vectors of it."""
+        """Difference quotients of each fit at a vector, and the losses of additional vectors."""
         tried = []
         for fit, step, vector in zip(fits, steps, at, strict=True):
             k = len(step)
@@ -335,13 +335,13 @@ class Fitting:
 
 
 def _two_sided(fit: Fit, k: int) -> int:
-    """How many of the first k quotients are two-sided."""
+    """Number of the first k quotients that are two-sided."""
     return min(fit.free.of_model, k) if fit.free.of_model < _MANY else 0
 
 
 @dataclass(frozen=True, eq=False)
 class Weighed:
-    """A fit and how likely its model is.
+    """A fit with its evidence.
 
     Attributes:
         evidence: log probability of the rows, whatever the parameters are [nats].
@@ -358,7 +358,7 @@ class Weighed:
 
 
 def groups(data: CoordinateData) -> Ints:
-    """(S,) group of each segment: of its run or, where runs are few, of its place in the recording."""
+    """(S,) group of each segment for cross-validation: its run or, with few runs, its part of the recording."""
     runs, number = np.unique(data.run, return_inverse=True)
     if len(runs) >= ENOUGH_INDEPENDENT:
         return np.asarray(number % _GROUPS_OF_RUNS)
@@ -400,19 +400,19 @@ def _quotients(fit: Fit, tried: Floats, rows: Rows, at_rows: slice, total: Float
 
 
 def _spread(error: Floats, variance: Floats, freedom: float) -> float:
-    """Log of the root mean square of errors over their stds, far ones counting less (one step of EM of Student's t)."""
+    """Log root mean square of normalised errors, robust (one EM step of Student's t)."""
     squared = error**2 / variance
     mean = float(np.mean((freedom + 1.0) / (freedom + squared) * squared))
     return 0.5 * float(np.log(max(mean, ROUND_OFF)))
 
 
 def _is_std(fit: Fit) -> Booleans:
-    """(m,) which of the free entries of the noise are logs of stds."""
+    """(m,) whether each free noise entry is a log std."""
     return np.asarray(fit.free.at[fit.free.of_model :] < len(fit.vector) - len(NOISE) + len(STDS))
 
 
 class _Climb:
-    """Where the search for the best parameters of one fit is.
+    """State of a fit's optimisation.
 
     Attributes:
         fit: the best so far. count: of its entries, the first so many are free.
@@ -431,11 +431,11 @@ class _Climb:
         self._slopes: _Slopes | None = None
 
     def asked(self) -> Floats:
-        """The vector at which quotients are needed: a whole step further or, where there is none, where it is."""
+        """The next vector for difference quotients: a full step ahead or, without one, the present one."""
         return self.fit.vector if self._full is None else self._full
 
     def goes_on(self, slopes: _Slopes, losses: Floats) -> bool:
-        """Move to the best that was tried; whether more rounds may help."""
+        """Move to the best evaluated point; returns whether further iterations may help."""
         if self._slopes is None:
             self.fit = replace(self.fit, loss=float(slopes.losses[0]))
             if self._full is None and not len(losses):
@@ -469,12 +469,12 @@ class _Climb:
         return True
 
     def _step_from(self, slopes: _Slopes) -> None:
-        """Ask for quotients a whole step further, and for the losses of shorter ones."""
+        """Request derivatives at the full step and losses at shorter ones."""
         whole, *shorter = self._along(slopes)
         self._full, self.line = whole, np.array(shorter)
 
     def _along(self, slopes: _Slopes) -> Floats:
-        """(b, ...) vectors along the step of Fisher scoring, and with noise as large as innovations are."""
+        """(b, ...) vectors along the Fisher scoring step, with the noise matched to the innovations."""
         free, k = self.fit.free, self.count
         hessian = slopes.information + np.diag(1.0 / free.std[:k] ** 2)
         away = (self.fit.vector[free.at[:k]] - free.centre[:k]) / free.std[:k] ** 2

@@ -1,4 +1,4 @@
-"""Where the joint really is: what measured poses keep beside the joint, as a function of the configuration.
+"""Corrections of a joint's geometry: measured poses off the joint as functions of the configuration.
 
 A wrong axis or pitch shows beside the motion that orientations tell, whatever was commanded: with the axis moved by d,
 the part's origin is off by (I - R(c)) d, and with a pitch h by h c along the axis. Both are linear, so the fit is a
@@ -44,7 +44,7 @@ _EXACT = 10.0**-DIGITS
 
 @dataclass(frozen=True, eq=False)
 class DirectFinding:
-    """An effect that held-out poses ask for by themselves, whatever moved the part."""
+    """An effect identified from held-out poses, independent of the motion model."""
 
     effect: Effect
     std: tuple[float, ...]
@@ -53,7 +53,7 @@ class DirectFinding:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """What poses keep beside the joint, in one direction or several of its frame.
+    """Pose errors off the joint, in one or several directions of its frame.
 
     Attributes:
         residual: (K,) [m]; regressors: (K, k); block: (K,) for holding out; starts: (K,) whether a run starts there.
@@ -73,7 +73,7 @@ class _Rows:
 
 
 def geometry_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[DirectFinding, ...]:
-    """Changes of turning joints that predict held-out poses clearly better; the best one per coordinate."""
+    """Corrections of turning joints with significant evidence on held-out poses; the best one per coordinate."""
     findings = []
     for number, link in measuring_links(automaton):
         joint, *others = link_motions(automaton)[number].joints
@@ -103,7 +103,7 @@ def transverse_rms(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple
 
 
 def systematic_transverse_error(automaton: HybridAutomaton, tracks: Sequence[Track]) -> float:
-    """How far measured origins surely lie beside their joints from row to row [m]: what white noise does not do."""
+    """Lower bound on the autocorrelated distance of measured origins from their joints [m]; white noise gives 0."""
     lasting2: list[float] = []
     for number, _ in measuring_links(automaton):
         away = [off_joint_error(automaton, track, number)[:, :3] for track in tracks]
@@ -114,7 +114,7 @@ def systematic_transverse_error(automaton: HybridAutomaton, tracks: Sequence[Tra
 
 
 def off_joint_error(automaton: HybridAutomaton, track: Track, link: int) -> Floats:
-    """(T, 6) by how much measured poses lie beside a link's path: offset and turn [m, rad], in the part's frame.
+    """(T, 6) measured minus predicted pose of a link without the part along the motion [m, rad], in the part's frame.
 
     What is along the motion is no part of it: that is in the configuration. The turn is 0 where orientation was not
     measured. A motion keeps its direction in the part's frame, and so does what a wrong joint leaves.
@@ -135,7 +135,7 @@ def off_joint_error(automaton: HybridAutomaton, track: Track, link: int) -> Floa
 
 @dataclass(frozen=True)
 class OffJointError:
-    """That poses lie beside their joint by what depends on where the part is: root mean squares of that [m, rad]."""
+    """Configuration-dependent pose errors off a joint: their root mean squares [m, rad]."""
 
     coordinate: str
     position: float
@@ -149,7 +149,7 @@ class OffJointError:
 
 
 def off_joint_errors(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[OffJointError, ...]:
-    """`off_joint_error_of` of every coordinate that is measured."""
+    """`off_joint_error_of` for every measured coordinate."""
     findings = [
         off_joint_error_of(
             automaton.coordinates[link.coordinate].name,
@@ -162,7 +162,7 @@ def off_joint_errors(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tup
 
 
 def off_joint_error_of(coordinate: str, places: Sequence[Floats], away: Sequence[Floats]) -> OffJointError | None:
-    """Whether poses lie beside a joint as a smooth function of the configuration; None if they do not.
+    """The off-joint error as a smooth function of the configuration; None if it is not significant.
 
     Args:
         places: configurations (T,) of each run, away: (T, 6) as `off_joint_error` gives it.
@@ -192,7 +192,7 @@ def off_joint_error_of(coordinate: str, places: Sequence[Floats], away: Sequence
 
 
 def _across(joint: Joint, tracks: Sequence[Track], link: int, coordinate: int) -> tuple[_Rows, _Rows]:
-    """Residuals along the axis and across the lever arm, with what would explain them.
+    """(along the axis, across the lever arm) pose errors with the regressors that would explain them.
 
     Where orientation was measured the angle is read from it alone: then a moved axis shows along the motion as well.
     """
@@ -249,7 +249,7 @@ def _finding(name: str, coordinate: str, names: tuple[str, ...], rows: _Rows) ->
 
 
 def _held_out(rows: _Rows, without: Floats) -> tuple[float, float]:
-    """Evidence for the regressors on top of others (K, j) [nats], and the share of squared errors that they leave.
+    """(evidence for the regressors given others (K, j) [nats], remaining share of squared errors).
 
     Both on held-out blocks.
     """
@@ -273,14 +273,14 @@ def _held_out(rows: _Rows, without: Floats) -> tuple[float, float]:
 
 
 def _blocks(rows: Sequence[int]) -> tuple[Ints, NDArray[np.bool_]]:
-    """(K,) which rows are held out together, runs or parts of the few there are, and whether a run starts at them."""
+    """(K,) fold of each row: its run, or part of the few runs; and whether a run starts there."""
     split = 1 if len(rows) >= _FOLDS else _FOLDS
     blocks = [number * split + np.arange(count) * split // max(count, 1) for number, count in enumerate(rows)]
     return np.concatenate(blocks) % _FOLDS, np.concatenate([np.arange(count) == 0 for count in rows])
 
 
 def _regression(rows: _Rows, design: Floats, chosen: NDArray[np.bool_]) -> tuple[Floats, Floats, Floats, Floats]:
-    """Coefficients, their covariance, and of each direction the scatter of the whitened residual and its memory."""
+    """Coefficients with covariance, and per direction the std and autocorrelation of the residual."""
     count = int(rows.direction.max()) + 1
     memory, scatter = np.zeros(count), np.ones(count)
     beta: Floats = np.zeros(design.shape[1])
@@ -307,7 +307,7 @@ def _regression(rows: _Rows, design: Floats, chosen: NDArray[np.bool_]) -> tuple
 
 
 def _whitened(rows: _Rows, values: Floats, memory: Floats) -> Floats:
-    """Values (K, j) less what the row before foretells; the first row of a run is scaled to the same variance."""
+    """Values (K, j) minus their autoregressive prediction; the first row of a run is scaled to the same variance."""
     memory_of_run = memory[rows.direction]
     first = np.sqrt(np.maximum(1.0 - memory_of_run**2, 1e-6))
     white = values - memory_of_run[:, None] * earlier_rows(values, 1, axis=0)

@@ -1,4 +1,4 @@
-"""What fitted models predict of rows that their parameters were not fitted to, and how far noise alone would be off.
+"""Held-out predictions of fitted models, and the error that noise alone would cause.
 
 Every group of runs is predicted by the parameters to which one Newton step without it leads (`fitting.without_each`).
 """
@@ -28,7 +28,7 @@ _ROUNDS = 12  # in which the other noise takes its place
 
 
 class HeldOut:
-    """Predictions of the models of one coordinate; each is made once.
+    """Held-out predictions of the models of one coordinate, cached.
 
     Attributes:
         competition: that fitted them. data: of the coordinate. nominal: the model as it is.
@@ -43,7 +43,7 @@ class HeldOut:
         self._innovation_tests: dict[Contender, ResidualTest | None] = {}
 
     def errors(self, model: Contender, kind: Kind) -> Floats:
-        """(S, T) measured minus predicted [rad or m], each segment by parameters fitted without its group."""
+        """(S, T) measured minus predicted [rad or m], each segment under parameters fitted without its group."""
         return self._predicted(model, kind)[0]
 
     def _predicted(self, model: Contender, kind: Kind) -> tuple[Floats, Floats]:
@@ -54,11 +54,11 @@ class HeldOut:
         return self._errors[model, kind]
 
     def _without_each(self, model: Contender) -> ModelBatch:
-        """A model with the parameters of all groups but each."""
+        """A model with the parameters of each leave-one-group-out fit."""
         return model.fit.hypotheses(self.competition.fitting.without_each(model.weighed))
 
     def rollout_errors(self, model: Contender) -> Floats:
-        """(N,) measured minus predicted from each run's first row on, by parameters fitted without a row's group."""
+        """(N,) measured minus predicted in roll-outs from each run's first row, under held-out parameters."""
         whole = self.as_written.whole
         if whole is None or whole.segment is None:
             return self.errors(model, "rollout")[self.data.counted]
@@ -67,12 +67,12 @@ class HeldOut:
         return np.asarray(every[self.competition.fitting.group[whole.segment[runs, rows]], runs, rows])
 
     def spread(self, model: Contender) -> Floats:
-        """(S, T) std of an innovation over that of all rows that count: what makes innovations equally precise."""
+        """(S, T) std of each innovation relative to the root mean square over counted rows."""
         variance = errors(self.data, [model.fit.hypotheses(model.fit.vector[None])], "filter")[1][0]
         return np.asarray(np.sqrt(variance / np.mean(variance[self.data.counted])))
 
     def noise_floor(self, model: Contender) -> float:
-        """Root mean square of a one-step error that noise alone would leave, if this model were true.
+        """Root mean square one-step error due to noise if this model is true [rad or m].
 
         Never more than what is left: of few rows, tails that only might be heavy would say so.
         """
@@ -80,14 +80,14 @@ class HeldOut:
         return min(_floor(model, self.data, "one_step", self.as_written), unpredicted)
 
     def rollout_floor(self, model: Contender) -> float:
-        """Root mean square of a roll-out's error that noise alone would leave, if this model were true.
+        """Root mean square roll-out error due to noise if this model is true [rad or m].
 
         What moves the part adds up from the first row on, as far as the model lets it: ends and places bring it back.
         """
         return _floor(model, self.data.whole or self.data, "rollout", self.as_written.whole or self.as_written)
 
     def floors_without_what_follows(self) -> tuple[float, float]:
-        """Floors of one step and of roll-outs of the model as it is: of what its errors follow nothing is noise."""
+        """Noise floors (one step, roll-out) of the nominal model without the explained part of its errors."""
         nominal, starts = self.nominal, self.data.counted_starts
         step, rolled = self.noise_floor(nominal), self.rollout_floor(nominal)
         one_step = earlier_rows(self.errors(nominal, "one_step"), -1)[starts][:, None]
@@ -100,7 +100,7 @@ class HeldOut:
         return float(steps.floor[0]), float(steps.floor[0]) * rolled / step
 
     def correlations_of(self, model: Contender) -> tuple[tuple[str, ...], Floats]:
-        """Names of the fitted parameters (k) of a model, and the correlation (k, k) of their errors."""
+        """(names of the fitted parameters (k), correlation (k, k) of their errors)."""
         count = model.fit.free.of_model
         labels = [f"{part.name}, later" if begins_later(part) else part.name for part in model.parts]
         names = [
@@ -144,7 +144,7 @@ class HeldOut:
         return np.asarray(np.interp([tail, 0.5, 1.0 - tail], below / below[-1], grid))
 
     def _profile(self, model: Contender, j: int, values: Floats) -> Floats:
-        """(G,) loss [nats] with parameter j at each value: the least of the others as they are, or as they follow."""
+        """(G,) profile loss [nats] of parameter j at each value, with the others fixed or refitted."""
         fit, free = model.fit, model.fit.free
         others = np.delete(np.arange(len(free.at)), j)
         hessian = model.weighed.hessian
@@ -169,7 +169,7 @@ class HeldOut:
         return max((r for r, _ in correlations), key=abs), float(chdtrc(len(correlations), statistic))
 
     def _correlations(self, model: Contender) -> list[tuple[float, int]]:
-        """Autocorrelation of the innovations and number of pairs at each of the lags 1 to 4."""
+        """(autocorrelation of the innovations, number of pairs) at lags 1 to 4."""
         counted = self.data.counted
         error, variance = self._predicted(model, "filter")
         error = error / np.sqrt(variance) * counted
@@ -183,7 +183,7 @@ class HeldOut:
         return findings
 
     def innovation_test(self, model: Contender) -> ResidualTest | None:
-        """What the innovations follow: commands, places, time, and innovations before them."""
+        """Test of the innovations against commands, places, time and earlier innovations; cached."""
         if model not in self._innovation_tests:
             self._innovation_tests[model] = self._innovation_test(model)
         return self._innovation_tests[model]
@@ -203,7 +203,7 @@ class HeldOut:
         )
 
     def innovations(self, model: Contender) -> tuple[Floats, Floats]:
-        """(S, T) innovations [rad or m] where no error of a reading wanders, and their stds over that of all rows.
+        """(S, T) innovations [rad or m] without drift of the sensor, and their relative stds.
 
         An error that wanders follows a part wherever it stays behind: what is missing would be called noise.
         """
@@ -212,7 +212,7 @@ class HeldOut:
         return error, np.asarray(np.sqrt(variance / np.mean(variance[self.data.counted])))
 
     def _innovation_test(self, model: Contender) -> ResidualTest | None:
-        """The less certain of two tests: an error that wanders is noise, and may hide what is missing."""
+        """The less significant of two innovation tests: a drifting error is noise, and may mask a missing effect."""
         wandering = self.errors(model, "filter"), self.spread(model)
         size = float(np.sqrt(np.mean(self._predicted(model, "filter")[1][self.data.counted])))
         tests = [self._tested(*innovations, size) for innovations in (self.innovations(model), wandering)]
@@ -220,7 +220,7 @@ class HeldOut:
         return max(decided, key=lambda test: min(test.probability, test.least), default=None)
 
     def _tested(self, error: Floats, spread: Floats, size: float) -> ResidualTest | None:
-        """The test of innovations, whose std a model has as `size`: where they are less, so is what they follow."""
+        """Innovation test of errors (S, T); its share is reduced where they are smaller than the model's std `size`."""
         starts = self.data.counted_starts
         innovations = error / spread
         past = np.stack([earlier_rows(innovations, k) for k in range(LAGS)], axis=-1)
@@ -232,7 +232,7 @@ class HeldOut:
 
 
 def _floor(model: Contender, data: CoordinateData, kind: Kind, as_written: CoordinateData) -> float:
-    """Root mean square of errors whose variance is what the model says; a t distribution has more than its scale.
+    """Root mean square of the predicted error [rad or m], with the variance of the t distribution.
 
     What averages of the commands change of what is predicted from those that were written is an error as well.
     """
@@ -246,7 +246,7 @@ def _floor(model: Contender, data: CoordinateData, kind: Kind, as_written: Coord
 
 
 def _away(data: CoordinateData, place: Floats) -> Floats:
-    """(S, T, 2) commands that lead away from the lower and the upper end, where a part is within the blur of it."""
+    """(S, T, 2) commands away from the lower and the upper end, where the part is close to it."""
     reach = NEAR_STDS * data.blur * np.sqrt(data.noise)
     at_low, at_high = place < data.lower + reach, place > data.upper - reach
     return np.stack([at_low * np.maximum(data.u, 0.0), at_high * np.minimum(data.u, 0.0)], axis=-1)

@@ -1,4 +1,4 @@
-"""What prediction errors are worth: the noise floor beside each, what the rest follows, and when modes changed."""
+"""Assessment of prediction errors: noise floors, regressors that explain the rest, and mode changes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from micah_plan.residual.residual_test import FEWEST_ROWS, Circumstances, lagged
 
 @dataclass(frozen=True)
 class Floor:
-    """Root mean square errors that noise alone would leave: position [m], rotation [rad], configuration [rad or m].
+    """Noise floors, root mean square: position [m], rotation [rad], configuration [rad or m].
 
     `coordinates` has those of each coordinate in its own unit; `configuration` puts them together.
     """
@@ -34,7 +34,7 @@ class Floor:
 
 @dataclass(frozen=True)
 class ModeChange:
-    """A change into a mode, when it was measured and when the roll-out has it [s since the run's start]."""
+    """A mode change, with its measured and its predicted time [s since the run's start]."""
 
     run: int
     mode: str
@@ -44,7 +44,7 @@ class ModeChange:
 
 @dataclass(frozen=True)
 class Judgement:
-    """What is known of the errors of predicted runs.
+    """Assessment of the errors of predicted runs.
 
     Attributes:
         one_step, rollout: floors; None where there are too few rows to tell.
@@ -65,7 +65,7 @@ class Judgement:
 
 
 def judge(automaton: HybridAutomaton, recording: Recording, runs: Sequence[RunPrediction]) -> Judgement:
-    """Compare the errors of predicted runs with the noise that the same runs show.
+    """Assess the errors of predicted runs against their own noise.
 
     Whether anything is left is asked of innovations, and poses beside the joints, as `calibrate` asks it; and so is
     what noise alone leaves.
@@ -89,7 +89,7 @@ def judge(automaton: HybridAutomaton, recording: Recording, runs: Sequence[RunPr
 
 
 def _faulty(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> list[FaultyRun]:
-    """Runs whose errors are unlike those of the others, each for every coordinate that shows it."""
+    """Runs with outlying errors, one entry for each coordinate concerned."""
     numbers = list(dict.fromkeys(run.run for run in runs))
     faulty = []
     for i, coordinate in enumerate(automaton.coordinates):
@@ -130,7 +130,7 @@ def _circumstances(runs: Sequence[RunPrediction], i: int) -> Circumstances:
 
 
 def _correlation(errors: Sequence[Floats]) -> float:
-    """Correlation of errors with the next in the same run, about their common mean."""
+    """Lag-1 autocorrelation of errors within runs."""
     every = np.concatenate(list(errors))
     centred = [error - every.mean() for error in errors]
     power = float(sum((error**2).sum() for error in centred))
@@ -141,7 +141,7 @@ def _correlation(errors: Sequence[Floats]) -> float:
 def _floors(
     automaton: HybridAutomaton, runs: Sequence[RunPrediction], coordinates: Sequence[HeldOut]
 ) -> tuple[Floor | None, Floor | None]:
-    """Floors of one step and of the roll-out; None where not every coordinate has an input of its own.
+    """Noise floors of one step and of the roll-out; None unless every coordinate has its own input.
 
     Along the joints they are those of the models, as `calibrate` has them. Across a joint errors are those of its
     measured poses, in both.
@@ -167,7 +167,7 @@ def _floors(
 def _with_across(
     automaton: HybridAutomaton, runs: Sequence[RunPrediction], along: Floats, first: int, errors: Sequence[Floats]
 ) -> Floats:
-    """(2,) floors of a vector error of every link, given those along the joints (2, n).
+    """(2,) floors of a vector error over all links, given the floors along the joints (2, n).
 
     Args:
         first: row of the Jacobian at which the vector's part along the joint begins.
@@ -187,7 +187,7 @@ def _with_across(
 
 
 def _changes(run: RunPrediction) -> list[ModeChange]:
-    """Changes of the filter's most likely mode, and of the roll-out's, paired in order as long as they agree."""
+    """Mode changes of the filter and of the roll-out, paired in order while they agree."""
     measured, predicted = (_entries(modes, run.time) for modes in (run.one_step.modes, run.rollout.modes))
     faulty = []
     while measured or predicted:

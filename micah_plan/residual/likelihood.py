@@ -1,4 +1,4 @@
-"""Predictive likelihood of innovations: Student's t with a scale of its own, so that single bad rows decide nothing.
+"""Predictive likelihood of innovations: Student's t with an estimated scale, robust against single bad rows.
 
 Source: Lange, Little and Taylor, "Robust statistical modeling using the t distribution", JASA 1989.
 """
@@ -23,7 +23,7 @@ _REGRESSION_ROUNDS = 30
 
 
 def robust_log_density(design: Floats, now: Floats, freedom: float, finest: float = 1e-3) -> float:
-    """Log density of values (N,) about the best linear prediction from a design (N, k), with a scale of its own [nats].
+    """Log density of values (N,) under the best linear prediction from a design (N, k), with a fitted scale [nats].
 
     Args:
         finest: the smallest scale, as a share of the values' std: what is exact but for digits decides nothing.
@@ -40,13 +40,13 @@ def robust_log_density(design: Floats, now: Floats, freedom: float, finest: floa
 
 
 def student_t_log_density(x: Floats, freedom: float) -> Floats:
-    """ln density of Student's t distribution with that many degrees of freedom, of unit scale, at x of any shape."""
+    """Log density of Student's t distribution of unit scale at x, of any shape."""
     half = 0.5 * (freedom + 1.0)
     norm = gammaln(half) - gammaln(0.5 * freedom) - 0.5 * np.log(np.pi * freedom)
     return np.asarray(norm - half * np.log1p(np.square(x) / freedom))
 
 
 def independent_share(correlation: float) -> float:
-    """Which share of rows counts, where each is correlated so much with the next: (1 - r) / (1 + r) (Bartlett 1935)."""
+    """Effective fraction of rows with lag-1 correlation r: (1 - r) / (1 + r) (Bartlett 1935)."""
     r = max(correlation, 0.0)
     return (1.0 - r) / (1.0 + r)

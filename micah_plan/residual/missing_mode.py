@@ -1,4 +1,4 @@
-"""A mode that the automaton lacks: changepoints of the residual along the configuration, found as those of poses are.
+"""Missing modes: changepoints of the residual along the configuration, by the recursion also used for poses.
 
 Rows in order of their configuration are cut by the changepoint recursion. In each piece the innovation is either
 noise, as the model says, or noise about a line in the command (other motion than modelled: a gain and a drift), whose
@@ -37,7 +37,7 @@ _AS_THE_MODEL, _OTHERWISE = 0, 1
 
 @dataclass(frozen=True)
 class MissingMode:
-    """A range of the configuration in which the part moves otherwise than everywhere else.
+    """A range of the configuration in which the part follows commands differently.
 
     Attributes:
         coordinate, unit: that was measured.
@@ -69,7 +69,7 @@ class MissingMode:
 def missing_modes(
     data: CoordinateData, innovations: Floats, spread: Floats, fold: Ints, rivals: Sequence[Floats] = ()
 ) -> tuple[MissingMode, ...]:
-    """Ranges in which a coordinate moves otherwise, where changepoints say more than anything gradual.
+    """Ranges with different motion, where changepoints are likelier than any gradual function.
 
     Args:
         innovations: (S, T) of the model as it is; spread: relative std of each.
@@ -114,13 +114,13 @@ def missing_modes(
 
 
 def _correlation(residual: Floats) -> float:
-    """Of rows (N,) in time order, each with the next."""
+    """Lag-1 autocorrelation of rows (N,) in time order."""
     residual = residual - residual.mean()
     return float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-300)
 
 
 def _smooth(place: Floats, v: Floats, low: float, high: float) -> Floats:
-    """(N, k) gradual functions of the configuration, alone and times the command."""
+    """(N, k) radial basis functions of the configuration, alone and multiplied by the command."""
     spacing = (high - low) / (_BUMPS - 1)
     at = low + spacing * np.arange(_BUMPS)
     bumps = np.exp(-0.5 * ((place[:, None] - at) / spacing) ** 2)
@@ -128,7 +128,7 @@ def _smooth(place: Floats, v: Floats, low: float, high: float) -> Floats:
 
 
 def _pieces(place: Floats, line: Floats, e: Floats, low: float, high: float) -> tuple[Floats, list[bool]]:
-    """Configurations between pieces, and whether each piece moves otherwise than the model says."""
+    """(boundaries, whether each piece differs from the model) of the most probable segmentation."""
     order = np.argsort(place, kind="stable")
     order = order[np.unique(np.linspace(0, len(order) - 1, _MOST_ROWS).astype(int))]
     evidence = np.stack(_evidence(line[order], e[order]))
@@ -149,14 +149,14 @@ def _pieces(place: Floats, line: Floats, e: Floats, low: float, high: float) -> 
 
 
 def _by_piece(place: Floats, line: Floats, cuts: Floats, otherwise: list[bool]) -> Floats:
-    """(N, k) a constant and the command, in each piece that moves otherwise."""
+    """(N, k) regressors: a constant and the command, in each piece that differs from the model."""
     number = np.searchsorted(cuts, place)
     inside = [(number == k).astype(float) for k, differs in enumerate(otherwise) if differs]
     return np.hstack([indicator[:, None] * line for indicator in inside])
 
 
 def _held_out(e: Floats, design: Floats, held: Ints) -> Floats:
-    """(N,) what a regression on the other folds leaves of each."""
+    """(N,) residuals of each row under a regression on the other folds."""
     residual = np.empty_like(e)
     for fold in np.unique(held):
         test = held == fold
@@ -166,12 +166,12 @@ def _held_out(e: Floats, design: Floats, held: Ints) -> Floats:
 
 
 def _log_density(residual: Floats) -> float:
-    """Log density [nats] of residuals under Student's t with their own scale: the measure that all are compared by."""
+    """Log density [nats] of residuals under Student's t with a fitted scale: the common criterion of comparison."""
     return robust_log_density(np.zeros((len(residual), 0)), residual, FREEDOM, 0.0)
 
 
 def _evidence(line: Floats, e: Floats) -> tuple[Floats, Floats]:
-    """(n, n) of every segment (first, last row): noise alone, or about a line in the command, integrated out."""
+    """(n, n) log evidence of every segment (first, last row): noise only, and a line in the command."""
     ones, v = line.T
     rows = np.stack([ones * ones, ones * v, v * v, ones * e, v * e, e * e])
     running = np.pad(np.cumsum(rows, axis=1), ((0, 0), (1, 0)))

@@ -1,4 +1,4 @@
-"""The next experiment, written: commands whose record tells apart what a recording could not.
+"""Design of the next experiment: commands that separate hypotheses which a recording left tied.
 
 Each model that is left is in turn taken for true. What a rival then predicts worse of the motion that follows, after
 its parameters are fitted again as far as the recording lets them, is the evidence to expect [nats] (T-optimality:
@@ -51,7 +51,7 @@ _SMALLEST_STD = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Designed:
-    """An experiment and what it is for.
+    """A designed experiment with its expected evidence.
 
     Attributes:
         coordinate: that is moved.
@@ -68,7 +68,7 @@ class Designed:
 
 
 def next_experiment(automaton: HybridAutomaton, recording: Recording, calibration: Calibration) -> Designed | None:
-    """The experiment that tells apart what a calibration could not; None if nothing is open that motion can show.
+    """The experiment that separates a calibration's open alternatives; None if motion cannot.
 
     Args:
         automaton, recording: that were calibrated.
@@ -83,7 +83,7 @@ def next_experiment(automaton: HybridAutomaton, recording: Recording, calibratio
 
 
 def _rivals(trace: CoordinateTrace) -> list[Contender]:
-    """What is left to choose among: what is tied with the effects found or, if something remains, the next best.
+    """The alternatives to separate: ties of the effects found or, if structure remains, the next best.
 
     Where nothing was found: the model as it is, and what was nearest to being found.
     """
@@ -109,7 +109,7 @@ def _rivals(trace: CoordinateTrace) -> list[Contender]:
 
 @dataclass(frozen=True, eq=False)
 class _Rival:
-    """A model fitted to the recording, and what the recording knows of its parameters.
+    """A model fitted to the recording, with the Fisher information of its parameters.
 
     Attributes:
         information: (k, k) of its own free parameters.
@@ -127,7 +127,7 @@ class _Rival:
         return replace(rival, information=rival.information + slopes @ slopes.T)
 
     def errors(self, data: CoordinateData) -> tuple[Floats, Floats]:
-        """(S, T) innovations over their std, and (k, S, T) how they change with the free parameters."""
+        """(S, T) normalised innovations, and (k, S, T) their derivatives by the free parameters."""
         fit, free = self.fit, self.fit.free
         steps = _DIFFERENCE * free.scale[: free.of_model]
         steps = np.where(fit.vector[free.at[: free.of_model]] + steps <= free.high[: free.of_model], steps, -steps)
@@ -137,11 +137,11 @@ class _Rival:
         return error[0], np.asarray((error[1:] - error[0]) / steps[:, None, None])
 
     def moved(self, data: CoordinateData, mode_at: _ModeAt) -> CoordinateData:
-        """The data as this model moves."""
+        """The data with the motion that this model predicts."""
         return noiseless_data(data, self.fit.hypotheses(self.fit.vector[None]), mode_at)
 
     def outdone(self, moved: CoordinateData) -> Floats:
-        """(S,) evidence against this model if the part moves as the data say, its parameters fitted again [nats]."""
+        """(S,) evidence expected against this model if the data's motion occurs, after a refit [nats]."""
         error, slopes = self.errors(moved)
         against = np.einsum("kst,st->sk", slopes, error)
         information = self.information + np.einsum("kst,lst->skl", slopes, slopes)
@@ -150,7 +150,7 @@ class _Rival:
 
 
 class _ModeAt:
-    """The mode that a recording has at a configuration: that of the nearest row."""
+    """The mode at a configuration: that of the nearest recorded row."""
 
     def __init__(self, data: CoordinateData) -> None:
         order = np.argsort(data.z[data.counted], kind="stable")
@@ -164,7 +164,7 @@ class _ModeAt:
 def _designed(
     automaton: HybridAutomaton, data: CoordinateData, rivals: Sequence[_Rival], measured: Floats
 ) -> Designed | None:
-    """The best motion from each of some places, if they tell any two rivals apart."""
+    """The best motion from each of several starts, if they separate at least two rivals."""
     able = _starts(automaton, data, measured)
     motions, evidence = [], []
     for start in able:
@@ -186,7 +186,7 @@ def _designed(
 
 
 def _starts(automaton: HybridAutomaton, data: CoordinateData, measured: Floats) -> list[Start]:
-    """Measured states over what was visited, in modes that move the coordinate; rounded, for files."""
+    """Measured states spread over the visited range, in modes that move the coordinate; rounded for files."""
     std = tuple(max(std_of_coordinate, _SMALLEST_STD) for std_of_coordinate in automaton.noise.observation_std)
     low, high = data.visited
     starts = []
@@ -202,7 +202,7 @@ def _starts(automaton: HybridAutomaton, data: CoordinateData, measured: Floats) 
 
 
 def _best_commands(data: CoordinateData, rivals: Sequence[_Rival], start: float) -> tuple[Floats, Floats]:
-    """(T,) commands of the coordinate [rad or m], and (pairs,) evidence to expect of one run of them [nats]."""
+    """(T,) commands of the coordinate [rad or m], and (pairs,) expected evidence of one run [nats]."""
     menu = _menu(data)
     kept = np.zeros((1, 0))
     for number in range(_PIECES):
@@ -220,7 +220,7 @@ def _best_commands(data: CoordinateData, rivals: Sequence[_Rival], start: float)
 
 
 def _menu(data: CoordinateData) -> Floats:
-    """(P, _STEPS) pieces: on and back, small and large, alternately, once and then none, growing, at rest."""
+    """(P, _STEPS) command patterns: on and back, small and large, alternating, a single pulse, growing, rest."""
     sizes = np.abs(data.u[data.counted_starts])
     largest = float(sizes.max())
     k, ones = np.arange(_STEPS), np.ones(_STEPS)
@@ -234,7 +234,7 @@ def _menu(data: CoordinateData) -> Floats:
 def _told_apart(
     data: CoordinateData, rivals: Sequence[_Rival], start: float, commands: Floats
 ) -> tuple[Floats, Booleans]:
-    """(pairs, S) evidence to expect [nats], the mean of either of two being true, and (S,) whether motions stay in."""
+    """(pairs, S) expected evidence [nats], averaged over the true rival, and (S,) whether motions stay in range."""
     imagined, mode_at = _imagined(data, start, commands), _ModeAt(data)
     moved = [rival.moved(imagined, mode_at) for rival in rivals]
     low, high = data.visited
@@ -249,7 +249,7 @@ def _told_apart(
 
 
 def _imagined(data: CoordinateData, start: float, commands: Floats) -> CoordinateData:
-    """Data of S runs with commands (S, T), started at one place after all that was recorded."""
+    """Data of S runs with commands (S, T) from one start, placed after the recorded rows."""
     count, steps = commands.shape
     shape = (count, steps + 1)
     u = np.hstack([commands, np.zeros((count, 1))])
@@ -279,7 +279,7 @@ def _imagined(data: CoordinateData, start: float, commands: Floats) -> Coordinat
 def _inputs(
     automaton: HybridAutomaton, data: CoordinateData, start: Start, commands: Floats
 ) -> tuple[tuple[float, ...], ...]:
-    """(T, m) inputs that move the coordinate so."""
+    """(T, m) inputs that command the coordinate accordingly."""
     per_input = np.asarray(automaton.mode(start.mode or automaton.modes[0].name).B)[data.index]
     number = int(np.argmax(np.abs(per_input)))
     rows = np.zeros((len(commands), automaton.m))

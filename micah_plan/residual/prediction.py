@@ -66,7 +66,7 @@ class PredictionError:
 
 @dataclass(frozen=True, eq=False)
 class RunPrediction:
-    """Both predictions of one run, at the rows that are measurements.
+    """Both predictions of one run, at its measured rows.
 
     Attributes:
         time: (K + 1,) of its rows since its first [s]; x: (K + 1, n) measured configuration.
@@ -132,7 +132,7 @@ def predict_recording(
 
 
 def refused(automaton: HybridAutomaton, recording: Recording) -> str:
-    """Why `predict_recording` refuses a recording with actions: a run starts where no mode allows; empty if not."""
+    """Why `predict_recording` refuses a recording with actions: a run starts in no mode; empty if usable."""
     for reaching, parts in _usable(as_commanded(automaton, recording), recording):
         for _, track in parts:
             try:
@@ -145,7 +145,7 @@ def refused(automaton: HybridAutomaton, recording: Recording) -> str:
 def _usable(
     automaton: HybridAutomaton, recording: Recording
 ) -> list[tuple[HybridAutomaton, list[tuple[Place, Track]]]]:
-    """The model as it was in each part of a recording, its joints going on as far as that, and these parts."""
+    """(model of each part of a recording, with its ranges extended as needed; these parts)."""
     return [
         (with_extended_range(model, ranges_exceeded(model, [at_measurements(track).x for _, track in parts])), parts)
         for model, parts in versions(automaton, recording)
@@ -164,7 +164,7 @@ def rmse_of_coordinates(errors: Sequence[PredictionError]) -> tuple[float, ...]:
 
 
 def estimate_errors(runs: Sequence[RunPrediction]) -> tuple[float, float] | None:
-    """Root mean square of what was believed minus what was measured, and mean size of the last of each run.
+    """(root mean square of estimated minus measured, mean size at the end of each run).
 
     In the coordinates' unit; None if no run tells what was believed.
     """
@@ -174,7 +174,7 @@ def estimate_errors(runs: Sequence[RunPrediction]) -> tuple[float, float] | None
 
 
 def _predicted(automaton: HybridAutomaton, tracks: Sequence[Track], progress: Progress) -> list[RunPrediction]:
-    """All runs side by side: the time of a step goes into calls rather than into arithmetic."""
+    """Predictions of all runs in parallel, since the overhead is per call."""
     moving = [next((m for m in automaton.modes if m.driven[i]), None) for i in range(automaton.n)]
     rows = [np.zeros(automaton.m) if mode is None else mode.B[i] for i, mode in enumerate(moving)]
     beliefs = [first_belief(automaton, track) for track in tracks]
@@ -204,7 +204,7 @@ def _predicted(automaton: HybridAutomaton, tracks: Sequence[Track], progress: Pr
 
 
 class _Ahead:
-    """Predictions of R runs side by side, each over as many steps as it has.
+    """Parallel predictions of R runs of different lengths.
 
     Attributes:
         x: (R, T + 1, n) measured configurations, origin: where actions were given, u: (R, T, m) inputs; 0 after the end
@@ -224,7 +224,7 @@ class _Ahead:
         self.transitions = TransitionBatch(automaton, np.zeros((count, len(threshold_stds(automaton)))))
 
     def one_step(self, beliefs: Sequence[HybridBelief], progress: Callable[[float], None]) -> list[_Path]:
-        """For each measured row from the one before it, in the mode that the belief holds most likely."""
+        """Predict each measured row from the previous one, in the most likely mode of the belief."""
         automaton, channel, held = self.automaton, InputChannel(self.automaton), list(beliefs)
         modes = np.array([belief.most_likely for belief in held])
         x, collected = self.x[:, 0].copy(), _Collected(automaton, len(held))
@@ -245,7 +245,7 @@ class _Ahead:
         return collected.runs()
 
     def rollout(self, beliefs: Sequence[HybridBelief]) -> list[_Path]:
-        """For each measured row from the first one."""
+        """Predict each measured row from the first one."""
         automaton, channel = self.automaton, InputChannel(self.automaton)
         modes = np.array([belief.most_likely for belief in beliefs])
         x, collected = self._within(modes, self.x[:, 0]), _Collected(automaton, len(beliefs))
@@ -259,7 +259,7 @@ class _Ahead:
         return self.transitions.step(modes, x, u, np.zeros_like(x))
 
     def _within(self, modes: Ints, x: Floats) -> Floats:
-        """Measured configurations (R, n) in the ranges of their modes: what lies beyond an end is noise, not motion.
+        """Measured configurations (R, n) clipped to the ranges of their modes.
 
         Beyond an end a step would begin with the end's reset, which stops the part: the whole command would be lost.
         """
@@ -268,7 +268,7 @@ class _Ahead:
 
 
 class _Collected:
-    """Configurations and modes of each run, as they are predicted."""
+    """Predicted configurations and modes of each run."""
 
     def __init__(self, automaton: HybridAutomaton, count: int) -> None:
         self.automaton = automaton
@@ -276,19 +276,19 @@ class _Collected:
         self.modes: list[list[str]] = [[] for _ in range(count)]
 
     def add(self, chosen: Ints, modes: Ints, x: Floats) -> None:
-        """One step of some of the runs."""
+        """Append one step of some runs."""
         for r in chosen.tolist():
             self.x[r].append(x[r].copy())
             self.modes[r].append(self.automaton.mode_names[modes[r]])
 
     def runs(self) -> list[_Path]:
-        """What was collected, by run."""
+        """The collected paths, by run."""
         n = self.automaton.n
         return [(np.reshape(x, (-1, n)), tuple(modes)) for x, modes in zip(self.x, self.modes, strict=True)]
 
 
 def first_belief(automaton: HybridAutomaton, track: Track) -> HybridBelief:
-    """The belief after the first measurement of a run: with the model's noise at that place, or the run's if larger."""
+    """The belief after the first measurement of a run, with the larger of the model's and the run's noise."""
     std, x = np.array(automaton.noise.observation_std), track.x[0]
     stds = np.array([automaton.sensing(mode).std_at(x) for mode in automaton.modes])
     stds = np.maximum(std, np.where(np.isfinite(stds), stds, 0.0))
@@ -348,7 +348,7 @@ def _measured_poses(track: Track) -> Floats:
 
 
 def trajectory_errors(runs: Sequence[RunPrediction]) -> tuple[float, float] | None:
-    """APE and RPE of roll-outs as evo has them [m], over all runs and parts; None where evo is not installed.
+    """APE and RPE of roll-outs as defined by evo [m], over all runs and parts; None without evo.
 
     Root mean squares of translations: without alignment, and from one row to the next.
     """
@@ -374,7 +374,7 @@ def trajectory_errors(runs: Sequence[RunPrediction]) -> tuple[float, float] | No
 
 
 def _as_measured(automaton: HybridAutomaton, track: Track, x: Floats) -> Floats:
-    """(K, n) predicted configurations as the sensor that measured the poses would read them."""
+    """(K, n) predicted configurations as read by the sensor that measured the poses."""
     sensors = [effect for effect in automaton.effects if form(effect.name).layer == "sensor"]
     if track.is_outside or not sensors:
         return x

@@ -1,4 +1,4 @@
-"""Ends of a model's range that are none: a recording goes on beyond them.
+"""Exceeded ranges: ends of a model's range beyond which a recording continues.
 
 The range of a model is where a demonstration went. Where a mode holds the part, it ends there; elsewhere a recording
 may go on, and then the model's joint goes on as well.
@@ -29,7 +29,7 @@ _STOP, _SHIFT = "limit", "guard_shift"
 
 @dataclass(frozen=True)
 class RangeExceeded:
-    """An end of a coordinate's range that a recording went beyond.
+    """An end of a coordinate's range that a recording exceeds.
 
     Attributes:
         coordinate: its index; name, unit: of the coordinate; side: 0 lower, 1 upper.
@@ -50,20 +50,20 @@ class RangeExceeded:
     std: float
 
     def is_at(self, effect: Effect) -> bool:
-        """Whether an effect on an end is on this one."""
+        """Whether an effect on an end concerns this one."""
         return effect.coordinate == self.name and (dict(effect.parameters)["side"] > 0) == bool(self.side)
 
     def is_stopped_by(self, effect: Effect) -> bool:
         return effect.name == _STOP and self.is_at(effect)
 
     def is_told_by(self, effect: Effect) -> bool:
-        """Whether an effect says why rows lie beyond: the end is elsewhere, or only readings go on."""
+        """Whether an effect explains the rows beyond: a moved end, or a sensor error."""
         if form(effect.name).layer == "sensor":
             return effect.coordinate == self.name
         return effect.name == _SHIFT and self.is_at(effect)
 
     def as_shift(self, effect: Effect) -> Effect:
-        """The stop as a shift of this end."""
+        """A stop expressed as a shift of this end."""
         at, side = effect.values
         return replace(effect, name=_SHIFT, parameters=(("shift", at - self.end), ("side", side)))
 
@@ -76,7 +76,7 @@ class RangeExceeded:
 
 
 def ranges_exceeded(automaton: HybridAutomaton, runs: Sequence[Floats]) -> tuple[RangeExceeded, ...]:
-    """The ends that measured configurations (T, n) of runs lie beyond, where no mode holds the part."""
+    """Ends that measured configurations (T, n) of runs exceed where no mode holds the part."""
     excesses = []
     for i, coordinate in enumerate(automaton.coordinates):
         c = np.concatenate([x[:, i] for x in runs])
@@ -98,14 +98,14 @@ def ranges_exceeded(automaton: HybridAutomaton, runs: Sequence[Floats]) -> tuple
 
 
 def with_extended_range(automaton: HybridAutomaton, exceeded: Sequence[RangeExceeded]) -> HybridAutomaton:
-    """The automaton whose joints go on beyond those ends."""
+    """The automaton with its ranges extended beyond the exceeded ends."""
     for excess in exceeded:
         automaton = with_end_moved(automaton, excess.coordinate, excess.end, excess.onward)
     return automaton
 
 
 def with_shifts(effects: Sequence[Effect], exceeded: Sequence[RangeExceeded]) -> list[Effect]:
-    """Effects on the opened automaton as those of the model: a stop that was found beyond an end is that end, moved."""
+    """The effects with a stop found beyond an end expressed as a shift of that end."""
     return [
         next((excess.as_shift(effect) for excess in exceeded if excess.is_stopped_by(effect)), effect)
         for effect in effects
@@ -113,7 +113,7 @@ def with_shifts(effects: Sequence[Effect], exceeded: Sequence[RangeExceeded]) ->
 
 
 def without_old_ends(effects: Sequence[Effect], exceeded: Sequence[RangeExceeded]) -> list[Effect]:
-    """The effects that say something: a stop at the end that the model has already (readings went on) says nothing."""
+    """The effects without stops that coincide with an end of the model."""
 
     def is_old(effect: Effect) -> bool:
         return effect.name == _SHIFT and any(
@@ -126,7 +126,7 @@ def without_old_ends(effects: Sequence[Effect], exceeded: Sequence[RangeExceeded
 def with_range_ends(
     automaton: HybridAutomaton, exceeded: Sequence[RangeExceeded], effects: Sequence[Effect]
 ) -> HybridAutomaton:
-    """The opened automaton with ranges that end a step beyond the recording, or as before where an effect says why."""
+    """The extended automaton with ranges that end a step beyond the recording, unless an effect explains the excess."""
     for excess in exceeded:
         is_moved = any(excess.is_told_by(effect) for effect in effects)
         measured = excess.reached + (excess.step if excess.side else -excess.step)

@@ -1,4 +1,4 @@
-"""What noise alone leaves of a residual, and what the rest follows: a flexible regression that knows no effect.
+"""Residual test: a regression on generic functions that separates noise from structure, without any library of effects.
 
 Whatever the model lacks shows in one-step errors as a function of the command, of earlier commands, of where the part
 is or of time. A linear regression on flexible functions of these takes it out; what is left is the noise floor that the
@@ -37,7 +37,7 @@ _RANK = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class ResidualTest:
-    """What a regression leaves of d residuals.
+    """Result of regressing d residuals.
 
     Attributes:
         floor: (d,) std of the noise, in the residuals' units.
@@ -60,18 +60,18 @@ class ResidualTest:
 
     @property
     def is_noise(self) -> bool:
-        """Whether nothing can be added: neither all functions together nor any group of them explain anything."""
+        """Whether neither all functions together nor any group is significant."""
         return min(self.probability, self.least) > _SUSPECT
 
     @property
     def is_more(self) -> bool:
-        """Whether it is certainly more than noise, and more than a trifle."""
+        """Whether the explained part is significant and not negligible."""
         return min(self.probability, self.least) < UNLIKELY and self.share > _FOLLOWS
 
 
 @dataclass(frozen=True, eq=False)
 class Circumstances:
-    """What N steps were made under.
+    """Regressors of N steps.
 
     Attributes:
         place: (N,) configuration at the start of the step, not from the measurement that the residual contains.
@@ -93,7 +93,7 @@ class Circumstances:
 
 
 def whiteness_test(residual: Floats, under: Circumstances) -> ResidualTest | None:
-    """Regress residuals (N, d); None where there are too few rows to say anything."""
+    """Regress residuals (N, d); None with too few rows."""
     rows = len(residual)
     if rows < FEWEST_ROWS:
         return None
@@ -122,7 +122,7 @@ def whiteness_test(residual: Floats, under: Circumstances) -> ResidualTest | Non
 
 
 def _groups(under: Circumstances, rows: int) -> Mapping[str, Floats]:
-    """(N, k) functions by what they depend on; of few rows as many as they can tell."""
+    """(N, k) functions by group of what they depend on; fewer functions for fewer rows."""
     v, ones = under.command[:, :1], np.ones((rows, 1))
     speed = max(float(np.sqrt(np.mean(v**2))), ROUND_OFF)
     low, high = float(under.place.min()), float(under.place.max())
@@ -156,17 +156,17 @@ def _groups(under: Circumstances, rows: int) -> Mapping[str, Floats]:
 
 
 def _unit(values: Floats) -> Floats:
-    """Values (N, k) in units of their spread, without outliers."""
+    """Values (N, k) standardised and clipped."""
     return np.asarray(_without_outliers(values) / np.maximum(np.std(values, axis=0), ROUND_OFF))
 
 
 def lagged_commands(commands: Floats) -> Floats:
-    """(..., T, 1 + LAGS) commands of each step (..., T) and of those before it; 0 before the first."""
+    """(..., T, 1 + LAGS) commands of each step (..., T) and of the steps before; 0 before the first."""
     return np.stack([earlier_rows(commands, k, axis=commands.ndim - 1) for k in range(1 + LAGS)], axis=-1)
 
 
 def _orthonormal(groups: Mapping[str, Floats]) -> tuple[Floats, Ints]:
-    """(N, r) orthonormal directions of groups of functions, each group's on top of those before, and (r,) whose.
+    """(N, r) orthonormal basis of the groups of functions, group after group, and (r,) the group of each direction.
 
     Of functions that depend on those before none is left, so what a group explains is a sum of squares (regression by
     QR factorisation with pivoting within a group; Golub and Van Loan, Matrix Computations, ch. 5).
@@ -185,14 +185,14 @@ def _orthonormal(groups: Mapping[str, Floats]) -> tuple[Floats, Ints]:
 
 
 def _without_outliers(residual: Floats) -> Floats:
-    """Residuals cut off where single bad rows would decide the test: at five robust standard deviations."""
+    """Residuals clipped at five robust standard deviations, so that single bad rows do not decide the test."""
     spread = robust_std(residual)
     reach = np.where(spread > 0, 5.0 * spread, np.inf)
     return np.asarray(np.clip(residual, -reach, reach))
 
 
 def _chance(explained: Floats, residual: Floats, functions: int, freedom: int) -> float:
-    """Probability of what functions explain if it were noise: the smallest over residuals, times their number."""
+    """Bonferroni-corrected F-test probability of the explained sums of squares under noise alone."""
     if functions < 1 or freedom < 1:
         return 1.0
     ratio = np.maximum(explained, 0.0) / functions / np.maximum(residual / freedom, ROUND_OFF**2)

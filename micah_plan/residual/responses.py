@@ -1,4 +1,4 @@
-"""Where fits of responses to commanded places (`follow`) begin, each size of them a rival of its own.
+"""Initial values for fits of position responses (`follow`).
 
 A fit finds the nearest optimum, and those of delays and momenta are many: so fits begin at delays up to the longest, at
 slow and fast responses, and at what least squares of measured steps tell.
@@ -35,7 +35,7 @@ _Start = Mapping[int, float]
 
 
 def follows(data: CoordinateData) -> list[TermCandidate]:
-    """Responses of first order, late, of second order, with a dead zone or friction, and with limits.
+    """Candidates of first order, with delay, of second order, with a dead zone or friction, and with limits.
 
     None where most commands lead to where the part cannot be, or all are the same: places are then the measured ones.
     """
@@ -82,7 +82,7 @@ def follows(data: CoordinateData) -> list[TermCandidate]:
 
 
 def _begun(free: Sequence[int], starts: Sequence[_Start], size: float, fastest: float) -> TermCandidate:
-    """Args: columns that are fitted; values of columns at each start; usual command and fast step [rad or m]."""
+    """Args: fitted columns; their values at each start; usual command and fast step [rad or m]."""
     values = np.repeat([[0.5, *(value for _, value in AS_COMMANDED[1:]), *NEVER_GATED]], len(starts), axis=0)
     for row, start in zip(values, starts, strict=True):
         for column, value in start.items():
@@ -94,7 +94,7 @@ def _begun(free: Sequence[int], starts: Sequence[_Start], size: float, fastest: 
 
 
 def _regressions(data: CoordinateData) -> list[dict[int, float]]:
-    """Parameters by least squares for each short delay, and for the longer one that leaves least."""
+    """Least-squares parameters for each short delay, and for the best longer one."""
     longest = min(LONGEST_DELAY, data.z.shape[1] - 3)
     soon = [_regressed(data, late)[0] for late in range(_SOON)]
     later = [_regressed(data, late) for late in range(_SOON, longest)]
@@ -102,7 +102,7 @@ def _regressions(data: CoordinateData) -> list[dict[int, float]]:
 
 
 def _regressed(data: CoordinateData, late: int) -> tuple[dict[int, float], float]:
-    """Parameters of `follow` by least squares of measured steps, with places so many rows late and up to one more.
+    """Least-squares parameters of `follow` from measured steps, with positions delayed by `late` to `late` + 1 rows.
 
     A delay between two rows is a share of the place in each.
 

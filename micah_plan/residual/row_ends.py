@@ -1,4 +1,4 @@
-"""Where the motion of one coordinate ends in each measured row: what the other coordinates, and the mode, allow.
+"""Ends of one coordinate's motion in each measured row, from the mode and the other coordinates.
 
 A drawer behind a door goes nowhere while the door is shut, and the door does not shut while the drawer is out. The ends
 are where the automaton's own step leads a coordinate that is pushed too far. Whether another coordinate is in the way
@@ -38,7 +38,7 @@ class RowEnds:
     narrow: Floats
 
     def leaves_open(self, x: Floats, v: Floats) -> Booleans:
-        """(T,) whether it depends on the noise where a motion v (T,) from x (T,) leads."""
+        """(T,) whether the result of a motion v (T,) from x (T,) depends on noise."""
         aim = x + v
         return np.asarray(np.clip(aim, self.low, self.high) != np.clip(aim, *self._reached(x)))
 
@@ -48,7 +48,7 @@ class RowEnds:
 
 
 def row_modes(automaton: HybridAutomaton, x: Floats) -> Ints:
-    """(T,) index of the mode that each state (T, n) is in: the one whose invariant and pins it violates least."""
+    """(T,) mode of each state (T, n): the one whose invariant and pins are violated least."""
     std = np.array([min(s, 1.0) for s in automaton.noise.observation_std])
     u = np.zeros((len(x), automaton.m))
     misses = []
@@ -66,14 +66,14 @@ def row_modes(automaton: HybridAutomaton, x: Floats) -> Ints:
 
 @dataclass(frozen=True, eq=False)
 class RowsSeen:
-    """How a model sees T rows: (T,) index of the mode of each, and (T, n) stds of its measurement [rad or m]."""
+    """Model-based annotation of T rows: (T,) mode indices, and (T, n) measurement stds [rad or m]."""
 
     modes: Ints
     stds: Floats
 
 
 def rows_as_seen(automaton: HybridAutomaton, track: Track) -> RowsSeen:
-    """Modes and noise of the rows of a run: of a single coordinate by its place, else as a filter believes.
+    """Modes and noise of the rows of a run: from the configuration if one coordinate moves, else from a filter.
 
     Where several coordinates move, a place beside a guard may be in either mode, and what came before tells. How
     precise a measurement is depends on where the part is, not on what is read: so on the place that is predicted.
@@ -99,7 +99,7 @@ def rows_as_seen(automaton: HybridAutomaton, track: Track) -> RowsSeen:
 
 
 def row_ends(automaton: HybridAutomaton, x: Floats, modes: Ints, i: int) -> RowEnds:
-    """Ends of coordinate i in measured rows (T, n) that lie in modes (T,)."""
+    """Ends of coordinate i in measured rows (T, n) with modes (T,)."""
     plain = replace(automaton, effects=())
     every = [_pushed(plain, at, modes, i) for at in _alternatives(automaton, x, i)]
     lows, highs = np.stack([low for low, _ in every]), np.stack([high for _, high in every])
@@ -107,7 +107,7 @@ def row_ends(automaton: HybridAutomaton, x: Floats, modes: Ints, i: int) -> RowE
 
 
 def _alternatives(automaton: HybridAutomaton, x: Floats, i: int) -> list[Floats]:
-    """The rows, and the same with each other coordinate as far off as noise may have it."""
+    """The rows, and variants with each other coordinate displaced by its noise."""
     configurations = [x]
     for j in range(automaton.n):
         for side in (-NEAR_STDS, NEAR_STDS) if j != i else ():
@@ -117,7 +117,7 @@ def _alternatives(automaton: HybridAutomaton, x: Floats, i: int) -> list[Floats]
 
 
 def _pushed(automaton: HybridAutomaton, x: Floats, modes: Ints, i: int) -> tuple[Floats, Floats]:
-    """(low, high) to which a push far beyond the range leads coordinate i; infinite where nothing stops it.
+    """(low, high) that coordinate i reaches under a push far beyond the range; infinite where unbounded.
 
     What a mode holds only an input can move: where it does, what it takes is known (`CoordinateData.release`).
     """

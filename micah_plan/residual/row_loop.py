@@ -1,4 +1,4 @@
-"""The loop over rows, compiled: instructions of a step on many hypotheses at once, and the filter around them.
+"""The compiled loop over rows: instructions of a step for many hypotheses, inside a filter.
 
 Numba compiles it when it is first called, and keeps what it compiled beside this file or in the user's cache. What it
 keeps is thrown away when this file changes and not when another does, so that all of it is here.
@@ -38,7 +38,7 @@ _MULTIPLIED = 8
 
 
 def _compiled(function: _Function) -> _Function:
-    """A function that Numba compiles when it is first called; divisions by 0 give what NumPy's give."""
+    """The function compiled by Numba at its first call, with NumPy's results for division by 0."""
     compiled: _Function
     try:
         compiled = numba.njit(cache=True, error_model="numpy")(function)
@@ -48,7 +48,7 @@ def _compiled(function: _Function) -> _Function:
 
 
 class Programs(NamedTuple):
-    """Instructions ((n, 4) each) of what is done when.
+    """Instructions (n, 4) by the time they run.
 
     Attributes:
         once: for the parameters. begun: memories of what has moved on by `MOVED_ON` to `PLACE_OF_PART`.
@@ -74,7 +74,7 @@ class Programs(NamedTuple):
 
 
 class RowsGiven(NamedTuple):
-    """What rows (S, T) bring along: see `coordinate_data.CoordinateData`.
+    """Data of rows (S, T), as in `coordinate_data.CoordinateData`.
 
     Attributes:
         effort: squared commands, over their usual size. moved: (1, S, T), or (B, S, T) of each hypothesis: commands.
@@ -105,7 +105,7 @@ class RowsGiven(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """What all hypotheses of a batch share.
+    """Settings shared by all hypotheses of a batch.
 
     Attributes:
         kind: `FILTER`, `ONE_STEP` or `ROLLOUT`.
@@ -127,7 +127,7 @@ class Settings(NamedTuple):
 
 @_compiled
 def evaluate(code: Ints, r: Floats, in_mode: Booleans, mode: Ints, t: int) -> None:
-    """Instructions on registers (R, lanes), of rows in modes (lanes,), the t-th of their segments."""
+    """Execute instructions on registers (R, lanes) for rows in modes (lanes,), the t-th of their segments."""
     lanes = r.shape[1]
     for k in range(code.shape[0]):
         operation = code[k, 0]
@@ -190,14 +190,14 @@ def evaluate(code: Ints, r: Floats, in_mode: Booleans, mode: Ints, t: int) -> No
 
 @_compiled
 def _look_back(line: Floats, rows: Floats, t: int, o: Floats) -> None:
-    """The values that a delay line (LINE, lanes) has kept so many rows (lanes,) ago."""
+    """Values of a delay line (LINE, lanes) at given ages in rows (lanes,)."""
     for j in range(len(o)):
         o[j] = line[(t - int(rows[j])) % LINE, j]
 
 
 @_compiled
 def _evaluate_rare(operation: int, o: Floats, a: Floats, b: Floats) -> None:
-    """One of the instructions that are slow or rare."""
+    """Execute one of the slow or rare instructions."""
     for j in range(len(o)):
         x, y = a[j], b[j]
         if operation == Operation.EXP:
@@ -252,7 +252,7 @@ def _evaluate_rare(operation: int, o: Floats, a: Floats, b: Floats) -> None:
 
 @_compiled
 def _load(r: Floats, constants: Floats, parameters: Ints, values: Floats) -> None:
-    """Fill the registers of numbers and of parameters (k, B), of each hypothesis in all segments."""
+    """Load constants and parameters (k, B) into the registers, repeated for all segments."""
     for k in range(constants.shape[0]):
         r[int(constants[k, 0])] = constants[k, 1]
     for k in range(parameters.shape[0]):
@@ -263,7 +263,7 @@ def _load(r: Floats, constants: Floats, parameters: Ints, values: Floats) -> Non
 
 @_compiled
 def _look_at(rows: RowsGiven, r: Floats, state: Floats, mode: Ints, first: int, hypotheses: int, t: int) -> None:
-    """Fill in what a row of each segment brings along; where a segment has ended, its last once more."""
+    """Load a row of each segment; where a segment has ended, its last row."""
     for i in range(r.shape[1] // hypotheses):
         s = first + i
         at = min(t, rows.last[s])
@@ -277,7 +277,7 @@ def _look_at(rows: RowsGiven, r: Floats, state: Floats, mode: Ints, first: int, 
 
 @_compiled
 def _take_ends(ends: Floats, last: Ints, r: Floats, per_hypothesis: Floats, first: int, t: int) -> None:
-    """Ends in a row: those that are given, and what is beside them."""
+    """Load the ends of a row, with each hypothesis' offsets."""
     hypotheses, is_alike = per_hypothesis.shape[1], ends.shape[2] == 1
     for i in range(r.shape[1] // hypotheses):
         s = 0 if is_alike else first + i
@@ -289,7 +289,7 @@ def _take_ends(ends: Floats, last: Ints, r: Floats, per_hypothesis: Floats, firs
 
 @_compiled
 def _begin(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
-    """Take the first row of a segment as it was measured."""
+    """Initialise the state at the measured first row of a segment."""
     for j in range(r.shape[1]):
         low, high, steep = r[LOW, j], r[HIGH, j], r[STEEPNESS, j]
         place = min(max((state[_READ, j] - r[OFFSET, j]) / steep, low), high)
@@ -307,7 +307,7 @@ def _begin(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
 def _remember(
     programs: Programs, rows: RowsGiven, r: Floats, state: Floats, mode: Ints, hypotheses: int, first: int
 ) -> None:
-    """Fill memories as of the first row, and delay lines with what was commanded until then.
+    """Initialise memories at the first row, and delay lines with the earlier commands.
 
     Where a run begins nothing is known of that: the part rests, but may do anything as long as commands are late.
     """
@@ -327,7 +327,7 @@ def _remember(
 
 @_compiled
 def _hold(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
-    """Hold the part at its lower or upper end: until a command releases it, or the end is gone."""
+    """Hold the part at its lower or upper end until a command releases it or the end disappears."""
     for j in range(r.shape[1]):
         low, high, v = r[LOW, j], r[HIGH, j], r[COMMAND, j]
         free = min(max(r[FREE, j], low), high)
@@ -346,7 +346,7 @@ def _hold(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
 def _move(
     r: Floats, state: Floats, per_hypothesis: Floats, is_bounded: bool, stays: float, held_variance: float
 ) -> None:
-    """Take the part to where it is free to go, or to what ends its way."""
+    """Move the part to its free position, clipped at the ends, with its variances."""
     for j in range(r.shape[1]):
         free, slope = r[FREE, j], min(max(r[SLOPE, j], -1.0), 1.0)
         if is_bounded:
@@ -363,14 +363,14 @@ def _move(
 
 @_compiled
 def _go_on(state: Floats, variance: Floats, first: int, hypotheses: int) -> None:
-    """Know the second row of segments that go on less well."""
+    """Inflate the variance of the second row of continued segments."""
     for j in range(state.shape[1]):
         state[_OF_PLACE, j] += variance[first + j // hypotheses]
 
 
 @_compiled
 def _compare(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
-    """Compare with a row."""
+    """Compute the innovation of a row and its variance."""
     for j in range(r.shape[1]):
         steep, of_both = r[STEEPNESS, j], state[_OF_BOTH, j]
         state[_ERROR, j] = state[_READ, j] - r[OFFSET, j] - steep * r[PLACE_OF_PART, j] - state[_WANDERED, j]
@@ -380,7 +380,7 @@ def _compare(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
 
 @_compiled
 def _let_go(r: Floats, state: Floats, per_hypothesis: Floats, surely: float) -> None:
-    """Find parts that were predicted on the wrong side of being held: measured away from an end, or left behind there.
+    """Correct the held state of parts measured away from a predicted end, or left behind at one.
 
     Whether a part arrived at an end, and whether a command was just enough to leave it, noise decides. What is
     measured afterwards tells, as soon as it is no noise; else one wrong guess would last for many rows.
@@ -403,7 +403,7 @@ def _let_go(r: Floats, state: Floats, per_hypothesis: Floats, surely: float) -> 
 
 @_compiled
 def _take_in(r: Floats, state: Floats, per_hypothesis: Floats, is_bounded: bool, t: int) -> None:
-    """Take a measurement in: a far one moves the state less.
+    """Kalman update, robust against far measurements.
 
     In the first steps it also leaves the state less certain, as Student's t has it: the part may still do what it was
     told before the log, as long as commands are late.
@@ -431,7 +431,7 @@ def _take_in(r: Floats, state: Floats, per_hypothesis: Floats, is_bounded: bool,
 
 @_compiled
 def _take_as_measured(r: Floats, state: Floats, per_hypothesis: Floats, unseen: float) -> None:
-    """Begin the next step where the part was measured, if it was."""
+    """Reset the state to the measurement, if there is one."""
     for j in range(r.shape[1]):
         if state[_NOISE, j] < unseen:
             r[PLACE_OF_PART, j] += (state[_ERROR, j] + state[_WANDERED, j]) / r[STEEPNESS, j]
@@ -441,7 +441,7 @@ def _take_as_measured(r: Floats, state: Floats, per_hypothesis: Floats, unseen: 
 
 @_compiled
 def _find_density(state: Floats, per_hypothesis: Floats, anywhere: float) -> None:
-    """Density of a row: Student's t, whose power is a whole number and a half, or anywhere in the range."""
+    """Density of a row: Student's t, with a half-integer power, or uniform over the range."""
     most = 0.0
     for j in range(state.shape[1]):
         most = max(most, per_hypothesis[FREEDOM, j])
@@ -460,7 +460,7 @@ def _find_density(state: Floats, per_hypothesis: Floats, anywhere: float) -> Non
 
 @_compiled
 def _take_logarithm(state: Floats) -> None:
-    """Add the logarithm of the product of densities."""
+    """Add the logarithm of the accumulated product of densities."""
     for j in range(state.shape[1]):
         state[_TOTAL, j] += math.log(state[_PRODUCT, j])
         state[_PRODUCT, j] = 1.0
@@ -468,7 +468,7 @@ def _take_logarithm(state: Floats) -> None:
 
 @_compiled
 def _multiply(number: Ints, state: Floats, hypotheses: int, first: int, t: int) -> None:
-    """Multiply the densities of a row of each segment that has it; take the logarithm now and then."""
+    """Accumulate the densities of a row by segment, taking the logarithm occasionally."""
     for i in range(state.shape[1] // hypotheses):
         if number[first + i, t] >= 0:
             for j in range(i * hypotheses, (i + 1) * hypotheses):
@@ -479,7 +479,7 @@ def _multiply(number: Ints, state: Floats, hypotheses: int, first: int, t: int) 
 
 @_compiled
 def _add_up(total: Floats, state: Floats) -> None:
-    """Add the log densities of all segments to those of the hypotheses."""
+    """Accumulate the log densities of all segments per hypothesis."""
     _take_logarithm(state)
     for j in range(state.shape[1]):
         total[j % total.shape[0]] += state[_TOTAL, j]
@@ -487,7 +487,7 @@ def _add_up(total: Floats, state: Floats) -> None:
 
 @_compiled
 def _note(state: Floats, error: Floats, variance: Floats) -> None:
-    """Copy error and variance (lanes,) of a row."""
+    """Store error and variance (lanes,) of a row."""
     for j in range(state.shape[1]):
         error[j], variance[j] = state[_ERROR, j], state[_VARIANCE, j]
 
@@ -507,7 +507,7 @@ def _write(number: Ints, values: Floats, at: Ints, first: int, into: Floats) -> 
 
 @_compiled
 def _longest(last: Ints, first: int, count: int) -> int:
-    """The last row of the longest of some segments."""
+    """Length of the longest of some segments."""
     longest = 0
     for s in range(first, first + count):
         longest = max(longest, last[s])
@@ -516,7 +516,7 @@ def _longest(last: Ints, first: int, count: int) -> int:
 
 @_compiled
 def _in_all_segments(per_hypothesis: Floats, lanes: int) -> Floats:
-    """(k, lanes) values of hypotheses (k, B), in each segment."""
+    """(k, lanes) values of hypotheses (k, B), repeated for each segment."""
     own = np.empty((per_hypothesis.shape[0], lanes))
     for k in range(per_hypothesis.shape[0]):
         for j in range(lanes):

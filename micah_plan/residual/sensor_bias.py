@@ -1,4 +1,4 @@
-"""What the controller read against what was measured: effects of its sensor, from the pose that it believed at rest.
+"""Sensor effects of the controller, from its estimated against the measured pose at rest.
 
 While the part moves a belief may run ahead of the part or behind it. Where both rest it shows what the sensor makes of
 the configuration, if something else measured the part: its readings x and beliefs e then differ by x = k e + o + r t.
@@ -39,7 +39,7 @@ _COLUMN = {"sensor_scale": 0, "sensor_offset": 1, "drift": 2}
 
 
 def estimator_bias_findings(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[DirectFinding, ...]:
-    """Effects of sensors that predict held-out rests clearly better; in the order in which they are taken out."""
+    """Sensor effects with significant evidence on held-out rests, in the order of their application."""
     findings: list[DirectFinding] = []
     for i, coordinate in enumerate(automaton.coordinates):
         rests = np.array([rest for track in tracks for rest in _rests(track, i, len(tracks))]).reshape(-1, 4)
@@ -56,7 +56,7 @@ def estimator_bias_findings(automaton: HybridAutomaton, tracks: Sequence[Track])
 
 
 def _rests(track: Track, i: int, runs: int) -> list[tuple[float, float, float, float]]:
-    """(measured, believed, time, variance of the first two's difference) at the rests of a run, one of each segment."""
+    """(measured, estimated, time, variance of their difference) at the rests of a run, one per segment."""
     if track.believed is None:
         return []
     x, e, time = track.x[:, i], track.believed[:, i], track.time - track.time[0]
@@ -76,7 +76,7 @@ def _rests(track: Track, i: int, runs: int) -> list[tuple[float, float, float, f
 
 
 def _density(rests: Floats, names: tuple[str, ...]) -> float:
-    """Log density of each rest's error as the others predict it [nats].
+    """Log density of each rest's error under the prediction from the others [nats].
 
     Few rests may agree by chance: none is taken for more certain than the scatter of its own rows lets it be.
     """
@@ -101,7 +101,7 @@ def _regression(rests: Floats, names: tuple[str, ...]) -> tuple[Floats, Floats]:
 
 
 def _effects(rests: Floats, names: tuple[str, ...], coordinate: str, evidence: float) -> list[DirectFinding]:
-    """The reading is scale (c + offset) + rate t, so that c = reading / scale - offset."""
+    """Effects of the reading model scale (c + offset) + rate t, so that c = reading / scale - offset."""
     design, target = _regression(rests, names)
     beta = np.linalg.lstsq(design, target, rcond=None)[0]
     noise = float(((target - design @ beta) ** 2).sum()) / (len(target) - design.shape[1])

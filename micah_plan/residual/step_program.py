@@ -1,4 +1,4 @@
-"""The step of a model as instructions for the loop over rows: the formulas of its terms, one layer after the other.
+"""Compilation of a model's step to instructions for the loop over rows, layer by layer.
 
 What is uncertain of a configuration grows or shrinks with the exact slope of each formula (`symbolic.formula_lines`).
 """
@@ -70,7 +70,7 @@ def model_program(model: Model, gated: tuple[bool, ...], neutral: tuple[Neutral,
 
 
 class _Acting(NamedTuple):
-    """A term as it acts: registers of its parameters and gates, whether these shut it, and what of it is neutral."""
+    """A term with its registers: parameters, gates, and which options are neutral."""
 
     term: Term
     values: list[int]
@@ -79,7 +79,7 @@ class _Acting(NamedTuple):
 
 
 class _Assembly:
-    """Programs as they grow."""
+    """Programs under construction."""
 
     def __init__(self, model: Model, gated: Sequence[bool], neutral: Sequence[Neutral]) -> None:
         self.registers = FIRST_OWN
@@ -160,7 +160,7 @@ class _Assembly:
             self._blend(reading, STEEPNESS, steepness, acts)
 
     def _pass_on(self, out: int, slope: int, acts: int | None) -> None:
-        """Change the command, and how it changes with the configuration."""
+        """Replace the command, and its derivative by the configuration."""
         self._blend(self.step, COMMAND, out, acts)
         if self.follows_places:
             self.step.append((Operation.MUL, slope, slope, self.steepness))
@@ -169,7 +169,7 @@ class _Assembly:
     def _in_force(
         self, sent: int, earlier: Sequence[int], form: EffectForm, values: Sequence[int], neutral: Neutral
     ) -> tuple[Sequence[int], Sequence[int], int | None]:
-        """What acts of what is commanded, parameters with what a late command needs, and whether the newest acts now.
+        """(registers of the command in force, parameters, register that says whether the newest command applies).
 
         Args:
             earlier: register of what was commanded before the first row, if commands act later.
@@ -195,7 +195,7 @@ class _Assembly:
         return (newer, older), [*values[:size], late], is_now
 
     def _memory_of(self, form: EffectForm, values: Sequence[int], neutral: Neutral) -> tuple[list[int], list[int]]:
-        """Registers of the memory, as of the first row, and of what was commanded before, if commands act later."""
+        """(registers of the memory at the first row, registers of the earlier command if commands are late)."""
         begun = self._called(self.begun, begun_line(form, neutral), (PLACE_OF_PART, MOVED_ON), values)
         size = len(begun) - is_late(form, neutral)
         memory = self._own(size)
@@ -212,7 +212,7 @@ class _Assembly:
     def _called(
         self, code: list[Instruction], line: StraightLine, inputs: Sequence[int], values: Sequence[int]
     ) -> list[int]:
-        """Registers of what a formula gives."""
+        """Append the instructions of a formula and return its result registers."""
         kept, results, passing = self._own(line.kept), self._own(line.results), self._own(line.passing)
         at = [*inputs, *values[: line.parameters], *kept, *results, *passing]
         self.once += [(operation, at[o], at[a], at[b]) for operation, o, a, b in line.once.tolist()]
@@ -221,7 +221,7 @@ class _Assembly:
         return results
 
     def _acts(self, code: list[Instruction], term: Term, values: Sequence[int], is_gated: bool) -> int | None:
-        """Register of whether a term acts in a row; None: it always does."""
+        """Register that says whether a term acts in a row; None: always."""
         parts = []
         if is_gated:
             for gate, passed in zip(values[-GATES:], (ORDER, TIME), strict=True):
@@ -237,7 +237,7 @@ class _Assembly:
         return parts[0] if parts else None
 
     def _blend(self, code: list[Instruction], register: int, changed: int, acts: int | None) -> None:
-        """Take a changed value where the term acts."""
+        """Use a changed value where the term acts."""
         code.append(_move(register, changed) if acts is None else (Operation.SELECT, register, acts, changed))
 
 

@@ -1,4 +1,4 @@
-"""Commands that are stored in later rows than those that they move, as a logger does that writes what it read last.
+"""Actions stored in later rows than the motions they cause, as by a logger that writes the latest value read.
 
 A motion tells: what is commanded in a later row foretells it better than its own row's command and those before.
 Displacements are asked for that, and places where they are more regular than displacements: then nothing of a
@@ -29,7 +29,7 @@ _OWN_SHARE_OF_PLACES = 0.2
 
 
 def rows_late(runs: Sequence[Track]) -> int:
-    """By how many rows actions are stored after those that they move.
+    """Number of rows by which actions are stored late.
 
     The action of a later row foretells a motion better than its own row's and those before it, and with their sign.
     (Where commands follow what was measured, the next command foretells the noise of a motion with the other sign;
@@ -50,7 +50,7 @@ def rows_late(runs: Sequence[Track]) -> int:
 
 
 def _is_foretold_later(runs: Sequence[Track], late: int, i: int) -> bool:
-    """Whether a coordinate's motion follows the command `late` + 1 rows later, rather than those up to `late`."""
+    """Whether a coordinate's motion follows the command `late` + 1 rows later rather than those up to `late`."""
     designs, moved = [], []
     for track in runs:
         dx, u = np.diff(track.x[:, i]), _displacements(track, i)
@@ -75,7 +75,7 @@ def _is_foretold_later(runs: Sequence[Track], late: int, i: int) -> bool:
 
 
 def is_regular_in_places(runs: Sequence[Track], i: int) -> bool:
-    """Whether the places of a coordinate's commands change more evenly from row to row than the displacements do.
+    """Whether a coordinate's commands are more regular as positions than as displacements.
 
     What blurs a measurement is in a displacement that leads to a place, and in the place that a displacement leads to.
     The mean root of second differences tells: a few jumps count little in it.
@@ -88,7 +88,7 @@ def is_regular_in_places(runs: Sequence[Track], i: int) -> bool:
 
 
 def _goes_to_a_later_place(runs: Sequence[Track], late: int, i: int) -> bool:
-    """Whether a coordinate goes after the place of `late` + 1 rows later, beside those up to `late` and its speed."""
+    """Whether a coordinate moves toward the position commanded `late` + 1 rows later, given the earlier ones."""
     designs, moved = [], []
     for track in runs:
         z, place = track.x[:, i], _places(track, i)
@@ -109,7 +109,7 @@ def _goes_to_a_later_place(runs: Sequence[Track], late: int, i: int) -> bool:
 
 
 def _finite_rows(designs: Sequence[Floats], moved: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """Regressors (n, k) and motions (n,) of all runs, without rows in which a regressor is not told."""
+    """Regressors (n, k) and motions (n,) of all runs, without rows that have a missing regressor."""
     if not designs:
         return np.zeros((0, 0)), np.zeros(0)
     design, now = np.concatenate(designs), np.concatenate(moved)
@@ -122,6 +122,6 @@ def _displacements(track: Track, i: int) -> Floats:
 
 
 def _places(track: Track, i: int) -> Floats:
-    """To which the commands of rows lead."""
+    """Positions to which the commands lead."""
     displacements = _displacements(track, i)
     return np.asarray(track.origin[: len(displacements), i] + displacements)

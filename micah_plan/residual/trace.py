@@ -1,4 +1,4 @@
-"""What a coordinate's model lacks: the effects that came out of the competition, and what is concluded from them."""
+"""Findings on one coordinate: the effects that won the competition, and the conclusions."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _MOST_ALTERNATIVES = 8
 
 @dataclass(frozen=True, eq=False)
 class CoordinateFinding:
-    """An effect that was found in a coordinate's data.
+    """An effect found in a coordinate's data.
 
     Attributes:
         part: its term and parameters, gates included; a median where one was fitted, the best fit of several.
@@ -54,7 +54,7 @@ class CoordinateFinding:
 
 @dataclass(frozen=True, eq=False)
 class CoordinateTrace:
-    """What was found on one coordinate.
+    """Findings on one coordinate.
 
     Attributes:
         held_out: of all models.
@@ -92,14 +92,14 @@ class CoordinateTrace:
 
     @property
     def unexplained_fraction(self) -> float:
-        """Share of the explainable residual that effects leave, 0 to 1."""
+        """Fraction (0 to 1) of the explainable residual that the effects do not explain."""
         if self.findings or self.facts.smooth:
             return self.facts.smooth
         return float(self.facts.is_corrected and not self.missing_modes)
 
 
 def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrace:
-    """Find what a coordinate's model lacks."""
+    """Identify the effects that a coordinate's model lacks."""
     standings = held_out.competition.search(progress or _silent)
     average = likeliest_average(held_out.competition, standings)
     if average is None:
@@ -158,7 +158,7 @@ def _traced(held_out: HeldOut, standings: Standings, average: Average | None = N
 
 
 def _without_trifles(held_out: HeldOut, standings: Standings) -> Standings:
-    """What came out of averaged commands, without what does not make roll-outs of the written ones shorter.
+    """The standings under averaged commands, without effects that do not improve roll-outs of the recorded ones.
 
     Averages leave something of their own in single steps, which no part does.
     """
@@ -167,7 +167,7 @@ def _without_trifles(held_out: HeldOut, standings: Standings) -> Standings:
 
 
 def _goes_far(held_out: HeldOut, standings: Standings) -> Standings:
-    """What came out, with a near rival in its place if roll-outs get longer with the best, and not with that one."""
+    """The standings, with a near rival chosen if the best lengthens held-out roll-outs and the rival does not."""
     longest = _LONGER * _rolled(held_out, standings.nominal)
     if standings.chosen is standings.nominal or _rolled(held_out, standings.chosen) <= longest:
         return standings
@@ -182,7 +182,7 @@ def _rolled(held_out: HeldOut, model: Contender) -> float:
 
 
 def _is_noisier(held_out: HeldOut, model: Contender) -> bool:
-    """Whether single steps of held-out rows get longer with a model: what it leaves is no noise of readings alone."""
+    """Whether one-step errors of held-out rows grow with a model."""
     sizes = [
         float(np.mean(held_out.errors(model, "one_step")[held_out.data.counted] ** 2))
         for model in (model, held_out.nominal)
@@ -191,7 +191,7 @@ def _is_noisier(held_out: HeldOut, model: Contender) -> bool:
 
 
 def _share_left(standings: Standings) -> float:
-    """Share of the evidence against the nominal model that the chosen effects leave to corrections, 0 to 1."""
+    """Fraction (0 to 1) of the evidence against the nominal model that remains for unnamed corrections."""
     corrected = [model for model in standings.remaining if model.names[-1] in (UNNAMED, MEMORY)]
     if not corrected:
         return 0.0
@@ -201,14 +201,14 @@ def _share_left(standings: Standings) -> float:
 
 
 def _final(held_out: HeldOut, standings: Standings, chosen: Contender) -> Contender:
-    """The chosen model with the best correction that can be written."""
+    """The chosen model with the best correction that an automaton can hold."""
     able = [model for model in standings.remaining if model.names and model.names[-1] == UNNAMED]
     able = [model for model in able if model.names[:-1] == chosen.names]
     return next(filter(held_out.competition.is_within_bounds, able), chosen)
 
 
 def _is_contradicted(held_out: HeldOut, named: Contender) -> bool:
-    """Whether one of few runs is evidence against effects that were fitted to the others.
+    """Whether one of few runs is evidence against effects fitted to the others.
 
     Rows of one run share what is particular to it, so few runs show what many rows of them do not.
     """
@@ -226,7 +226,7 @@ def _is_contradicted(held_out: HeldOut, named: Contender) -> bool:
 
 
 def _is_changing(chosen: Contender, innovation_test: ResidualTest | None) -> bool:
-    """Whether what began goes on changing: effects began at several times, or one did and time tells more than that."""
+    """Whether the effects keep changing: several onsets, or one onset and residuals that still depend on time."""
     begun = {gate for part in chosen.parts if np.isfinite(gate := float(part.starts[0, -GATES]))}
     return len(begun) > 1 or (
         len(begun) == 1 and innovation_test is not None and "time" in (what for what, _ in innovation_test.follows)
@@ -234,7 +234,7 @@ def _is_changing(chosen: Contender, innovation_test: ResidualTest | None) -> boo
 
 
 def _is_single(data: CoordinateData) -> bool:
-    """Whether there is one run alone, with few motions: then nothing is left to test an effect with."""
+    """Whether there is one run with few motions, so that nothing is left for validation."""
     if len(np.unique(data.run)) > 1:
         return False
     places = data.z[data.counted]
@@ -249,7 +249,7 @@ def _is_single(data: CoordinateData) -> bool:
 
 
 def _ranking(nominal: Contender, models: Sequence[Contender]) -> tuple[tuple[str, float, float], ...]:
-    """Every candidate once, by its best variant."""
+    """(name, evidence, error) of every candidate, by its best variant."""
     best: dict[str, tuple[str, float, float]] = {}
     for model in models:
         row = (model.names[-1], *model.over(nominal))
@@ -259,7 +259,7 @@ def _ranking(nominal: Contender, models: Sequence[Contender]) -> tuple[tuple[str
 
 
 def _modes(held_out: HeldOut, standings: Standings) -> tuple[MissingMode, ...]:
-    """Modes that the automaton lacks, if other models predict no better: all, where one run is unlike the others."""
+    """Missing modes, if no other model predicts as well; all of them where one run deviates."""
     nominal = standings.nominal
     rivals = (
         standings.chosen,
@@ -273,7 +273,7 @@ def _modes(held_out: HeldOut, standings: Standings) -> tuple[MissingMode, ...]:
 
 
 def may_remember(data: CoordinateData, finding: CoordinateFinding) -> bool:
-    """Whether it is open if an effect comes from this command or from earlier ones.
+    """Whether it is undecided if an effect depends on the present or on earlier commands.
 
     It is tied with one of the other sort; or it depends on the place, and the runs are so alike that what depends on
     earlier commands looks the same. What a wrong guess does to a plan is worse than doing nothing.
@@ -285,7 +285,7 @@ def may_remember(data: CoordinateData, finding: CoordinateFinding) -> bool:
 
 
 def _silent(message: str, fraction: float) -> None:
-    """Progress that nobody asked for."""
+    """No-op progress callback."""
     del message, fraction
 
 
@@ -317,7 +317,7 @@ def _findings(held_out: HeldOut, standings: Standings) -> tuple[CoordinateFindin
 
 
 def _tied(standings: Standings, number: int) -> list[str]:
-    """Effects in place of one of the chosen, with all others the same, that make the recording as likely."""
+    """Alternatives to one of the chosen effects that explain the recording equally well."""
     chosen = standings.chosen
     unchanged = sorted(name for k, name in enumerate(chosen.names) if k != number)
     tied = []

@@ -1,4 +1,4 @@
-"""What a calibration concludes of a coordinate: ordered outcomes, of which the first that the facts allow is told."""
+"""Verdict on a coordinate: an ordered list of outcomes, of which the first that applies is returned."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ it."""
 
 @dataclass(frozen=True)
 class Facts:
-    """What is known of a coordinate once effects were looked for.
+    """Facts about a coordinate after the search for effects.
 
     Attributes:
         effects: how many have a name; modes: how many the automaton lacks.
@@ -54,13 +54,13 @@ class Facts:
 
     @property
     def is_kept_out(self) -> bool:
-        """Whether a wrong guess would do more harm than the model as it is."""
+        """Whether a wrong effect would be worse than the model without it."""
         return self.is_open or self.is_contradicted or self.is_longer
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A conclusion.
+    """A possible conclusion with its verdict.
 
     Attributes:
         sentence: of a coordinate, in plain words.
@@ -149,12 +149,12 @@ OUTCOMES: tuple[tuple[Outcome, Callable[[Facts], bool]], ...] = (
 
 
 def outcome_of(facts: Facts) -> Outcome:
-    """The first outcome that the facts allow."""
+    """The first outcome that applies to the facts."""
     return next(outcome for outcome, holds in OUTCOMES if holds(facts))
 
 
 def overall(verdicts: list[Verdict]) -> Verdict:
-    """One answer for several coordinates: `none` says nothing, and differing answers make `partly`."""
+    """The joint verdict of several coordinates: `none` is neutral, differing verdicts give `partly`."""
     said = {verdict for verdict in verdicts if verdict != "none"}
     if not said:
         return "none"

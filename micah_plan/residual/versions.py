@@ -1,4 +1,4 @@
-"""From when on effects act: an object that changed is modelled as it was before and as it is now.
+"""Onsets: an object that changed is modelled as it was before and as it is now.
 
 An effect that began in a run of some recording acts in that run from then on and in all later ones. It is known by the
 rows of that run: in a recording without them, which was made later, it acts from the start. Another kind of effect
@@ -22,7 +22,7 @@ from micah_plan.residual.compared_runs import Place, consecutive_parts, read_tra
 
 
 def dated(effect: Effect, recording: Recording) -> Effect:
-    """The effect with the rows of the run in which it began, by which other recordings are told from this one."""
+    """The effect with a digest of the run in which it set in, by which that recording is recognised."""
     since = effect.since
     if since is None or since.run is None:
         return effect
@@ -30,7 +30,7 @@ def dated(effect: Effect, recording: Recording) -> Effect:
 
 
 def beginning(automaton: HybridAutomaton, recording: Recording) -> tuple[Effect, ...]:
-    """The effects of a model that do not act in all rows of a recording."""
+    """The effects of a model with an onset in a recording."""
     began = [effect for effect in automaton.effects if effect.since is not None]
     return tuple(effect for effect in began if _is_of(effect.since, recording))
 
@@ -42,7 +42,7 @@ def _is_of(since: Since | None, recording: Recording) -> bool:
 
 
 def acts(since: Since, run: int, time: Floats) -> Booleans:
-    """(T,) whether what began then acts at times (T,) of a run [s since its start]."""
+    """(T,) whether an onset lies before times (T,) of a run [s since its start]."""
     if since.run is None or run == since.run:
         return np.asarray(time >= since.time - ROUND_OFF)
     return np.full(time.shape, run > since.run)
@@ -51,7 +51,7 @@ def acts(since: Since, run: int, time: Floats) -> Booleans:
 def versions(
     automaton: HybridAutomaton, recording: Recording
 ) -> list[tuple[HybridAutomaton, list[tuple[Place, Track]]]]:
-    """The model as it was in each part of a recording, and these parts: runs, consecutive and with the same effects.
+    """(model of each part of a recording, these parts: contiguous rows with the same effects).
 
     In the order of their places all parts follow each other.
     """
@@ -69,7 +69,7 @@ def versions(
 def _parts(
     automaton: HybridAutomaton, recording: Recording, gates: Sequence[Effect]
 ) -> list[tuple[Place, tuple[Effect, ...], Track]]:
-    """Stretches of all runs in which the same effects act: where they begin, these effects, and their rows."""
+    """Stretches of all runs in which the same effects act: their rows, with the effects."""
     parts = []
     for number, track in enumerate(read_tracks(automaton, recording)[0]):
         for piece in consecutive_parts(track):

@@ -1,4 +1,4 @@
-"""The arm along a plan: which pose of the tool each knot asks for, and the joints that take it there."""
+"""The arm along a plan: tool poses of the knots, and the joint trajectory through them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def arm_along(
     deadline: Deadline = NEVER,
     start: Floats | None = None,
 ) -> ArmTrajectory | ArmFailure:
-    """The arm's trajectory that takes the held part along the means of a plan, or what stands in the way.
+    """The arm's trajectory that moves the held part along the means of a plan, or its failure.
 
     Parts may meet bodies of the scene where a held object is to touch them.
 
@@ -47,7 +47,7 @@ def arm_along(
 
 
 def start_posture(problem: Problem, seed: int = 0) -> Floats:
-    """(n,) joints that the arm may start the problem with.
+    """(n,) initial joints of the arm.
 
     Raises:
         InputError: if it cannot hold the object there.
@@ -63,7 +63,7 @@ def start_posture(problem: Problem, seed: int = 0) -> Floats:
 
 
 def problem_clearance(problem: Problem) -> ClearanceModel:
-    """The problem's arm, scene and object, with the pairs that must not meet.
+    """The problem's arm, scene and object, with the pairs that must not touch.
 
     Raises:
         InputError: if the problem has no robot or grasp, or its files cannot be used.
@@ -100,7 +100,7 @@ def tool_path(problem: Problem, modes: Sequence[str], states: Floats) -> ToolPat
 
 
 def carried_parts(automaton: HybridAutomaton, part: str) -> tuple[str, ...]:
-    """A part and those attached to it, directly or through others."""
+    """A part and those attached to it, directly or indirectly."""
     parts = [part]
     for link in automaton.links:  # parents come first
         if link.parent in parts:

@@ -20,7 +20,7 @@ from micah_plan.errors import InputError
 
 
 def middle(lower: Floats, upper: Floats) -> Floats:
-    """(n,) middle of each range [lower, upper], or where one has no end, its point nearest to 0."""
+    """(n,) middle of each range [lower, upper]; for unbounded ranges the point nearest to 0."""
     posture, bounded = np.clip(np.zeros(len(lower)), lower, upper), np.isfinite(lower) & np.isfinite(upper)
     posture[bounded] = (lower[bounded] + upper[bounded]) / 2
     return posture
@@ -72,7 +72,7 @@ class Arm:
 
     @property
     def tool_joint(self) -> int:
-        """Number of the joint in the model that carries the tool."""
+        """Index of the joint in the model that carries the tool."""
         return int(self.model.frames[self.tool].parentJoint)
 
     def matrix(self, q: Floats) -> Floats:
@@ -122,7 +122,7 @@ class Arm:
 
     @cached_property
     def units(self) -> tuple[str, ...]:
-        """(n,) of the joints: rad, or m of those that slide."""
+        """(n,) units of the joints: rad, or m for sliding ones."""
         return tuple("rad" if turning.any() else "m" for turning in self.twists()[:, 3:])
 
     def twists(self) -> Floats:

@@ -1,4 +1,4 @@
-"""Clearances of an arm, of what it holds and of the object's other parts: `ClearanceModel`.
+"""Clearances of an arm, its load and the object's other parts: `ClearanceModel`.
 
 Distances come from Coal (GJK), and where solids overlap minus the depth of penetration (EPA): how far they would
 have to move apart. Source: Montaut et al., "Collision detection accelerated: an optimization perspective", RSS 2022.
@@ -37,7 +37,7 @@ _ITERATIONS = 256
 
 
 class Clearance(NamedTuple):
-    """The smallest distance at one configuration.
+    """The smallest distance at one configuration, with its pair.
 
     Attributes:
         distance: [m]; negative: depth of penetration. Infinite if there is nothing to meet.
@@ -71,7 +71,7 @@ class ClearanceModel:
 
     @cached_property
     def _room(self) -> Any:
-        """Memory for Coal's results, reused in every call."""
+        """Reused buffers for Coal's results."""
         return _room(self.geometry)
 
     @cached_property
@@ -79,7 +79,7 @@ class ClearanceModel:
         return tuple(self._room.distanceResults[i] for i in range(len(self.names)))
 
     def fresh(self) -> ClearanceModel:
-        """The same model without a cache: Coal starts from its last answers, which affect the last digits (1e-8 m)."""
+        """A copy without cache: Coal's warm starts affect the last digits (1e-8 m)."""
         return replace(self)
 
     def distances(self, q: Floats, parts: PartPoses) -> Floats:
@@ -89,7 +89,7 @@ class ClearanceModel:
         return self.placed_distances(q, {name: pin.SE3(parts[name].as_matrix()) for name in self.parts})
 
     def placed_distances(self, q: Floats, parts: Mapping[str, Any], pairs: Sequence[int] | None = None) -> Floats:
-        """As `distances`, with the poses of the parts as Pinocchio has them; of some pairs only, in their order."""
+        """As `distances`, with Pinocchio poses of the parts, for some pairs in their order."""
         pin.updateGeometryPlacements(self.arm.model, self.arm.data, self.geometry, self._room, q)
         for name, items in self.parts.items():
             for number, placement in items:
@@ -113,7 +113,7 @@ class ClearanceModel:
         return Clearance(distance, ("", "") if index is None else self.names[index])
 
     def counted(self, ignored: frozenset[Pair]) -> NDArray[np.int64]:
-        """Numbers of the pairs that are not among those that may meet."""
+        """Indices of the pairs that must not touch."""
         return np.array([k for k, pair in enumerate(self.names) if pair not in ignored], dtype=np.int64)
 
     def _closest(self, q: Floats, parts: PartPoses, ignored: frozenset[Pair]) -> tuple[int | None, float]:
@@ -125,8 +125,7 @@ class ClearanceModel:
         return index, float(distances[index])
 
     def gradient(self, q: Floats, parts: PartPoses, ignored: frozenset[Pair]) -> tuple[Clearance, Floats]:
-        """The smallest distance and its derivative by q (n,): the relative velocity of the nearest points along the
-        normal. Parts that are carried move with the tool, others stand still."""
+        """The smallest distance and its derivative by q (n,); carried parts move with the tool, others are static."""
         index, distance = self._closest(q, parts, ignored)
         if index is None:
             return Clearance(distance, ("", "")), np.zeros(self.arm.n)
@@ -139,7 +138,7 @@ class ClearanceModel:
         )
 
     def overlap(self, pair: Pair) -> tuple[tuple[Floats, float], ...]:
-        """Where the tool may be for the two that meet: (direction (3,), how far along it at most [m]), all of them.
+        """Half-spaces (direction (3,), bound [m]) of tool positions at which the pair overlaps.
 
         Of the last configuration that was asked about. Directions are the sides of the boxes around both solids: where
         the tool, as it is turned now, is further along any of them, a plane keeps the two apart. Empty unless one of
@@ -149,7 +148,7 @@ class ClearanceModel:
         return self._overlap(min(of_pair, key=lambda k: float(self._results[k].min_distance)))
 
     def overlaps_near(self, pair: Pair, within: float) -> tuple[tuple[tuple[Floats, float], ...], ...]:
-        """`overlap` of the two, then of others that move with the tool and are that close to what stands still [m]."""
+        """`overlap` of a pair, and of further pairs with the same static solid within a distance [m]."""
         if not (overlap := self.overlap(pair)):
             return ()
         first = int(self.first[self.names.index(pair)])
@@ -177,7 +176,7 @@ class ClearanceModel:
         return np.array(at.rotation).T, np.array([at.act(np.array(corner)) for corner in product(*ends)])
 
     def tool_distances(self, pair: Pair, tools: RigidTransform) -> Floats:
-        """(k, s) distance [m] of each two solids of a pair with the tool at poses (k,), whatever the posture.
+        """(k, s) distance [m] between the solids of a pair with the tool at poses (k,), for any posture.
 
         Args:
             pair: something that moves with the tool and something that stands still, as `overlap` tells.
@@ -266,7 +265,7 @@ def _set_pairs(geometry: Any, pairs: Sequence[tuple[int, int]]) -> None:
 
 
 def _room(geometry: Any) -> Any:
-    """Memory for the results; depths of penetration are computed, too."""
+    """Buffers for results, with penetration depth enabled."""
     for item in geometry.geometryObjects:
         item.geometry.computeLocalAABB()
     data = geometry.createData()

@@ -1,4 +1,4 @@
-"""Inverse kinematics of one pose of the tool, within the joint limits: `reach_pose`, and `next_pose` along a path.
+"""Inverse kinematics within joint limits: `reach_pose` for one pose, `next_pose` along a path.
 
 Levenberg-Marquardt with damping that follows the error (Sugihara, "Solvability-unconcerned inverse kinematics by the
 Levenberg-Marquardt method", IEEE T-RO 2011); joints that would leave their limits stop there and the others go on.
@@ -21,7 +21,7 @@ _LONGEST_STEP = 0.5
 
 
 class Reached(NamedTuple):
-    """Where the iteration ended.
+    """Final state of the iteration.
 
     Attributes:
         q: (n,) configuration within the limits.
@@ -45,7 +45,7 @@ def pose_error(target: Floats, actual: Floats) -> Floats:
 
 
 def reach_pose(arm: Arm, target: Floats, q: Floats, limits: tuple[Floats, Floats], iterations: int = 60) -> Reached:
-    """The configuration near q (n,) at which the tool has the pose `target` (4, 4), or how near it comes.
+    """The configuration near q (n,) with the tool at pose `target` (4, 4), or the closest approach.
 
     Args:
         limits: lower and upper, (n,) each; q lies within them.
@@ -65,14 +65,14 @@ def reach_pose(arm: Arm, target: Floats, q: Floats, limits: tuple[Floats, Floats
 
 
 def next_pose(arm: Arm, target: Floats, q: Floats, wish: Floats, limits: tuple[Floats, Floats]) -> Reached:
-    """The configuration at the next pose of a path, near q (n,), with what of a wished step (n,) the tool allows."""
+    """The configuration at the next pose of a path, near q (n,), with the null-space part of a desired step (n,)."""
     start = np.clip(q + null_step(arm, q, wish, limits), *limits)
     reached = reach_pose(arm, target, start, limits)
     return reached if reached.done else reach_pose(arm, target, q, limits)
 
 
 def null_step(arm: Arm, q: Floats, wish: Floats, limits: tuple[Floats, Floats]) -> Floats:
-    """The part of a wished step (n,) that leaves the tool where it is, to first order; joints at a limit stay."""
+    """Null-space projection of a step (n,), to first order; joints at a limit stay."""
     free = ((q > limits[0]) | (wish > 0)) & ((q < limits[1]) | (wish < 0))
     jacobian = arm.jacobian(q)[:, free]
     # Directions that hardly move the tool count as null space only where they do not move it at all.
@@ -85,7 +85,7 @@ def null_step(arm: Arm, q: Floats, wish: Floats, limits: tuple[Floats, Floats]) 
 
 
 def _bounded_step(jacobian: Floats, error: Floats, below: Floats, above: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """A damped least-squares step within [below, above], and which joints stop at these bounds."""
+    """(damped least-squares step within [below, above], joints at these bounds)."""
     n = jacobian.shape[1]
     damping = _DAMPING * float(error @ error) + TINY
     free, step = np.ones(n, dtype=bool), np.zeros(n)

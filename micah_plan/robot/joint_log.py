@@ -1,4 +1,4 @@
-"""Recordings of joints: the poses of a robot's tool, and the displacements that its targets command."""
+"""Joint logs as recordings: tool poses by forward kinematics, and commanded displacements."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def _poses(arm: Arm, q: Floats) -> Floats:
 def _positions(
     kind: str, columns: Mapping[str, Any], arm: Arm, meant: Conventions, ranges: Mapping[str, JointRange]
 ) -> Floats | None:
-    """(n, joints) positions or targets [rad or m], NaN where they are not known; None where no joint has any.
+    """(n, joints) positions or targets [rad or m], NaN where unknown; None if no joint has any.
 
     A joint whose column has a factor or an offset of its own is read by these, whatever its range is.
 
@@ -152,7 +152,7 @@ def _in_range(joint: str, unit: str, percent: Floats, ranges: Mapping[str, Joint
 
 
 def _column(kind: str, joint: str, columns: Mapping[str, Any]) -> str | None:
-    """The column whose last word is the joint's name; of several that of the measurement, or of the target.
+    """The column whose last word is the joint's name; of several that of measurements, or of targets.
 
     Raises:
         InputError: if several are.
@@ -169,7 +169,7 @@ def _column(kind: str, joint: str, columns: Mapping[str, Any]) -> str | None:
 
 
 def _last_word(name: str) -> str:
-    """``arm.elbow`` of ``observation.state.arm.elbow.pos`` is not split further than at its last dot."""
+    """The last dotted word of a name: ``arm.elbow`` of ``observation.state.arm.elbow.pos``."""
     return name.removesuffix(".pos").rpartition(".")[2].removeprefix("joint ").removeprefix("target ")
 
 
@@ -179,7 +179,7 @@ def _named(arm: Arm, columns: Mapping[str, Any]) -> str:
 
 
 def _beyond_limits(arm: Arm, q: Floats) -> Sequence[str]:
-    """A note where joints are where they cannot be: other units, or another robot."""
+    """A note on joints beyond their limits, which suggests other units or another robot."""
     q = q[np.isfinite(q).all(axis=1)]
     if not len(q):
         return ()  # that no row has a pose is said where gaps are left out

@@ -1,4 +1,4 @@
-"""The calibrated ranges of a robot's motors, in percent of which LeRobot logs its joints.
+"""Calibrated ranges of a robot's motors, in percent of which LeRobot logs joints.
 
 LeRobot's ``calibration.json`` has for each motor the counts of its encoder at both ends (``range_min``, ``range_max``;
 4096 counts are a turn) and whether it is mounted the other way round (``drive_mode``). A joint is logged as -100 to 100
@@ -62,7 +62,7 @@ class JointRange:
 
 
 def load_joint_ranges(path: str | Path) -> Mapping[str, JointRange]:
-    """The ranges of a file, by the names of the motors, which are those of the joints.
+    """Joint ranges of a file, by the names of motors, which equal those of joints.
 
     Raises:
         InputError: if it is no such file.

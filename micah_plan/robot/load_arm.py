@@ -1,4 +1,4 @@
-"""A robot's description -> the arm: `load_arm`, and `describe_robot` for a file on its own."""
+"""Loading arms from robot descriptions: `load_arm`, and `describe_robot` for a file alone."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _RENAMED = "\0"
 def describe_robot(
     path: str | Path, tool: str, position: Vector3 = (0.0, 0.0, 0.0), quaternion: Quaternion = IDENTITY
 ) -> RobotDescription:
-    """The description of a robot from its file (URDF or MJCF), standing at a pose in the base frame.
+    """The description of a robot file (URDF or MJCF) at a pose in the base frame.
 
     Raises:
         InputError: if the file cannot be read or is no text.
@@ -86,7 +86,7 @@ def _with_locked(model: Any, geometry: Any, locked: list[int], positions: Any) -
 
 
 def check_robot(description: RobotDescription) -> CheckedRobot:
-    """The robot's file after the checks.
+    """The validated robot file.
 
     Raises:
         InputError: for the first mistake in it.
@@ -101,7 +101,7 @@ def check_robot(description: RobotDescription) -> CheckedRobot:
 
 
 def _parsed(checked: CheckedRobot, source: str) -> tuple[Any, Any, frozenset[str]]:
-    """Model, collision geometry with meshes replaced by their convex hulls, and joints that follow others."""
+    """Model, collision geometry with meshes as convex hulls, and coupled joints."""
     mimics = frozenset(checked.mimics)
     try:
         if checked.kind == "urdf":
@@ -125,7 +125,7 @@ def _parsed(checked: CheckedRobot, source: str) -> tuple[Any, Any, frozenset[str
 
 
 def _tool(model: Any, description: RobotDescription) -> int:
-    """The tool's frame; a body or site before a joint of the same name, the first of several."""
+    """The tool's frame: a body or site takes precedence over a joint of the same name."""
     named = [i for i, frame in enumerate(model.frames) if frame.name == description.tool]
     if not named:
         names = [frame.name for frame in model.frames if frame.type != pin.FrameType.JOINT and frame.name != "universe"]
@@ -156,7 +156,7 @@ def _check_chain(model: Any, chain: list[int], mimics: frozenset[str], descripti
 
 
 def _locked_positions(model: Any, description: RobotDescription) -> Any:
-    """(nq,) positions of all joints at which those outside the chain stand."""
+    """(nq,) positions of all joints for locking those outside the chain."""
     q = pin.neutral(model)
     single = [model.idx_qs[joint] for joint in range(1, model.njoints) if model.joints[joint].nq == 1]
     q[single] = middle(model.lowerPositionLimit, model.upperPositionLimit)[single]
@@ -218,7 +218,7 @@ def link_name(item: Any) -> str:
 
 
 def _separate(description: RobotDescription) -> frozenset[tuple[str, str]]:
-    """Pairs of links that an SRDF says need no check."""
+    """Pairs of links that an SRDF excludes from collision checks."""
     if not description.srdf:
         return frozenset()
     entries = parse_xml(description.srdf, f"{description.path} (SRDF)").all("disable_collisions")

@@ -1,4 +1,4 @@
-"""An MJCF file, compiled by MuJoCo itself, as a model and solids of Pinocchio.
+"""MJCF files compiled by MuJoCo, as Pinocchio models with solids.
 
 MJCF has many ways to say one thing: orientations as quaternions, axes and angles or Euler angles in a chosen order,
 classes of defaults, degrees for hinges but not for slides, frames within frames, reference positions. Only MuJoCo's own
@@ -25,7 +25,7 @@ _FLOOR = 50.0
 
 
 def mjcf_arm(text: str, source: str) -> tuple[Any, Any, frozenset[str]]:
-    """Model, collision geometry, and the joints that an equality makes follow others.
+    """Model, collision geometry, and joints coupled by equalities.
 
     Joints have their names and limits as in the file, in MuJoCo's coordinates. Bodies and sites are frames. Solids that
     collide with nothing (contype and conaffinity 0) are left out.
@@ -68,7 +68,7 @@ class _Arm:
             self._add_solid(geom)
 
     def joint_name(self, joint: int) -> str:
-        """As in the file; of one without a name, by its body."""
+        """The joint's name, or one from its body."""
         compiled, body = self._compiled, int(self._compiled.jnt_bodyid[joint])
         number = joint - int(compiled.body_jntadr[body])
         return str(compiled.joint(joint).name or f"{self._body_name(body)}_joint_{number}")
@@ -91,7 +91,7 @@ class _Arm:
         self.carried.append((number, place))
 
     def _joint(self, joint: int) -> tuple[Any, Any, list[Any]]:
-        """A joint, the way back from where the file draws its body to position 0, and its limits."""
+        """(joint model, transform from the drawn pose to position 0, limits) of a joint."""
         compiled, kinds = self._compiled, self._mujoco.mjtJoint
         kind, axis = kinds(int(compiled.jnt_type[joint])), compiled.jnt_axis[joint].copy()
         if kind == kinds.mjJNT_FREE:
@@ -150,5 +150,5 @@ class _Arm:
 
 
 def _pose(position: Any, quaternion: Any) -> Any:
-    """A pose from MuJoCo's position and quaternion, whose scalar comes first."""
+    """A pose from MuJoCo's position and scalar-first quaternion."""
     return pin.SE3(Rotation.from_quat(np.roll(quaternion, -1)).as_matrix(), np.array(position, dtype=float))

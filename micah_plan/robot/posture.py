@@ -1,4 +1,4 @@
-"""Which postures are good: far from joint limits, singularities and obstacles."""
+"""Posture cost: distance to joint limits, singularities and obstacles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The arm goes down with the object until it stands, and away from it with the gripper open."""
+"""Release paths of the arm: down until the object stands, and away with the gripper open."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from micah_plan.task.robot_description import RobotDescription
 def lowered(
     problem: Problem, mode: str, states: Floats, start: Floats, deadline: Deadline
 ) -> ArmTrajectory | ArmFailure:
-    """The arm along states (K, n) on the way down; the object may meet its support.
+    """The arm along states (K, n) on the way down; the object may touch its support.
 
     Args:
         start: (J,) joints that the arm is at, nearly.
@@ -46,7 +46,7 @@ def lowered(
 def withdrawn(
     problem: Problem, rest: Rest, contact: Floats, displacements: Floats, start: Floats, deadline: Deadline
 ) -> ArmTrajectory | ArmFailure:
-    """The arm as its hand goes away, with the gripper open, from an object that stands.
+    """The arm withdrawing with the gripper open from a standing object.
 
     Args:
         contact: (n,) state in which it was released.
@@ -70,7 +70,7 @@ def withdrawn(
 
 
 def with_open_gripper(problem: Problem) -> RobotDescription:
-    """The robot with its fingers where they are when the gripper is open.
+    """The robot with its fingers in the open position.
 
     Raises:
         InputError: if the problem has no robot, or names no joints of the gripper.

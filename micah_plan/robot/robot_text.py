@@ -1,4 +1,4 @@
-"""Robot files checked before Pinocchio or MuJoCo see them: structure, numbers, mesh paths; mistakes with their line.
+"""Validation of robot files before Pinocchio or MuJoCo load them: structure, numbers, mesh paths, by line.
 
 Pinocchio's parsers read over some mistakes (a mass that is no number, a joint from a link to itself), join mesh paths
 without looking where they lead, and complain on stderr. Of a URDF they get only links and joints, continuous joints
@@ -55,7 +55,7 @@ MJCF_ROOTS = ("mujocoinclude", "mujoco")
 
 @dataclass(frozen=True)
 class CheckedRobot:
-    """What was found in a file.
+    """A checked robot file.
 
     Attributes:
         kind: format of the text.
@@ -81,7 +81,7 @@ class Mimic(NamedTuple):
 
 
 def check_urdf(root: Element, folder: str, packages: Mapping[str, str], *, is_arm: bool = True) -> CheckedRobot:
-    """What a URDF says, fit to be handed to Pinocchio.
+    """A URDF validated for Pinocchio.
 
     Args:
         root: the file's root element; not changed.
@@ -164,7 +164,7 @@ def _numbers(element: Element, key: str, count: int, default: str | None = None)
 
 
 def _measured(element: Element | None) -> list[Element]:
-    """A copy of an element without its children, if there is one, its numbers checked and as every parser reads them.
+    """A copy of an element without children, if present, with normalised numbers.
 
     Python reads "0.05 " and "1_0" as numbers; URDF's parser omits such a shape.
     """
@@ -181,7 +181,7 @@ def _measured(element: Element | None) -> list[Element]:
 
 
 def _joint(joint: Element, links: Mapping[str, Element], left_out: list[str] | None) -> Element:
-    """The joint with its ends and limits; `left_out` takes a line where it cannot move (None: that is a mistake)."""
+    """The joint with its ends and limits; `left_out` receives immovable ones (None: an error)."""
     kind = joint.attributes.get("type", "")
     if kind not in _KINDS:
         raise _error(joint, f"expected a joint of type {', '.join(_KINDS)}, found {shown(kind)}")
@@ -223,14 +223,14 @@ def _joint(joint: Element, links: Mapping[str, Element], left_out: list[str] | N
 
 
 def _still(limit: Element, at: float) -> str:
-    """Why a joint cannot move."""
+    """The reason why a joint cannot move."""
     if limit.attributes.keys() & set(_ENDS):
         return f"lower and upper are both {at:g}"
     return "without lower and upper both are 0; give them, or the type continuous"
 
 
 def _check_tree(root: Element, links: Mapping[str, Element], joints: Iterable[Element]) -> None:
-    """Every link is connected to one root by one joint each."""
+    """Refuse links that are not connected to one root by one joint each."""
     below: dict[str, list[str]] = {}
     carried: set[str] = set()
     for joint in joints:
@@ -250,7 +250,7 @@ def _check_tree(root: Element, links: Mapping[str, Element], joints: Iterable[El
 
 
 def _link(link: Element, mesh_path: Callable[[Element], str], left_out: list[str] | None) -> Element:
-    """The link with its inertia and its collision shapes, or those to draw if there are none.
+    """The link with its inertia and collision shapes, or its visual shapes if there are none.
 
     Args:
         left_out: takes a line for each shape that is none of ours, and each mesh that is not found; None: a mistake.
@@ -319,7 +319,7 @@ def _remember(material: Element, materials: dict[str, str]) -> None:
 
 
 def _colors(link: Element, materials: dict[str, str]) -> tuple[str, ...]:
-    """Colours of what is drawn of a link, in order."""
+    """Colours of the visuals of a link, in order."""
     elements = []
     for material in (material for shape in link.all("visual") for material in shape.all("material")[:1]):
         _remember(material, materials)
@@ -328,7 +328,7 @@ def _colors(link: Element, materials: dict[str, str]) -> tuple[str, ...]:
 
 
 def check_mjcf(root: Element, folder: str) -> CheckedRobot:
-    """What an MJCF file says of kinematics and solids, fit to be handed to MuJoCo.
+    """Kinematics and solids of an MJCF file, validated for MuJoCo.
 
     Raises:
         InputError: for the first mistake.

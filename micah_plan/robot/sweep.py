@@ -1,4 +1,4 @@
-"""Clearance all along a motion between two configurations, not only at its ends: `sweep_between`.
+"""Continuous collision check of a motion between two configurations: `sweep_between`.
 
 The joints move in a straight line. Around a configuration no point of a solid moves further than its speed there times
 the time, plus a bound on what its acceleration adds; a distance greater than that proves the stretch free, elsewhere it
@@ -24,7 +24,7 @@ _RELATIVE_RESOLUTION = 0.2
 
 
 class Swept(NamedTuple):
-    """What a sweep found.
+    """Result of a continuous collision check.
 
     Attributes:
         clearance: the smallest distance that was met. Where it is above the margin, the whole motion keeps the margin
@@ -156,20 +156,20 @@ class _Path:
         self._bend = (turned * (bound.levers @ steps + carried) + coriolis + spin * self._own) / 2
 
     def at(self, share: float) -> tuple[Floats, dict[str, Any]]:
-        """Configuration and poses of the parts at a share of the way."""
+        """(configuration, poses of the parts) at a fraction of the motion."""
         q = self._q + share * self._step
         tool = pin.SE3(self._model.arm.matrix(q)) if self._model.carried else pin.SE3.Identity()
         parts = {name: pin.exp6(share * screw) * first for name, (first, screw) in self._relative.items()}
         return q, {name: tool * pose if name in self._model.carried else pose for name, pose in parts.items()}
 
     def moves(self, q: Floats, parts: Mapping[str, Any], half: float, pairs: NDArray[np.int64]) -> Floats:
-        """(p,) bound on how far the two solids of each pair move against each other from here, in the time `half`."""
+        """(p,) bound on the relative displacement of each pair's solids within the time `half`."""
         reached = self._speeds(q, parts) * half + self._bend * half**2
         first, second = self._model.first[pairs], self._model.second[pairs]
         return np.asarray(np.minimum(half * self._travel[pairs], reached[first] + reached[second]))
 
     def _speeds(self, q: Floats, parts: Mapping[str, Any]) -> Floats:
-        """(g,) bound on the speed of a geometry's points at q, the joints moving as on the way."""
+        """(g,) bound on the speed of each geometry's points at q, during the motion."""
         arm, bound = self._model.arm, self._bound
         pin.forwardKinematics(arm.model, arm.data, q, self._step)
         centers = bound.centers.copy()

@@ -62,7 +62,7 @@ class PathSettings:
 
 @dataclass(frozen=True)
 class ArmFailure:
-    """Why the arm cannot carry the tool along the path; of all tries, the one that came furthest.
+    """The failure of the try that came furthest along the path.
 
     Attributes:
         knot: where it ends.
@@ -115,7 +115,7 @@ class ToolPath:
         return {name: poses[knot] for name, poses in self.parts.items()}
 
     def allowed(self, *knots: int) -> frozenset[Pair]:
-        """Pairs that may meet at any of the knots."""
+        """Pairs that may touch at any knot."""
         return frozenset() if self.touching is None else frozenset().union(*(self.touching[knot] for knot in knots))
 
 
@@ -127,7 +127,7 @@ def follow(
     deadline: Deadline = NEVER,
     start: Floats | None = None,
 ) -> ArmTrajectory | ArmFailure:
-    """A joint trajectory that takes the tool through the poses of a path, or what stands in the way.
+    """A joint trajectory through the tool poses of a path, or its failure.
 
     Args:
         model: of the arm with its surroundings, for the parts that the path gives.
@@ -169,7 +169,7 @@ def follow(
 
 
 class _Follower:
-    """The search, with what stays the same over all tries."""
+    """The search, with data shared by all tries."""
 
     def __init__(self, model: ClearanceModel, settings: PathSettings, seed: int, deadline: Deadline) -> None:
         self.model, self.arm, self.settings, self.deadline = model, model.arm, settings, deadline
@@ -181,7 +181,7 @@ class _Follower:
         self._least = settings.least_manipulability * float(self.arm.manipulability(self.arm.rest)[0])
 
     def tries(self, path: ToolPath) -> Iterator[Floats | ArmFailure]:
-        """(K, n) configurations along the path from each of its best starts, or what stands in the way."""
+        """(K, n) configurations along the path from each of the best starts, or the failure."""
         starts = self._starts(path)
         if isinstance(starts, ArmFailure):
             yield starts
@@ -213,13 +213,13 @@ class _Follower:
         return self._out_of_reach(0, min(missed, key=lambda reached: float(np.linalg.norm(reached.error))))
 
     def onwards(self, path: ToolPath, near: Floats) -> Floats | ArmFailure:
-        """(K, n) configurations along the path from the one at its first knot that is near a posture."""
+        """(K, n) configurations along the path, starting near a posture."""
         reached = reach_pose(self.arm, path.tool[0].as_matrix(), np.clip(near, *self._limits), self._limits)
         failure = self._standing(path, 0, reached.q) if reached.done else self._out_of_reach(0, reached)
         return failure or self._followed(path, reached.q)
 
     def _followed(self, path: ToolPath, start: Floats) -> Floats | ArmFailure:
-        """(K, n) configurations along the path from a configuration at its first knot."""
+        """(K, n) configurations along the path from a start at its first knot."""
         rows = [start]
         for knot in range(1, len(path.tool)):
             self.deadline.check("arm's motion", f"{knot} of {len(path.tool)} knots were reached")
@@ -240,7 +240,7 @@ class _Follower:
         return posture_cost(self.model, q, path.at(knot), path.allowed(knot), self.settings.weights)
 
     def summary(self, path: ToolPath, rows: Floats) -> ArmTrajectory:
-        """The trajectory with what it keeps."""
+        """The trajectory with its clearances and margins."""
         clearances, swept = [], []
         for k, q in enumerate(rows):
             clearances.append(self.model.at(q, path.at(k), path.allowed(k)))
@@ -266,7 +266,7 @@ class _Follower:
         )
 
     def _step(self, path: ToolPath, knot: int, q: Floats) -> Reached:
-        """From the configuration at the knot before to this one, in steps small enough to stay on one branch."""
+        """The configuration at a knot from the previous one, in steps small enough to stay on one branch."""
         before, after = path.tool[knot - 1], path.tool[knot]
         way = pose_error(after.as_matrix(), before.as_matrix())
         count = int(np.ceil(max(np.linalg.norm(way[:3]) / _SUBSTEP_RAD, np.linalg.norm(way[3:]) / _SUBSTEP_M)))
@@ -289,7 +289,7 @@ class _Follower:
         return np.asarray(wish * min(1.0, _LONGEST_NULL_STEP / max(float(np.abs(wish).max()), 1e-12)))
 
     def _standing(self, path: ToolPath, knot: int, q: Floats) -> ArmFailure | None:
-        """What is wrong with a configuration at a knot."""
+        """The failure of a configuration at a knot; None if valid."""
         measure = float(self.arm.manipulability(q)[0])
         if measure < self._least:
             sentence = f"the arm is near a singularity at knot {knot}: manipulability {plain(measure, 2)}"
@@ -298,7 +298,7 @@ class _Follower:
         return self._collision(knot, clearance) if clearance.distance < self.settings.margin else None
 
     def _on_the_way(self, path: ToolPath, knot: int, before: Floats, after: Floats) -> ArmFailure | None:
-        """What is wrong with the motion from the knot before, straight in the joints."""
+        """The failure of the motion from the previous knot, linear in the joints; None if valid."""
         moved = np.abs(after - before)
         if moved.max() > self.settings.longest_step:
             name = self.arm.joints[int(np.argmax(moved))]
@@ -337,7 +337,7 @@ class _Follower:
 
 
 def _deviation(arm: Arm, rows: Floats) -> float:
-    """How far the tool strays halfway between knots [m]."""
+    """Deviation of the tool halfway between knots [m]."""
     places = arm.poses(rows).translation
     if len(rows) < 2:
         return 0.0

@@ -24,12 +24,12 @@ _HEADER = b'{"format": "micah-plan/sweep-journal/1"}'
 
 
 def journal_path(output: Path) -> Path:
-    """Path of the journal of a table: beside it."""
+    """Path of the journal of a table, in the same folder."""
     return output.with_name(f"{output.name}.journal")
 
 
 def read_journal(path: Path) -> dict[str, CaseRun]:
-    """The finished cases of a journal by key; none if there is no journal.
+    """The finished cases of a journal by key; empty without a journal.
 
     Raises:
         InputError: if it is none, or a line of it is damaged.
@@ -51,7 +51,7 @@ class Journal:
     """
 
     def __init__(self, path: Path, *, changes: bool = True) -> None:
-        """Args: the file, made if it is not there; and whether it shall be written."""
+        """Args: the file, created if absent; and whether it is opened for writing."""
         self._path = path
         try:
             flags = os.O_RDWR | os.O_CREAT | os.O_APPEND if changes else os.O_RDONLY
@@ -75,7 +75,7 @@ class Journal:
         os.close(self._file)
 
     def append(self, key: str, run: CaseRun) -> None:
-        """Write down a finished case; when this returns it is on the disk."""
+        """Append a finished case; it is on disk when this returns."""
         line = json.dumps({"key": key, **asdict(run)}, allow_nan=False)
         self._write(line.encode() + b"\n")
         self.finished[key] = run
@@ -88,7 +88,7 @@ class Journal:
             raise self._error("another sweep is writing to it", remedy) from None
 
     def _read(self) -> tuple[int, dict[str, CaseRun]]:
-        """How many bytes are whole lines, and what they say."""
+        """(number of bytes in whole lines, their entries)."""
         status = os.fstat(self._file)
         if not stat.S_ISREG(status.st_mode) or status.st_size > LARGEST_FILE_BYTES:
             raise self._error("is no journal of a sweep", "write the results elsewhere")
@@ -112,7 +112,7 @@ class Journal:
             raise InputError(problem, source=self._path, where=f"line {number}", remedy=remedy) from None
 
     def _begin(self, whole: int) -> None:
-        """Drop what was cut within a line, and see to it that the file itself is on the disk."""
+        """Truncate an incomplete last line, and make sure that the file is on disk."""
         os.ftruncate(self._file, whole)
         if whole == 0:
             self._write(_HEADER + b"\n")
@@ -136,7 +136,7 @@ class Journal:
 
 
 def run_of(data: Any) -> CaseRun:
-    """The run whose `asdict` the data is, to the last bit.
+    """The run from its `asdict` data, without loss.
 
     Raises:
         ValueError: if it describes none.

@@ -1,4 +1,4 @@
-"""Results of the cases: rows of a table in CSV or Parquet, and the times that they took, in a table of their own.
+"""Results of the cases: a table in CSV or Parquet, and a separate table of timings.
 
 With `recording.parquet_file` the only importer of pyarrow.
 """
@@ -57,7 +57,7 @@ class CaseResult:
 
 @dataclass(frozen=True)
 class CaseRun:
-    """A result with what differs from run to run.
+    """A result with the measurements that vary between runs.
 
     Attributes:
         seconds: wall-clock time by stage: `load`, `solve`, `execute` and `total`.
@@ -73,12 +73,12 @@ NUMBERS = tuple(item.name for item in fields(CaseResult) if _KINDS.get(item.name
 
 
 def sweep_timings_path(output: Path) -> Path:
-    """Path of the times of a table: beside it, so that tables of the same sweep are the same bytes."""
+    """Path of the timings of a table, in the same folder, so that equal sweeps give equal tables."""
     return output.with_name(f"{output.stem}.timings{output.suffix}")
 
 
 def results_table(sweep: Sweep, cases: Sequence[Case], results: Sequence[CaseResult], suffix: str) -> bytes:
-    """The content of the file of results.
+    """The bytes of the results table.
 
     Args:
         cases, results: one each per row.
@@ -103,7 +103,7 @@ def results_table(sweep: Sweep, cases: Sequence[Case], results: Sequence[CaseRes
 
 
 def timings_table(runs: Sequence[CaseRun], suffix: str) -> bytes:
-    """The content of the file of times [s], by stage, and of how often each case was begun.
+    """The bytes of the timings table: seconds by stage, and number of attempts.
 
     Raises:
         MissingDependencyError: for Parquet without pyarrow.
@@ -116,7 +116,7 @@ def timings_table(runs: Sequence[CaseRun], suffix: str) -> bytes:
 
 
 def _kind(values: Sequence[Any]) -> str:
-    """The type of a column that holds values of the grid: numbers as such, all else as text."""
+    """The type of a column of grid values: double for numbers, else string."""
     numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
     return "double" if numbers else "string"
 
@@ -130,7 +130,7 @@ def _cell(value: Any, kind: str) -> Any:
 
 
 def _written(columns: Columns, suffix: str) -> bytes:
-    """In CSV numbers are as short as they can be without losing a bit; missing ones are empty."""
+    """The bytes of a table; CSV numbers are shortest without loss, missing ones empty."""
     if suffix.lower() == ".parquet":
         return _parquet(columns)
     text = io.StringIO()

@@ -1,4 +1,4 @@
-"""`run_sweep`: every case of a sweep once, however often workers die or the sweep itself is killed and begun again."""
+"""`run_sweep`: every case of a sweep exactly once, even if workers die or the sweep is restarted."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _EXECUTOR_IN_FLIGHT = 1000
 
 
 class SweepStoppedError(MicahError):
-    """The workers cannot go on; what was finished is in the journal."""
+    """The workers cannot continue; finished cases are in the journal."""
 
 
 @dataclass(frozen=True, eq=False)
 class SweepResults:
-    """What `run_sweep` returns.
+    """Result of `run_sweep`.
 
     Attributes:
         cases, results: one each per case, in the order of the table.
@@ -95,7 +95,7 @@ def run_on(sweep: Sweep, output: Path, workers: Workers, progress: Progress | No
 
 
 def check_sweep_outputs(sweep: Sweep, output: Path) -> None:
-    """Refuse, before any work, files that would destroy another or could not be written.
+    """Refuse output files that would overwrite others or cannot be written.
 
     Raises:
         InputError: as `output_files.check_outputs`.
@@ -109,14 +109,14 @@ def check_sweep_outputs(sweep: Sweep, output: Path) -> None:
 
 
 def _tell(progress: Progress | None, outcomes: Counter[str], total: int) -> None:
-    """Say how many cases are finished, by outcome."""
+    """Report the number of finished cases by outcome."""
     if progress is not None:
         parts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()) or "starting workers"
         progress(f"{outcomes.total()} of {total} cases ({parts})", outcomes.total() / max(1, total))
 
 
 def finished_cases(cases: Sequence[Case], workers: Workers) -> Generator[tuple[Case, CaseRun], None, None]:
-    """Every case with its run, in the order in which they end; closed early, it cancels what has not begun.
+    """Every case with its run, in order of completion; closing the generator cancels waiting cases.
 
     When a process of a pool dies, all cases handed over are lost and nobody knows which one killed it. They are tried
     again one at a time, so that only the one that kills becomes a failure.
@@ -155,7 +155,7 @@ def finished_cases(cases: Sequence[Case], workers: Workers) -> Generator[tuple[C
 def _hand_over(
     waiting: deque[Case], suspects: deque[Case], running: dict[Future[CaseRun], Case], workers: Workers
 ) -> bool:
-    """Give workers what they can take: a suspect alone, else what keeps them busy. False if they are gone."""
+    """Submit cases to workers: a suspect alone, else enough to keep them busy. False if the workers are gone."""
     source, room = (suspects, 1) if suspects else (waiting, workers.in_flight)
     try:
         while source and len(running) < room:

@@ -1,4 +1,4 @@
-"""What a worker does with a case: load, solve, perhaps execute; whatever happens there is a result."""
+"""The work on one case: load, solve, optionally execute; every failure is a result."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 class WorkerFilesError(MicahError):
-    """A worker does not see the files that the sweep was made of."""
+    """A worker does not see the files of the sweep."""
 
 
 def solve_case(case: Case) -> CaseRun:
-    """Load, solve and perhaps execute a case. The result depends on the case alone; one process does one at a time.
+    """Load, solve and optionally execute a case. The result depends on the case alone; one at a time per process.
 
     Raises:
         MissingDependencyError: if the plant needs a library that is not installed here.
@@ -49,7 +49,7 @@ def solve_case(case: Case) -> CaseRun:
 
 
 def run_of_dead_workers(attempts: int, error: BaseException) -> CaseRun:
-    """The run of a case over which every worker died."""
+    """The run of a case on which every worker died."""
     said = f"the worker died {attempts} times over it ({type(error).__name__}); was it out of memory?"
     return CaseRun(_failure("worker_died", said), attempts=attempts)
 
@@ -90,7 +90,7 @@ def _solved(case: Case, seconds: dict[str, float]) -> CaseResult:
 
 @lru_cache(maxsize=1)
 def _reader(path: Path) -> ProblemReader:
-    """Successive cases mostly are of one problem, whose model and contacts are then made once."""
+    """A cached reader of problem files: successive cases mostly share the problem."""
     return ProblemReader(path)
 
 

@@ -24,35 +24,35 @@ _CONNECT_S = 10.0
 
 
 class Workers:
-    """The workers of an executor that the caller made and will close."""
+    """Workers of an executor that the caller owns."""
 
     def __init__(self, executor: Executor, in_flight: int) -> None:
-        """Args: the executor, and how many cases to hand over at a time."""
+        """Args: the executor, and the number of cases in flight."""
         self._executor, self._in_flight = executor, in_flight
 
     @property
     def in_flight(self) -> int:
-        """How many cases to hand over at a time: enough that no worker waits for the next."""
+        """Number of cases in flight, enough to keep all workers busy."""
         return self._in_flight
 
     def submit(self, case: Case) -> Future[CaseRun]:
-        """Hand over a case."""
+        """Submit a case."""
         return self._executor.submit(solve_case, case)
 
     def renew(self) -> bool:
-        """Start again after workers died and took the executor along; False if that cannot be done here."""
+        """Restart after workers died; False if impossible here."""
         return False
 
 
 class ProcessWorkers(Workers):
-    """A pool of fresh processes (spawned: CasADi and OMPL do not survive a fork), and another one when it breaks.
+    """A pool of spawned processes (CasADi and OMPL do not survive a fork), replaced when it breaks.
 
     A worker lives as long as this process holds one end of a pipe: it goes when it is told to, and also when this
     process is killed. Ctrl-C is for this process alone.
     """
 
     def __init__(self, count: int) -> None:
-        """Args: how many processes."""
+        """Args: number of processes."""
         self._count = count
         super().__init__(self._begin(), in_flight=2 * count)
 
@@ -69,7 +69,7 @@ class ProcessWorkers(Workers):
         return True
 
     def close(self) -> None:
-        """End the processes, whatever they are doing."""
+        """Terminate the processes."""
         self._held.close()
         self._executor.shutdown(wait=True, cancel_futures=True)
         self._watched.close()
@@ -93,7 +93,7 @@ class ProcessWorkers(Workers):
 
 @contextmanager
 def process_workers(count: int | None = None) -> Iterator[ProcessWorkers]:
-    """Processes of this machine, ended with the block.
+    """Processes of this machine, terminated at the end of the block.
 
     Args:
         count: None: one for each core that this process may use.
@@ -106,7 +106,7 @@ def process_workers(count: int | None = None) -> Iterator[ProcessWorkers]:
 
 
 def _live_with_parent(watched: Connection) -> None:
-    """End this process as soon as the other end of the pipe is closed."""
+    """Terminate this process when the other end of the pipe is closed."""
 
     def watch() -> None:
         watched.poll(None)  # nothing is ever sent, so this returns at the end of the pipe only
@@ -116,7 +116,7 @@ def _live_with_parent(watched: Connection) -> None:
 
 
 class DaskWorkers(Workers):
-    """The workers that a scheduler has at each time. Dask itself gives the cases of a dead worker to others."""
+    """The present workers of a Dask scheduler, which reassigns cases of dead workers itself."""
 
     def __init__(self, client: Any, executor: Executor) -> None:
         """Args: a connected `distributed.Client`, and its executor."""
@@ -133,7 +133,7 @@ class DaskWorkers(Workers):
 
 @contextmanager
 def dask_workers(address: str) -> Iterator[DaskWorkers]:
-    """The workers of the scheduler at an address such as ``tcp://10.0.0.1:8786``; left alone with the block.
+    """The workers of a scheduler at an address such as ``tcp://10.0.0.1:8786``; disconnected at the end of the block.
 
     Raises:
         MissingDependencyError: if distributed is not installed.

@@ -35,7 +35,7 @@ from micah_plan.symbolic.square_root import add_noise, lower_factor, norm, obser
 
 @dataclass(frozen=True, eq=False)
 class CompiledMode:
-    """The CasADi functions of one mode. Those that depend on boundaries are compiled when they are asked for.
+    """CasADi functions of one mode; those that depend on boundaries are compiled on demand.
 
     Attributes:
         automaton, mode: what was compiled.
@@ -113,20 +113,20 @@ class _Symbols:
 
 @memoised
 def compiled_mode(automaton: HybridAutomaton, name: str) -> CompiledMode:
-    """The functions of the mode of that name, compiled when they are first asked for: of 64 modes a plan visits few."""
+    """The functions of a mode by name, compiled on demand: a plan visits few of up to 64 modes."""
     return CompiledMode(automaton, automaton.mode(name), *_motion(automaton, name))
 
 
 @memoised
 def passed_input(automaton: HybridAutomaton, name: str) -> ca.Function:
-    """(x, u) -> the input (m, 1) that comes out of the automaton's memories in a mode: what guards and flow see."""
+    """(x, u) -> input (m, 1) behind the automaton's memories in a mode, as guards and flow see it."""
     s = _Symbols(automaton)
     return s.map("passed_input", passed=ca.densify(_passed_on(automaton, name, s)[0]))
 
 
 @memoised_of_motion
 def _motion(automaton: HybridAutomaton, name: str) -> tuple[ca.Function, ca.Function, ca.Function]:
-    """`CompiledMode.step`, `predict` and `belief_step`: what takes long to compile, wherever boundaries lie."""
+    """`CompiledMode.step`, `predict` and `belief_step`, cached since they do not depend on boundaries."""
     s, mode = _Symbols(automaton), automaton.mode(name)
     passed, remembered = _passed_on(automaton, name, s)
     flowed = _flow(automaton, mode, s, passed)
@@ -155,7 +155,7 @@ def _motion(automaton: HybridAutomaton, name: str) -> tuple[ca.Function, ca.Func
 
 @memoised
 def compiled_edge(automaton: HybridAutomaton, number: int) -> CompiledEdge:
-    """The functions of the transition of that number in `automaton.edges`, compiled when they are first asked for."""
+    """The functions of an edge by its number in `automaton.edges`, compiled on demand."""
     s, edge = _Symbols(automaton), automaton.edges[number]
     a, b, c = edge.reset.matrices(automaton.n, automaton.m)
     passed = _passed_on(automaton, edge.source, s)[0]
@@ -181,7 +181,7 @@ def compiled_edge(automaton: HybridAutomaton, number: int) -> CompiledEdge:
 
 
 def _tied(ties: Sequence[Tie], x: ca.SX) -> ca.SX:
-    """Puts the tied coordinates of x at their values; the matrix (n, n) that does the same to deviations."""
+    """(x with tied coordinates set, matrix (n, n) of the same map on deviations)."""
     matrix = ca.SX.eye(x.numel())
     for tie in ties:
         matrix[tie.coordinate, :] = ca.DM(tie.weights).T
@@ -190,13 +190,13 @@ def _tied(ties: Sequence[Tie], x: ca.SX) -> ca.SX:
 
 
 def _keeps(ties: Sequence[Tie], a: Floats, c: Floats) -> bool:
-    """Whether a reset to a x + c leads to where the ties hold, whatever x is."""
+    """Whether a reset to a x + c satisfies the ties for all x."""
     at = [(np.array(tie.weights), tie.coordinate, tie.offset) for tie in ties]
     return all(np.allclose(w @ a, a[i], atol=1e-12) and abs(w @ c + offset - c[i]) < 1e-12 for w, i, offset in at)
 
 
 def _passed_on(automaton: HybridAutomaton, mode: str, s: _Symbols) -> tuple[ca.SX, dict[int, ca.SX]]:
-    """The input (m, 1) that comes out of the automaton's memories in a mode, and their next values by index."""
+    """(input (m, 1) behind the automaton's memories in a mode, their next values by index)."""
     if not automaton.input_memories:
         return s.u, {}
     x, u = ([symbols[i] for i in range(symbols.numel())] for symbols in (s.x, s.u))
@@ -213,7 +213,7 @@ def _flow(automaton: HybridAutomaton, mode: Mode, s: _Symbols, u: ca.SX) -> ca.S
 
 
 def _step_noise_std(automaton: HybridAutomaton, mode: Mode, u: ca.SX) -> list[float | ca.SX]:
-    """`automaton.step_noise.step_noise_std`: numbers where the gain is certain."""
+    """`automaton.step_noise.step_noise_std`; numeric where the gain is certain."""
     free, gains, moved = free_process_std(automaton, mode), free_gain_std(automaton, mode), ca.mtimes(ca.DM(mode.B), u)
     return [
         std if gain == 0.0 else ca.sqrt(max(std, SMALLEST_STD) ** 2 + (gain * moved[i]) ** 2)
@@ -222,7 +222,7 @@ def _step_noise_std(automaton: HybridAutomaton, mode: Mode, u: ca.SX) -> list[fl
 
 
 def _carried(flowed: ca.SX, s: _Symbols) -> ca.SX:
-    """The factor carried along by the flow; effects act on each coordinate by itself, so the slope is diagonal."""
+    """The factor after the flow; effects act on coordinates separately, so the Jacobian is diagonal."""
     slope = ca.diag(ca.jacobian(flowed, s.x))
     return ca.tril(ca.mtimes(ca.diag(slope), s.factor))
 
@@ -243,7 +243,7 @@ def _margins(region: Region, x: ca.SX, u: ca.SX) -> ca.SX:
 
 
 def sensing_std(sensing: Sensing, x: ca.SX) -> list[float | ca.SX]:
-    """Std of a measurement of each coordinate at x: numbers where it is the same everywhere."""
+    """Std of a measurement of each coordinate at x; numeric where constant."""
     squared = ca.sumsqr(ca.vertcat(*[x[i] - value for i, value in sensing.at])) if sensing.at else ca.SX(0)
     # A floor keeps the square root differentiable at a light whose own std is tiny.
     return [

@@ -1,4 +1,4 @@
-"""Whether a form of effect behaves: the conformance check for effects of one's own, by NumPy and by CasADi."""
+"""Conformance check of effect forms, evaluated by NumPy and by CasADi."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _ACROSS, _DIRECTION = (0.03, -0.07), (0.6, 0.5, -0.3)
 
 
 def check_form(form: EffectForm) -> None:
-    """Refuse a form whose description is incomplete or whose formulas do not behave.
+    """Refuse a form with an incomplete description or inconsistent formulas.
 
     Checked: sentence and source; that the hooks which it overrides are those of one layer, and that `calibrate` tries
     that layer; that the formulas give one finite value per state and command, for arrays as for numbers, and the same
@@ -66,7 +66,7 @@ def _check_layer(form: EffectForm) -> None:
 
 
 def _checked(form: EffectForm, p: list[float]) -> dict[str, Floats]:
-    """Values of all hooks at the places and commands; refused where numbers or CasADi give others than arrays."""
+    """Values of all hooks; refused where numbers, arrays and CasADi disagree."""
     try:
         with np.errstate(all="ignore"):
             outputs = _outputs(form, np, p, _PLACES, _COMMANDS)
@@ -92,7 +92,7 @@ def _checked(form: EffectForm, p: list[float]) -> dict[str, Floats]:
 
 
 def _by_casadi(form: EffectForm, p: list[float]) -> list[dict[str, Floats]]:
-    """Values of all hooks: with numbers for the parameters, as in plans, and with symbols, as in calibrations.
+    """Values of all hooks with numeric parameters, as in plans, and symbolic ones, as in calibrations.
 
     Delays are numbers throughout: calibrations ask for the formula of what is in force.
     """
@@ -124,7 +124,7 @@ def _sensible(lower: float, upper: float) -> float:
 
 
 def _outputs(form: EffectForm, ops: Operations, p: Values, c: Value, v: Value) -> dict[str, Value]:
-    """What every hook makes of a configuration and a command; arrays for NumPy."""
+    """Outputs of all hooks for a configuration and a command; arrays for NumPy."""
     memory = form.at_rest_in(c, p)
     out, after = form.respond(ops, c, v, memory, p)
     if len(after) != len(memory):

@@ -1,4 +1,4 @@
-"""The formulas of effects as instructions, each with its exact slope: read once by CasADi.
+"""Formulas of effects as instructions with exact derivatives, traced once by CasADi.
 
 Parameters are symbols, but for those that are neutral: they are numbers, of which a formula leaves little.
 """
@@ -22,7 +22,7 @@ Neutral = tuple[bool, ...]
 
 
 def _symbols(form: EffectForm, neutral: Neutral, *names: str) -> tuple[list[ca.SX], list[ca.SX], list[Value]]:
-    """Symbols of inputs, and of the parameters; and the parameters as the formula gets them."""
+    """(symbols of inputs, symbols of parameters, parameters as the formula receives them)."""
     symbols = [ca.SX.sym(parameter.name) for parameter in form.parameters]
     given = [
         parameter.neutral if is_neutral else symbol
@@ -32,7 +32,7 @@ def _symbols(form: EffectForm, neutral: Neutral, *names: str) -> tuple[list[ca.S
 
 
 def is_late(form: EffectForm, neutral: Neutral) -> bool:
-    """Whether commands act later.
+    """Whether commands are delayed.
 
     Its lines have the newer and the older command in force where others have the command, and behind the parameters
     the share of a step that has the older one.
@@ -41,7 +41,7 @@ def is_late(form: EffectForm, neutral: Neutral) -> bool:
 
 
 def _begun(form: EffectForm, c: ca.SX, step: ca.SX, p: Sequence[Value]) -> list[Value]:
-    """Memory of a part that has just moved by a step to c, without the commands that a delay keeps."""
+    """The memory of a part that has just moved by a step to c, without the delay line."""
     return list(form.in_motion(c, step, [0.0 if k == form.late_by else value for k, value in enumerate(p)]))
 
 
@@ -51,7 +51,7 @@ def _memory(form: EffectForm, p: Sequence[Value]) -> list[ca.SX]:
 
 @lru_cache(maxsize=_KEPT)
 def begun_line(form: EffectForm, neutral: Neutral) -> StraightLine:
-    """Memory of a part that has just moved by a step to c.
+    """The memory of a part that has just moved by a step to c.
 
     Of one whose commands act later, what was commanded before is last of it: what left it at rest before the step.
     """
@@ -62,7 +62,7 @@ def begun_line(form: EffectForm, neutral: Neutral) -> StraightLine:
 
 @lru_cache(maxsize=_KEPT)
 def response_line(form: EffectForm, neutral: Neutral) -> StraightLine:
-    """Command out of a place, its slope along the configuration, and the memory after it."""
+    """(output command, its slope along the configuration, next memory) for a position command."""
     (c, place, older, late), symbols, p = _symbols(form, neutral, "c", "place", "older", "late")
     memory = _memory(form, p)
     if is_late(form, neutral):
@@ -74,7 +74,7 @@ def response_line(form: EffectForm, neutral: Neutral) -> StraightLine:
 
 @lru_cache(maxsize=_KEPT)
 def memory_line(form: EffectForm, neutral: Neutral) -> StraightLine:
-    """Command that comes out of one that goes in, its slope along that, and the memory after it."""
+    """(output command, its slope, next memory) for an input command."""
     (v, older, late), symbols, p = _symbols(form, neutral, "v", "older", "late")
     memory = _memory(form, p)
     if is_late(form, neutral):
@@ -86,7 +86,7 @@ def memory_line(form: EffectForm, neutral: Neutral) -> StraightLine:
 
 @lru_cache(maxsize=_KEPT)
 def command_line(form: EffectForm, neutral: Neutral) -> StraightLine:
-    """What is left of a command, and its slope along that."""
+    """(output command, its slope)."""
     (v,), symbols, p = _symbols(form, neutral, "v")
     out = form.command(CasadiOperations(), v, p)
     return straight_line([v], symbols, [out, _slope(out, v)])
@@ -94,7 +94,7 @@ def command_line(form: EffectForm, neutral: Neutral) -> StraightLine:
 
 @lru_cache(maxsize=_KEPT)
 def force_line(form: EffectForm, neutral: Neutral) -> StraightLine:
-    """What is added to a motion, and its slopes along configuration and command."""
+    """(added motion, its slopes along configuration and command)."""
     (c, v), symbols, p = _symbols(form, neutral, "c", "v")
     added = form.force(CasadiOperations(), c, v, p)
     return straight_line([c, v], symbols, [added, _slope(added, c), _slope(added, v)])
@@ -109,7 +109,7 @@ def stops_line(form: EffectForm, neutral: Neutral) -> StraightLine:
 
 @lru_cache(maxsize=_KEPT)
 def reading_line(form: EffectForm, neutral: Neutral) -> StraightLine:
-    """What is read of a configuration, and its slope along that."""
+    """(reading of a configuration, its slope)."""
     (c, time), symbols, p = _symbols(form, neutral, "c", "time")
     read = form.measured(CasadiOperations(), c, time, p)
     return straight_line([c, time], symbols, [read, _slope(read, c)])

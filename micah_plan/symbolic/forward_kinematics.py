@@ -12,7 +12,7 @@ from micah_plan.arrays import Floats
 
 
 class ChainJoint(NamedTuple):
-    """A joint on the way from the root to the tool.
+    """A joint of the chain from the root to the tool.
 
     Attributes:
         placement: (4, 4) pose of the joint's frame in that of the joint before [m].

@@ -90,7 +90,7 @@ def observe(
 
 
 def put_at(mean: ca.SX, factor: ca.SX, pins: Sequence[Pin]) -> tuple[ca.SX, ca.SX]:
-    """Replace the belief on coordinates by pins.
+    """The belief with pinned coordinates replaced.
 
     They become independent of the others, except for the coordinate that one follows, which adds to its value.
     """

@@ -1,4 +1,4 @@
-"""A CasADi function as a list of instructions on numbered registers, for a loop that evaluates it on many numbers.
+"""A CasADi function as instructions on numbered registers, for evaluation in a compiled loop.
 
 What depends on parameters alone is apart from what has to be evaluated in every row.
 """
@@ -19,7 +19,7 @@ Instruction = tuple[int, int, int, int]
 
 
 class Operation(IntEnum):
-    """Operations of instructions: CasADi's on scalars, by its names, and four that programs have beside them.
+    """Operations of instructions: CasADi's scalar ones by name, and four additional ones.
 
     Their numbers are their own and stay: compiled code that is kept on disk has them in it, and outlives a release of
     CasADi. `SELECT` leaves its result as it is where the first argument is 0, and else takes the second. `IN_MODES`
@@ -82,7 +82,7 @@ _OF_CASADI = {
 
 @dataclass(frozen=True, eq=False)
 class StraightLine:
-    """Instructions on registers: of the row's inputs, of parameters, of what is kept, of results, and of what passes.
+    """Instructions on registers: inputs of the row, parameters, kept values, results, temporaries.
 
     Attributes:
         once: (n, 4) instructions that are evaluated once for the parameters. each: (m, 4), in every row.
@@ -103,7 +103,7 @@ class StraightLine:
 def straight_line(
     inputs: Sequence[ca.SX], parameters: Sequence[ca.SX], results: Sequence[ca.SX | float]
 ) -> StraightLine:
-    """Instructions for some results (scalars) of a row's inputs and of parameters (symbols).
+    """Instructions for scalar results of a row's inputs and of symbolic parameters.
 
     Raises:
         ValueError: for a function that is none of `Operation`.
@@ -113,7 +113,7 @@ def straight_line(
 
 
 class _Reading:
-    """The way through the instructions of a CasADi function, whose work places are used again and again.
+    """Conversion state of a CasADi function, whose work registers are reused.
 
     Values are numbered as they come up, inputs and parameters first; each gets its register at the end.
     """
@@ -157,7 +157,7 @@ class _Reading:
         return number
 
     def _placed(self, given: int, results: list[tuple[int, int]]) -> StraightLine:
-        """Registers for all values; what is needed no more leaves its own to others."""
+        """Register allocation for all values; registers of dead values are reused."""
         kept = sorted(number for number in self.lasting if number >= given)
         register = {number: number for number in range(given)}
         register |= {number: given + k for k, number in enumerate(kept)}

@@ -1,4 +1,4 @@
-"""With how many successes among roll-outs a plan is accepted: where it is verified, and where its file is read."""
+"""Acceptance of plans by their roll-outs, at verification and when a file is read."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LUCK = 0.05
 
 
 def least_trials(confidence: float) -> int:
-    """How many roll-outs, all of them successes, it takes to show a confidence: fewer would do so by luck.
+    """The number of successful roll-outs that establishes a confidence beyond chance.
 
     With that many in a row, a plan that succeeds less often is excluded at 95 % (the exact rule of three).
     """
@@ -22,7 +22,7 @@ def least_trials(confidence: float) -> int:
 
 
 def least_share(confidence: float, trials: int) -> float:
-    """The smallest share of successes among the roll-outs with which a plan is accepted.
+    """The smallest success rate at which a plan is accepted.
 
     It lies two standard errors below the confidence, those of a plan whose true probability is the confidence: the
     standard error of the observed share would vanish where nothing succeeds.
@@ -31,7 +31,7 @@ def least_share(confidence: float, trials: int) -> float:
 
 
 def executable_trajectory(plan: Plan, *, anyway: bool = False, source: str | None = None) -> Trajectory:
-    """The trajectory of a plan that solves its problem.
+    """The trajectory of a solved plan.
 
     Args:
         anyway: whether one that was found but not verified will do.

@@ -1,4 +1,4 @@
-"""Bodies of a scene: solids around the object, such as a table, a stack of books or the walls of a corridor."""
+"""Bodies of a scene: solids around the object, such as a table, a stack of books or corridor walls."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Hull:
-    """A convex solid, given by its corners; what a mesh becomes.
+    """A convex solid given by its corners, as meshes become.
 
     Attributes:
         vertices: corners in the shape's frame [m], at least four that span a volume.
@@ -59,7 +59,7 @@ class Body:
 
 
 def volume(shape: Shape) -> float:
-    """Of a solid [m^3]; of a mesh that of the box around it."""
+    """Volume of a solid [m^3]; of a mesh that of its bounding box."""
     if isinstance(shape, Hull):
         return float(np.prod(np.ptp(np.array(shape.vertices), axis=0)))
     if shape.kind == "box":

@@ -1,4 +1,4 @@
-"""Starts, goals and noise of a problem by the names of coordinates, as people write them in Python."""
+"""Starts, goals and noise of a problem by names of coordinates, for use in Python."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _NOISES = ("process_std", "observation_std")
 
 
 def with_start(start: Start, automaton: HybridAutomaton, values: Mapping[str, Spread], mode: str | None) -> Start:
-    """A start with other values of some coordinates; those that follow them in their mode follow.
+    """A start with new values of some coordinates; tied coordinates are updated.
 
     Args:
         start: what the other coordinates keep; a value alone keeps its standard deviation.
@@ -50,7 +50,7 @@ def with_start(start: Start, automaton: HybridAutomaton, values: Mapping[str, Sp
 def with_goal(
     goal: Goal, automaton: HybridAutomaton, values: Mapping[str, Spread] | None, modes: str | Sequence[str] | None
 ) -> Goal:
-    """A goal with another target, or other modes to end in.
+    """A goal with new targets, or other final modes.
 
     Args:
         goal: a value without a tolerance has that of this goal.
@@ -85,7 +85,7 @@ def with_goal(
 
 
 def with_noise(noise: Noise, automaton: HybridAutomaton, values: Mapping[str, Mapping[str, float]]) -> Noise:
-    """A noise with other standard deviations of some coordinates, by `process_std` and `observation_std`.
+    """Noise with new standard deviations of some coordinates, by `process_std` and `observation_std`.
 
     Raises:
         InputError: for an unknown name, and for what is no standard deviation.
@@ -126,7 +126,7 @@ def _check_modes(modes: Collection[str], automaton: HybridAutomaton, where: str)
 
 
 def _pair(value: Spread, where: str, second: str) -> tuple[float, float | None]:
-    """A value and what is given beside it."""
+    """(value, second number) of an entry."""
     numbers = () if isinstance(value, bool) else [value] if isinstance(value, int | float) else value
     try:
         pair = tuple(float(number) for number in numbers)

@@ -1,4 +1,4 @@
-"""Where the parts of an object really are at a belief's mean: as contacts leave them.
+"""Settled poses: poses of the parts at a belief's mean under contact.
 
 A belief's mean may lie where no object can be: while it is unsure whether the lower arm touches yet, the mean of the
 joint is that of the free one although the hand is low; where it is unsure whether it latched, the mean closes further
@@ -28,7 +28,7 @@ _ANGLES = 1201
 
 
 def settled_poses(problem: Problem, mode: str, x: Floats) -> dict[str, RigidTransform]:
-    """Pose of every linked part in the base frame at the state x (n,), by part name; without `hold` as in the mode."""
+    """Pose of every linked part in the base frame at the state x (n,), by name; without `hold` by the mode's joints."""
     automaton, hold = problem.automaton, problem.hold
     if hold is None:
         return part_poses(automaton, automaton.mode(mode), x)
@@ -51,7 +51,7 @@ def touching_pairs(problem: Problem, poses: dict[str, RigidTransform]) -> frozen
 
 
 def _followed(automaton: HybridAutomaton, mode: str, x: Floats) -> tuple[str, Floats]:
-    """Mode and state that the hand's place leaves an object which is not latched: where it touches, ties hold."""
+    """(mode, state) of an object that is not latched, with ties applied where it touches."""
     if automaton.mode(mode).pins:
         return mode, x
     mode_reached, followed = mode, x
@@ -78,7 +78,7 @@ def _closing(automaton: HybridAutomaton, mode: str, tie: Tie) -> float:
 
 
 def _rested(poses: dict[str, RigidTransform], grip: Grip, face: Face) -> dict[str, RigidTransform]:
-    """The object turned in the hand about the hinge's direction, no more than keeps it out of the face."""
+    """The object rotated in the hand about the hinge's direction, as far as needed to leave the face."""
     if _gap(poses, grip, face) >= 0:
         return poses
     hand = poses[grip.held.name].apply(grip.point)

@@ -1,4 +1,4 @@
-"""Whether a plan that says it is solved can be the solution of its problem: what its numbers alone contradict.
+"""Consistency of solved plans: whether their numbers can be a solution of the problem.
 
 A file may have been written by anything, so a digest that fits says little. Nothing is simulated here: a share of
 successes below the confidence, a last state that is not where the plan says, a step that the model does not make.
@@ -16,7 +16,7 @@ from micah_plan.task.problem import Problem
 
 
 def disagreement(plan: Plan, problem: Problem) -> tuple[str, str] | None:
-    """The key of a plan file and what contradicts there; None where a plan is not solved, or agrees."""
+    """(key of the plan file, contradiction); None for a consistent plan, or one that is not solved."""
     if plan.outcome != "solved" or plan.trajectory is None:
         return None
     share, confidence = plan.success_probability, problem.settings.confidence
@@ -29,7 +29,7 @@ def disagreement(plan: Plan, problem: Problem) -> tuple[str, str] | None:
 
 
 def _belief_amiss(factors: Floats) -> str | None:
-    """The first covariance (K, n, n) whose factor is none."""
+    """The first covariance (K, n, n) with an invalid factor."""
     for k, factor in enumerate(factors):
         if np.triu(factor, 1).any() or (np.diag(factor) < 0).any():
             return f"knot {k}: expected a lower triangular factor with a diagonal of at least 0"
@@ -37,7 +37,7 @@ def _belief_amiss(factors: Floats) -> str | None:
 
 
 def _end_amiss(plan: Plan, trajectory: Trajectory, problem: Problem) -> tuple[str, str] | None:
-    """The last knot against the goal; what is released comes to rest elsewhere."""
+    """A contradiction between last knot and goal; released objects come to rest elsewhere."""
     goal, last = problem.goal, trajectory.modes[-1]
     if problem.release is not None:
         return None
@@ -56,7 +56,7 @@ def _end_amiss(plan: Plan, trajectory: Trajectory, problem: Problem) -> tuple[st
 
 
 def _step_amiss(trajectory: Trajectory, problem: Problem) -> tuple[str, str] | None:
-    """The first step that the model does not make."""
+    """The first step that contradicts the model."""
     automaton, largest = problem.automaton, problem.settings.max_step
     for k, u in enumerate(trajectory.inputs):
         before, after = trajectory.modes[k : k + 2]
@@ -79,7 +79,7 @@ def _step_amiss(trajectory: Trajectory, problem: Problem) -> tuple[str, str] | N
 
 
 def _reached_in_one_instant(automaton: HybridAutomaton, source: str) -> set[str]:
-    """The modes behind a transition from `source`, and behind those that can follow it at the same instant.
+    """The modes reachable from `source` by a transition and those that follow it at the same instant.
 
     A plan has one transition between two knots, also where the model takes several
     (`planning.zero_time_transitions`): the input fires the first of them, the state that each leads to fires the next.

@@ -1,4 +1,4 @@
-"""When planning must end, which every stage asks now and then, and how long its stages took."""
+"""Deadline of planning, polled by all stages, and the durations of stages."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _SHORTEST_S = 1e-3
 
 
 class TimeLimitError(Exception):
-    """The time is over.
+    """The time limit was reached.
 
     Attributes:
         reason: in which stage, how far that was, and what to do.
@@ -27,16 +27,16 @@ class TimeLimitError(Exception):
 
 
 class Deadline:
-    """A limit of processor time that begins when it is made, so that a busy machine gives the same answer."""
+    """A limit on processor time from its creation on, so that results do not depend on the machine's load."""
 
     def __init__(self, limit_s: float, clock: Callable[[], float] = process_time) -> None:
-        """Args: the limit [s], and what tells the time [s]."""
+        """Args: the limit [s], and the clock [s]."""
         self.limit_s, self._clock = limit_s, clock
         self._end = clock() + limit_s
 
     @property
     def left_s(self) -> float:
-        """Time left [s], always above 0: for solvers that take a limit."""
+        """Time left [s], always positive, for solvers with a limit."""
         return max(_SHORTEST_S, self._end - self._clock())
 
     def is_over(self) -> bool:
@@ -44,7 +44,7 @@ class Deadline:
         return self._clock() >= self._end
 
     def check(self, stage: str, state: str, lower: str = "") -> None:
-        """Go on if there is time.
+        """Raise an error if time is up.
 
         Args:
             stage: where this is.
@@ -63,7 +63,7 @@ NEVER = Deadline(inf)
 
 
 class Clock:
-    """Seconds by stage since it was made."""
+    """Seconds by stage since creation."""
 
     def __init__(self) -> None:
         self._began = perf_counter()

@@ -1,4 +1,4 @@
-"""An experiment: motions in open loop whose record is to tell apart what a model may lack."""
+"""Experiments: open-loop motions whose recording separates hypotheses about a model."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SMALLER = "divide the motion into steps that the object can make; are these m an
 
 @dataclass(frozen=True)
 class Motion:
-    """A start, and what is commanded from there on, whatever is measured.
+    """A start with commands that do not depend on measurements.
 
     Attributes:
         commands: (K, m) input of each control step [rad or m].
@@ -31,7 +31,7 @@ class Motion:
 
 
 def too_large(automaton: HybridAutomaton, motion: Motion) -> str:
-    """What is wrong with the first command that is larger than all that the object can move; empty if none is."""
+    """The first command that moves a coordinate beyond its whole range, as a message; empty if there is none."""
     for i, coordinate in enumerate(automaton.coordinates):
         low, high = range_of(automaton, i)
         moving = next((mode for mode in automaton.modes if mode.driven[i]), None)
@@ -47,7 +47,7 @@ def too_large(automaton: HybridAutomaton, motion: Motion) -> str:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Motions, each of which is made several times.
+    """Motions with their number of repetitions.
 
     Attributes:
         automaton: the model; plants of the package are made of it.
@@ -71,5 +71,5 @@ class Experiment:
                 raise InputError(f"motion {number}: {fault}", remedy=SMALLER)
 
     def problem(self, number: int) -> Problem:
-        """What a plant is made of for a motion: there is no goal."""
+        """The problem from which a plant of a motion is made; it has no goal."""
         return Problem(self.automaton, self.motions[number].start, Goal(()), plant=self.plant)

@@ -1,4 +1,4 @@
-"""What an exploration is asked to do: open what is in the hand, within limits."""
+"""The task of an exploration: open the held object, within limits."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from micah_plan.task.problem import Problem
 
 @dataclass(frozen=True)
 class Scene:
-    """A hand that holds a handle of which nothing else is known.
+    """A hand that holds an unknown handle.
 
     Attributes:
         largest_force: that the hand may exert [N].

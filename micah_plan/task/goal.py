@@ -12,7 +12,7 @@ from micah_plan.automaton.contacts.values import COLLIDED
 
 
 def unharmed(modes: Sequence[str]) -> tuple[str, ...]:
-    """The modes that a goal without modes means: an object that has hit something has not arrived, wherever it is.
+    """The default goal modes: all but the collided one; empty, which means any, where there is none.
 
     Empty, which means any, for an object that cannot.
     """
@@ -49,7 +49,7 @@ class Goal:
         return self.admits(mode) and bool(self.holds(x))
 
     def holds(self, x: Floats) -> Booleans:
-        """(...) whether states (..., n) are within every tolerance, whatever their mode."""
+        """(...) whether states (..., n) are within every tolerance, in any mode."""
         return np.asarray(~self.misses(x).any(axis=-1))
 
     def distances(self, x: Floats) -> Floats:
@@ -61,7 +61,7 @@ class Goal:
         return np.asarray(self.distances(x) > [tolerance for _, _, tolerance in self.target])
 
     def reached_from(self, x: Floats) -> Floats:
-        """(n,) the state x (n,) with the goal's values in place of its own."""
+        """(n,) the state x (n,) with the goal's values substituted."""
         changed = np.array(x)
         for index, value, _ in self.target:
             changed[index] = value

@@ -14,12 +14,12 @@ _ENDINGS = (".urdf", ".xml", ".mjcf")
 
 
 def is_name(path: str) -> bool:
-    """Whether what should be the path of a file is the name of a robot: one word without an ending."""
+    """Whether the entry for a path is a robot's name: one word without a suffix."""
     return "/" not in path and "\\" not in path and not path.lower().endswith(_ENDINGS)
 
 
 def named_robots() -> dict[str, Path]:
-    """The files of the robots that are installed, by name in alphabetical order; empty without the extra."""
+    """Files of the installed robots by name, sorted; empty without the extra."""
     try:
         folder = Path(str(distribution("example-robot-data").locate_file(_FOLDER)))
     except PackageNotFoundError:

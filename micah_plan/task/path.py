@@ -1,4 +1,4 @@
-"""Constraints and costs on the path: one function that a user writes and registers, read by NumPy and CasADi alike.
+"""Path constraints and costs: registered functions of a user, evaluated by NumPy and CasADi.
 
 A path function is asked about one step of control, and answers with what it requires and what it costs:
 
@@ -31,7 +31,7 @@ Argument = float | str
 
 @dataclass(frozen=True, eq=False)
 class PathStep:
-    """One step of control. Knot 0 belongs to none: nothing can be required of where a problem starts.
+    """One control step. Knot 0 has none, so the start cannot be constrained.
 
     Attributes:
         x: by coordinate, the state that the step arrives at [rad or m].
@@ -57,7 +57,7 @@ class Require:
 
 @dataclass(frozen=True, eq=False)
 class Pay:
-    """An amount that each step adds to the cost of a plan; the sum must have a lower limit."""
+    """A cost per step, added to that of the plan; the sum must be bounded below."""
 
     amount: Value
 
@@ -68,7 +68,7 @@ PathFunction = Callable[..., Iterable[Require | Pay]]
 
 @dataclass(frozen=True)
 class PathConstraint:
-    """A constraint or cost on the path, as a problem asks for it.
+    """A path constraint or cost, as an entry of a problem.
 
     Attributes:
         name: of a registered path function.
@@ -81,7 +81,7 @@ class PathConstraint:
     modes: tuple[str, ...] = ()
 
     def acts_in(self, mode: str) -> bool:
-        """Whether it holds in the mode of that name."""
+        """Whether it is active in a mode."""
         return not self.modes or mode in self.modes
 
 
@@ -110,7 +110,7 @@ def path_function(function: PathFunction) -> PathFunction:
 
 
 def remove_path_function(name: str) -> None:
-    """Take out a function that `path_function` added."""
+    """Remove a function that `path_function` added."""
     if name not in _LIBRARY:
         _FUNCTIONS.pop(name, None)
 
@@ -143,7 +143,7 @@ def check_constraint(constraint: PathConstraint, automaton: HybridAutomaton) -> 
 def path_terms(
     constraint: PathConstraint, ops: Operations, automaton: HybridAutomaton, x: Any, u: Any, std: Any
 ) -> Terms:
-    """The requirements and costs of a constraint, for steps.
+    """Requirements and costs of a constraint for given steps.
 
     Args:
         ops: numpy, or `symbolic.effects.CasadiOperations`.
@@ -178,7 +178,7 @@ def _function(name: str) -> PathFunction:
 
 
 class _Named(dict[str, Any]):
-    """Values by name; an unknown name is the user's mistake."""
+    """Values by name; an unknown name is an input error."""
 
     def __init__(self, said: str, names: Sequence[str], values: Any) -> None:
         super().__init__((name, values[i]) for i, name in enumerate(names))

@@ -1,4 +1,4 @@
-"""The plan: an outcome with a sentence, and if it is a success all that executing and viewing it needs."""
+"""The plan: an outcome with a sentence and, if solved, everything needed to execute and view it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LEVELS: tuple[Level, ...] = get_args(Level)
 
 @dataclass(frozen=True)
 class Finding:
-    """What stands in the way of a plan.
+    """An obstacle to a plan.
 
     Attributes:
         level: where it was found; start and goal are checked first.
@@ -49,13 +49,13 @@ class Finding:
 
     @classmethod
     def of(cls, level: Level, reason: Reason, modes: tuple[str, ...] = ()) -> Finding:
-        """A reason at a level."""
+        """The finding of a reason at a level."""
         return cls(level, reason.code, reason.sentence, reason.remedy, modes, ways=reason.ways)
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One mode sequence that the search proposed and what became of it.
+    """A mode sequence of the search with the result of its optimisation.
 
     Attributes:
         modes: the sequence.
@@ -72,7 +72,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class ModePurpose:
-    """Why a plan visits a mode: what the search finds, among the same states, where nothing leaves that mode.
+    """Purpose of a mode in a plan: the best alternative that never leaves through it.
 
     Attributes:
         mode: not the one that the plan starts in, which every plan visits.
@@ -147,7 +147,7 @@ class ArmTrajectory:
 
 @dataclass(frozen=True, eq=False)
 class ReleasePlan:
-    """How the hand releases the object after the last knot: it is lowered until contact is felt, opens, and withdraws.
+    """Release after the last knot: the hand lowers until contact is felt, opens, and withdraws.
 
     Attributes:
         steps: at most so many go down; contact is felt earlier.
@@ -168,7 +168,7 @@ class ReleasePlan:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(Summarised):
-    """What `solve` returns. A plan without success has no trajectory, so it cannot be executed by mistake.
+    """Result of planning. Failed plans have no trajectory, so they cannot be executed by mistake.
 
     Attributes:
         outcome: ``"solved"``, ``"no_plan"`` (nothing found; `reason` says why) or ``"not_verified"`` (found, but the
@@ -223,14 +223,14 @@ class Plan(Summarised):
 
     @property
     def ranked_findings(self) -> tuple[Finding, ...]:
-        """The findings in the order of planning; first what roll-outs or the arm ran into, where these refused it."""
+        """The findings in the order of planning; those of roll-outs or of the arm first where they decided."""
         ranked = sorted(self.findings, key=lambda finding: LEVELS.index(finding.level))
         if self.outcome == "not_verified":  # that is the reason; the boundaries may be the cause
             ranked.sort(key=lambda finding: finding.level not in ("verification", "arm"))
         return tuple(ranked)
 
     def refused_for(self, finding: Finding, before: str = "", *, outcome: Outcome = "not_verified") -> Plan:
-        """The plan refused for a finding more, whose sentence and remedy are the reason.
+        """The plan refused for an additional finding, whose sentence and remedy become the reason.
 
         Args:
             before: what the reason begins with.

@@ -1,4 +1,4 @@
-"""The plants that come with the package: the one list of their names, which files, commands and functions follow.
+"""The built-in plants: the single list of names for files, commands and functions.
 
 A file may name a plant of this list and nothing else. Other code is loaded only where the command line names it
 (`micah_plan.cli.planning`), or passed in Python.
@@ -15,7 +15,7 @@ DEFAULT_PLANT = "nominal"
 
 @dataclass(frozen=True)
 class BuiltInPlant:
-    """A plant of the package.
+    """A plant that comes with the package.
 
     Attributes:
         maker: ``module:name`` of what makes it when called with a problem, as an entry point would say it.

@@ -1,4 +1,4 @@
-"""What looks like a mistake in a problem, scene or experiment that can be used. Nothing is refused: each is one line.
+"""Plausibility of usable problems, scenes and experiments: nothing is refused, each suspicion is one line.
 
 Every number is compared with the scale that the rest of the file gives it (`automaton.plausible`). A tolerance, a
 spread or a step that is wider than all that a coordinate can do makes what it states empty: every place is in the goal,
@@ -40,7 +40,7 @@ _WHOLE_TURN = 2.0 * math.pi
 
 
 def suspicions_of_problem(problem: Problem) -> tuple[str, ...]:
-    """What looks wrong in a problem beside its model, one line each, with its key."""
+    """Suspicious values of a problem without its model, one line each, with their keys."""
     amounts = [*_along_coordinates(problem), *_places(problem), *_of_scene(problem.scene)]
     amounts += [] if problem.hold is None else _of_hold(problem.hold)
     amounts += [] if problem.release is None else _of_release(problem.release)
@@ -48,7 +48,7 @@ def suspicions_of_problem(problem: Problem) -> tuple[str, ...]:
 
 
 def suspicions_of_plan(plan: Plan, problem: Problem) -> tuple[str, ...]:
-    """What looks wrong in the belief and the feedback of a plan, one line each, with its key and its worst knot."""
+    """Suspicious belief and feedback of a plan, one line each, with key and worst knot."""
     if plan.trajectory is None:
         return ()
     coordinates = problem.automaton.coordinates
@@ -69,13 +69,13 @@ def suspicions_of_plan(plan: Plan, problem: Problem) -> tuple[str, ...]:
 
 
 def suspicions_of_scene(scene: Scene) -> tuple[str, ...]:
-    """What looks wrong in what `explore` is given, one line each, with its key."""
+    """Suspicious values of an exploration scene, one line each, with their keys."""
     lengths = {"largest_step": scene.largest_step, "opening": scene.opening}
     return tuple(implausible(Amount(key, length, "m", FARTHEST_M) for key, length in lengths.items()))
 
 
 def suspicions_of_experiment(experiment: Experiment) -> tuple[str, ...]:
-    """What looks wrong in the starts of an experiment, one line each, with its key."""
+    """Suspicious starts of an experiment, one line each, with their keys."""
     automaton = experiment.automaton
     return tuple(
         implausible(
@@ -88,7 +88,7 @@ def suspicions_of_experiment(experiment: Experiment) -> tuple[str, ...]:
 
 
 def _along_coordinates(problem: Problem) -> Iterator[Amount]:
-    """Start, goal, noise and steps of each coordinate against its range."""
+    """Start, goal, noise and steps of each coordinate, compared with its range."""
     automaton, start = problem.automaton, problem.start
     targets = {index: (value, tolerance) for index, value, tolerance in problem.goal.target}
     true = dict(start.true)
@@ -112,7 +112,7 @@ def _along_coordinates(problem: Problem) -> Iterator[Amount]:
 
 
 def _scale(problem: Problem, i: int) -> tuple[float, str]:
-    """How far a coordinate can be from one end to the other [rad or m], and what says so."""
+    """(range of a coordinate [rad or m], its name)."""
     name, whole = problem.automaton.coordinates[i].name, whole_range(problem.automaton, i)
     if math.isfinite(whole):
         return whole, f"the whole range of {name}"
@@ -126,7 +126,7 @@ def _scale(problem: Problem, i: int) -> tuple[float, str]:
 
 
 def _steps(problem: Problem) -> dict[str, float]:
-    """The largest step of each input coordinate that the problem states [rad or m], by the name that both have."""
+    """The largest step of each input coordinate stated by the problem [rad or m], by name."""
     return dict(
         zip((coordinate.name for coordinate in problem.automaton.inputs), problem.settings.max_step or (), strict=False)
     )

@@ -1,4 +1,4 @@
-"""A planning problem: what `problems/*.yaml` says, as a value."""
+"""Planning problems: the content of `problems/*.yaml` as a value."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Release:
 
 @dataclass(frozen=True, repr=False)
 class Problem(Summarised):
-    """Everything `solve` needs.
+    """The input of `solve`.
 
     Attributes:
         automaton: the model, with the noise of the problem if it states one.
@@ -123,7 +123,7 @@ class Problem(Summarised):
         )
 
     def summary(self) -> str:
-        """Start, goal, confidence and what is around, in a few lines."""
+        """Start, goal, confidence and surroundings, in a few lines."""
         coordinates = self.automaton.coordinates
         start = [
             f"{c.name} {with_spread(mean, std, c.unit, degrees=False)}"

@@ -1,4 +1,4 @@
-"""Why something cannot be done, and the ways out of it."""
+"""Reasons of failure with their remedies."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ OfferKind = Literal[
 
 @dataclass(frozen=True)
 class Offer:
-    """A change that a remedy names once planning with it has succeeded.
+    """A change to a problem, which a remedy names once planning with it has succeeded.
 
     Attributes:
         words: of the remedy, which name the change without a number.
@@ -45,14 +45,14 @@ class Offer:
 
 
 def one_of(ways: Sequence[str | Offer]) -> str:
-    """Ways out in words: ``a``, ``a, or b``, ``a, b, or c``."""
+    """Remedies in words: ``a``, ``a, or b``, ``a, b, or c``."""
     *others, last = [way if isinstance(way, str) else way.words for way in ways]
     return f"{', '.join(others)}, or {last}" if others else last
 
 
 @dataclass(frozen=True)
 class Reason:
-    """Why something cannot be done.
+    """Why something is impossible, with remedies.
 
     Attributes:
         code: what is wrong, for programmes.
@@ -66,9 +66,9 @@ class Reason:
 
     @property
     def remedy(self) -> str:
-        """The ways in words."""
+        """The remedies in words."""
         return one_of(self.ways)
 
     def __str__(self) -> str:
-        """Both in one line."""
+        """Sentence and remedy in one line."""
         return f"{self.sentence}; {self.remedy}"

@@ -1,4 +1,4 @@
-"""Letting a held object go: how it stands once no hand holds it any more.
+"""Release of held objects: the resting pose without a hand.
 
 A placement ends with the object released. The hand carries it to a place above its support and lowers it until contact
 is felt; the gripper opens, and the object turns until a side lies flat. It turns about the fingers: as they loosen,
@@ -39,7 +39,7 @@ _HOVER = 0.01
 
 @dataclass(frozen=True)
 class Rest:
-    """How an object in a mode stands on its support once it was released there.
+    """Resting pose of an object on its support after a release in a mode.
 
     Attributes:
         mode: of the object.
@@ -56,14 +56,16 @@ class Rest:
     turn: Vector3
 
     def state(self, hand: Floats, height_error: float = 0.0) -> Floats:
-        """(..., n) states at rest of objects released by a hand in states (..., n), the support higher by an error."""
+        """(..., n) states at rest after a release in states (..., n), with the support higher by an error."""
         at_rest = np.array(hand)
         at_rest[..., :2] += self.shift[:2]
         at_rest[..., 2] = self.top + height_error + self.touching + self.shift[2]
         return at_rest
 
     def poses(self, lowered: dict[str, RigidTransform], hand: Floats, share: float = 1.0) -> dict[str, RigidTransform]:
-        """Poses of the parts after a share of the turn, from those in a hand at (3,) that has put them down."""
+        """Poses of the parts after a fraction of the release's turn, from those at which they were put down by a hand
+        at (3,).
+        """
         from scipy.spatial.transform import RigidTransform
 
         turn = Rotation.from_rotvec(share * np.array(self.turn))
@@ -72,7 +74,7 @@ class Rest:
 
 
 def resting_place(problem: Problem) -> Rest:
-    """How the object of a problem with a release stands in the end.
+    """The resting pose of a problem's object after its release.
 
     Raises:
         InputError: if it cannot be released there: it is not latched, would tip over, or is not what the goal says.
@@ -114,7 +116,7 @@ def support_height(problem: Problem) -> float:
 
 
 def pre_release_problem(problem: Problem) -> Problem:
-    """What the hand does before the release: the same problem with a goal above the support; others as they are.
+    """The problem of the hand before the release, with a goal above the support; unchanged without one.
 
     The place is that from which the object comes to rest at the target. The room for the shift as the gripper opens is
     taken from the tolerance; the height keeps clear of the support, as high as that may be.
@@ -153,7 +155,7 @@ def _shape(problem: Problem, mode: str) -> tuple[Floats, Floats]:
 
 
 def _settled(points: Floats, center: Floats, axis: Floats) -> tuple[float, Floats, float]:
-    """Height of the hand as the lowest corner touches, rotation vector until it lies flat, and how far the hand rises.
+    """(hand height at first contact, rotation vector to rest, rise of the hand) for corner points.
 
     Args:
         points, center: of `_shape`.

@@ -1,4 +1,4 @@
-"""The arm of a problem and what it holds, as values; `micah_plan.robot` makes a robot of them."""
+"""The arm and the grasp of a problem, as values for `micah_plan.robot`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RobotDescription:
-    """Which robot stands where, and with which frame it holds.
+    """The robot, its placement, and its gripping frame.
 
     Attributes:
         path: of the robot's file, as messages name it.
@@ -50,7 +50,7 @@ class RobotDescription:
 
 @dataclass(frozen=True)
 class Grasp:
-    """What the tool holds, and where.
+    """The grasped part, and the tool's pose in it.
 
     Attributes:
         part: the part that moves with the tool.

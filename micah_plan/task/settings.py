@@ -50,7 +50,7 @@ class PlannerSettings:
 
     @property
     def sigmas(self) -> float:
-        """How many standard deviations of room the confidence asks for at a boundary: k with Φ(k) = confidence."""
+        """Margin at boundaries in standard deviations: k with Φ(k) = confidence."""
         from scipy.special import ndtri
 
         return float(ndtri(self.confidence))

@@ -1,4 +1,4 @@
-"""Where a problem starts: its initial belief, the mode that this is in, and true states drawn from it."""
+"""Starts: the initial belief, its mode, and sampling of true states."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Start:
 
 
 def start_mode(automaton: HybridAutomaton, start: Start) -> tuple[str | None, Reason | None]:
-    """The mode that a start is in, or None and the reason if its mean lies in no mode's (or not in the named) range.
+    """(mode of a start, None), or (None, reason) if its mean lies outside of all ranges or the named one.
 
     A mode's range is its invariant, and the part of it that the automaton's Init allows if there is one.
     """
@@ -55,12 +55,12 @@ def start_mode(automaton: HybridAutomaton, start: Start) -> tuple[str | None, Re
 
 
 def is_final(automaton: HybridAutomaton, mode: Mode) -> bool:
-    """Whether nothing moves in a mode and no transition leaves it: all ends there, as after a collision."""
+    """Whether a mode is absorbing: without motion or outgoing transitions, as after a collision."""
     return not mode.B.any() and all(edge.is_self_transition for edge in automaton.edges_from(mode.name))
 
 
 def modes_to_be_in(automaton: HybridAutomaton) -> tuple[Mode, ...]:
-    """The modes that are not final; all, if all are."""
+    """The non-final modes; all if all are final."""
     return tuple(mode for mode in automaton.modes if not is_final(automaton, mode)) or automaton.modes
 
 
@@ -72,7 +72,7 @@ def start_regions(automaton: HybridAutomaton, mode: Mode) -> tuple[Region, ...]:
 
 
 def sample_start(automaton: HybridAutomaton, start: Start, rng: np.random.Generator) -> tuple[str, Floats]:
-    """A true start: its mode and x (n,), from the initial Gaussian given that the mode's invariant (and Init) holds.
+    """A sampled true start: (mode, x (n,)) from the Gaussian conditioned on the mode's invariant (and Init).
 
     Where the invariant is all but improbable under the belief, the mean is taken. Pinned coordinates are at their pins.
     Coordinates that truly start elsewhere do, in the mode that is believed if it allows that, else in one that does.
@@ -88,7 +88,7 @@ def sample_start(automaton: HybridAutomaton, start: Start, rng: np.random.Genera
 
 
 def _true_start(automaton: HybridAutomaton, start: Start, believed: str, x: Floats) -> tuple[str, Floats]:
-    """Mode and state (n,) of a start that is elsewhere than believed."""
+    """(mode, state (n,)) of a true start that differs from the believed one."""
     for index, value in start.true:
         x[index] = value
     there = replace(start, mean=tuple(x.tolist()), std=(SMALLEST_STD,) * automaton.n, mode=believed)
@@ -108,7 +108,7 @@ def _true_start(automaton: HybridAutomaton, start: Start, believed: str, x: Floa
 def draw_states(
     automaton: HybridAutomaton, mode: Mode, start: Start, rng: np.random.Generator, shifts: Floats
 ) -> Floats:
-    """(t, n) true states of t objects in a mode, without asking whether the start is in that mode.
+    """(t, n) sampled true states of t objects in a mode, without checking the start's mode.
 
     Args:
         automaton: the objects' model.
@@ -159,7 +159,7 @@ def _hold(values: Floats, least: Floats, strict: Booleans) -> Booleans:
 
 
 def _sigmas_outside(automaton: HybridAutomaton, start: Start, mode: Mode) -> float:
-    """By how many standard deviations the start's mean lies outside of a mode's range and pins; 0 inside."""
+    """Distance of the start's mean outside a mode's range and pins in standard deviations; 0 inside."""
     mean, std = np.array(start.mean), np.array(start.std)
     outside = [min((_sigmas_beyond(mean, std, region) for region in start_regions(automaton, mode)), default=np.inf)]
     for pin in mode.pins:
@@ -170,7 +170,7 @@ def _sigmas_outside(automaton: HybridAutomaton, start: Start, mode: Mode) -> flo
 
 
 def _sigmas_beyond(mean: Floats, std: Floats, region: Region) -> float:
-    """The same for a region; at a limit on one coordinate, a small share of its range's width counts as inside."""
+    """As `_sigmas_outside` for a region; a small fraction of the range's width counts as inside."""
     outside = 0.0
     for half_space in region.half_spaces:
         weights = np.array(half_space.a)

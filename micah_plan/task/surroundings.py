@@ -1,4 +1,4 @@
-"""A scene as a held object meets it: boxes to keep clear of, and faces to touch."""
+"""A scene for held objects: boxes to avoid, and faces to touch."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from micah_plan.task.body import Body, Shape, corners, vector3
 def surroundings_of(
     scene: Sequence[Body], contacts: Sequence[tuple[str, int, int]], lower: Vector3, upper: Vector3
 ) -> Surroundings:
-    """Every shape of a body as the box around it along the base axes; a stack that fills one box is one.
+    """Bounding boxes of all shapes along the base axes; stacks that fill one box are merged.
 
     Args:
         scene: the bodies.
@@ -41,7 +41,7 @@ def faces_of(scene: Sequence[Body], contacts: Sequence[tuple[str, int, int]]) ->
 
 
 def _joined(solids: Sequence[Solid]) -> tuple[Solid, ...]:
-    """The solids, those that together fill one box joined: every one more costs the planner."""
+    """The solids with adjacent boxes merged: every solid costs planning time."""
     found: list[Solid] = []
     for solid in solids:
         whole = solid
@@ -54,7 +54,7 @@ def _joined(solids: Sequence[Solid]) -> tuple[Solid, ...]:
 
 
 def _is_box(first: Solid, second: Solid) -> bool:
-    """Whether two boxes fill one: alike along two axes, and without a gap along the third."""
+    """Whether the union of two boxes is a box: equal along two axes, without a gap along the third."""
     ends = np.array([[first.lower, first.upper], [second.lower, second.upper]])
     differs = ~np.isclose(ends[0], ends[1], rtol=0.0, atol=ROUND_OFF).all(axis=0)
     if differs.sum() != 1:

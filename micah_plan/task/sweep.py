@@ -42,7 +42,7 @@ class Case:
 
     @cached_property
     def key(self) -> str:
-        """Hash of all that the result depends on; where the files lie and what they are called does not count."""
+        """Hash of everything that the result depends on; paths and names of files are excluded."""
         content = {
             "micah_plan": __version__,
             "digests": dict(self.digests),

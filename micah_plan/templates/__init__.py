@@ -1,1 +1,1 @@
-"""Files to start from: they work as they are and say in comments what to change."""
+"""Template files: they work unchanged, and their comments explain what to edit."""

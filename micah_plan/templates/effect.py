@@ -32,7 +32,7 @@ class SpeedDrag(EffectForm):
 
     # One formula for NumPy and for CasADi: use the functions of `ops` instead of numpy's, and no `if` on values.
     def command(self, ops: Operations, v: Value, p: Values) -> Value:
-        """What of a command v reaches the joint."""
+        """The part of a command v that reaches the joint."""
         return v / (1.0 + p[0] * ops.abs(v))
 
 
@@ -40,7 +40,7 @@ FORM = register(SpeedDrag())
 
 
 def main() -> None:
-    """Check the form and show what it does to the drawer in model.yaml."""
+    """Check the form and print its effect on the drawer in model.yaml."""
     check_form(FORM)
     print(f"{FORM.name} conforms")
     plain = load_model("model.yaml")

@@ -1,4 +1,4 @@
-"""A problem to start from, for a model that is already there: from near one end of its range towards the other."""
+"""A template problem for an existing model: from near one end of its range toward the other."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ planner:
 
 
 def first_problem(automaton: HybridAutomaton) -> str:
-    """The text of a problem file for a model in the file ``model.yaml`` beside it.
+    """The text of a problem file for the model in an adjacent ``model.yaml``.
 
     Raises:
         InputError: if nothing in the model can be moved.
@@ -98,7 +98,7 @@ def first_problem(automaton: HybridAutomaton) -> str:
 
 
 def problem_for(automaton: HybridAutomaton, source: str = "problem.yaml") -> Problem:
-    """The problem that `first_problem` writes.
+    """The problem of `first_problem` as a value.
 
     Args:
         automaton: the model.
@@ -111,7 +111,7 @@ def problem_for(automaton: HybridAutomaton, source: str = "problem.yaml") -> Pro
 
 
 def _moving_mode(automaton: HybridAutomaton) -> tuple[Mode, list[int]]:
-    """The first mode in which something can be moved, and the coordinates that can; what is tied to them follows."""
+    """(first mode with movable coordinates, these coordinates without tied ones)."""
     for mode in automaton.modes:
         following = {tie.coordinate for tie in mode.ties}
         moved = [i for i in np.flatnonzero(mode.driven & mode.free).tolist() if i not in following]
@@ -126,6 +126,6 @@ def _mapping(names: Sequence[str], values: Iterable[float]) -> str:
 
 
 def _plain(name: str) -> str:
-    """A name as YAML reads it back."""
+    """A name quoted for YAML."""
     plain = re.fullmatch(r"[A-Za-z_]\w*", name) and name.lower() not in _RESERVED
     return name if plain else json.dumps(name)

@@ -1,4 +1,4 @@
-"""The templates by kind, and how they come into a folder."""
+"""Templates by kind, and writing them into a folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page of a calibration: what was compared, what the model lacks, how sure that is, what remains, what is next."""
+"""The page of a calibration: data, missing effects with their evidence, remaining errors, and the next experiment."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _SIDE = 1.5
 
 
 def calibration_page(calibration: Calibration, title: str) -> str:
-    """The page as HTML text: self-contained, fetches nothing, the same value gives the same bytes."""
+    """The page as self-contained HTML text; equal values give equal bytes."""
     modes = [mode for trace in calibration.traces for mode in trace.missing_modes]
     gain = "It predicts {} nats better than any gradual change."
     coordinates = [_coordinate(trace) for trace in calibration.traces]
@@ -64,7 +64,7 @@ def calibration_page(calibration: Calibration, title: str) -> str:
 
 
 def _headline(calibration: Calibration) -> str:
-    """What was found and what it is worth, in a sentence or two."""
+    """Summary of the effects found and of the errors before and after, in one or two sentences."""
     runs = count(len(calibration.recording.runs), "run")
     added = [effect for effect in calibration.effects if effect.is_added]
     changes = []
@@ -80,7 +80,7 @@ def _headline(calibration: Calibration) -> str:
 
 
 def _values(effect: FoundEffect) -> str:
-    """The parameters of an effect, each with its spread where it was fitted."""
+    """The parameters of an effect, with stds where fitted."""
     texts = []
     for name, value, unit, low, high in effect.rows:
         std = (high - low) / (2.0 * INTERVAL_STDS)
@@ -90,12 +90,12 @@ def _values(effect: FoundEffect) -> str:
 
 
 def _worth(trace: CoordinateTrace) -> float:
-    """How much better the model became for a coordinate [nats]."""
+    """Gain in log evidence for a coordinate [nats]."""
     return trace.final.over(trace.nominal)[0]
 
 
 def _badge(calibration: Calibration) -> tuple[str, Status]:
-    """The verdict; green only if the recording leaves one explanation."""
+    """The verdict as a badge; green only if a single explanation remains."""
     others = {name for effect in calibration.effects for name in effect.tied}
     if calibration.verdict == "explained" and others:
         return f"explained, by one of {len(others) + 1} causes", "fair"
@@ -117,7 +117,7 @@ def _parameters(calibration: Calibration) -> Table:
 
 
 def _effect(effect: FoundEffect) -> dict[str, str]:
-    """An effect in words; `ambiguity` is empty if no other effect explains the recording as well."""
+    """An effect in words; `ambiguity` is empty if it has no alternatives."""
     sentences = [effect.sentence]
     if effect.effect.modes:
         sentences.append(f"It acts only in {', '.join(effect.effect.modes)}.")
@@ -159,7 +159,7 @@ def _poses(calibration: Calibration) -> Table:
 
 
 def _correlation(trace: CoordinateTrace) -> Table:
-    """How the errors of fitted parameters go together; empty for a single one."""
+    """Correlations of the fitted parameters' errors; empty for a single parameter."""
     names, matrix = trace.held_out.correlations_of(trace.chosen)
     shown = zip(names, matrix.tolist(), strict=True) if len(names) > 1 else ()
     rows = tuple((name, *(f"{value:.2f}" for value in row)) for name, row in shown)
@@ -167,7 +167,7 @@ def _correlation(trace: CoordinateTrace) -> Table:
 
 
 def _coordinate(trace: CoordinateTrace) -> dict[str, Any]:
-    """What was compared of one coordinate: charts of errors before and after, evidence of every effect, runs."""
+    """The comparison for one coordinate: charts of errors before and after, evidence of all effects, runs."""
     data = trace.data
     steps, runs = count(int(data.counted.sum()), "step"), count(len(np.unique(data.run)), "run")
     chance = percent(trace.whiteness[1])
@@ -204,7 +204,7 @@ def _runs(trace: CoordinateTrace) -> Table:
 
 
 def motion_charts(calibration: Calibration) -> list[Chart]:
-    """One chart for each of some runs: coordinates as measured and predicted before and after, and commands."""
+    """One chart per shown run: measured coordinates with predictions before and after, and commands."""
     first, *others = ({chart.x_label: chart for chart in _motion(trace)} for trace in calibration.traces)
     # Where coordinates were not measured in the same runs, the first one is shown.
     together = [run for run in first if all(run in charts for charts in others)]
@@ -216,7 +216,7 @@ def motion_charts(calibration: Calibration) -> list[Chart]:
 
 
 def _motion(trace: CoordinateTrace) -> tuple[Chart, ...]:
-    """Measured motion of some runs, roll-outs of it before and after, and the commands below.
+    """Measured motion of some runs with roll-outs before and after, and the commands below.
 
     First those whose roll-outs became better most, then runs evenly over the recording.
     """

@@ -1,4 +1,4 @@
-"""From where a scene or a figure is seen: so that the motion spreads out and nothing stands before it."""
+"""Camera placement: the motion is spread out and not occluded."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def camera(scene: DrawnScene, motion: Floats, blockers: Floats | None = None) ->
 
 
 def viewing_direction(motion: Floats, target: Floats, radius: float, blockers: Floats | None = None) -> Floats:
-    """(3,) unit vector from the target (3,) [m] towards a camera, a little above, that sees the motion (k, 3) best.
+    """(3,) unit vector from the target (3,) [m] to an elevated camera that shows the motion (k, 3) best.
 
     Args:
         radius: of what the camera looks at [m].
@@ -64,7 +64,7 @@ def _directions(elevation: float) -> Floats:
 
 
 def _hidden_share(way: Floats, motion: Floats, blockers: Floats | None) -> float:
-    """Share of the points (k, 3) that a camera in direction `way` does not see for the boxes (b, 2, 3)."""
+    """Fraction of the points (k, 3) that boxes (b, 2, 3) occlude from a camera in direction `way`."""
     if blockers is None or not len(blockers):
         return 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -74,7 +74,7 @@ def _hidden_share(way: Floats, motion: Floats, blockers: Floats | None) -> float
 
 
 def _distance_to_see(half: Floats, way: Floats) -> float:
-    """Distance at which a camera in direction `way` sees a box of half lengths `half` in a square picture [m]."""
+    """Distance [m] from which a camera in direction `way` sees a box of half lengths `half` in a square picture."""
     across = np.cross([0.0, 0.0, 1.0], way)
     across /= np.linalg.norm(across)
     corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T * half
@@ -84,7 +84,7 @@ def _distance_to_see(half: Floats, way: Floats) -> float:
 
 
 def _view_quality(way: Floats, motion: Floats, target: Floats, radius: float) -> float:
-    """How well a camera in direction `way` (unit, (3,)) shows the motion; larger is better.
+    """Score of a camera direction `way` (unit, (3,)) for showing the motion; larger is better.
 
     It should see the motion spread out (an arc as an arc), stand on the side of the moving part, and a little off the
     perpendicular of the motion, where a panel would be edge on in the middle of its swing.

@@ -21,7 +21,7 @@ _DIGITS = 6  # of a number on a page
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A line through points (k,), (k,), or a dot at each; what is not finite was not measured and is left out.
+    """A line through points (k,), (k,), or dots; values that are not finite are omitted.
 
     Attributes:
         label: in the legend of a figure.
@@ -45,7 +45,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Area:
-    """What lies between two curves (k,) over x (k,)."""
+    """The area between two curves (k,) over x (k,)."""
 
     x: Floats
     low: Floats
@@ -57,7 +57,7 @@ class Area:
 
 @dataclass(frozen=True)
 class Span:
-    """A stretch of x over the whole height."""
+    """An interval of x over the whole height."""
 
     start: float
     end: float
@@ -68,7 +68,7 @@ class Span:
 
 @dataclass(frozen=True)
 class Range:
-    """A stretch of y over the whole width."""
+    """An interval of y over the whole width."""
 
     low: float
     high: float
@@ -78,7 +78,7 @@ class Range:
 
 @dataclass(frozen=True)
 class Level:
-    """A value of y."""
+    """A horizontal line."""
 
     value: float
     look: Literal["guard", "zero"] = "guard"
@@ -87,7 +87,7 @@ class Level:
 
 @dataclass(frozen=True)
 class Change:
-    """A place on x at which something changes."""
+    """A vertical line at a change."""
 
     at: float
 
@@ -126,7 +126,7 @@ Mark = Curve | Area | Span | Range | Level | Change | Columns | Words
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """A rectangle over the chart's x, with y from `low` to `high`; the label's lines are those of its axis."""
+    """A panel over the chart's x, with y from `low` to `high`; the label's lines are those of its axis."""
 
     label: str
     low: float
@@ -135,13 +135,13 @@ class Panel:
     marks: tuple[Mark, ...]
 
     def with_marks(self, *more: Mark) -> Panel:
-        """The panel with marks behind the others."""
+        """The panel with additional marks behind the others."""
         return replace(self, marks=(*more, *self.marks))
 
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Panels below each other.
+    """Panels in a column over a common x axis.
 
     Attributes:
         described: what it shows, for screen readers.
@@ -165,7 +165,7 @@ class Chart:
     fills: bool = False
 
     def encoded(self) -> dict[str, Any]:
-        """As JSON for a page: a mark says what it is, numbers are rounded."""
+        """The chart as JSON for a page: each mark with its type, numbers rounded."""
         frame = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "panels"}
         panels = [
             {"label": p.label, "low": p.low, "high": p.high, "height": p.height, "marks": [*map(_encoded, p.marks)]}
@@ -186,7 +186,7 @@ def _encoded(mark: Mark) -> dict[str, Any]:
 
 
 def with_common_ranges(charts: Sequence[Chart]) -> list[Chart]:
-    """Charts of the same panels, those that stand in one row with one range of y."""
+    """Charts of equal panels, with a common range of y in each row."""
     rows = [
         (min(panel.low for panel in row), max(panel.high for panel in row))
         for row in zip(*(chart.panels for chart in charts), strict=True)
@@ -201,7 +201,7 @@ def with_common_ranges(charts: Sequence[Chart]) -> list[Chart]:
 
 
 def widened(values: Sequence[Floats | float], margin: float = 0.08) -> tuple[float, float]:
-    """The ends of a panel that shows all values, with room above and below them."""
+    """Limits of a panel that contain all values with a margin."""
     shown = np.concatenate([np.ravel(value) for value in values])
     shown = shown[np.isfinite(shown)]
     low, high = (float(shown.min()), float(shown.max())) if shown.size else (0.0, 0.0)
@@ -210,5 +210,5 @@ def widened(values: Sequence[Floats | float], margin: float = 0.08) -> tuple[flo
 
 
 def evenly(count: int, most: int) -> NDArray[np.int64]:
-    """At most `most` of the numbers below `count`, evenly spread, the first and the last among them."""
+    """At most `most` indices below `count`, evenly spread, including the first and the last."""
     return np.unique(np.linspace(0, max(count - 1, 0), min(count, most)).astype(np.int64))

@@ -64,7 +64,7 @@ def guard_words(edge: Edge) -> str:
 
 
 def diagram_of(modes: Sequence[str], edges: Sequence[Edge], colors: Mapping[str, str]) -> Diagram | None:
-    """The diagram of some modes and of the transitions between them; None for too many, or for one alone.
+    """The diagram of modes and the transitions between them; None for one mode, or for too many.
 
     Transitions from a mode to itself are ends of its range, and no arrows.
     """
@@ -90,7 +90,9 @@ def diagram_of(modes: Sequence[str], edges: Sequence[Edge], colors: Mapping[str,
 def _arrow(
     boxes: Sequence[ModeBox], source: int, target: int, guards: Sequence[str], others: Sequence[TransitionArrow]
 ) -> TransitionArrow:
-    """Straight between neighbours, else around the boxes between them: down on the right, up on the left."""
+    """An arrow, straight between neighbours and else curved around the boxes between: down on the right, up on the
+    left.
+    """
     first, last, side = boxes[source], boxes[target], 1.0 if target > source else -1.0
     if abs(target - source) == 1:
         x = 0.5 * _WIDTH + side * _BESIDE
@@ -115,7 +117,7 @@ def _arrow(
 
 
 def _meet(arrow: TransitionArrow, other: TransitionArrow) -> bool:
-    """Whether the labels of two arrows lie over each other."""
+    """Whether the labels of two arrows overlap."""
     (a, b), (c, d) = _extent(arrow), _extent(other)
     return abs(arrow.y - other.y) < _LINE and a < d and c < b
 

@@ -1,4 +1,4 @@
-"""How joints, frames, parts and the ground look in the 3-D scene; parts without shapes get some that suit a joint."""
+"""Appearance of joints, frames, parts and the ground in the 3-D scene; default shapes by kind of joint."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class JointLook:
 
 
 def draw_joint(scene: DrawnScene, path: str, joint: Joint, limits: tuple[float, float], look: JointLook) -> None:
-    """A joint in the frame of its parent: an axis with an arrow, and an arc, a line or (rigid) a ring.
+    """Draw a joint in its parent's frame: an axis with an arrow, and an arc, a line or (rigid) a ring.
 
     Args:
         limits: configurations between which it moves [rad or m].
@@ -78,7 +78,7 @@ def draw_frame(scene: DrawnScene, path: str, length: float) -> None:
 
 
 def draw_ground(scene: DrawnScene) -> float:
-    """A grid under what the camera sees; returns the spacing of its lines [m] (1, 2 or 5 times a power of ten)."""
+    """Draw a ground grid; returns the spacing of its lines [m] (1, 2 or 5 times a power of ten)."""
     lower, upper = scene.bounds()
     span = float(np.linalg.norm(upper - lower))
     spacing = rounded_up(span / 8)
@@ -94,7 +94,7 @@ def draw_ground(scene: DrawnScene) -> float:
 
 
 def link_shapes(automaton: HybridAutomaton, link: int) -> tuple[Primitive, ...]:
-    """The shapes of a link's child; default ones that follow its joint if no part that moves has any.
+    """The shapes of a link's child; default ones by joint if no moving part has any.
 
     A part without shapes among others that have some is a frame only, such as the hand of a held object.
     """
@@ -109,7 +109,7 @@ def shown_links(automaton: HybridAutomaton) -> list[tuple[int, Link]]:
 
 
 def fixed_shapes(automaton: HybridAutomaton) -> tuple[Primitive, ...]:
-    """The shapes of parts that nothing moves, or default ones that carry the joints attached to the base."""
+    """The shapes of fixed parts, or default ones that carry the joints attached to the base."""
     children = {link.child for link in automaton.links}
     shapes = tuple(shape for part in automaton.parts if part.name not in children for shape in part.shapes)
     if shapes:
@@ -119,7 +119,7 @@ def fixed_shapes(automaton: HybridAutomaton) -> tuple[Primitive, ...]:
 
 
 def with_shapes(automaton: HybridAutomaton) -> HybridAutomaton:
-    """The model with the shapes that are drawn of it: where no part that moves has any, with default ones."""
+    """The model with default shapes where no moving part has any."""
     if any(automaton.part(link.child).shapes for link in automaton.links):
         return automaton
     shapes = {link.child: link_shapes(automaton, number) for number, link in enumerate(automaton.links)}
@@ -130,7 +130,7 @@ def with_shapes(automaton: HybridAutomaton) -> HybridAutomaton:
 
 
 def reach(automaton: HybridAutomaton, link: int) -> float:
-    """How far the part of a link moves over all modes [m]: the longest distance between two of its positions."""
+    """Largest displacement of a link's part over all modes [m]."""
     number = automaton.links[link].coordinate
     limits = [coordinate_range(automaton, mode, number)[:2] for mode in automaton.modes]
     joint = automaton.moving_joint(link)
@@ -139,7 +139,7 @@ def reach(automaton: HybridAutomaton, link: int) -> float:
 
 
 def object_size(automaton: HybridAutomaton) -> float:
-    """A length to scale symbols by [m]: the farthest that a part lies from its axis or moves."""
+    """Length scale of symbols [m]: largest distance of a part from its axis, or of its motion."""
     sizes = [0.02]
     for number, _ in shown_links(automaton):
         joint = automaton.moving_joint(number)
@@ -154,7 +154,7 @@ def object_size(automaton: HybridAutomaton) -> float:
 def draw_shapes(
     scene: DrawnScene, path: str, shapes: tuple[Primitive, ...], *, color: str | None = None, opacity: float = 1.0
 ) -> None:
-    """All shapes of a body below one path."""
+    """Draw all shapes of a body below one path."""
     for number, shape in enumerate(shapes):
         scene.primitive(f"{path}/{slug(shape.kind, number)}", shape, color=color, opacity=opacity)
 
@@ -162,7 +162,7 @@ def draw_shapes(
 def draw_copy(
     scene: DrawnScene, path: str, shapes: tuple[Primitive, ...], pose: RigidTransform, color: str, opacity: float
 ) -> None:
-    """A pale copy of a body at one pose (single), which the camera sees."""
+    """Draw a translucent copy of a body at one pose (single), within the camera's view."""
     draw_shapes(scene, path, shapes, color=color, opacity=opacity)
     scene.place(path, pose)
     scene.reserve(shape_corners(shapes, pose))
@@ -174,7 +174,7 @@ def shape_corners(shapes: tuple[Primitive, ...], pose: RigidTransform) -> Floats
 
 
 def moving_shapes(joint: Joint, reach: float) -> tuple[Primitive, ...]:
-    """Shapes of a moving part, in its own frame.
+    """Default shapes of a moving part, in its own frame.
 
     A thin panel from the axis to the part's origin for revolute and screw, a box along the motion for prismatic, a
     small cube for rigid and path.
@@ -198,7 +198,7 @@ def moving_shapes(joint: Joint, reach: float) -> tuple[Primitive, ...]:
 
 
 def base_shapes(joint: Joint, reach: float) -> tuple[Primitive, ...]:
-    """Shapes of the base that carries a joint, in the base frame: a post on the axis, or a rail under the motion."""
+    """Default shapes of a joint's base in the base frame: a post on the axis, or a rail."""
     axis, position = np.array(joint.axis), np.array(joint.position)
     if not joint.has_axis:
         return ()
@@ -214,7 +214,7 @@ def base_shapes(joint: Joint, reach: float) -> tuple[Primitive, ...]:
 
 
 def _level_frame(axis: Floats) -> Floats:
-    """(3, 3) right-handed axes in columns: the motion, across it, and as upright as possible."""
+    """(3, 3) right-handed axes in columns: motion, across, and closest to vertical."""
     upright = np.array([0.0, 0.0, 1.0]) - axis[2] * axis
     size = float(np.linalg.norm(upright))
     upright = upright / size if size > 0.1 else perpendicular(axis)

@@ -1,4 +1,4 @@
-"""Executed runs beside the plan that they follow: where each was at every step, where it left it, how it ended."""
+"""Executed runs compared with their plan: positions at every step, deviations, outcomes."""
 
 from __future__ import annotations
 
@@ -55,17 +55,17 @@ class ExecutedRun:
 
     @property
     def name(self) -> str:
-        """Its number, with its recording where there are two."""
+        """Its number, with its recording if there are two."""
         return f"{self.recording}, run {self.run}" if self.recording else f"run {self.run}"
 
     @property
     def label(self) -> str:
-        """Which it is and how it ended."""
+        """Its name and outcome."""
         return f"{self.name}, {'reached the goal' if self.reached else 'missed the goal'}"
 
     @property
     def words(self) -> tuple[str, ...]:
-        """How it ended, and where it left the plan."""
+        """Its outcome, and the place where it left the plan."""
         return tuple(f"{capital(sentence)}." for sentence in (self.ending, self.leaving) if sentence)
 
 
@@ -105,7 +105,7 @@ def executed_runs(
 
 
 def runs_of_recordings(recordings: Mapping[str, Sequence[ExecutedRun]]) -> tuple[ExecutedRun, ...]:
-    """Runs of several recordings, by what these are called, as one page shows them; the last in the usual colour."""
+    """Runs of several recordings with their names and colours, as one page shows them."""
     last, is_one = list(recordings)[-1], len(recordings) == 1
     every = [
         replace(run, recording="" if is_one else name, color=EXECUTED if name == last else EXECUTED_BEFORE)
@@ -116,7 +116,7 @@ def runs_of_recordings(recordings: Mapping[str, Sequence[ExecutedRun]]) -> tuple
 
 
 def run_configurations(problem: Problem, recording: Recording, tracks_read: tuple[Track, ...] = ()) -> list[Floats]:
-    """(T, n) configurations [rad or m] of every run: the true ones if the recording has them, else the measured.
+    """(T, n) configurations [rad or m] of every run: the true ones if recorded, else the measured.
 
     Args:
         tracks_read: the tracks of the recording; empty: they are made.
@@ -136,7 +136,7 @@ def run_configurations(problem: Problem, recording: Recording, tracks_read: tupl
 def poses_of_run(
     automaton: HybridAutomaton, rows: Recording, x: Floats, modes: tuple[str, ...]
 ) -> dict[str, RigidTransform]:
-    """(T,) poses of each part as measured in the rows of one run; where orientation was not, as configurations say.
+    """(T,) poses of each part in one run: as measured, or from configurations where orientation was not measured.
 
     Args:
         x: (T, n) configurations [rad or m].
@@ -154,7 +154,7 @@ def poses_of_run(
 
 
 def _ending(problem: Problem, modes: tuple[str, ...], x: Floats) -> str:
-    """In which respects the last row is not in the goal; empty if it is. A mode that was not logged is not judged."""
+    """Violations of the goal in the last row; empty if it is reached. Modes that were not logged are ignored."""
     automaton, goal, misses = problem.automaton, problem.goal, list[str]()
     for (i, _, room), away, missed in zip(goal.target, goal.distances(x), goal.misses(x), strict=True):
         if missed:
@@ -168,7 +168,7 @@ def _ending(problem: Problem, modes: tuple[str, ...], x: Floats) -> str:
 
 
 def _spread(problem: Problem, trajectory: Trajectory) -> Floats:
-    """(K, n) std of the state around the plan's mean [rad or m], before anything is measured.
+    """(K, n) predicted std of the state around the plan's mean before measurements [rad or m].
 
     The belief says how well the state is known around its estimate, P. The estimate strays from the plan as far as
     measurements moved it, S, and feedback brings it back: S⁺ = (1 + B K) S (1 + B K)' + (P + Q - P⁺), from S = 0. The
@@ -188,7 +188,7 @@ def _spread(problem: Problem, trajectory: Trajectory) -> Floats:
 
 
 def _leaving(problem: Problem, trajectory: Trajectory, x: Floats, modes: tuple[str, ...], is_true: bool) -> str:
-    """The first step from which on a run stayed away from the plan's belief for two steps, or had another mode."""
+    """The first step after which a run stays off the plan's belief for two steps, or in another mode."""
     steps, coordinates = step_times(trajectory), problem.automaton.coordinates
     knots = np.searchsorted(steps, np.arange(steps[-1] + 1), side="right") - 1  # after the transitions of that step
     rows = min(len(knots), len(x))

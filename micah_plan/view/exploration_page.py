@@ -1,4 +1,4 @@
-"""The page of an exploration: where the hand went and pulled, what it took the handle for, what force it took."""
+"""The page of an exploration: the hand's path and pulls, the probable mechanism, and the forces."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _FORCE_LENGTH = 0.5  # of the size of the scene, of the arrow of the largest for
 
 
 def exploration_page(exploration: Exploration, title: str) -> str:
-    """The page as HTML text: self-contained, fetches nothing, the same value gives the same bytes."""
+    """The page as self-contained HTML text; equal values give equal bytes."""
     scene, times = DrawnScene(), _times(exploration)
     places = np.array([moment.place for moment in exploration.moments]).reshape(-1, 3)
     scene.reserve(places)
@@ -59,13 +59,13 @@ def exploration_page(exploration: Exploration, title: str) -> str:
 
 
 def _times(exploration: Exploration) -> Floats:
-    """(k,) of each step on the player [s]."""
+    """(k,) times of steps on the player [s]."""
     steps = exploration.steps
     return np.linspace(0.0, min(max(_STEP_S * steps, _SHORTEST_S), _LONGEST_S), steps) if steps > 1 else np.zeros(steps)
 
 
 def _draw_way(scene: DrawnScene, exploration: Exploration, places: Floats, size: float) -> None:
-    """The way of the handle, where the hand pulled from each place, and the directions that were thought possible."""
+    """Draw the path of the handle, the pulls from each place, and the hypothetical directions."""
     scene.mesh("way/line", tube(places, 0.006 * size), BLUE)
     scene.mesh("way/places", beads(places, 0.014 * size), BLUE)
     scene.mesh("way/first", beads(places[:1], 0.035 * size), GREEN)
@@ -79,7 +79,7 @@ def _draw_way(scene: DrawnScene, exploration: Exploration, places: Floats, size:
 
 
 def _animate(scene: DrawnScene, exploration: Exploration, places: Floats, size: float, times: Floats) -> None:
-    """The hand along its way, with the force that it measured as an arrow."""
+    """Animate the hand along its path, with the measured force as an arrow."""
     forces = np.array([moment.force for moment in exploration.moments])
     lengths = np.linalg.norm(forces, axis=1)
     scene.mesh("hand/place/tip", beads(np.zeros((1, 3)), 0.03 * size), ORANGE)
@@ -97,12 +97,12 @@ def _animate(scene: DrawnScene, exploration: Exploration, places: Floats, size: 
 
 
 def _turned_to(direction: Floats) -> Rotation:
-    """The turn of the x axis into a direction (3,); none for no direction."""
+    """The rotation of the x axis into a direction (3,); identity for zero."""
     return Rotation.align_vectors(direction[None], np.eye(3)[:1])[0] if direction.any() else Rotation.identity()
 
 
 def _draw_model(scene: DrawnScene, exploration: Exploration, size: float) -> None:
-    """The joints that were found, along the ranges that the hand went."""
+    """Draw the learned joints over the ranges that the hand covered."""
     model = exploration.model
     if model is None:
         return
@@ -143,7 +143,7 @@ def _legend(exploration: Exploration, spacing: float) -> list[LegendEntry]:
 
 
 def _timeline(exploration: Exploration, times: Floats) -> Timeline:
-    """What is most believed to hold the handle, step by step, with force and way."""
+    """The most probable mechanism at each step, with force and distance."""
     if len(times) < 2:
         return Timeline()
     likeliest = [max(KINDS, key=lambda name: moment.kinds.get(name, 0.0)) for moment in exploration.moments]
@@ -168,12 +168,12 @@ def _timeline(exploration: Exploration, times: Floats) -> Timeline:
 
 
 def exploration_charts(exploration: Exploration) -> tuple[Chart, ...]:
-    """Measured forces against their limit, the probabilities of what holds the handle, and the fan of hypotheses."""
+    """Charts: forces with their limit, probabilities of mechanisms, and the fan of hypotheses."""
     return _forces(exploration), _kinds(exploration), _fan(exploration)
 
 
 def _blocks(exploration: Exploration) -> list[Block]:
-    """The charts with their words; their lines follow the player."""
+    """The charts with captions; their cursors follow the player."""
     frames = tuple((float(time), float(number)) for number, time in enumerate(_times(exploration), start=1))
     fan = (
         "Each dot is one of the 40 most probable hypotheses of a direction in which the handle can go: its angle to "
@@ -197,7 +197,7 @@ def _over_steps(exploration: Exploration, described: str, label: str, high: floa
 
 
 def _fan(exploration: Exploration) -> Chart:
-    """Angles between the directions that are believed possible and the one in which the handle went."""
+    """Angles between probable directions and the later motion of the handle."""
     places = np.array([moment.place for moment in exploration.moments])
     steps, angles = [np.zeros(0)], [np.zeros(0)]
     for number, moment in enumerate(exploration.moments):
@@ -209,7 +209,7 @@ def _fan(exploration: Exploration) -> Chart:
 
 
 def _onward(places: Floats, number: int) -> Floats:
-    """(3,) direction in which the handle went from a step on: to where it first was 2 cm away, or farthest."""
+    """(3,) direction of motion after a step: to the first point 2 cm away, or the farthest."""
     away = places[number:] - places[number]
     sizes = np.linalg.norm(away, axis=1)
     if sizes.max() < 1e-3:  # the end: as it came

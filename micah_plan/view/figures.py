@@ -1,4 +1,4 @@
-"""Charts as Matplotlib figures; the figure of a planned belief, over steps and in the plane; how figures are written.
+"""Charts as Matplotlib figures; figures of planned beliefs over steps and in the plane; writing of figures.
 
 Figures are made without pyplot, so nothing global is opened or left open.
 """
@@ -93,7 +93,7 @@ def draw(chart: Chart, axes: Sequence[Axes]) -> None:
 
 
 def _mark(axes: Axes, mark: Mark) -> None:
-    """One mark; Matplotlib's own names for what has the same label are those of the legend."""
+    """Draw one mark; labels that Matplotlib knows already are not repeated in the legend."""
     named = getattr(mark, "label", "")
     label: dict[str, Any] = {"label": named} if named else {}
     match mark:
@@ -133,7 +133,7 @@ def _annotate(axes: Axes, words: Words) -> None:
 
 
 def chart_figure(charts: Sequence[Chart], *, across: bool = False) -> Figure:
-    """Charts below each other, or beside each other, with one legend.
+    """Charts in a column or in a row, with one legend.
 
     Args:
         charts: at least one.
@@ -185,14 +185,14 @@ def belief_figure(problem: Problem, plan: Plan, runs: Recording | None = None) -
 
 
 def _legend(place: Any, panels: Sequence[Axes], **look: Any) -> None:
-    """One entry for everything that has the same label in any of the panels."""
+    """Legend with one entry per label over all panels."""
     named = {label: mark for axes in panels for mark, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     if named:
         place.legend(named.values(), named.keys(), frameon=False, **look)
 
 
 def save_figure(figure: Figure, path: str | Path) -> None:
-    """Write a PNG at 150 dpi, at once or not at all; the same figure gives the same bytes.
+    """Write a PNG at 150 dpi, atomically; equal figures give equal bytes.
 
     Raises:
         InputError: if the file cannot be written.
@@ -201,7 +201,7 @@ def save_figure(figure: Figure, path: str | Path) -> None:
 
 
 def png(figure: Figure) -> bytes:
-    """What `save_figure` writes."""
+    """The PNG bytes of a figure, as `save_figure` writes them."""
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=_DPI, format="png", metadata={"Software": None})
     return buffer.getvalue()
@@ -255,7 +255,7 @@ def _ellipse(mean: Floats, factor: Floats, color: str, label: str) -> Ellipse:
 
 
 def _show(axes: Axes, trajectory: Trajectory) -> None:
-    """The view; a first ellipse and runs that begin far away may reach out of it."""
+    """Set the view limits; the first ellipse and distant runs may exceed them."""
     stds = np.linalg.norm(trajectory.factors, axis=2)
     shown = stds.max(axis=1) <= _LARGE * np.median(stds.max(axis=1))
     points = np.concatenate([trajectory.means, (trajectory.means + stds)[shown], (trajectory.means - stds)[shown]])
@@ -266,7 +266,7 @@ def _show(axes: Axes, trajectory: Trajectory) -> None:
 
 
 def _draw_light(axes: Axes, problem: Problem) -> None:
-    """Darker where measurements are worse, if that depends on the place."""
+    """Shade places with worse measurements, where the noise depends on the place."""
     automaton = problem.automaton
     sensing = automaton.sensing(automaton.modes[0])
     if sensing.is_uniform:

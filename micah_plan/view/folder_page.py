@@ -41,7 +41,7 @@ def folder_page(
 
 @dataclass(frozen=True)
 class _FolderPage:
-    """What the template shows."""
+    """Values of the template."""
 
     title: str
     kind: str

@@ -1,4 +1,4 @@
-"""What learning found, as pages and figures show it: segments with colours and names, and the series of each run.
+"""Learned segments for pages and figures: colours, names, and series of each run.
 
 Source: Page, Biometrika 1954, for cumulated evidence that a floor keeps ready to rise (`EvidenceLine`).
 """
@@ -56,7 +56,7 @@ class ColoredSegment:
 
 
 def colored_segments(recording: Recording, graph: KinematicGraph | None) -> tuple[ColoredSegment, ...]:
-    """All segments of a graph in order, each with the colour of its joint; what fits no joint has its own colour."""
+    """All segments of a graph in order, coloured by joint; segments without a joint have a colour of their own."""
     edges = () if graph is None else graph.edges
     coloured: list[ColoredSegment] = []
     joints = 0
@@ -93,7 +93,7 @@ def rows_of_run(recording: Recording, edge: KinematicEdge, run: int) -> Ints:
 
 
 def parent_poses(recording: Recording, edge: KinematicEdge, run: int, rows: Ints) -> RigidTransform:
-    """(k,) poses of the edge's parent in the base frame, measured closest in time to the rows (k,) of a run."""
+    """(k,) poses of the edge's parent in the base frame, nearest in time to the rows (k,) of a run."""
     of_parent = np.flatnonzero((np.array(recording.part) == edge.parent) & (recording.run == run))
     if edge.parent == BASE or not len(of_parent):
         return RigidTransform.identity(len(rows))
@@ -105,7 +105,7 @@ def parent_poses(recording: Recording, edge: KinematicEdge, run: int, rows: Ints
 
 
 def _same_joint(a: Joint, b: Joint, span: float) -> bool:
-    """Whether two joints of one part look like one; `span` is the range of its configurations [rad or m]."""
+    """Whether two joints of one part are visually equal; `span` is the range of its configurations [rad or m]."""
     if a.kind != b.kind:
         return False
     apart = np.subtract(b.position, a.position)
@@ -123,7 +123,7 @@ def _same_joint(a: Joint, b: Joint, span: float) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """A segment in a run.
+    """A segment within a run.
 
     Attributes:
         colored: the segment with its colour and name.
@@ -148,7 +148,7 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class EvidenceLine:
-    """The evidence for one model against the best single one, cumulated from row to row but never below `FLOOR`.
+    """Cumulative evidence of one model relative to the best single one, clipped at `FLOOR`.
 
     Attributes:
         model: its name.
@@ -163,7 +163,7 @@ class EvidenceLine:
 
 @dataclass(frozen=True)
 class ChangeBar:
-    """The posterior probability that a segment starts at a row, or at one of the `width` rows around it."""
+    """Posterior probability that a segment starts at a row, or within `width` rows around it."""
 
     row: float
     probability: float
@@ -172,7 +172,7 @@ class ChangeBar:
 
 @dataclass(frozen=True, eq=False)
 class RunPicture:
-    """One run of one part: everything that its picture shows.
+    """One run of one part with everything that is drawn of it.
 
     Attributes:
         edge, run: the part and the run.
@@ -203,7 +203,7 @@ class RunPicture:
     assessed: bool
 
     def when(self, rows: ArrayLike) -> Floats:
-        """When rows were measured [s]; halves of a row are half-way to the next one."""
+        """Times of rows [s]; fractional rows are interpolated."""
         wanted = np.asarray(rows, dtype=float)
         if len(self.rows) < 2:
             return np.asarray(self.time[0] + (wanted - self.rows[0]))
@@ -281,7 +281,7 @@ def _gap(a: Segment, b: Segment) -> int:
 
 
 def _configuration(segment: Segment, position: Floats, rotation: Rotation | None) -> Floats:
-    """(k,) configurations by a segment's joint; turns are counted where it turns nearly all the way round."""
+    """(k,) configurations on a segment's joint, unwrapped if it covers nearly a full turn."""
     low, high = segment.configuration_range
     if high - low < _NEARLY_A_TURN or segment.joint.unit == "m":
         return inverse(segment.joint, position, rotation, near=(low + high) / 2)
@@ -308,7 +308,7 @@ def _traced(
 
 
 def _change_bars(traced: Ints, posterior: Floats, rows: Ints, stretches: list[Stretch]) -> tuple[ChangeBar, ...]:
-    """Bars of the traced rows; around a start with a posterior over single rows, the finer bars of that."""
+    """Bars of the traced rows, refined around starts with a posterior over single rows."""
     apart, fine = _apart(traced), _apart(rows)
     widths = np.gradient(traced.astype(float)) if len(traced) > 1 else np.ones(len(traced))
     bars = [ChangeBar(*map(float, bar)) for bar in zip(traced, posterior, widths, strict=True)]
@@ -323,12 +323,12 @@ def _change_bars(traced: Ints, posterior: Floats, rows: Ints, stretches: list[St
 
 
 def _apart(rows: Ints) -> float:
-    """How far apart rows lie."""
+    """Spacing of rows."""
     return float(np.median(np.diff(rows))) if len(rows) > 1 else 1.0
 
 
 def relative_evidence(log_density: Floats) -> Floats:
-    """(n, m) cumulated log density of each model less that of the best single one (largest sum), never below `FLOOR`.
+    """(n, m) cumulative log density of each model relative to the best single one, clipped at `FLOOR`.
 
     The floor makes a model that was far off rise as soon as it explains rows better, which is where it takes over.
     """
@@ -340,7 +340,7 @@ def relative_evidence(log_density: Floats) -> Floats:
 
 
 def _model_colors(models: tuple[str, ...], density: Floats, rows: Ints, stretches: list[Stretch]) -> list[str | None]:
-    """The colour of the segment that each model explains best among the models of its kind; None if there is none."""
+    """The colour of the segment that each model explains best among its kind; None if there is none."""
     colors: list[str | None] = [None] * len(models)
     for stretch in stretches:
         kind = "free" if fits_no_joint(stretch.segment) else stretch.segment.joint.kind

@@ -1,4 +1,4 @@
-"""What learning found and how sure it is, in words: sentences for pages and figures, and the labels of their charts."""
+"""Learned results in words: sentences for pages and figures, and labels of their charts."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def block_words(learned: RunPicture) -> list[str]:
 
 
 def block_notes(learned: RunPicture, *, recorded: bool) -> list[str]:
-    """What joints explain badly or not at all, and how actions move the part, one sentence each.
+    """Notes on segments that joints explain badly, and on the action channel, one sentence each.
 
     Args:
         recorded: whether there are actions.
@@ -63,7 +63,7 @@ def capital(words: str) -> str:
 
 
 def any_fits_no_joint(learned: RunPicture) -> bool:
-    """Whether no single joint explains some of the rows."""
+    """Whether some rows have no single joint."""
     return any(fits_no_joint(stretch.segment) for stretch in learned.stretches)
 
 
@@ -103,7 +103,7 @@ def joint_words(segment: Segment) -> str:
 
 
 def no_single_joint_sentence(segment: Segment) -> str:
-    """Why no single joint explains a segment, with the numbers; empty if one does."""
+    """The evidence against a single joint for a segment, in a sentence; empty if one fits."""
     no_single_joint = None if segment.certainty is None else segment.certainty.no_single_joint
     if no_single_joint is None:
         return ""
@@ -119,7 +119,7 @@ def no_single_joint_sentence(segment: Segment) -> str:
 
 
 def deviation_notes(segments: Sequence[Segment]) -> list[str]:
-    """How far a part leaves its joints where that is further than usual, one sentence for each joint."""
+    """Deviations of a part from its joints where they are unusually large, one sentence per joint."""
     rows: dict[tuple[JointKind, Deviation], list[str]] = {}
     for segment in segments:
         deviation = (
@@ -139,7 +139,7 @@ def deviation_notes(segments: Sequence[Segment]) -> list[str]:
 
 
 def channel_words(learned: RunPicture, *, recorded: bool) -> str:
-    """How the recorded actions move the part, with one standard deviation; empty if it was not estimated."""
+    """The action channel in words, with one standard deviation; empty without an estimate."""
     if not learned.assessed:
         return ""
     if not recorded:
@@ -153,7 +153,7 @@ def channel_words(learned: RunPicture, *, recorded: bool) -> str:
 
 
 def action_words(channel: ActionChannel) -> str:
-    """What actions make of the part's steps, with one standard deviation each; what the motion leaves open is named."""
+    """The action channel with one standard deviation each; undetermined quantities are named."""
     std = dict(zip(CHANNEL_NAMES, np.sqrt(np.diag(np.array(channel.covariance))), strict=True))
     turned, spread = channel_turn(channel)
     texts = {
@@ -171,7 +171,7 @@ def action_words(channel: ActionChannel) -> str:
 
 
 def channel_turn(channel: ActionChannel) -> tuple[float, float]:
-    """By how much the frame of the actions is turned against the base frame, and one standard deviation [rad].
+    """(rotation of the action frame against the base frame, its std) [rad].
 
     Along the rotation's own axis its spread is that of the angle; without a rotation the widest direction counts.
     """
@@ -206,7 +206,7 @@ class SegmentLabel:
 
 
 def segment_labels(learned: RunPicture, letter: float) -> tuple[SegmentLabel, ...]:
-    """Names of the segments; what would overlap goes a level up, or away.
+    """Labels of the segments; overlapping ones move up a level, or are omitted.
 
     Args:
         letter: how long one is on the axis [s].
@@ -236,7 +236,9 @@ def interval_labels(learned: RunPicture) -> list[tuple[int, str]]:
 
 
 def line_labels(lines: Sequence[EvidenceLine], step: float) -> list[tuple[float, str, bool]]:
-    """(height [nats], text, whether a segment has this model), moved `step` apart; what is ruled out shares a label."""
+    """(height [nats], text, whether a segment has this model) at least `step` apart; models that are ruled out share
+    one.
+    """
     ending = [(float(line.values[-1]), model_name(line.model), line.color is not None) for line in lines]
     wanted = [label for label in ending if label[0] > FLOOR + _AT_FLOOR]
     names = [name for value, name, _ in ending if value <= FLOOR + _AT_FLOOR]
@@ -256,7 +258,7 @@ def wrapped(text: str, most: int) -> list[str]:
 
 
 def model_name(model: str) -> str:
-    """A model's name as people read it: ``"rigid_2"`` is the second pose at rest."""
+    """A model's display name: ``"rigid_2"`` is the second pose at rest."""
     kind, _, number = model.partition("_")
     kind = "free motion" if kind == "free" else kind
     return f"{kind} ({number})" if number else kind
@@ -270,13 +272,13 @@ def probability_words(segment: Segment) -> list[tuple[str, float]]:
 
 
 def kind_words(segment: Segment) -> tuple[str, str]:
-    """The most probable kind with its probability, and the next one, empty if it is out of the question."""
+    """The most probable kind with its probability, and the second one unless excluded."""
     ranked = [f"{name} {percent(p, 0)}" if p >= 0.005 else "" for name, p in probability_words(segment)]
     return ranked[0], "".join(ranked[1:2])
 
 
 def shown_counts(learned: RunPicture, least: int = 3) -> tuple[float, ...]:
-    """Probabilities of 0, 1, 2, ... changepoints, as far as they matter, and at least `least`."""
+    """Probabilities of 0, 1, 2, ... changepoints that matter, at least `least` of them."""
     counts = learned.counts + (0.0,) * (least - len(learned.counts))
     matter = [number for number, probability in enumerate(counts) if probability >= 0.005]
     return counts[: max(least, max(matter, default=0) + 1)]

@@ -1,4 +1,4 @@
-"""The charts of a recording, on its page and in its figure: per part and run what was learned and how sure that is."""
+"""The charts of a recording for page and figure: the learned model of each part and run, with its certainty."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def learning_charts(recording: Recording, runs: Sequence[RunPicture], shown: Flo
 
 
 def learning_block(recording: Recording, learned: RunPicture, shown: Floats, *, several_runs: bool) -> Block:
-    """One part and run; `shown` as above."""
+    """The block of one part and run; `shown` as in `learning_charts`."""
     rows = learned.rows[evenly(len(learned.rows), _MOST_KEYFRAMES)]
     return Block(
         block_title(learned, several_runs=several_runs),
@@ -113,7 +113,7 @@ def _configuration(learned: RunPicture, letter: float) -> Panel:
 
 
 def _evidence(learned: RunPicture) -> Panel:
-    """Cumulated evidence of each model against the best single one: a model takes over where its line rises."""
+    """Cumulative evidence of each model relative to the best single one: rising lines mark the segments of a model."""
     times, (low, high) = learned.when(learned.evidence_rows), learned.evidence_range
     marks: list[Mark] = [
         Curve(times, line.values, "line" if line.color else "other", line.color or "", line.model)
@@ -144,7 +144,7 @@ def _counts(learned: RunPicture) -> Bars:
 
 
 def _kinds(learned: RunPicture) -> Bars:
-    """One bar per segment for its most probable kind; the next one in words."""
+    """One bar per segment for its most probable kind; the second in words."""
     rows = []
     for stretch in learned.stretches:
         if stretch.segment.certainty is None:

@@ -1,5 +1,4 @@
-"""The figure of what learning found: per part and run the track with its joints, and beside it, over the rows, the
-configuration, the evidence for each model and the posterior of the changepoints.
+"""The figure of learning: for each part and run the track, configuration, evidence and changepoints.
 
 Sizes are in inches: panels have fixed places, so that every block looks the same whatever it shows.
 """
@@ -97,7 +96,7 @@ def _plain(recording: Recording) -> Figure:
 
 
 def _draw_block(figure: Figure, block: _Block, top: float, *, several_runs: bool) -> None:
-    """The finding in large letters, on yellow if no joint fits; changepoints and parameters; panels; sentences."""
+    """Draw the block: finding, changepoints with parameters, panels, notes."""
     learned = block.learned
     box = {"facecolor": NO_SINGLE_JOINT, "edgecolor": "none", "pad": 4.0} if any_fits_no_joint(learned) else None
     title = block_title(learned, several_runs=several_runs)

@@ -1,4 +1,4 @@
-"""The panels of the learning figure: the track in 3-D, and what was learned over the rows, with its probabilities."""
+"""The panels of the learning figure: the track in 3-D, and learned values over the rows with probabilities."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ def plot_track(space: Any, learned: RunPicture) -> None:
 
 
 def plot_plain_track(space: Any, recording: Recording) -> None:
-    """The measured positions of a recording of which nothing was learned."""
+    """Plot the measured positions of a recording without a learned model."""
     space.scatter(*recording.position.T, s=9, color=MUTED, depthshade=False)
     _finish(space, recording.position, recording.position, "")
 
 
 def _plot_joint(space: Any, stretch: Stretch, size: float) -> list[Floats]:
-    """Draw a joint in ink; returns the points (k, 3) that must be in sight."""
+    """Draw a joint in ink; returns points (k, 3) that must be visible."""
     joint = stretch.segment.joint
     curve = joint_curve(joint, *stretch.segment.configuration_range)
     if not joint.moves:
@@ -102,7 +102,7 @@ def _finish(space: Any, points: Floats, motion: Floats, frame: str) -> None:
 
 
 def plot_counts(axes: Axes, learned: RunPicture) -> None:
-    """The posterior over the number of changepoints; the number that the segments have is dark."""
+    """Plot the posterior over the number of changepoints; the chosen number is dark."""
     counts = shown_counts(learned)
     chosen = len(learned.stretches) - 1
     colors = [INK if number == chosen else GRID for number in range(len(counts))]
@@ -116,7 +116,7 @@ def plot_counts(axes: Axes, learned: RunPicture) -> None:
 
 
 def plot_kinds(axes: Axes, learned: RunPicture) -> None:
-    """The probability of each kind of joint, one bar per segment; the largest is named in it, the next beside it."""
+    """Plot the probability of each kind of joint, one bar per segment, with the two likeliest named."""
     assessed = [stretch for stretch in learned.stretches if stretch.segment.certainty is not None][:_MOST_KINDS]
     for number, stretch in enumerate(assessed):
         _plot_kind(axes, -number, stretch)

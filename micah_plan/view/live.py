@@ -45,16 +45,16 @@ class PageServer(ThreadingTCPServer):
 
     @property
     def port(self) -> int:
-        """The port that it listens on."""
+        """Port of the server."""
         return int(self.server_address[1])
 
     @property
     def url(self) -> str:
-        """Where a browser on this machine finds the page."""
+        """Address of the page on this machine."""
         return f"http://{LOOPBACK}:{self.port}/"
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """A browser that closes the connection in the middle of the page is no error."""
+        """Ignore browsers that close the connection early."""
         if not isinstance(sys.exception(), OSError):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
 
@@ -93,11 +93,11 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002
-        """Nothing: the terminal is for the address."""
+        """Suppress log messages: the terminal shows the address only."""
 
 
 def remade_on_change(file: Path, make: Callable[[], str]) -> Callable[[], str]:
-    """The page of a file, made when it is first asked for and whenever the file has changed since.
+    """The page of a file, created on the first request and again after each change of the file.
 
     Raises:
         InputError: when called, if the file is gone, or whatever `make` raises.

@@ -78,7 +78,7 @@ def model_page(automaton: HybridAutomaton, *, title: str = "Model") -> str:
 
 
 def motion_through_modes(automaton: HybridAutomaton) -> tuple[Keyframes, tuple[Band, ...]]:
-    """Every mode in turn: each coordinate it moves goes through its range and back, the others rest."""
+    """Each mode in turn: every coordinate it moves covers its range and returns, others rest."""
     times: list[Floats] = []
     modes: list[str] = []
     states: list[Floats] = []
@@ -132,7 +132,7 @@ def draw_mode_joints(scene: DrawnScene, automaton: HybridAutomaton, keys: Keyfra
 
 
 def draw_ground_and_frame(scene: DrawnScene, size: float) -> float:
-    """The base frame, if it lies near, and the ground; returns the grid's spacing [m]."""
+    """Draw the base frame, if near, and the ground; returns the grid's spacing [m]."""
     lower, upper = scene.bounds()
     if np.all(np.abs((lower + upper) / 2) < upper - lower + size):
         scene.reserve(np.zeros((1, 3)))

@@ -1,4 +1,4 @@
-"""What a scene shows when: states at keyframes, a planned belief on the clock of the page, and poses of the parts."""
+"""Keyframes of a scene: states, a planned belief on the page's clock, and poses of the parts."""
 
 from __future__ import annotations
 
@@ -67,14 +67,14 @@ def knot_times(trajectory: Trajectory) -> Floats:
 
 
 def times_of_steps(trajectory: Trajectory, steps: Floats) -> Floats:
-    """(k,) [s] on the page's clock of steps (k,), also of those that come after the plan's last."""
+    """(k,) times [s] on the page's clock of steps (k,), extrapolated beyond the plan's last."""
     durations, times = step_times(trajectory), knot_times(trajectory)
     beyond = np.maximum(steps - durations[-1], 0.0) * (_DURATION_S / max(int(durations[-1]), 1))
     return np.asarray(np.interp(steps, durations, times) + beyond)
 
 
 def shown_duration(trajectory: Trajectory, steps: float = 0.0) -> float:
-    """[s] on the page's clock: the end rests a moment, so that a mode that is entered last is seen.
+    """[s] on the page's clock, with a pause at the end so that the last mode is visible.
 
     Args:
         steps: that are shown at least, where runs took more than the plan.
@@ -84,7 +84,7 @@ def shown_duration(trajectory: Trajectory, steps: float = 0.0) -> float:
 
 
 def keyframes(trajectory: Trajectory) -> Keyframes:
-    """Mean and factor on the page's clock: steps of equal length, a transition in passing."""
+    """Mean and factor on the page's clock: steps of equal length, transitions in passing."""
     frames = np.append(np.where(trajectory.is_transition, 1, _FRAMES_PER_STEP), 1)  # the last knot is the last frame
     knot = np.repeat(np.arange(len(frames)), frames)
     following = np.minimum(knot + 1, knot[-1])
@@ -103,7 +103,7 @@ def keyframes(trajectory: Trajectory) -> Keyframes:
 
 
 def mode_stretches(modes: Sequence[str]) -> list[tuple[int, int]]:
-    """First index of every stretch of one mode, and the first of the next (of the last stretch its own last)."""
+    """First index of every stretch of one mode, and of the next (for the last stretch its own last)."""
     starts = [k for k in range(len(modes)) if k == 0 or modes[k] != modes[k - 1]]
     return list(zip(starts, [*starts[1:], len(modes) - 1], strict=True))
 
@@ -144,7 +144,7 @@ def belief_ellipsoids(
 
 
 def _matched(axes: Floats, radii: Floats, before: Floats) -> tuple[Floats, Floats]:
-    """The same ellipsoid with its axes in the order and sense closest to those before, so that it does not tumble."""
+    """The same ellipsoid with its axes permuted and flipped to be closest to the previous ones."""
     overlap = before.T @ axes
     order = np.zeros(3, dtype=int)
     free = np.abs(overlap).copy()

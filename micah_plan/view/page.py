@@ -1,4 +1,4 @@
-"""Pages as values, and the HTML that templates make of them: single files that fetch nothing. The only user of jinja2.
+"""Pages as values, rendered by jinja2 templates to self-contained HTML files. The only user of jinja2.
 
 `templates/base.html.j2` is the page that all others extend. Values are escaped in the template, except for the assets.
 The same value gives the same bytes.
@@ -35,7 +35,7 @@ _PLAYER_KEYS = (("space", "play, pause"), ("← →", "step"), ("p", "panels"), 
 
 @dataclass(frozen=True)
 class LegendEntry:
-    """A colour and what it means; with a layer, a box to hide it, and a key that does the same if one is named."""
+    """A colour with its meaning; with a layer, a checkbox to hide it, and optionally a key."""
 
     color: str
     label: str
@@ -72,14 +72,14 @@ class Timeline:
 
     @property
     def lanes(self) -> tuple[tuple[Band, ...], ...]:
-        """The bars below each other; one is empty where there are no bands."""
+        """The bands by lane; one empty lane without bands."""
         count = 1 + max((band.lane for band in self.bands), default=0)
         return tuple(tuple(band for band in self.bands if band.lane == lane) for lane in range(count))
 
 
 @dataclass(frozen=True)
 class Bar:
-    """A row of a small bar chart: its name, a bar over a share (0 to 1) of the width, and words beside it."""
+    """A row of a bar chart: its name, a bar of a given fraction (0 to 1) of the width, and a text."""
 
     label: str
     words: str
@@ -121,7 +121,7 @@ class Block:
 
 @dataclass(frozen=True)
 class RunEntry:
-    """One of the runs that a page can show, alone or with the others.
+    """One of the runs that a page can show, alone or with others.
 
     Attributes:
         label: in the list to choose from.
@@ -140,7 +140,7 @@ class RunEntry:
 
 @dataclass(frozen=True)
 class ScenePage:
-    """Everything on a page with a 3-D scene, except the scene.
+    """The content of a page with a 3-D scene, without the scene.
 
     Attributes:
         title, kind: name of the thing, and what sort of thing it is.
@@ -228,7 +228,7 @@ def render_scene(page: ScenePage, scene: DrawnScene) -> str:
 
 
 def bare_scene(page: str) -> str:
-    """The scene of a page of `render_scene` alone: MeshCat's viewer with its own controls, and no panels."""
+    """The scene of a page of `render_scene` alone: MeshCat's viewer with its own controls and no panels."""
     from micah_plan.view.scene import viewer_javascript
 
     match = _PAGE_DATA.search(page)
@@ -240,7 +240,7 @@ def bare_scene(page: str) -> str:
 
 
 def render(template: str, **values: object) -> str:
-    """HTML text of a file in `templates/` with values, which are escaped."""
+    """HTML of a file in `templates/` with escaped values."""
     environment = Environment(
         loader=PackageLoader("micah_plan", "view/templates"),
         autoescape=True,
@@ -256,10 +256,10 @@ def render(template: str, **values: object) -> str:
 
 
 def glued(words: str) -> str:
-    """Without line breaks between a number, its spread and its unit."""
+    """The text with no-break spaces within amounts."""
     return _BEFORE_UNIT.sub(_NO_BREAK, words.replace(" ± ", f"{_NO_BREAK}±{_NO_BREAK}"))
 
 
 def _asset(name: str) -> Markup:
-    """A style sheet or a script of ours, which needs no escaping."""
+    """A bundled style sheet or script, which needs no escaping."""
     return Markup((_ASSETS / name).read_text(encoding="utf-8"))  # noqa: S704

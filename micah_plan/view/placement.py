@@ -1,4 +1,4 @@
-"""Where an automaton's parts are at a state, along what they move and how far, how uncertain a belief leaves them."""
+"""Placement of an automaton's parts at a state, their paths and ranges, and the uncertainty of a belief."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CURVE_POINTS = 49
 
 @dataclass(frozen=True)
 class Threshold:
-    """A configurational changepoint: where a coordinate makes the mode change [rad or m]."""
+    """A configurational changepoint: the value of a coordinate at which the mode changes [rad or m]."""
 
     source: str
     target: str
@@ -28,7 +28,7 @@ class Threshold:
 
 
 def handle_in_part(automaton: HybridAutomaton, part: str) -> Floats:
-    """(3,) the point of a part whose motion is shown: its handle, or its origin [m, part frame]."""
+    """(3,) the point of a part whose motion is shown: its handle or else its origin [m, part frame]."""
     handle = automaton.part(part).handle
     return np.zeros(3) if handle is None else np.array(handle)
 
@@ -42,7 +42,7 @@ def handle_jacobian(automaton: HybridAutomaton, mode: Mode, x: Floats, part: str
 
 
 def chain_coordinates(automaton: HybridAutomaton, part: str) -> tuple[int, ...]:
-    """The coordinates that move a part: those of the links from the base to it."""
+    """The coordinates on the chain of links from the base to a part."""
     by_child = {link.child: link for link in automaton.links}
     numbers: list[int] = []
     while part in by_child:
@@ -62,7 +62,7 @@ def joint_curve(joint: Joint, lower: float, upper: float, point: Floats | None =
 
 
 def joint_axis(joint: Joint, length: float) -> Floats | None:
-    """(2, 3) ends of the axis to draw, centred beside the part's origin; None if it has none."""
+    """(2, 3) ends of a joint's axis for drawing, centred at the part's origin; None without an axis."""
     if not joint.has_axis:
         return None
     axis = np.array(joint.axis)
@@ -94,7 +94,7 @@ def coordinate_range(automaton: HybridAutomaton, mode: Mode, coordinate: int) ->
 
 
 def representative_state(automaton: HybridAutomaton, mode: Mode) -> Floats:
-    """(n,) a state inside the mode to draw it at: pinned values, else the value closest to 0."""
+    """(n,) a state inside the mode for drawing: pinned values, else the value closest to 0."""
     x = np.zeros(automaton.n)
     for i in range(automaton.n):
         lower, upper = mode.invariant.interval(i)
@@ -118,7 +118,7 @@ def thresholds(automaton: HybridAutomaton) -> tuple[Threshold, ...]:
 
 
 def guards_of(automaton: HybridAutomaton, coordinate: int) -> list[float]:
-    """Where a coordinate alone makes the mode change; not where it is one side of a box, which alone ends no mode."""
+    """Thresholds on a single coordinate that change the mode."""
     return [mark.value for mark in thresholds(automaton) if mark.coordinate == coordinate and mark.target != COLLIDED]
 
 

@@ -27,7 +27,7 @@ _LETTER = 0.021  # of the axis, on the page: names that would lie over the one b
 
 @dataclass(frozen=True, eq=False)
 class DrawnRun:
-    """An executed run as charts draw it.
+    """An executed run in charts.
 
     Attributes:
         number: by which its curves and its entry on the page belong together.
@@ -43,9 +43,7 @@ class DrawnRun:
 
 
 def plan_charts(plan: Plan, problem: Problem, runs: Sequence[DrawnRun] = ()) -> list[Block]:
-    """The belief over the steps, with executed runs on top, and the arm's manipulability and clearance where there is
-    one; none without plan.
-    """
+    """Charts of the belief with executed runs, and of the arm's manipulability and clearance; empty without a plan."""
     trajectory = plan.trajectory
     if trajectory is None:
         return []
@@ -137,7 +135,7 @@ def _over_steps(
 
 
 def _names(bands: Sequence[tuple[str, float, float]], last: float) -> list[Words]:
-    """The names of the modes above their bands; those of narrow bands in a row end together where the last one ends."""
+    """Names of modes above their bands; names of adjacent narrow bands are joined."""
     narrow = [end - start < _NARROW * last for _, start, end in bands]
     words, waiting, taken = list[Words](), list[str](), 0.0
     for number, (name, start, end) in enumerate(bands):

@@ -1,4 +1,4 @@
-"""The page of a plan: the object along the belief's mean, with the belief around its handle; or why there is none."""
+"""The page of a plan: the object along the belief's mean with its uncertainty; or the reason of failure."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def plan_page(
     executed: Recording | Mapping[str, Recording] | None = None,
     failures: Mapping[int, str] | None = None,
 ) -> str:
-    """The page as HTML text; of a plan without trajectory it says so, with the reason, and shows start and goal.
+    """The page of a plan as HTML text; without a trajectory it shows the reason, the start and the goal.
 
     Args:
         plan, problem: what is planned.
@@ -95,16 +95,14 @@ def plan_page(
 
 
 def problem_page(problem: Problem, *, title: str = "Problem") -> str:
-    """The page of a problem that is not solved yet, as HTML text: the object at the start and in the goal, and what is
-    around it.
-    """
+    """The page of an unsolved problem as HTML text: the object at the start and in the goal, and its surroundings."""
     message = "from the start, where the object is believed to be, to the goal"
     said = _Said(title, "problem", ("NOT SOLVED YET", "fair"), message, [], task_sentence(problem))
     return _drawn(Plan("no_plan", "not solved yet"), with_shown_points(problem), (), said)
 
 
 def _badge_of_runs(plan: Plan, runs: tuple[ExecutedRun, ...]) -> tuple[str, Status]:
-    """How many runs reached the goal; what a plan is that was executed anyway stands before that, in its colour."""
+    """The badge with the number of successful runs, preceded by the outcome of a plan that was not solved."""
     said, status = runs_badge(runs)
     if plan.outcome == "solved":
         return said, status
@@ -114,7 +112,7 @@ def _badge_of_runs(plan: Plan, runs: tuple[ExecutedRun, ...]) -> tuple[str, Stat
 
 @dataclass(frozen=True)
 class _Said:
-    """What stands beside the scene: see `ScenePage`."""
+    """The panels beside the scene: see `ScenePage`."""
 
     title: str
     kind: str
@@ -125,7 +123,7 @@ class _Said:
 
 
 def _drawn(plan: Plan, problem: Problem, runs: tuple[ExecutedRun, ...], said: _Said) -> str:
-    """The scene of a plan, its runs, or start and goal where there is no trajectory, with what is said of it."""
+    """The page of a plan and its runs, or of start and goal where there is no trajectory."""
     automaton = problem.automaton
     scene, size = DrawnScene(), object_size(automaton)
     keys = keyframes(plan.trajectory) if plan.trajectory else _still(_start_mode(problem), np.array(problem.start.mean))
@@ -168,7 +166,7 @@ def _drawn(plan: Plan, problem: Problem, runs: tuple[ExecutedRun, ...], said: _S
 
 
 def _whole(problem: Problem, keys: Keyframes, after: ReleaseMotion | None) -> tuple[Keyframes, Moved]:
-    """Frames of a plan and of what follows it, and the poses of the parts in them."""
+    """Keyframes of a plan and its release, with the poses of the parts."""
     automaton = problem.automaton
     moved = poses_over_time(automaton, keys) if problem.hold is None else settled_over_time(problem, keys)
     if after is None:
@@ -283,7 +281,7 @@ def _legend(plan: Plan, problem: Problem, size: float, spacing: float) -> list[L
 
 
 def task_sentence(problem: Problem) -> str:
-    """What a problem asks for: where its goal takes which coordinates, in which modes, and how surely."""
+    """The task in one sentence: targets, modes and confidence."""
     ways = [_way(problem, *target) for target in problem.goal.target]
     modes = pre_release_problem(problem).goal.modes
     if modes and len(modes) < len(problem.automaton.modes):
@@ -292,7 +290,7 @@ def task_sentence(problem: Problem) -> str:
 
 
 def _way(problem: Problem, index: int, value: float, tolerance: float) -> str:
-    """Where one coordinate begins and where it is to end."""
+    """Start and target of one coordinate."""
     coordinate, start = problem.automaton.coordinates[index], problem.start.mean[index]
     goal = with_spread(value, tolerance, coordinate.unit, degrees=False)
     if abs(start - value) <= tolerance:
@@ -336,7 +334,7 @@ def _details(plan: Plan, problem: Problem) -> list[tuple[str, list[str]]]:
 
 
 def _end(trajectory: Trajectory, runs: Sequence[ExecutedRun]) -> float:
-    """Duration of a plan and of runs that may take longer [s]."""
+    """Duration of a plan and of longer runs [s]."""
     return shown_duration(trajectory, max((len(run.x) - 1.0 for run in runs), default=0.0))
 
 
@@ -375,7 +373,7 @@ def settled_over_time(problem: Problem, keys: Keyframes) -> Moved:
 
 
 def with_shown_points(problem: Problem) -> Problem:
-    """The problem with handles for a held object: the hand's point on the held part, the moving part's far end.
+    """The problem with handles for a held object: the grasped point, and the far end of the moving part.
 
     The belief of the joint is seen at the far end, that of the hand at the hand. Other problems come back as they are.
     """

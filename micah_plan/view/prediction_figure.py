@@ -43,7 +43,7 @@ def prediction_chart(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) 
 
 
 def _lines(run: RunPrediction, i: int, measured: Floats | float) -> list[Curve]:
-    """One step ahead and rolled out over the rows after the first: errors, added to what was measured."""
+    """One-step and roll-out errors, added to the measured values."""
     kinds = (run.one_step, BLUE, "one step ahead"), (run.rollout, ORANGE, "roll-out")
     return [
         Curve(run.time[1:], measured + error.configuration[:, i], "run", color, label, run.run)

@@ -1,4 +1,4 @@
-"""The page of a prediction: the object as it was measured beside where one model has it, or two, run by run."""
+"""The page of a prediction: the measured object beside one or two models, run by run."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class _Ghost:
 def _draw_run(
     scene: DrawnScene, recording: Recording, ghosts: Sequence[_Ghost], order: int, scale: float
 ) -> tuple[RunEntry, list[Floats]]:
-    """The measured object and the ghosts of its roll-outs; the entry of the run, and where its handles were."""
+    """Draw the measured object and the ghosts of its roll-outs; returns the run's entry and the handles' paths."""
     automaton, run = ghosts[0].automaton, ghosts[0].run
     rows = evenly(len(run.time), MOST_KEYFRAMES)
     clock = run.time[rows] * scale
@@ -136,7 +136,7 @@ def _draw_run(
 
 
 def _run_words(ghosts: Sequence[_Ghost]) -> tuple[str, ...]:
-    """How far one model is off, or how far two are when nothing is measured again."""
+    """Root mean square errors of one model, or of two in roll-outs."""
     sizes = [
         [_sizes(ghost.automaton, rmse_of_coordinates([error])) for error in (ghost.run.one_step, ghost.run.rollout)]
         for ghost in ghosts
@@ -188,7 +188,7 @@ def calibration_scene(calibration: Calibration, title: str) -> str | None:
 
 
 def _scene_of(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> tuple[DrawnScene, float, float]:
-    """A scene with what stands, seconds of the player per second of the runs, and the longest run [s]."""
+    """(scene with the fixed parts, player seconds per run second, duration of the longest run [s])."""
     scene, longest = DrawnScene(), max(float(run.time[-1]) for run in runs)
     fixed = fixed_shapes(automaton)
     draw_shapes(scene, "object/fixed", fixed, opacity=0.5)
@@ -197,7 +197,7 @@ def _scene_of(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> tupl
 
 
 def _readouts(ghosts: Sequence[_Ghost], scale: float) -> tuple[tuple[float, tuple[str, ...]], ...]:
-    """What is measured and predicted at each keyframe, by the player's clock [s]."""
+    """Measured and predicted values at each keyframe, by the player's clock [s]."""
     readouts, run = [], ghosts[0].run
     for row in evenly(len(run.time), MOST_KEYFRAMES).tolist():
         when = quantity(float(run.time[row]), "s")
@@ -211,7 +211,7 @@ def _readouts(ghosts: Sequence[_Ghost], scale: float) -> tuple[tuple[float, tupl
 
 
 def _sizes(automaton: HybridAutomaton, sizes: Sequence[float]) -> str:
-    """Root mean squares (n,) of coordinates: together where they have one unit, else each with its name."""
+    """Root mean squares (n,) of coordinates: combined if they share a unit, else each with its name."""
     coordinates = automaton.coordinates
     if len({coordinate.unit for coordinate in coordinates}) == 1:
         return quantity(float(np.sqrt(np.mean(np.square(sizes)))), coordinates[0].unit)

@@ -106,7 +106,7 @@ def _draw_points(
     size: float,
     shown: Floats,
 ) -> list[LegendEntry]:
-    """Points of each body in its colour, moving with it; what stands is grey. Their entries in the legend."""
+    """Draw the points of each body in its colour, moving with it; returns the legend entries."""
     poses, entries = recording.poses(), list[LegendEntry]()
     for number, (name, places) in enumerate(points.items()):
         own = [c.color for c in segments if c.edge.child == name and c.segment.joint.moves]
@@ -137,7 +137,7 @@ def _draw_segment_joint(
 
 
 def _shown_times(recording: Recording) -> tuple[Floats, float]:
-    """(n,) time of every row on the player, where runs follow each other, and the duration [s]; 0 if it is still."""
+    """((n,) time of every row on the player with runs in sequence, duration [s]); 0 for a static recording."""
     starts: dict[int, float] = {}
     clock = 0.0
     for run in recording.runs:
@@ -153,7 +153,7 @@ def _shown_times(recording: Recording) -> tuple[Floats, float]:
 def _shown_pictures(
     recording: Recording, shown: Floats, pictures: Sequence[tuple[float, bytes]]
 ) -> tuple[tuple[float, bytes], ...]:
-    """Pictures at their times on the player; those before the first row and after the last are left out."""
+    """Pictures at their times on the player, restricted to the range of the rows."""
     order = np.argsort(recording.time, kind="stable")
     time, place = recording.time[order], shown[order]
     inside = [(at, jpeg) for at, jpeg in pictures if time[0] - 1e-9 <= at <= time[-1] + 1e-9]
@@ -168,7 +168,7 @@ def _animate(
     shown: Floats,
     duration: float,
 ) -> Timeline:
-    """Each part's frame along its own rows, at the times (n,) of the rows; the clock shows the recording's time."""
+    """Animate each part's frame along its rows, at times (n,); the clock shows the recording's time."""
     if duration <= 0.0:
         return Timeline()
     poses = recording.poses()
@@ -184,7 +184,7 @@ def _animate(
 
 
 def _bands(recording: Recording, segments: tuple[ColoredSegment, ...], shown: Floats) -> list[Band]:
-    """When each segment is shown; every part has a lane of its own."""
+    """Bands of the segments, with one lane per part."""
     parts = list(dict.fromkeys(c.edge.child for c in segments))
     bands = []
     for colored in segments:
@@ -198,7 +198,7 @@ def _bands(recording: Recording, segments: tuple[ColoredSegment, ...], shown: Fl
 
 
 def _readouts(recording: Recording, bands: list[Band], shown: Floats) -> tuple[tuple[float, tuple[str, ...]], ...]:
-    """Row, time and the segments of all parts, at (some of) the rows."""
+    """Row, time and segments of all parts at some of the rows."""
     several = len(recording.runs) > 1
     readouts = []
     for row in np.argsort(shown, kind="stable")[evenly(len(shown), _MOST_KEYFRAMES)]:

@@ -1,4 +1,4 @@
-"""How a page shows a release: the object is lowered and turns until it lies, then the hand leaves."""
+"""Display of a release: the object is lowered and settles, then the hand withdraws."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _FRAMES = 8
 
 @dataclass(frozen=True, eq=False)
 class ReleaseMotion:
-    """What is shown after a plan.
+    """The release after a plan, as it is shown.
 
     Attributes:
         keys: the states of the hand at the frames that follow; the belief stays what it was.
@@ -53,7 +53,7 @@ class ReleaseMotion:
 
 
 def release_motion_of(plan: Plan, problem: Problem, last: Keyframes, begin: float) -> ReleaseMotion | None:
-    """What follows the last frame of a plan from a time on [s]; None where the object stays in the hand."""
+    """Keyframes of the release after the last frame of a plan, from time `begin` [s]; None without a release."""
     if plan.release is None or problem.release is None:
         return None
     release_plan, rest = plan.release, resting_place(problem)
@@ -80,7 +80,7 @@ def release_motion_of(plan: Plan, problem: Problem, last: Keyframes, begin: floa
 
 
 def joined_keyframes(first: Keyframes, then: ReleaseMotion | None) -> Keyframes:
-    """The frames of a plan and those that follow."""
+    """Keyframes of a plan followed by those of its release."""
     if then is None:
         return first
     later = then.keys
@@ -93,7 +93,7 @@ def joined_keyframes(first: Keyframes, then: ReleaseMotion | None) -> Keyframes:
 
 
 def goal_poses(problem: Problem, x: Floats) -> Moved | None:
-    """Poses of the parts as they stand in a state x (n,) of the goal; None where the object stays in the hand."""
+    """Poses of the parts at rest in a goal state x (n,); None without a release."""
     if problem.release is None:
         return None
     rest, hand = resting_place(problem), np.array(x)
@@ -103,7 +103,7 @@ def goal_poses(problem: Problem, x: Floats) -> Moved | None:
 
 
 def release_facts(plan: Plan, problem: Problem) -> list[tuple[str, str]]:
-    """On what the object is put down, and where contact is expected."""
+    """Facts on the release: the support, the expected contact, and the steps."""
     if plan.release is None or problem.release is None:
         return []
     height = quantity(float(plan.release.contact[2]), "m")

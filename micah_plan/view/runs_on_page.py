@@ -1,4 +1,4 @@
-"""Executed runs on the page of their plan: a ghost of each, its track, its entry in the list; what is said of all."""
+"""Executed runs on the page of their plan: a ghost, a track and a list entry for each, and a summary."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _LAYER = "runs"
 
 
 def first_runs(runs: Sequence[ExecutedRun]) -> list[ExecutedRun]:
-    """The runs that a page shows, of each recording as many: those that failed, those that left the plan, others."""
+    """The runs that a page shows, equally many per recording: failures first, then deviations, then others."""
     names = list(dict.fromkeys(run.recording for run in runs))
     return [
         run
@@ -40,7 +40,7 @@ def first_runs(runs: Sequence[ExecutedRun]) -> list[ExecutedRun]:
 def draw_runs(
     scene: DrawnScene, automaton: HybridAutomaton, trajectory: Trajectory, runs: Sequence[ExecutedRun], size: float
 ) -> list[RunEntry]:
-    """A ghost of every run along the plan's clock, with beads where its handle was; the entries of the list."""
+    """Draw a ghost of every run on the plan's clock, with its handle's path; returns the list entries."""
     entries = []
     for order, run in enumerate(runs):
         layer = f"{_layer(run)}/{order}_run"
@@ -75,20 +75,20 @@ def _readouts(
 
 
 def runs_legend(runs: Sequence[ExecutedRun]) -> list[LegendEntry]:
-    """What ghosts and beads are."""
+    """Legend entries of ghosts and beads."""
     what = "the object as it was measured, and where its handle was"
     kinds = dict.fromkeys((run.color, run.recording or "executed", _layer(run)) for run in runs)
     return [LegendEntry(color, f"{name}: {what}", layer) for color, name, layer in kinds]
 
 
 def _layer(run: ExecutedRun) -> str:
-    """Of the scene, with all runs of the same recording."""
+    """The layer of a run's recording."""
     when = "before" if run.color == EXECUTED_BEFORE else "after"
     return f"{_LAYER}/{when}" if run.recording else _LAYER
 
 
 def runs_badge(runs: Sequence[ExecutedRun]) -> tuple[str, Status]:
-    """How many runs reached the goal, of each recording; the colour is that of the last one."""
+    """Number of successful runs per recording, coloured by the last one."""
     said = list[str]()
     status: Status = "bad"
     for name in dict.fromkeys(run.recording for run in runs):
@@ -99,7 +99,7 @@ def runs_badge(runs: Sequence[ExecutedRun]) -> tuple[str, Status]:
 
 
 def runs_details(runs: Sequence[ExecutedRun]) -> list[tuple[str, list[str]]]:
-    """Every run with its ending, for the panel."""
+    """Outcomes of all runs, for the panel."""
     shown = len(first_runs(runs))
     title = f"All {len(runs)} runs" + (f" ({shown} are drawn, those that failed first)" if shown < len(runs) else "")
     return [(title, [f"{capital(run.name)}: {' '.join(run.words)}" for run in runs])]

@@ -1,4 +1,4 @@
-"""The 3-D scene of a page, written down as MeshCat commands. The only importer of meshcat.
+"""The 3-D scene of a page as MeshCat commands. The only importer of meshcat.
 
 MeshCat's own `Visualizer` starts a server that listens on all interfaces. Here its commands go to a list instead of
 to a server, and the page carries the list: no process, no port. MeshCat's package imports that server (tornado, pyzmq,
@@ -33,7 +33,7 @@ _REFERENCES = ("uuid", "geometry", "material")
 
 
 def _meshcat_package() -> ModuleType:
-    """A package with the modules of MeshCat but not its `__init__`; `meshcat` itself stays as it was."""
+    """A package with MeshCat's modules without its `__init__`; `meshcat` itself is unchanged."""
     place = find_spec("meshcat")
     if place is None or place.submodule_search_locations is None:
         raise ModuleNotFoundError("No module named 'meshcat'", name="meshcat")
@@ -54,7 +54,7 @@ def viewer_javascript() -> str:
 
 
 class DrawnScene:
-    """Objects at slash-separated paths, their poses and one animation.
+    """A scene of objects at slash-separated paths with poses and one animation.
 
     The first name of a path is its layer, which the page can hide. Paths are made of `slug`s.
     """
@@ -86,13 +86,13 @@ class DrawnScene:
         self.place(path, RigidTransform.from_components(shape.position, rotation))
 
     def mesh(self, path: str, mesh: Mesh, color: str, *, opacity: float = 1.0) -> None:
-        """Draw triangles; nothing if there are none."""
+        """Draw triangles; an empty mesh is skipped."""
         if len(mesh.faces):
             solid = geometry.TriangularMeshGeometry(mesh.vertices, mesh.faces)
             self._send(commands.SetObject(solid, _material(color, opacity), _at(path)))
 
     def unit_sphere(self, path: str, color: str, *, opacity: float) -> None:
-        """A sphere of radius 1 m, to be placed and scaled by an animation; seen through whatever stands before it."""
+        """Add a sphere of radius 1 m, to be placed and scaled by an animation; visible through other objects."""
         self._send(commands.SetObject(geometry.Sphere(1.0), _material(color, opacity, depthTest=False), _at(path)))
 
     def lines(self, path: str, ends: Floats, color: str) -> None:
@@ -106,7 +106,7 @@ class DrawnScene:
         self._send(commands.SetTransform(pose.as_matrix(), _at(path)))
 
     def animate(self, path: str, times: Floats, poses: RigidTransform, *, scales: Floats | None = None) -> None:
-        """Move everything below `path`.
+        """Animate everything below `path`.
 
         Args:
             times: (k,) [s], increasing.
@@ -123,13 +123,13 @@ class DrawnScene:
                 view.set_property("scale", "vector3", [float(s) for s in scales[i]])
 
     def reserve(self, points: Floats) -> None:
-        """Make sure that the camera sees these points (..., 3)."""
+        """Include points (..., 3) in the camera's view."""
         flat = np.asarray(points, dtype=float).reshape(-1, 3)
         if len(flat):
             self._corners.append(np.array([flat.min(axis=0), flat.max(axis=0)]))
 
     def bounds(self) -> tuple[Floats, Floats]:
-        """Lower and upper corner, (3,) each, of what was reserved (nothing: the origin), at least a small box."""
+        """Lower and upper corner, (3,) each, of the reserved points, of at least a minimum size."""
         stacked = np.concatenate(self._corners) if self._corners else np.zeros((1, 3))
         lower, upper = stacked.min(axis=0), stacked.max(axis=0)
         if np.linalg.norm(upper - lower) < _SMALLEST_SPAN:

@@ -1,4 +1,4 @@
-"""Triangle meshes of what the viewer has no shape for: tubes, arrows and clouds of points. Lengths in m."""
+"""Triangle meshes of tubes, arrows and point clouds, which the viewer lacks. Lengths in m."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def tube(points: Floats, radius: float | Floats) -> Mesh:
 
 
 def straightened(points: Floats, tolerance: float = 1e-6) -> Floats:
-    """(k', 3) a polyline (k, 3) without the points that lie on the way between their neighbours, to a tolerance [m]."""
+    """(k', 3) a polyline (k, 3) without points that lie between their neighbours, within a tolerance [m]."""
     kept = [0]
     for k in range(1, len(points) - 1):
         way, ahead = points[k] - points[kept[-1]], points[k + 1] - points[k]

@@ -1,4 +1,4 @@
-"""What is around an object on a page: the bodies of its scene, and the arm that holds it."""
+"""Surroundings of an object on a page: the bodies of the scene, and the arm."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _ROOM = 0.15
 
 
 def draw_bodies(scene: DrawnScene, bodies: Sequence[Body]) -> None:
-    """The bodies of a problem's scene, where they stand; drawn last, for only what is near the rest must be seen."""
+    """Draw the bodies of a problem's scene; drawn last, since the camera fits only those near the object."""
     lower, upper = scene.bounds()
     room = _ROOM * (upper - lower)
     for number, body in enumerate(bodies):
@@ -90,7 +90,7 @@ def draw_arm(
 
 
 def arm_facts(plan: Plan) -> list[tuple[str, str]]:
-    """How much room the arm keeps."""
+    """The arm's smallest margins."""
     arm = plan.arm
     if arm is None:
         return []
@@ -105,7 +105,7 @@ def arm_facts(plan: Plan) -> list[tuple[str, str]]:
 
 
 def arm_legend(plan: Plan, problem: Problem) -> list[LegendEntry]:
-    """Boxes to hide the scene and the arm."""
+    """Checkboxes for the scene and the arm."""
     entries = [LegendEntry(problem.scene[0].shapes[0].color, "scene", SCENE_LAYER)] if problem.scene else []
     if plan.arm is not None:
         entries.append(LegendEntry(MUTED, "arm, as its clearances are computed", ROBOT_LAYER))

@@ -1,4 +1,4 @@
-"""The page of a tracked video: its frames, with tags, frames of parts and joints drawn in, beside the scene in 3-D."""
+"""The page of a tracked video: frames with tags, part frames and joints overlaid, beside the 3-D scene."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _rgb(color: str) -> Color:
 
 
 def _strokes(colored: ColoredSegment, times: Floats) -> list[Stroke]:
-    """The axis of a joint on the base and the way of its part, while it governs the part."""
+    """The joint's axis and the part's path on the base, during its segment."""
     segment = colored.segment
     if colored.edge.parent != BASE or not segment.joint.moves or fits_no_joint(segment):
         return []

@@ -1,4 +1,4 @@
-"""Pictures and videos of a page: it is opened in a browser without a window, and photographed step by step.
+"""Pictures and videos of a page, captured frame by frame in a headless browser.
 
 The browser is Chromium, driven by Playwright (extra `browser`). GIF, WebP and PNG need nothing else; MP4 needs the
 program ffmpeg, of the system or of the package imageio-ffmpeg (extra `video`).

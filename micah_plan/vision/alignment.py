@@ -1,4 +1,4 @@
-"""Corners of a printed tag from its whole picture, to some hundredths of a pixel.
+"""Sub-pixel corners of a printed tag by alignment with its whole pattern, to hundredths of a pixel.
 
 The pattern is known: it is moved, blurred, brightened and shaded until it is the picture (Gauss-Newton over the four
 corners; Lucas and Kanade, 1981; Baker and Matthews, "Lucas-Kanade 20 years on", IJCV 2004). Every edge between two
@@ -44,7 +44,7 @@ class Pattern:
 
     @property
     def margin(self) -> float:
-        """Of white around the tag [cells]."""
+        """Width of the white margin [cells]."""
         return 0.5 * (float(self.picture.shape[0]) / _FINE - self.cells)
 
 
@@ -58,7 +58,7 @@ def pattern_of(markers: Any, number: int) -> Pattern:
 
 
 def aligned_corners(grey: Any, corners: Floats, pattern: Pattern) -> Floats | None:
-    """The corners (4, 2) [px] at which the pattern is the picture, from some nearby; None where it is not."""
+    """The corners (4, 2) [px] aligned from nearby ones; None if the pattern does not match."""
     smaller = int(np.ceil(_cell(corners, pattern) / _LARGEST_CELL))
     if smaller <= 1:
         return _aligned_from(grey, corners, pattern)
@@ -125,7 +125,7 @@ def _pixels(grey: Any, corners: Floats, pattern: Pattern) -> tuple[Floats, Float
 def _linearized(
     corners: Floats, blur: float, pixels: Floats, values: Floats, pattern: Pattern, weight: Floats
 ) -> tuple[Floats, Floats]:
-    """(k, 9 + 6) slopes of the picture by corners, blur and light, and what is left (k,).
+    """(k, 9 + 6) derivatives of the image by corners, blur and illumination, and the residuals (k,).
 
     Light is the brightness of black and of white, each with a slope across and down.
     """
@@ -150,7 +150,7 @@ def _linearized(
 
 
 class _Smooth:
-    """A blurred pattern at places (k, 2) of the unit square; the blur is a covariance (2, 2) [cells^2]."""
+    """A blurred pattern sampled at places (k, 2) of the unit square; the blur is a covariance (2, 2) [cells^2]."""
 
     def __init__(self, pattern: Pattern, at: Floats, blur: Floats) -> None:
         cv2 = opencv()
@@ -160,7 +160,7 @@ class _Smooth:
         self._x, self._y, self._samples = place[:, 0].copy(), place[:, 1].copy(), pattern.cells * _FINE
 
     def value(self, dx: float = 0.0, dy: float = 0.0) -> Floats:
-        """(k,) brightness from 0 to 1, so many samples beside the places."""
+        """(k,) brightness from 0 to 1, at places shifted by (dx, dy) samples."""
         cv2 = opencv()
         taken = cv2.remap(self._picture, self._x + dx, self._y + dy, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(taken, dtype=np.float64).ravel()
@@ -172,7 +172,7 @@ class _Smooth:
 
 
 def _kernel(covariance: Floats) -> Any:
-    """A normal density on a grid of samples."""
+    """A sampled Gaussian kernel."""
     spread = covariance + _LEAST_SPREAD * np.eye(2)
     reach = int(np.clip(np.ceil(3.0 * np.sqrt(np.diag(spread).max())), 1, _WIDEST))
     x = np.arange(-reach, reach + 1)

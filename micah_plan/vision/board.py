@@ -36,7 +36,7 @@ class Board:
 
 
 def board_of(text: str) -> Board:
-    """The board that ``9x6,30mm,22mm`` says: squares, edge of a square, edge of a marker.
+    """The board of a description such as ``9x6,30mm,22mm``: squares, edge of a square, edge of a marker.
 
     Raises:
         InputError: if it says none.
@@ -55,7 +55,7 @@ def board_of(text: str) -> Board:
 
 
 def camera_of_board(video: str | Path, board: Board) -> tuple[Camera, float, int]:
-    """The camera, what it leaves of corners [px, root mean square], and how many views it was found from.
+    """(camera, root mean square residual of corners [px], number of views).
 
     Raises:
         InputError: if too few frames show enough of the board.

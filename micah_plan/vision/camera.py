@@ -1,4 +1,4 @@
-"""A camera: how it maps directions to pixels, and the files that say so."""
+"""Camera models: the projection of directions to pixels, and their files."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ class Camera:
     uncertainty: float = 0.0
 
     def with_focal_length(self, focal: float) -> Camera:
-        """The same with another focal length [px]."""
+        """The camera with another focal length [px]."""
         matrix = self.matrix.copy()
         matrix[0, 0] = matrix[1, 1] = focal
         return Camera(matrix, self.distortion, self.size, self.uncertainty)
 
 
 def guessed_camera(width: int, height: int) -> Camera:
-    """A camera of which only the size of its pictures is known: its axis in their middle, a usual field of view."""
+    """A camera with the given image size, a central axis and a usual field of view."""
     focal = 1.2 * max(width, height) * 0.6
     matrix = np.array([[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
     return Camera(matrix, np.zeros(0), (width, height))

@@ -1,4 +1,4 @@
-"""Printed tags in a picture: OpenCV's detector finds them, and `alignment` their corners."""
+"""Printed tags in images: detection by OpenCV, refined by `alignment`."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def dictionary(family: Family) -> Any:
 
 
 def detector(family: Family) -> Callable[[Any], Corners]:
-    """What finds the tags of a family in a grey picture (height, width) of bytes."""
+    """A detector of a family's tags in a grey image (height, width) of bytes."""
     cv2 = opencv()
     markers = dictionary(family)
     finder = cv2.aruco.ArucoDetector(markers, cv2.aruco.DetectorParameters())

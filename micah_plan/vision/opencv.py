@@ -1,4 +1,4 @@
-"""OpenCV, if it is installed."""
+"""Optional import of OpenCV."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from micah_plan.errors import MissingDependencyError
 
 
 def opencv() -> Any:
-    """The module, with one thread: a recording is the same on every machine.
+    """The module, limited to one thread for reproducible results.
 
     Raises:
         MissingDependencyError: if it is not installed.

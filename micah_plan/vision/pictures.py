@@ -1,4 +1,4 @@
-"""Frames of a video with what was found in them: outlines of tags, frames of parts, and strokes in space."""
+"""Annotated frames of a video: outlines of tags, frames of parts, and 3-D strokes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Stroke:
 
 @dataclass(frozen=True)
 class Picture:
-    """A frame as JPEG, and its time in the recording [s]."""
+    """A video frame as JPEG, with its time in the recording [s]."""
 
     time: float
     jpeg: bytes
@@ -104,7 +104,7 @@ class _Canvas:
             self._draw_in_camera(stroke.points @ base.turn.T + base.position, stroke.color, stroke.width)
 
     def _draw_in_camera(self, points: Floats, color: Color, width: int) -> None:
-        """A line through points (k, 3) of the camera frame [m], where they lie before the camera."""
+        """Draw a line through points (k, 3) of the camera frame [m] that lie before the camera."""
         cv2, camera = opencv(), self._footage.camera
         for stretch in _runs(points[:, 2] > _NEAREST):
             if len(own := points[stretch]) > 1:
@@ -122,6 +122,6 @@ class _Canvas:
 
 
 def _runs(is_in: Iterable[bool]) -> list[slice]:
-    """The stretches in which something holds."""
+    """The stretches in which a condition holds."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], np.asarray(list(is_in)), [False]]).astype(int)))
     return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

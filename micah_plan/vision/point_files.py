@@ -53,7 +53,7 @@ class PointTracks:
     names: tuple[str, ...] = ()
 
     def rate_or(self, said: float | None) -> float:
-        """Frames per second, as somebody said or else the file does.
+        """Frames per second, as given or else from the file.
 
         Raises:
             InputError: if neither does.
@@ -65,7 +65,7 @@ class PointTracks:
 
 
 def holds_points(path: str | Path) -> bool:
-    """Whether a file has tracks of points, and no poses; a table of markers only says it by the command track."""
+    """Whether a file holds tracks of points rather than poses; tables of markers need the command `track`."""
     suffix = Path(path).suffix.lower()
     if suffix != ".npz":
         return suffix in (".trc", ".c3d")
@@ -167,7 +167,7 @@ def _visible(arrays: Mapping[str, Any], shape: tuple[int, ...]) -> Booleans:
 
 
 def _axes_of(tracks: Floats) -> Axes:
-    """Along frames points move less than from one point to another."""
+    """The order of axes, from the observation that points move less between frames than they differ."""
     steps = [float(np.nanmedian(np.linalg.norm(np.diff(tracks, axis=axis), axis=-1))) for axis in (0, 1)]
     return "frames,points" if steps[0] < steps[1] else "points,frames"
 
@@ -188,7 +188,7 @@ def _camera(arrays: Mapping[str, Any]) -> Camera:
 
 
 def _lifted(tracks: Floats, arrays: Mapping[str, Any], points_first: bool, camera: Camera) -> Floats:
-    """(N, T, 3) places in the camera of pixels (N, T, 2), whose depths are known; NaN where they are not."""
+    """(N, T, 3) points in the camera from pixels (N, T, 2) and depths; NaN where unknown."""
     depth = next((array for name, array in arrays.items() if any(word in name.lower() for word in _DEPTH)), None)
     if depth is None:
         problem = "tracks in pixels need the depth of each point"
@@ -233,7 +233,7 @@ def _rays(tracks: Floats, camera: Camera) -> Floats:
 
 
 def _of_trc(path: str | Path, unit: str | None) -> PointTracks:
-    """A header of keys and values, names of markers, names of axes, then a line per frame; empty: not seen."""
+    """Tracks of a TRC file: a header of keys and values, marker names, axis names, then a line per frame."""
     lines = [line.rstrip("\r\n") for line in read_lines(path)]
     keys = next((k for k, line in enumerate(lines) if line.startswith("DataRate")), None)
     remedy = "give a TRC file as OpenSim and Motion Analysis write it"
@@ -280,7 +280,7 @@ def _of_c3d(path: str | Path, unit: str | None) -> PointTracks:
 
 
 def _of_table(columns: Mapping[str, Any], unit: str | None) -> PointTracks:
-    """Markers of columns ``NAME_x``, ``NAME_y`` and ``NAME_z``, with times in ``t`` or ``time``."""
+    """Tracks of a table with columns ``NAME_x``, ``NAME_y`` and ``NAME_z``, and times in ``t`` or ``time``."""
     axes: dict[str, dict[str, Floats]] = {}
     for column, values in columns.items():
         match = _MARKER.fullmatch(column)

@@ -42,7 +42,7 @@ _MEDIAN_LENGTH = 1.538
 
 @dataclass(frozen=True, eq=False)
 class RigidBody:
-    """Points that move together.
+    """Points that move together, with their poses.
 
     Attributes:
         points: (n,) their numbers.
@@ -65,7 +65,7 @@ class RigidBody:
         return np.isfinite(self.turns[:, 0, 0])
 
     def covariance(self, frame: int) -> Floats:
-        """(6, 6) of position [m] and a small turn [rad] in a frame."""
+        """(6, 6) covariance of position [m] and small rotation [rad] in a frame."""
         arms = self.shape @ self.turns[frame].T
         information = np.zeros((6, 6))
         for arm, weight in zip(arms, self.weights[frame], strict=True):
@@ -126,13 +126,15 @@ def _begun(varies: Floats, noise: float) -> list[Ints]:
 
 
 def _volume(tracks: Floats, noise: float) -> float:
-    """Of where points are [m^3]: a gross error may be anywhere in it."""
+    """Volume of the region of points [m^3], over which gross errors are uniform."""
     low, high = np.nanquantile(tracks.reshape(-1, 3), [0.02, 0.98], axis=0)
     return float(np.prod(high - low + 10.0 * noise))
 
 
 def _turned(shape: Floats, places: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]:
-    """Turns (T, 3, 3) and shifts (T, 3) that take a shape (n, 3) to places (T, n, 3), and singular values (Kabsch)."""
+    """Rotations (T, 3, 3) and translations (T, 3) of a shape (n, 3) onto points (T, n, 3), with singular values
+    (Kabsch).
+    """
     total = np.maximum(weights.sum(axis=1), 1e-12)[:, None]
     middle = weights @ shape / total
     other = np.einsum("tn,tni->ti", weights, places) / total
@@ -144,7 +146,7 @@ def _turned(shape: Floats, places: Floats, weights: Floats) -> tuple[Floats, Flo
 
 
 def _weights(squared: Floats, noise: float) -> Floats:
-    """Of measurements whose squared errors these are: EM of a t distribution in space."""
+    """Weights of measurements from squared errors: EM of a multivariate t distribution."""
     return np.asarray((_FREEDOM + 3.0) / (_FREEDOM + squared / noise**2))
 
 
@@ -167,7 +169,7 @@ def _fitted(tracks: Floats, seen: Booleans, group: Ints, noise: float) -> RigidB
 
 
 def _outwards(places: Floats, there: Booleans, noise: float) -> tuple[Floats, Floats, Floats]:
-    """A first shape and poses: from the frame that shows most points, frame by frame; poses tell new points."""
+    """Initial shape and poses, propagated from the frame with most points; new points are placed by the poses."""
     frames, count = there.shape
     first = int(there.sum(axis=1).argmax())
     shape = np.full((count, 3), np.nan)
@@ -189,7 +191,7 @@ def _outwards(places: Floats, there: Booleans, noise: float) -> tuple[Floats, Fl
 
 
 def _explained(tracks: Floats, seen: Booleans, body: RigidBody, volume: float) -> tuple[Floats, Floats]:
-    """(N,) log likelihood of each point as one of a body, and the share of its measurements that are near it."""
+    """((N,) log likelihood of each point on a body, fraction of its measurements near it)."""
     good, noise = body.is_seen, body.noise
     there = seen.T & good[:, None]
     shifts = np.nan_to_num(body.positions)[:, None]
@@ -209,7 +211,7 @@ def _explained(tracks: Floats, seen: Booleans, body: RigidBody, volume: float) -
 
 
 def _regrouped(tracks: Floats, seen: Booleans, bodies: Sequence[RigidBody], volume: float) -> tuple[list[Ints], float]:
-    """Points by the body that explains them best, after the cheapest union of two bodies; and the noise."""
+    """(points grouped by their most likely body after the cheapest merge of two bodies, noise)."""
     pairs = [_explained(tracks, seen, body, volume) for body in bodies]
     density, near = np.array([pair[0] for pair in pairs]), np.array([pair[1] for pair in pairs])
     best = density.argmax(axis=0)
@@ -225,7 +227,7 @@ def _regrouped(tracks: Floats, seen: Booleans, bodies: Sequence[RigidBody], volu
 
 
 def _union(groups: Sequence[Ints], density: Floats, bodies: Sequence[RigidBody]) -> tuple[int, int | None] | None:
-    """Of the two bodies that one explains best instead, the one that goes and the other; None if each is needed.
+    """(removed body, remaining body) of the best merge; None if all bodies are needed.
 
     A body that goes saves its poses, three numbers for where and three for how in each frame (half a log of its points
     each; Schwarz, Annals of Statistics 1978).
@@ -255,7 +257,7 @@ def _scale(tracks: Floats, seen: Booleans, bodies: Sequence[RigidBody]) -> float
 
 
 def _compact(tracks: Floats, seen: Booleans, group: Ints, noise: float) -> Ints:
-    """The points without those far from the others: one that stands still far away fits a small body as well."""
+    """The points without outliers: a distant static point fits a small body as well."""
     if len(group) < FEWEST_POINTS:
         return group
     shape = _fitted(tracks, seen, group, noise).shape

@@ -34,7 +34,7 @@ _FIXED = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Of a part in the camera or in the base.
+    """A pose of a part in the camera or in the base frame.
 
     Attributes:
         turn: (3, 3) part to frame. position: (3,) of its origin [m].
@@ -48,7 +48,7 @@ class Pose:
     misfit: float = 0.0
 
     def seen_from(self, base: Pose) -> Pose:
-        """The pose in the frame of another, both of one camera."""
+        """The pose relative to another pose of the same camera."""
         turn, lever = base.turn.T, self.position - base.position
         of_base = np.block([[-np.eye(3), _cross(lever)], [np.zeros((3, 3)), -np.eye(3)]])
         back = np.kron(np.eye(2), turn)
@@ -58,7 +58,7 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """A part in one frame: its corners in the part (n, 3) [m] and in the picture (n, 2) [px], and what poses fit."""
+    """A part in one frame: its corners in the part (n, 3) [m] and in the image (n, 2) [px], with candidate poses."""
 
     points: Floats
     pixels: Floats
@@ -66,7 +66,7 @@ class Sighting:
 
     @property
     def misfit(self) -> float:
-        """Of the best pose [px^2]."""
+        """Misfit of the best pose [px^2]."""
         return min(pose.misfit for pose in self.poses)
 
 
@@ -107,7 +107,7 @@ def placed_corners(layout: TagLayout, frames: Sequence[Corners], camera: Camera)
 def _between(
     placed: Mapping[int, Floats], number: int, tag: PlacedTag, frames: Sequence[Corners], camera: Camera
 ) -> Pose | None:
-    """The pose of a tag beside those that are placed; None if no frame shows both."""
+    """The pose of a tag relative to placed ones; None if no frame shows both."""
     alone, turns, places = PlacedTag(tag.part, tag.size), [], []
     for frame in frames:
         first, second = sighting(placed, frame, camera), sighting({number: corners_of(alone)}, frame, camera)
@@ -129,7 +129,7 @@ def _between(
 
 
 def sighting(tags: Mapping[int, Floats], frame: Corners, camera: Camera) -> Sighting | None:
-    """A part with tags (4, 3 each) in a frame; None if none of them is seen."""
+    """The sighting of a part with tags (4, 3 each) in a frame; None if no tag is seen."""
     numbers = [number for number in tags if number in frame]
     if not numbers:
         return None
@@ -140,7 +140,7 @@ def sighting(tags: Mapping[int, Floats], frame: Corners, camera: Camera) -> Sigh
 
 
 def _poses(points: Floats, pixels: Floats, camera: Camera) -> tuple[Pose, ...]:
-    """The poses that fit corners, refined: two for one tag and for tags in a plane."""
+    """Candidate poses of corners, refined: two for coplanar tags."""
     cv2 = opencv()
     middle = points.mean(axis=0)
     _, spread, axes = np.linalg.svd(points - middle)
@@ -166,7 +166,7 @@ def _poses(points: Floats, pixels: Floats, camera: Camera) -> tuple[Pose, ...]:
 
 
 def _refined(points: Floats, pixels: Floats, turn: Floats, position: Floats, camera: Camera) -> tuple[Floats, Floats]:
-    """The pose (3, 3), (3,) that misses pixels least, from one nearby (Levenberg and Marquardt)."""
+    """Pose (3, 3), (3,) with least reprojection error, refined by Levenberg-Marquardt."""
     cv2 = opencv()
     at = np.concatenate([np.ravel(cv2.Rodrigues(turn)[0]), position])
 
@@ -199,7 +199,7 @@ def _missed(points: Floats, pixels: Floats, turn: Floats, position: Floats, came
 
 
 def corner_noise(sightings: Sequence[Sighting]) -> float:
-    """Std of a corner [px], from what the best poses leave of it."""
+    """Std of a corner [px], from the residuals of the best poses."""
     shares = [sighting.misfit / max(2 * len(sighting.points) - 6, 1) for sighting in sightings]
     return max(float(np.sqrt(np.median(shares) / _MEDIAN_OF_SQUARES)), _FINEST) if shares else _FINEST
 
@@ -230,7 +230,7 @@ def chosen_poses(
 
 
 def _with_covariance(pose: Pose, points: Floats, noise: float, camera: Camera) -> Pose:
-    """The pose with what its corners leave uncertain (Fisher information of the projection)."""
+    """The pose with its covariance (inverse Fisher information of the projection)."""
     arms = points @ pose.turn.T
     corners = arms + pose.position
     rows = np.zeros((2 * len(points), 6))
@@ -243,7 +243,7 @@ def _with_covariance(pose: Pose, points: Floats, noise: float, camera: Camera) -
 
 
 def pooled(poses: Sequence[Pose | None], sightings: Sequence[Sighting | None], camera: Camera) -> Pose | None:
-    """One pose of a part that does not move before the camera; None if it moves, or the camera does."""
+    """One pose of a part that is static before a static camera; None otherwise."""
     able = [
         (pose, sighting)
         for pose, sighting in zip(poses, sightings, strict=True)

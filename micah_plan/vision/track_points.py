@@ -29,7 +29,7 @@ _PARTS, _RARELY = 4, 1e-3
 
 @dataclass(frozen=True, eq=False)
 class TrackedPoints:
-    """What tracks of points show.
+    """Bodies and poses from tracks of points.
 
     Attributes:
         recording: poses of all bodies but the base, in its frame: that of the camera in the first frame.
@@ -50,7 +50,7 @@ class TrackedPoints:
     notes: tuple[str, ...]
 
     def places(self) -> dict[str, Floats]:
-        """(n, 3) places of the points of each body [m]: in its frame; of the base, in the frame of the recording."""
+        """(n, 3) positions of each body's points [m] in its frame; for the base, in the recording's frame."""
         base, first = self.bodies[0], int(np.flatnonzero(self.bodies[0].is_seen)[0])
         standing = base.shape @ base.turns[first].T + base.positions[first]
         return {self.names[0]: standing} | {
@@ -98,7 +98,7 @@ def track_points(tracks: PointTracks, rate: float) -> TrackedPoints:
 
 
 def _names(bodies: Sequence[RigidBody], markers: Sequence[str]) -> list[str]:
-    """What the names of a body's markers begin with, if that is one body's own; else its number."""
+    """Names of bodies: the common prefix of their markers if it is unique, else a number."""
     names = []
     for number, body in enumerate(bodies, start=1):
         own = [markers[k] for k in body.points] if markers else [""]
@@ -115,7 +115,7 @@ def _largest_way(body: RigidBody) -> float:
 
 
 def _stands(base: RigidBody) -> bool:
-    """Whether a body stands before the camera: it is seen at one pose in all parts of the video, as far as noise tells.
+    """Whether a body is static before the camera: its pose is constant within noise.
 
     Means over parts of the frames differ by no more than noise, a single one's divided by how many there are; poses by
     the same points are wrong alike, by as much as noise leaves of all frames.
@@ -135,7 +135,7 @@ def _stands(base: RigidBody) -> bool:
 
 
 def _relative(base: RigidBody, body: RigidBody, first: int | None) -> tuple[Ints, Floats, Floats, Floats, Floats]:
-    """Frames, positions, turns and their stds of a body in the camera's frame, of the first frame where it moves.
+    """Frames, positions, rotations and stds of a body in the camera's frame, or in that of the first frame.
 
     Args:
         first: the frame that poses are brought to by the base; None: the camera stands, and no base is needed.
@@ -158,7 +158,7 @@ def _relative(base: RigidBody, body: RigidBody, first: int | None) -> tuple[Ints
 
 
 def _shared_error(base: RigidBody, body: RigidBody, frames: Ints, first: int | None) -> SharedError:
-    """What no number of frames averages out.
+    """Errors that averaging over frames does not reduce.
 
     Before a camera that moves all poses are brought to that of the first frame, of which that frame alone tells where
     it was. And each point has its place in a body from as many frames as it is seen in, so poses by much the same

@@ -57,7 +57,7 @@ _MOVES = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Footage:
-    """What a camera saw, frame by frame.
+    """The detections of a video, frame by frame.
 
     Attributes:
         video, rate: what was read, and the frames per second that were said in place of its own.
@@ -80,7 +80,7 @@ class Footage:
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """What a video shows of the parts.
+    """Poses of the parts in a video.
 
     Attributes:
         recording: poses of the parts in the frame of the base's tags; frames that do not show a part are left out.
@@ -110,7 +110,7 @@ class Tracked:
         return len(self.footage.times)
 
     def rows_of(self, part: str) -> int:
-        """In how many frames a part is seen together with the base."""
+        """Number of frames with both the part and the base."""
         return sum(name == part for name in self.recording.part)
 
 
@@ -169,7 +169,7 @@ def track_tags(
 
 
 def _upright(pose: Pose, up: Up) -> Pose:
-    """A pose of the base turned so that its z points up, where an axis of its tags does."""
+    """A base pose rotated so that z points up, where an axis of its tags is vertical."""
     turns = {"z": (0, 0), "-z": (0, 180), "y": (0, -90), "-y": (0, 90), "x": (1, 90), "-x": (1, -90)}
     axis, angle = turns[up]
     turn = np.round(Rotation.from_euler("xy"[axis], angle, degrees=True).as_matrix())
@@ -241,7 +241,7 @@ def _check_seen(video: str | Path, layout: TagLayout, frames: Sequence[Corners],
 def _camera(
     camera: Camera | None, size: tuple[int, int], layout: TagLayout, frames: Sequence[Corners]
 ) -> tuple[Camera, list[str]]:
-    """The camera that is used, and what to know of it."""
+    """(camera to use, notes)."""
     of_file = guessed_camera(*size) if camera is None else _of_size(camera, size)
     of_tags = _focal_length(of_file, layout, frames)
     focal, off = of_tags.matrix[0, 0], 2.0 * of_tags.uncertainty
@@ -259,7 +259,7 @@ def _camera(
 
 
 def _focal_length(camera: Camera, layout: TagLayout, frames: Sequence[Corners]) -> Camera:
-    """The camera with the focal length that makes squares square, and its uncertainty."""
+    """The camera with the focal length under which tags are square, and its uncertainty."""
     able = [frame for frame in frames if frame]
     chosen = [able[k] for k in np.unique(np.linspace(0, len(able) - 1, _FOCAL_FRAMES).astype(int))]
     largest = max(camera.size or (1, 1))
@@ -302,7 +302,7 @@ def _shared_error(
     is_fixed: bool,
     camera: Camera,
 ) -> SharedError:
-    """What no number of frames averages out.
+    """Errors that averaging over frames does not reduce.
 
     Args:
         poses: of the part in the frame of the base. of_base, of_part: both in the camera.
@@ -319,7 +319,7 @@ def _shared_error(
 def _notes_on_lens(
     errors: Mapping[str, SharedError], with_lens: Mapping[str, SharedError], stds: Mapping[str, tuple[float, float]]
 ) -> list[str]:
-    """What a camera file without distortion may hide: pictures that were rectified look like those of a pinhole."""
+    """Notes on possible distortion where the camera file states none: unrectified images look like a pinhole's."""
     turned = {part: float(np.sqrt(np.trace((with_lens[part].frame - errors[part].frame)[3:, 3:]))) for part in stds}
     worst = max(turned, key=lambda part: turned[part])
     if turned[worst] < _MATTERS * stds[worst][1]:
@@ -339,7 +339,7 @@ def _with_lens(
     cameras: tuple[Camera, Camera],
     up: Up,
 ) -> SharedError:
-    """The error with what a lens that bends as usual ones do makes of poses, where nobody says how it bends."""
+    """The error including that of a typical lens distortion, where none is stated."""
     frame_moved, places = [], []
     both = [frame for frame in frames if not placed[part].keys().isdisjoint(frame)]
     both = [frame for frame in both if not placed[base].keys().isdisjoint(frame)]
@@ -363,7 +363,7 @@ def _with_lens(
 def _seen_beside(
     tags: Mapping[int, Floats], of_base: Mapping[int, Floats], frame: Corners, camera: Camera, up: Up
 ) -> Pose | None:
-    """The likeliest pose of a part in the frame of the base, by one frame alone."""
+    """The likeliest pose of a part in the base frame from one image."""
     both = sighting(tags, frame, camera), sighting(of_base, frame, camera)
     if both[0] is None or both[1] is None:
         return None
@@ -414,7 +414,7 @@ def _notes_on_tags(
 
 
 def _notes_on_base(base: str, poses: Sequence[Pose | None]) -> list[str]:
-    """What no number of frames makes better: the frame itself, of a camera that stands."""
+    """Notes on the accuracy of the base frame of a static camera, which more frames do not improve."""
     place, turn = _stds(poses)
     known = f"{quantity(place, 'm', digits=2)} and {quantity(turn, 'rad', digits=2, degrees=False)}"
     return [f"the frame of {base} is known to {known}; axes of joints are no better"] if len(poses) == 1 else []

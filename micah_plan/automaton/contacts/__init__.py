@@ -1,1 +1,1 @@
-"""Contact modes of a held object: the product of a learned automaton with its contacts to the surroundings."""
+"""Contact modes of a held object: the product of a learned automaton with contacts to its surroundings."""

@@ -1,4 +1,4 @@
-"""Configurations in which a held object hits a body: only where the boxes around both overlap along every axis.
+"""Collisions of a held object with bodies, as overlaps of bounding boxes along every axis.
 
 The box around the moving part grows and shrinks as the joint turns; its sides are bounded from outside by affine
 functions of the joint over the range that a mode allows. So a set of collisions is an intersection of at most six
@@ -66,7 +66,7 @@ def _overlap(solid: Solid, part: str, grid: Floats, boxes: Floats, surroundings:
 
 
 def _bound(grid: Floats, values: Floats) -> tuple[float, float]:
-    """Offset and slope of an affine function of the joint that is nowhere below the values (s,) on the grid (s,)."""
+    """(offset, slope) of an affine upper bound of the values (s,) on the grid (s,)."""
     width = float(grid[-1] - grid[0])
     slope = float(values[-1] - values[0]) / width if width > 0 else 0.0
     return float(np.max(values - slope * grid)), slope

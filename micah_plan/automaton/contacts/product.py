@@ -60,12 +60,12 @@ class Contact:
 
     @property
     def is_line(self) -> bool:
-        """Whether it touches with one edge; else with a surface that lies flat."""
+        """Whether the contact is an edge; else it is a flat surface."""
         return self.piece.kind == "line"
 
     @property
     def tie(self) -> Tie:
-        """The joint where the hand's height asks for it."""
+        """The joint as a function of the hand's height."""
         weights = [0.0] * _N
         weights[self.face.axis] = self.face.sign / self.piece.slope
         height = -self.face.sign * self.face.position
@@ -73,12 +73,12 @@ class Contact:
 
     @property
     def entry(self) -> Reset:
-        """Puts the joint where the hand's height asks for it."""
+        """The reset that sets the joint from the hand's height."""
         return Reset.to({}, _N, [self.tie])
 
     @property
     def touching(self) -> HalfSpace:
-        """Where the object touches: the chord's height of the joint is at least the hand's."""
+        """States in contact: the chord's height of the joint is at least the hand's."""
         face, piece = self.face, self.piece
         a = [0.0] * _N
         a[face.axis], a[_JOINT] = -float(face.sign), piece.slope
@@ -87,7 +87,7 @@ class Contact:
 
     @property
     def above(self) -> HalfSpace:
-        """Where the object does not touch, apart from the boundary."""
+        """States without contact, excluding the boundary."""
         touching = self.touching
         a = tuple(-w for w in touching.a)
         return HalfSpace(a, touching.b, -touching.c, name=f"above {self.face.solid}: {self.name}")
@@ -135,7 +135,7 @@ def with_contacts(
 
 
 def _check_reach(contact: Contact, surroundings: Surroundings) -> None:
-    """Raises InputError if the hand cannot be where the contact ends, as where the object latches."""
+    """Raises InputError if the hand cannot reach the end of the contact, where the object latches."""
     for axis, value in contact.end_of_hand.items():
         low, high = surroundings.lower[axis], surroundings.upper[axis]
         if not low <= value <= high:
@@ -185,7 +185,7 @@ class _Product:
         return [*self._contact_edges(), *self._latch_edges(), *self._range_edges(), *self._resting_edges()]
 
     def collisions(self, modes: list[Mode]) -> Iterator[Edge]:
-        """Out of every mode into a body."""
+        """Edges from every mode into a body."""
         for mode in modes:
             low, high = mode.interval(_JOINT)
             for region in collision_regions(
@@ -212,7 +212,7 @@ class _Product:
         return Mode(latch.mode, joints, _HAND_FREE, self._within(-np.inf, np.inf, rows), pins=(pin,))
 
     def _contact_edges(self) -> Iterator[Edge]:
-        """Into contact, from a piece to the next and back, out of contact, and the end of the last piece."""
+        """Edges into contact, between pieces, out of contact, and at the end of the last piece."""
         for contact in self.contacts:
             piece, face = contact.piece, contact.face
             on_face = [contact for contact in self.contacts if contact.face == face]
@@ -241,7 +241,7 @@ class _Product:
             yield Edge(FREE, latch.mode, guard, threshold_std=latch.threshold_std)
 
     def _range_edges(self) -> Iterator[Edge]:
-        """The joint's stops while it swings."""
+        """Edges at the joint's stops while it swings freely."""
         latched = {latch.threshold for latch in self.joint.latches}
         for value, direction in ((self.joint.low, -1), (self.joint.high, 1)):
             if value not in latched:
@@ -249,7 +249,7 @@ class _Product:
                 yield Edge(FREE, FREE, stop, Reset.to({_JOINT: value}, _N))
 
     def _resting_edges(self) -> Iterator[Edge]:
-        """A latched object stands on a face: the hand does not get lower."""
+        """Edges of a latched object on a face, below which the hand cannot go."""
         for latch in self.joint.latches:
             for face in self.surroundings.faces:
                 value = self._lowest(latch, face)
@@ -257,7 +257,7 @@ class _Product:
                 yield Edge(latch.mode, latch.mode, Region((guard,)), Reset.to({face.axis: value}, _N))
 
     def _begins(self, contact: Contact) -> Region:
-        """Where contact begins: below the touching height, in the range of this edge if several edges may touch."""
+        """The guard of contact: below the touching height, in the range of its edge if several edges may touch."""
         rows, piece = [contact.touching], contact.piece
         if self._lines_on(contact.face) > 1:
             rows.append(self._past(piece.begin, piece.direction))
@@ -276,13 +276,13 @@ class _Product:
         return next((latch for latch in self.joint.latches if (latch.direction, latch.threshold) == end), None)
 
     def _withdrawing(self, face: Face) -> HalfSpace:
-        """A hand that moves away from a face."""
+        """The guard of a hand that moves away from a face."""
         b = [0.0] * _M
         b[face.axis] = float(face.sign)
         return HalfSpace((0.0,) * _N, tuple(b), self.noise.release, strict=True, name=f"withdrawing from {face.solid}")
 
     def _lowest(self, latch: LatchedMode, face: Face) -> float:
-        """Where a latched object stops the hand at a face: as it latched there, or as it rests on it [m]."""
+        """Lowest hand position of a latched object at a face: as it latched, or as it rests [m]."""
         heights = [c.piece.end_height for c in self.contacts if c.face == face and self._latch_after(c) is latch]
         heights.append(resting_height(self.grip, face, self.joint.datum, latch.threshold, self.joint.turns))
         return face.position + face.sign * min(heights)
@@ -294,7 +294,7 @@ class _Product:
 
 
 def _beyond(coordinate: int, value: float, direction: int, name: str, *, strict: bool = False) -> HalfSpace:
-    """A coordinate at or beyond a value, seen along a direction."""
+    """The half-space of a coordinate at or beyond a value in a direction."""
     return (above if direction > 0 else below)(coordinate, value, _N, _M, strict=strict, name=name)
 
 
@@ -383,7 +383,7 @@ def learned_joint(automaton: HybridAutomaton, grip: Grip) -> LearnedJoint:
 
 
 def _latch(automaton: HybridAutomaton, edge: Edge) -> LatchedMode | None:
-    """The rigid mode that an edge leads to; None if it leads elsewhere."""
+    """The rigid mode that an edge leads to; None for other targets."""
     pins = automaton.mode(edge.target).pins
     bound = edge.guard.half_spaces[0].bound if len(edge.guard.half_spaces) == 1 else None
     if not pins or bound is None:
@@ -392,7 +392,7 @@ def _latch(automaton: HybridAutomaton, edge: Edge) -> LatchedMode | None:
 
 
 def links_of(grip: Grip) -> tuple[Link, ...]:
-    """Base to the hand by x, y and z; the hand to the held part, and that to the moving one, by the joint."""
+    """Links: base to hand by x, y and z; hand to held part, and held to moving part, by the joint."""
     chain = (BASE, *_CARRIAGES)
     slides = [Link(chain[i], chain[i + 1], i) for i in range(3)]
     return (*slides, Link(HAND, grip.held.name, 3), Link(grip.held.name, grip.moving.name, 3))

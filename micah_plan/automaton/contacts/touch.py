@@ -1,4 +1,4 @@
-"""Where a held object meets bodies: the heights at which it touches a face, and the states in which it would hit one.
+"""Contact geometry of a held object: heights of contact with a face, and collision states.
 
 The height is a function of the joint. While the hand keeps its orientation the lowest corner of the moving part
 decides: the object touches when the hand's height above the face is S(c) = max over corners v of -n'R(v(c) - p). Where
@@ -54,7 +54,7 @@ class TouchPiece:
 
     @property
     def direction(self) -> int:
-        """Which way pressing moves the joint: +1 or -1."""
+        """The direction in which pressing moves the joint: +1 or -1."""
         return 1 if self.end > self.begin else -1
 
 
@@ -105,7 +105,7 @@ def touch_pieces(grip: Grip, face: Face, datum: float, low: float, high: float, 
 
 
 def resting_height(grip: Grip, face: Face, datum: float, c: float, turns: bool) -> float:
-    """Height of the hand above a face that the object just touches at configuration c, not turned in the hand."""
+    """Height of the hand above a face at first contact in configuration c, without rotation in the hand."""
     geometry = _Geometry.of(grip, face, datum, turns)
     return max(geometry.height(c), geometry.held_height)
 
@@ -138,7 +138,7 @@ class _Geometry:
         return float(self.heights(c).max())
 
     def lowest(self, c: float) -> int:
-        """The corner that touches first, of corners of one edge the first."""
+        """The corner that touches first; of an edge's corners the first."""
         heights = self.heights(c)
         return int(np.flatnonzero(heights >= heights.max() - _ROUNDING)[0])
 
@@ -149,13 +149,13 @@ class _Geometry:
         return float(-motion @ self.normal)
 
     def flat_height(self, flat: float, c: float) -> float:
-        """Hand's height with the part flat as it was at `flat`, the held part turned in the hand by c - flat."""
+        """Hand height with the part lying flat as at `flat`, the held part rotated in the hand by c - flat."""
         hand = moved(self.point, flat - c, turns=True)
         return float(hand @ self.normal + np.max(-moved(self.corners, flat - self.datum, turns=True) @ self.normal))
 
 
 def _line_pieces(geometry: _Geometry, low: float, high: float) -> list[TouchPiece]:
-    """Stretches with one lowest edge and a lever that moves the joint, without those where the held part touches."""
+    """Intervals with a single lowest edge whose lever moves the joint, without those where the held part touches."""
     grid = np.linspace(low, high, _SAMPLES)
     states = [_state(geometry, c) for c in grid]
     breaks = [low]
@@ -176,7 +176,7 @@ def _line_pieces(geometry: _Geometry, low: float, high: float) -> list[TouchPiec
 
 
 def _state(geometry: _Geometry, c: float) -> tuple[int, int] | None:
-    """The lowest corner and the sign of the height's slope; None where the joint jams or the held part touches."""
+    """(lowest corner, sign of the height's slope); None where the joint jams or the held part touches."""
     lowest = geometry.lowest(c)
     slope = geometry.lever(lowest, c)
     if abs(slope) < _LEAST_LEVER or geometry.held_height > geometry.height(c):
@@ -185,7 +185,7 @@ def _state(geometry: _Geometry, c: float) -> tuple[int, int] | None:
 
 
 def _change(geometry: _Geometry, a: float, b: float, at_a: tuple[int, int] | None) -> float:
-    """The place between a and b where the state of a ends, to rounding."""
+    """The point between a and b where the state of a ends, up to round-off."""
     while b - a > 1e-13:
         middle = (a + b) / 2
         if middle in (a, b):
@@ -195,7 +195,7 @@ def _change(geometry: _Geometry, a: float, b: float, at_a: tuple[int, int] | Non
 
 
 def _surface_piece(geometry: _Geometry, line: TouchPiece, limit: float) -> TouchPiece | None:
-    """What follows a line contact where a face lies flush; None if pressing does not move the joint on."""
+    """The surface contact after a line contact, where a face lies flush; None if pressing does not move the joint."""
     flat = line.end
     between = np.linspace(flat, limit, _SAMPLES)
     heights = np.array([geometry.flat_height(flat, c) for c in between])

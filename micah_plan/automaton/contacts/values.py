@@ -1,4 +1,4 @@
-"""A held object among bodies, as values: how a hand holds it, what it may touch, and what stands around.
+"""Values of a held object among bodies: the grasp, the touching surfaces, and the surroundings.
 
 To hold means here that the hand carries a part, which the grip fixes to it; that a mode fixes a coordinate is called a
 pin (`hybrid.Pin`).

@@ -1,1 +1,1 @@
-"""What a model may lack: effects as values, their forms (each written once), and how an automaton takes them in."""
+"""Effects: values, one formula per form, and their addition to an automaton."""

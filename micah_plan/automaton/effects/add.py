@@ -1,4 +1,4 @@
-"""Add effects to an automaton: the transition, the compiler, the filter and the plants then have them."""
+"""Adding effects to an automaton, for the transition, compiler, filter and plants."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def with_effect(automaton: HybridAutomaton, *effects: Effect) -> HybridAutomaton
 
 
 def _with_options(effect: Effect) -> Effect:
-    """The effect with the parameters that were left out, behind what was given."""
+    """The effect with omitted parameters appended at their defaults."""
     given = [name for name, _ in effect.parameters]
     left_out = [pair for pair in form(effect.name).options().items() if pair[0] not in given]
     std = (*effect.std, *(0.0 for _ in left_out)) if effect.std else ()
@@ -38,7 +38,7 @@ def _with_options(effect: Effect) -> Effect:
 
 
 def check_effect(automaton: HybridAutomaton, effect: Effect) -> None:
-    """Refuse an effect that does not fit.
+    """Refuse an effect that does not fit the automaton.
 
     Raises:
         InputError: see `with_effect`.
@@ -61,7 +61,7 @@ def check_effect(automaton: HybridAutomaton, effect: Effect) -> None:
 
 
 def is_possible(effect: Effect) -> bool:
-    """Whether an effect's parameters are within their bounds: beyond them a fit has found something else."""
+    """Whether an effect's parameters are within their bounds."""
     return not _impossible(effect)
 
 
@@ -75,7 +75,7 @@ def _impossible(effect: Effect) -> list[tuple[float, Parameter]]:
 
 
 def for_demonstrations(automaton: HybridAutomaton, recording: Recording) -> HybridAutomaton:
-    """The model for a recording whose actions were given like those of the demonstration that it was learned from.
+    """The model for recordings whose actions passed through the same channel as the demonstration's.
 
     Raises:
         InputError: if learning found nothing about the actions.
@@ -85,7 +85,7 @@ def for_demonstrations(automaton: HybridAutomaton, recording: Recording) -> Hybr
 
 
 def with_learned_channel(automaton: HybridAutomaton, period: float) -> HybridAutomaton:
-    """The automaton for recordings whose actions are like those that it was learned from.
+    """The automaton with the learned action channel as effects, for recordings like its demonstration.
 
     Learning found what stands between a demonstration's actions and the motion. That channel belongs to the recording,
     not to the object: another hand, or this project's own logs, give their actions in another way. So a model does not
@@ -118,7 +118,7 @@ def with_learned_channel(automaton: HybridAutomaton, period: float) -> HybridAut
 
 
 def _late(automaton: HybridAutomaton, coordinate: str, steps: float) -> HybridAutomaton:
-    """The automaton whose coordinate gets to commanded places so late, unless it knows better how it gets there."""
+    """The automaton with a delay of commanded positions on a coordinate, unless its servo is known."""
     own = [effect for effect in automaton.effects if effect.coordinate == coordinate and effect.name == Follow.name]
     if not all(map(is_as_commanded, own)):
         return automaton

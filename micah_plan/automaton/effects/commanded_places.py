@@ -1,4 +1,4 @@
-"""A machine that is told places, as far as a recording says no more: it is at the place after each step.
+"""Position commands without further information: the part is at the commanded position after each step.
 
 That is the effect `follow` with all its parameters neutral. It moves roll-outs from wherever they are to the places of
 the log, and is what calibration begins with; a step of the model itself is the same with and without it.
@@ -19,7 +19,7 @@ from micah_plan.recording.value import Recording
 
 
 def as_commanded(automaton: HybridAutomaton, recording: Recording) -> HybridAutomaton:
-    """The model for a recording: its coordinates go to commanded places where the recording says that they are told.
+    """The model for a recording: its coordinates follow positions where the recording says that commands are positions.
 
     Where it says nothing, the model's own word counts.
 
@@ -46,7 +46,7 @@ def as_commanded(automaton: HybridAutomaton, recording: Recording) -> HybridAuto
 
 
 def without_superseded(automaton: HybridAutomaton) -> HybridAutomaton:
-    """The automaton without neutral `follow` where another effect says how a coordinate follows places."""
+    """The automaton without neutral `follow` effects that another position effect of the coordinate replaces."""
     following = [effect for effect in automaton.effects if form(effect.name).layer == "place"]
     known = {effect.coordinate for effect in following if not is_as_commanded(effect)}
     superseded = [effect for effect in following if is_as_commanded(effect) and effect.coordinate in known]

@@ -28,7 +28,7 @@ class Gain(EffectForm):
         return p[0] * v
 
     def begun(self, data: Shown) -> FitStart | None:
-        """Also where steps say by themselves: commands may be in millimetres."""
+        """Start at 0.9 and at the regression of steps on commands: commands may be in millimetres."""
         starts = data.counted_starts[:, :-1]
         u, moved = data.u[:, :-1][starts], np.diff(data.z, axis=1)[starts]
         regressed = float(u @ moved) / max(float(u @ u), ROUND_OFF)
@@ -93,7 +93,7 @@ class Saturation(EffectForm):
 
 @final
 class DeadZone(EffectForm):
-    """v -> 0 for |v| <= width, else v less `lost` times the width."""
+    """v -> 0 for |v| <= width, else |v| minus `lost` times the width, with the sign of v."""
 
     name = "dead_zone"
     sentence = "Commands smaller than a threshold move nothing (dry friction); larger ones may lose as much."

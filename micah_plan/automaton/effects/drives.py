@@ -1,4 +1,4 @@
-"""A machine that is told how fast to go: valve or motor with a neutral, a dead zone, a curve, and a lag."""
+"""Speed-controlled machines: a valve or motor with a neutral, a dead zone, a curve, and a lag."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _SLOWEST = 0.95
 
 @final
 class Drive(EffectForm):
-    """Commands set a speed, which the part gets to as a system of first order (time constant `lag` in steps):
+    """Speed commands: the part's speed follows with a first-order lag (time constant `lag` in steps):
 
     e = v - neutral, b = sign(e) max(|e| - width, 0), w = gain b (1 + curve |b|), or gain b / (1 - curve |b|) if the
     curve is negative, and `backward` times that if it leads backward, at most `speed` in size; ds/dt = (w - s) / lag,
@@ -83,7 +83,7 @@ class Drive(EffectForm):
             return limited(ops, ops.maximum(speed, 0.0) + backward * ops.minimum(speed, 0.0), most)
 
         def driven(speed: Value, to: Value, share: Value) -> tuple[Value, Value]:
-            """Way and speed after a share of a step."""
+            """(displacement, speed) after a fraction of a step."""
             kept = left_after(ops, share, lag)
             return share * to + lag * (1.0 - kept) * (speed - to), to + kept * (speed - to)
 
@@ -95,7 +95,7 @@ class Drive(EffectForm):
         return first + second, (speed,)
 
     def begun(self, data: Shown) -> FitStart | None:
-        """At what least squares of steps tell of gain and delay; lags, dead zones and limits of several sizes."""
+        """Gain and delay from a regression of steps, combined with several lags, dead zones and limits."""
         gain, delay = _regressed(data)
         size, fastest = data.command_size, max(step_sizes(data, _FASTEST), default=data.command_size)
         tried = product(_LAGS, sorted({0.0, delay}), (0.0, *command_sizes(data, *_WIDTHS)), _LIMITS)
@@ -105,7 +105,7 @@ class Drive(EffectForm):
 
 
 def _regressed(data: Shown) -> tuple[float, float]:
-    """Gain and whole delay [steps] by least squares of steps on earlier commands, the steps before, and a constant."""
+    """Gain and whole delay [steps] by regression of steps on earlier commands, earlier steps, and a constant."""
     steps = np.diff(data.z, axis=1)
     counts = data.counted_starts[:, :-1]
     longest = max(min(LONGEST_DELAY, steps.shape[1] - 3), 0)

@@ -1,4 +1,4 @@
-"""Effects on where motion ends and begins. An automaton takes them in by moving its guards, and what they bound."""
+"""Effects on ends of motion, realised as changes of an automaton's guards and invariants."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Limit(EffectForm):
         return low, high
 
     def rebuilt(self, automaton: HybridAutomaton, coordinate: int, p: Sequence[float]) -> HybridAutomaton:
-        """Its own end moved there, or new clamps where it has none."""
+        """The automaton with its end moved there, or with new clamps where it has none."""
         end = range_of(automaton, coordinate)[p[1] > 0]
         if math.isfinite(end):
             return with_end_moved(automaton, coordinate, end, p[0])
@@ -60,7 +60,7 @@ class Limit(EffectForm):
 
 @final
 class GuardShift(EffectForm):
-    """The threshold at one end of the range, upper (side 1) or lower (side -1), lies elsewhere."""
+    """The threshold at one end of the range, upper (side 1) or lower (side -1), is shifted."""
 
     name = "guard_shift"
     sentence = "The threshold at which the motion changes lies elsewhere than in the model."
@@ -90,7 +90,7 @@ class GuardShift(EffectForm):
 
 @final
 class GuardHysteresis(EffectForm):
-    """An end that was reached is left only by a command larger than `width`.
+    """A reached end is left only by a command larger than `width`.
 
     Of a coordinate that modes hold at ends of its range, those ends; of one that none holds, every end, which then has
     a mode that holds it there.
@@ -120,7 +120,7 @@ class GuardHysteresis(EffectForm):
         return mapped(automaton, edge=edge)
 
     def begun(self, data: Shown) -> FitStart | None:
-        """Only where the part may cling to an end, and the recording gets there."""
+        """Starts only where the part may be held at an end that the recording reaches."""
         low, high = data.visited
         reach = 0.05 * (high - low)
         clings = (data.clings[0] and low < data.lower + reach) or (data.clings[1] and high > data.upper - reach)
@@ -129,22 +129,22 @@ class GuardHysteresis(EffectForm):
 
 
 def range_of(automaton: HybridAutomaton, coordinate: int) -> tuple[float, float]:
-    """(low, high) over which some mode moves a coordinate; infinite where nothing ends it."""
+    """(low, high) over which some mode moves a coordinate; infinite where unbounded."""
     moving = [mode.invariant.interval(coordinate) for mode in automaton.modes if mode.driven[coordinate]]
     return (min(low for low, _ in moving), max(high for _, high in moving)) if moving else (0.0, 0.0)
 
 
 def is_held(automaton: HybridAutomaton, coordinate: int, end: float) -> bool:
-    """Whether a mode holds a coordinate at an end of its range; else that is only how far it was seen to go."""
+    """Whether a mode holds a coordinate at an end of its range; otherwise that end is only the farthest row seen."""
     pins = (pin for mode in automaton.modes for pin in mode.pins)
     return any(pin.coordinate == coordinate and abs(pin.value - end) <= EQUAL for pin in pins)
 
 
 def with_end_moved(automaton: HybridAutomaton, i: int, old: float, new: float) -> HybridAutomaton:
-    """The automaton with one end of a coordinate's range elsewhere, and what is pinned there with it."""
+    """The automaton with one end of a coordinate's range moved, together with the pins there."""
 
     def moved(region: Region, *, all_of_it: bool = False) -> Region:
-        """The region with its half-spaces on the coordinate alone moved, if they are at the old end."""
+        """The region with the half-spaces on the coordinate alone moved, if they are at the old end."""
         return region.mapped(lambda h: _moved(h, i, new - old, None if all_of_it else old))
 
     def moved_mode(mode: Mode) -> Mode:
@@ -170,7 +170,7 @@ def with_end_moved(automaton: HybridAutomaton, i: int, old: float, new: float) -
 
 
 def _moved(half_space: HalfSpace, i: int, by: float, at: float | None) -> HalfSpace:
-    """A half-space that limits coordinate i alone, moved if its limit is at a value (None: wherever it is).
+    """A half-space on coordinate i alone, moved if its limit is at a value (None: at any).
 
     A label that ends with the threshold says the new one; labels that people chose stay.
     """

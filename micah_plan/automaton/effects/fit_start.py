@@ -1,4 +1,4 @@
-"""What a recording shows of one coordinate, and where a form says that fitting should begin on it."""
+"""Data of one coordinate, and the starting values that a form proposes for a fit to it."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Shown(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FitStart:
-    """Where fitting begins: several starts, of which the best goes on.
+    """Starting values of a fit, of which the best is refined.
 
     Attributes:
         values: (M, parameters) all parameters of each start; those that are not free differ between starts only.
@@ -81,20 +81,20 @@ class FitStart:
 
 @dataclass(frozen=True)
 class Same:
-    """Another effect that does exactly the same on a recording, if its first parameter is below a size."""
+    """An equivalent effect on a recording, if its first parameter is below a bound."""
 
     name: str
     below: float = float("inf")
 
 
 def step_sizes(data: Shown, *shares: float) -> list[float]:
-    """Quantiles of the sizes of the measured steps [rad or m]; none if nothing moved."""
+    """Quantiles of the sizes of measured steps [rad or m]; empty if there was no motion."""
     sizes = np.abs(np.diff(data.z, axis=1)[data.counted_starts[:, :-1]])
     return [float(q) for q in np.quantile(sizes, shares) if q > ROUND_OFF] if sizes.size else []
 
 
 def command_sizes(data: Shown, *shares: float) -> list[float]:
-    """Quantiles of the sizes of the commands that are no rest [rad or m]; none if all are."""
+    """Quantiles of the sizes of nonzero commands [rad or m]; empty if there are none."""
     sizes = np.abs(data.u[data.counted_starts])
     sizes = sizes[sizes > _AT_REST * data.command_size]
     return [float(q) for q in np.quantile(sizes, shares)] if sizes.size else []

@@ -1,4 +1,4 @@
-"""Effects that add to a motion by where the part is, and the smooth correction without a name."""
+"""Effects that add a motion depending on the configuration, including the unnamed correction."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Spring(EffectForm):
 
 @final
 class Gravity(EffectForm):
-    """along + sine sin c + cosine cos c: the pull of gravity along the motion; `along` for slides, else 0."""
+    """along + sine sin c + cosine cos c: gravity along the motion; only `along` for slides."""
 
     name = "gravity"
     sentence = "The joint sags under its weight, by an amount that depends on where it is."
@@ -63,13 +63,13 @@ class Gravity(EffectForm):
         return FitStart([[0.0, 0.0]], (0, 1), [0.3 * data.command_size] * 2)
 
     def same_as(self, data: Shown) -> Same | None:
-        """Along a slide gravity is a bias."""
+        """A bias, for slides."""
         return None if data.unit == "rad" else Same("bias")
 
 
 @final
 class Latch(EffectForm):
-    """-strength x exp((1 - x²) / 2) with x = (c - at) / reach: the pull is largest, `strength`, `reach` away."""
+    """-strength x exp((1 - x²) / 2) with x = (c - at) / reach: the largest pull, `strength`, is at distance `reach`."""
 
     name = "latch"
     sentence = "Close to one configuration the joint is drawn to it, as by a magnet or a ball catch."
@@ -97,7 +97,7 @@ class Latch(EffectForm):
 
 @final
 class Unexplained(EffectForm):
-    """A smooth correction without a name: bumps over the configuration, alone and times the command.
+    """A smooth unnamed correction: radial basis functions of the configuration, alone and times the command.
 
     Parameters: `low` end and `width` of the range, `scale` of a command, `square`, `size` and `side` (factors of
     v |v| / scale, |v| and tanh(v / scale)), then `push_1..` and `gain_1..` of the bumps.

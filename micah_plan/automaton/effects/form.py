@@ -1,5 +1,4 @@
-"""What a form of effect is: parameters, units, a sentence, a source, and one formula that NumPy and CasADi both
-evaluate.
+"""Forms of effects: parameters, units, description, source, and one formula for NumPy and CasADi.
 
 A formula is written with the functions of an `Operations` namespace. `numpy` is one; `symbolic.compiled` has the one
 for CasADi expressions. So the identification, the transition of the automaton and the compiled functions cannot
@@ -48,7 +47,7 @@ _LARGE = 0.3
 
 
 class InForce(NamedTuple):
-    """What was commanded a while ago and acts in a step.
+    """Delayed commands in force during a step.
 
     Attributes:
         newer, older: displacements or places; `late` of the step has the older one, and then the newer.
@@ -95,7 +94,7 @@ class Parameter:
 
     @property
     def is_limit(self) -> bool:
-        """Whether it is a limit, of which there may be none."""
+        """Whether the parameter is an optional limit."""
         return self.neutral == float("inf")
 
     def unit_for(self, coordinate_unit: str) -> str:
@@ -104,7 +103,7 @@ class Parameter:
 
 
 class EffectForm:
-    """Base of all forms: every hook passes on what it gets. Subclasses are final and hold no state.
+    """Base of all forms, with identity hooks; subclasses are final and stateless.
 
     Class attributes:
         name: unique in the registry.
@@ -141,21 +140,21 @@ class EffectForm:
 
     @classmethod
     def options(cls) -> dict[str, float]:
-        """The parameters that may be left out, with the values that they have then."""
+        """Optional parameters with their default values."""
         return {each.name: each.neutral for each in cls.parameters if each.is_optional and each.neutral is not None}
 
     @classmethod
     def stated(cls, values: Iterable[tuple[str, float]]) -> list[str]:
-        """The names of parameters (name, value) that are not left out in files and reports: all but neutral options."""
+        """Names of the parameters (name, value) to write: all but neutral options."""
         options = cls.options()
         return [name for name, value in values if name not in options or value != options[name]]
 
     def begun(self, data: Shown) -> FitStart | None:
-        """Where its fit begins on a recording; None if that cannot show it."""
+        """Starting values of a fit to a recording; None if it cannot show the effect."""
         return self.from_neutral(data)
 
     def from_neutral(self, data: Shown) -> FitStart:
-        """Start at the neutral values, or in the middle of the bounds; what is large is a command, or 0.3."""
+        """Start at the neutral values or the middle of the bounds, with scales from the commands, else 0.3."""
         values, scale = [], []
         for parameter in self.parameters:
             large = data.command_size if parameter.unit.startswith("coordinate") else _LARGE
@@ -165,7 +164,7 @@ class EffectForm:
         return FitStart([values], tuple(range(len(values))), scale)
 
     def same_as(self, data: Shown) -> Same | None:
-        """Another effect that does exactly the same on such a recording, and is tried in its place."""
+        """An equivalent effect on such a recording, which is fitted instead; None if there is none."""
         return None
 
     def frame_command(self, ops: Operations, action: Values, direction: Values, p: Values) -> Value:
@@ -177,7 +176,7 @@ class EffectForm:
         return ()
 
     def remember(self, ops: Operations, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
-        """(command that comes out, memory after) of a command v."""
+        """(output command, next memory) for a command v."""
         return v, memory
 
     def at_rest_in(self, c: Value, p: Values) -> Memory:
@@ -185,19 +184,19 @@ class EffectForm:
         return self.at_rest(p)
 
     def in_motion(self, c: Value, step: Value, p: Values) -> Memory:
-        """The memory of a part that has just moved by a step to configuration c; without what of it is not known."""
+        """The memory of a part that has just moved by a step to configuration c, as far as it is determined."""
         return self.at_rest_in(c - step, p)
 
     def respond(self, ops: Operations, c: Value, v: Value, memory: Memory, p: Values) -> tuple[Value, Memory]:
-        """(command that comes out, memory after) at configuration c of a command that leads to the place c + v."""
+        """(output command, next memory) at configuration c for a command to the position c + v."""
         return self.remember(ops, v, memory, p)
 
     def commanded_at_rest(self, c: Value, p: Values) -> Value:
-        """What was commanded before, if the part rests in configuration c: the displacement, or the place."""
+        """The earlier command if the part rests in configuration c: a displacement, or a position."""
         return 0.0
 
     def remember_late(self, ops: Operations, sent: InForce, memory: Memory, p: Values) -> tuple[Value, Memory]:
-        """(command that comes out, memory after, but for the commands that are kept) of commands that act late."""
+        """(output command, next memory) of delayed commands, without the delay line."""
         return sent.newer, memory
 
     def respond_late(self, ops: Operations, c: Value, sent: InForce, memory: Memory, p: Values) -> tuple[Value, Memory]:
@@ -225,5 +224,5 @@ class EffectForm:
         return c
 
     def rebuilt(self, automaton: HybridAutomaton, coordinate: int, p: Sequence[float]) -> HybridAutomaton:
-        """The automaton with what the effect changes in its guards and joints; itself if that is nothing."""
+        """The automaton with the effect on guards and joints applied; unchanged if there is none."""
         return automaton

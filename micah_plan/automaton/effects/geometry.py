@@ -46,7 +46,7 @@ class FrameRotation(EffectForm):
         return turned[0] * direction[0] + turned[1] * direction[1] + turned[2] * direction[2]
 
     def begun(self, data: Shown) -> FitStart | None:
-        """Only where actions across the joint have a life of their own.
+        """Starts only where actions across the joint vary independently.
 
         A small turn adds to each command a share of the action across the joint. Where that follows the command along
         it (a hand that always pushes at one angle, the chord of a long step) it adds what a gain or a saturation would.
@@ -64,7 +64,7 @@ class FrameRotation(EffectForm):
         return FitStart(np.vstack([0.4 * np.eye(3), -0.4 * np.eye(3)]), (0, 1, 2), [0.3] * 3)
 
     def same_as(self, data: Shown) -> Same | None:
-        """A gain, if nothing is told across the joint: turned along it, actions can say no more than they are long."""
+        """A gain, unless commands across the joint are informative: a rotation along the joint only scales commands."""
         if data.action is None or self.begun(data) is not None:
             return None
         rows = data.counted_starts
@@ -76,7 +76,7 @@ class FrameRotation(EffectForm):
 
 @final
 class ScrewPitch(EffectForm):
-    """The part also moves along the axis of rotation, by `pitch` more per rad than the model says."""
+    """The part also moves along the axis of rotation, by an additional `pitch` per rad."""
 
     name = "screw_pitch"
     sentence = "The part moves along its axis of rotation while it turns."
@@ -90,7 +90,7 @@ class ScrewPitch(EffectForm):
 
 @final
 class AxisOffset(EffectForm):
-    """The axis of rotation lies elsewhere: `offset_1`, `offset_2` along the directions of `joint.axis_basis`."""
+    """The axis of rotation is displaced by `offset_1`, `offset_2` along the directions of `joint.axis_basis`."""
 
     name = "axis_offset"
     sentence = "The axis of rotation lies beside the one of the model."
@@ -103,7 +103,7 @@ class AxisOffset(EffectForm):
 
 
 def _turned_about(joint: Joint, by: Sequence[float] = (0.0, 0.0), pitch: float = 0.0) -> Joint:
-    """A turning joint with its axis moved [m] along `axis_basis`, and more pitch [m/rad]; others as they are."""
+    """A rotating joint with its axis displaced [m] along `axis_basis`, and additional pitch [m/rad]."""
     if not joint.turns:
         return joint
     center = np.array(joint.center) + np.array(by) @ axis_basis(joint.axis)
@@ -113,7 +113,7 @@ def _turned_about(joint: Joint, by: Sequence[float] = (0.0, 0.0), pitch: float =
 
 
 def rigid_at(moving: Joint, c: float, before: Joint) -> Joint:
-    """A rigid joint that stands for configuration c, where a moving one leads; `before` if nothing moves there."""
+    """A rigid joint at configuration c of a moving one; `before` if the joint does not move."""
     if not moving.moves:
         return replace(before, fixed_at=c)
     from micah_plan.automaton.kinematics import forward  # SciPy's transforms take long to load
@@ -123,7 +123,7 @@ def rigid_at(moving: Joint, c: float, before: Joint) -> Joint:
 
 
 def _with_joints(automaton: HybridAutomaton, coordinate: int, change: Callable[[Joint], Joint]) -> HybridAutomaton:
-    """The automaton with the joints of a coordinate changed, and rigid ones where the changed motion leads."""
+    """The automaton with the joints of a coordinate changed, including rigid ones at the changed motion's ends."""
 
     def changed(number: int, joint: Joint) -> Joint:
         if automaton.links[number].coordinate != coordinate:

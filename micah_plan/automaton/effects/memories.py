@@ -1,4 +1,4 @@
-"""Effects on a command that remember earlier ones, and commands that are places."""
+"""Effects with memory of earlier commands, and position commands."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ _SHORTEST = 1e-3  # steps: of a shorter lag nothing is left after a step
 
 
 def is_constant(value: Value) -> bool:
-    """Whether it is no expression and no array."""
+    """Whether a value is a number rather than an expression or an array."""
     return isinstance(value, float | int)
 
 
 def in_force(value: Value, kept: Memory, delay: float) -> tuple[InForce, Memory]:
-    """What acts `delay` steps after it was commanded, and what is kept then, the newest first."""
+    """(commands in force after `delay` steps, kept commands) with the newest first."""
     sent, whole = (value, *kept), int(delay)
     return InForce(sent[whole], sent[math.ceil(delay)], delay - whole), sent[:-1]
 
 
 def left_after(ops: Operations, steps: Value, lag: Value) -> Value:
-    """Share that a system of first order has not made up for after so many steps, with a time constant in steps."""
+    """Remaining fraction of a first-order response after so many steps, with the time constant in steps."""
     return ops.exp(-steps / ops.maximum(lag, _SHORTEST))
 
 
 def beyond_zone(ops: Operations, value: Value, width: Value) -> Value:
-    """What a value has beyond a dead zone, either way."""
+    """Soft threshold: the part of a value beyond a symmetric dead zone."""
     return ops.maximum(value - width, 0.0) + ops.minimum(value + width, 0.0)
 
 
@@ -93,7 +93,7 @@ class Lag(EffectForm):
 
 @final
 class Ramp(EffectForm):
-    """A drive whose steps change by at most so much: out_t = out_(t-1) + the change to v_t, cut to `change`."""
+    """A drive with limited change per step: out_t = out_(t-1) + the change to v_t, clipped to `change`."""
 
     name = "ramp"
     sentence = "The drive speeds up and slows down by at most so much per step, however the command changes."
@@ -125,7 +125,7 @@ class Ramp(EffectForm):
 
 @final
 class Backlash(EffectForm):
-    """Play of a width between drive and part; the memory is where the drive is within it.
+    """Backlash of a given width between drive and part; the memory is the drive's position within it.
 
     `side` says where it is at first: -1 and 1 at the ends (1: a positive command moves the part at once), 0 in the
     middle.
@@ -156,7 +156,7 @@ class Backlash(EffectForm):
 
 @final
 class StickSlip(EffectForm):
-    """What is commanded adds up while the part sticks, and arrives at once when it is more than a grip."""
+    """Commands accumulate while the part sticks; above the grip the sum is carried out at once."""
 
     name = "stick_slip"
     sentence = "The part sticks until what was commanded has added up, and then makes up for it at once."
@@ -176,7 +176,7 @@ class StickSlip(EffectForm):
         return gone, (wound - gone,)
 
     def begun(self, data: Shown) -> FitStart | None:
-        """The best of many grips: with a wrong one the part lets go in other rows, and nothing leads to the right."""
+        """The best of many grips: the loss has many local minima, since the part slips in other rows."""
         grip = np.geomspace(0.2, 10.0, 200)[:, None] * data.command_size
         memory, missed = self.at_rest((grip,)), np.zeros(len(grip))
         for t in range(data.z.shape[1] - 1):
@@ -187,7 +187,7 @@ class StickSlip(EffectForm):
 
 @final
 class Follow(EffectForm):
-    """Commands are places r_t = c_t + v_t, and the part goes after them, wherever it is:
+    """Position servo: commands are positions r_t = c_t + v_t that the part follows from any configuration:
 
     w_t = momentum (c_t - c_(t-1)) + the mean of z(gain r + offset - c_t) over the step, r being `delay` steps old,
     z(e) = sign(e) min(share max(|e| - width, 0), pull, the step from which `acceleration` stops it within that way),
@@ -258,17 +258,17 @@ class Follow(EffectForm):
 
 
 def is_limited(most: Value) -> bool:
-    """Whether a parameter is a limit: an expression or an array may be one, infinity is none."""
+    """Whether a parameter is a limit: expressions and arrays may be, infinity is not."""
     return not (is_constant(most) and math.isinf(most))
 
 
 def limited(ops: Operations, value: Value, most: Value) -> Value:
-    """A value that is at most so large, either way."""
+    """A value clipped to [-most, most]."""
     return ops.maximum(ops.minimum(value, most), -most) if is_limited(most) else value
 
 
 def _in_time(ops: Operations, way: Value, acceleration: Value) -> Value:
-    """The largest of steps that get less by `acceleration` each, and lead no farther than a way together."""
+    """The largest first step from which steps that shrink by `acceleration` each cover at most a distance."""
     half = 0.5 * acceleration
     return ops.sqrt(half * half + 2.0 * acceleration * way) - half
 
@@ -278,5 +278,5 @@ AS_COMMANDED = tuple((parameter.name, float(parameter.neutral or 0.0)) for param
 
 
 def is_as_commanded(effect: Effect) -> bool:
-    """Whether an effect only says that commands are places, and nothing of how the part gets there."""
+    """Whether an effect only declares commands to be positions, without servo dynamics."""
     return effect.name == Follow.name and effect.parameters == AS_COMMANDED and effect.since is None

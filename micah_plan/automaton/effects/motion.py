@@ -1,4 +1,4 @@
-"""The displacement of one step with the effects of a mode in it, on floats, arrays or CasADi expressions."""
+"""Displacement of one step with the effects of a mode, for floats, arrays or CasADi expressions."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class CoordinateMotion:
 
 @memoised
 def motions(automaton: HybridAutomaton, mode: Mode) -> dict[int, CoordinateMotion]:
-    """The motion of each coordinate (by index) that the mode leaves free and effects without a memory change in it."""
+    """Motions of the free coordinates (by index) that memoryless effects change in a mode."""
     gains = {}
     for index in np.flatnonzero(mode.free).tolist():
         name = automaton.coordinate_names[index]

@@ -1,4 +1,4 @@
-"""The forms by name. `register` adds your own, a class with one formula: see `form.EffectForm`."""
+"""Registry of forms. `register` adds your own, a class with one formula: see `form.EffectForm`."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def forms() -> tuple[EffectForm, ...]:
 
 
 def register(new: EffectForm) -> EffectForm:
-    """Add a form; automata, files, prediction and calibration then know it.
+    """Add a form for automata, files, prediction and calibration.
 
     Raises:
         InputError: if its name is taken or its description is incomplete.
@@ -50,6 +50,6 @@ def register(new: EffectForm) -> EffectForm:
 
 
 def unregister(name: str) -> None:
-    """Take out a form that `register` added."""
+    """Remove a form that `register` added."""
     if name not in {form_class.name for form_class in _LIBRARY}:
         _FORMS.pop(name, None)

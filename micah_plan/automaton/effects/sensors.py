@@ -1,4 +1,4 @@
-"""Effects on what is read of a configuration: straight lines in it, so that they can be taken out of logs."""
+"""Effects on sensor readings: affine functions of the configuration, which can be removed from logs."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class SensorScale(EffectForm):
         return p[0] * c
 
     def begun(self, data: Shown) -> FitStart | None:
-        """From both sides: with a wrong one, rows at an end of the range are far off whatever the noise."""
+        """Start on both sides of 1: with a wrong scale, rows at an end of the range are far off under any noise."""
         return FitStart([[0.9], [1.0], [1.1]], (0,), [0.3])
 
     def same_as(self, data: Shown) -> Same | None:
-        """Only at an end of the range can sensor and motion be told apart."""
+        """A gain, unless an end of the range is visited, where sensor and motion errors differ."""
         return None if data.visits_end() else Same("gain")
 
 
@@ -73,5 +73,5 @@ class Drift(EffectForm):
         return FitStart([[0.0]], (0,), [0.3 * data.command_size / data.period])
 
     def same_as(self, data: Shown) -> Same | None:
-        """Only at an end of the range can sensor and motion be told apart."""
+        """A bias, unless an end of the range is visited, where sensor and motion errors differ."""
         return None if data.visits_end() else Same("bias")

@@ -1,4 +1,4 @@
-"""An effect as a value, and what it remembers as a part of an automaton's state."""
+"""An effect as a value, and its memory as part of an automaton's state."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Since:
-    """From when on an effect acts in the recording in which it was seen; in plans and executions it always does.
+    """Onset of an effect in the recording that showed it; plans and executions always include the effect.
 
     Attributes:
         time: since the start of a run [s].
@@ -46,17 +46,17 @@ class Effect:
 
     @property
     def values(self) -> tuple[float, ...]:
-        """The parameters without their names."""
+        """The parameter values."""
         return tuple(value for _, value in self.parameters)
 
     def acts_in(self, mode: str) -> bool:
-        """Whether it acts in the mode of that name."""
+        """Whether the effect acts in a mode."""
         return not self.modes or mode in self.modes
 
 
 @dataclass(frozen=True)
 class InputMemory:
-    """What an effect remembers of one input: `size` values that follow one another in a state.
+    """Memory of an effect on one input: `size` consecutive values of a state.
 
     Attributes:
         effect: acts on the input on its way to the modes.
@@ -75,5 +75,5 @@ class InputMemory:
 
     @property
     def coordinates(self) -> slice:
-        """Where its values are in the state."""
+        """Slice of the memory's values in the state."""
         return slice(self.first, self.first + self.size)

@@ -1,4 +1,4 @@
-"""A robot in a MuJoCo world: its file read by MuJoCo, motors at the joints of its arm, and the arm as a carrier."""
+"""A robot in a MuJoCo world: its file loaded by MuJoCo, motors at its joints, and the arm as a carrier."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def attach_arm(
     posture: Floats | None,
     fingers: Collection[str] = (),
 ) -> Callable[[PhysicalPlant], Carrier]:
-    """Put a problem's robot into a world, with a position-controlled motor at each joint of its arm.
+    """Add a problem's robot to a world, with a position-controlled motor at each joint of its arm.
 
     The motors bear the robot's own weight, as those of real arms do, within the efforts that its file states.
 
@@ -89,10 +89,10 @@ def attach_arm(
 
 
 class ArmCarrier(Carrier):
-    """Drives the arm's joints to where continuous inverse kinematics puts the hand, whose orientation it keeps."""
+    """Moves the hand by the arm's joints with continuous inverse kinematics at constant orientation."""
 
     def __init__(self, plant: PhysicalPlant, arm: Arm, grasp: Grasp, posture: Floats) -> None:
-        """Args: posture: (J,) from which the start is sought."""
+        """Args: posture: (J,) start of the search for initial joints."""
         super().__init__(plant, [_ROBOT + name for name in arm.joints])
         self._arm, self._posture = arm, posture
         self._grasp, self._from_tool = grasp.pose.as_matrix(), grasp.pose.inv().as_matrix()
@@ -135,7 +135,7 @@ class ArmCarrier(Carrier):
         return reached.q
 
     def _damp(self) -> None:
-        """Critical damping of every joint for the inertia that it has in this posture."""
+        """Set critical damping of every joint for its inertia in this posture."""
         mujoco, model, data = self._plant.mujoco, self._plant.model, self._plant.data
         mujoco.mj_forward(model, data)
         for name, motor in zip(self._arm.joints, self._motors, strict=True):

@@ -1,4 +1,4 @@
-"""What both plants share: a world in MuJoCo is stepped, latches catch and open, and a tracker sees the parts."""
+"""Core of both MuJoCo plants: stepping a world, latches, and a tracker of the parts."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _SCALAR_LAST = [1, 2, 3, 0]
 
 
 def check_stable(mujoco: ModuleType | Any, data: Any) -> None:
-    """Refuse to go on after a step that diverged: MuJoCo then resets to its initial state.
+    """Raise an error after a diverged step, at which MuJoCo resets its state.
 
     Raises:
         InputError: if positions, velocities or accelerations became huge.
@@ -39,7 +39,7 @@ def check_stable(mujoco: ModuleType | Any, data: Any) -> None:
 
 
 class PhysicalPlant:
-    """A world that is stepped, the latches in it, and the tracker that sees it: what plants in MuJoCo build on.
+    """A stepped world with latches and a tracker: the base of plants in MuJoCo.
 
     Most of the time nothing happens that the engine does not know of, and it can take many steps alone: it leaps. What
     its sensors showed in every one of them is looked at afterwards, so nothing is missed. Where something happened it
@@ -61,7 +61,7 @@ class PhysicalPlant:
         joints: Sequence[WorldJoint] = (),
         prefix: str = "",
     ) -> None:
-        """Args: model: the compiled world; joints: that show coordinates; prefix: what their names begin with there."""
+        """Args: model: the compiled world; joints: that show coordinates; prefix: of their names in the world."""
         self.automaton, self.parameters = automaton, parameters
         self.mujoco = import_mujoco()
         self.model, self.data = model, self.mujoco.MjData(model)
@@ -82,7 +82,7 @@ class PhysicalPlant:
         self.model = self.data = None
 
     def _set_pace(self, longest_step: float) -> None:
-        """Divide the control step into equal physics steps of at most this length [s]."""
+        """Divide the control step into equal physics steps of at most `longest_step` [s]."""
         period = self.parameters.control_period
         steps = math.ceil(period / longest_step)
         self._moving_steps = max(1, round(steps * self.parameters.motion_share))
@@ -98,7 +98,7 @@ class PhysicalPlant:
             latch.armed = True
 
     def _begin(self, rng: np.random.Generator) -> None:
-        """A trial starts from the state that `data` has been given, with a new tracker."""
+        """Start a trial from the state of `data`, with a new tracker."""
         self.mujoco.mj_forward(self.model, self.data)
         parameters = self.parameters
         noise = TrackerNoise(
@@ -112,7 +112,7 @@ class PhysicalPlant:
         self._calm, self._reach = _CALM, _SHORTEST_LEAP
 
     def _show(self, x: Floats) -> Flags:
-        """Set what joints show in a configuration (n,); (n,) whether a latch holds a coordinate."""
+        """Write the shown joints into a configuration (n,); returns (n,) whether a latch holds each coordinate."""
         latched = np.zeros(len(x), dtype=bool)
         for joint, address in self._shown:
             if joint.is_shown:
@@ -126,13 +126,13 @@ class PhysicalPlant:
         return self.data.xpos[bodies].copy(), np.where(quaternion[:, 3:] < 0, -quaternion, quaternion)
 
     def _seen(self, position: Floats, quaternion: Floats, elapsed: float) -> tuple[Floats, Floats]:
-        """The tracker's measurement of true poses, (l, 3) [m] and (l, 4), a time [s] after its last one."""
+        """The tracker's measurement of true poses, (l, 3) [m] and (l, 4), `elapsed` [s] after its last one."""
         if self._tracker is None:  # `_begin` makes it before anything is measured
             raise RuntimeError("measure before reset")
         return self._tracker.measure(position, quaternion, elapsed)
 
     def _run(self, controls: Floats) -> None:
-        """One control step, under one row of controls (steps, nu) in each step.
+        """One control step under controls (steps, nu), one row per physics step.
 
         Raises:
             InputError: if the physics became unstable.
@@ -148,7 +148,7 @@ class PhysicalPlant:
         check_stable(self.mujoco, self.data)
 
     def _leap(self, controls: Floats, begin: int) -> int:
-        """Take steps from number `begin` on, up to the first in which something happens; the number of that one."""
+        """Step from number `begin` to the first event; returns its number."""
         mujoco, model, data = self.mujoco, self.model, self.data
         everything = int(mujoco.mjtState.mjSTATE_INTEGRATION)
         before = np.empty(mujoco.mj_stateSize(model, everything))
@@ -173,7 +173,7 @@ class PhysicalPlant:
         return begin + length
 
     def _free_steps(self, controls: Floats) -> Floats:
-        """Take steps under controls (k, nu), all else staying as it is; it may end early, but takes one at least.
+        """Step under controls (k, nu), with all else constant; it may end early, after at least one step.
 
         Returns:
             (taken, sensors) what the sensors showed: places as a step began, forces and contacts in it.
@@ -205,7 +205,7 @@ class PhysicalPlant:
         return np.asarray(measured[0, :taken])
 
     def _careful_step(self, number: int) -> bool:
-        """Take step `number` of this control step whatever happens in it; whether anything did."""
+        """Take step `number` of this control step with all events handled; returns whether there was one."""
         happened = self._follow()
         self.mujoco.mj_step1(self.model, self.data)
         happened |= self._limit_hands()
@@ -224,61 +224,59 @@ class PhysicalPlant:
         return self._look() or happened
 
     def _suspects(self, measured: Floats) -> Flags:
-        """(k,) whether there is something to look at, of which the engine does not know, in steps in which the sensors
-        showed (k, sensors)."""
+        """(k,) whether sensors (k, sensors) of steps indicate an event that the engine does not handle."""
         return np.zeros(len(measured), dtype=bool)
 
     def _pull(self, _latch: LatchState, _begin: int, measured: Floats) -> Floats:
-        """(k,) static pull of the hand on a latch's joint in the steps from `begin` on [N m or N]."""
+        """(k,) static pull of the hand on a latch's joint in the steps from `begin` [N m or N]."""
         return np.zeros(len(measured))
 
     def _follow(self) -> bool:
-        """Change the world before a careful step; whether that was necessary."""
+        """Update the world before a careful step; returns whether anything changed."""
         return False
 
     def _limit_hands(self) -> bool:
-        """Change the controls in the middle of a careful step; whether that was necessary."""
+        """Limit the controls within a careful step; returns whether anything changed."""
         return False
 
     def _look(self) -> bool:
-        """Look at what happened in a careful step; whether anything did."""
+        """Check the state after a careful step; returns whether there was an event."""
         return False
 
 
 class Carrier:
-    """Moves the hand by motors that bring joints to positions: three slides here, in `ArmCarrier` those of an arm.
+    """Moves the hand by position-controlled joints: three slides here, those of an arm in `ArmCarrier`.
 
     Attributes:
         complaint: why it could not go where it was told to since it was put; empty if it could.
     """
 
     def __init__(self, plant: PhysicalPlant, joints: Sequence[str]) -> None:
-        """Args: names of joints in the world, which are those of their motors too."""
+        """Args: names of joints in the world, which equal those of their motors."""
         self._plant, self.complaint = plant, ""
         self._address = [int(plant.model.joint(name).qposadr[0]) for name in joints]
         self._motors = [int(plant.model.actuator(name).id) for name in joints]
 
     @property
     def joints(self) -> Floats | None:
-        """(J,) what the encoders of an arm say now [rad or m]; None without one."""
+        """(J,) encoder readings of an arm [rad or m]; None without one."""
         return None
 
     def put(self, place: Floats) -> None:
-        """Stand at rest with the hand at a place (3,) [m]."""
+        """Place the hand at rest at a position (3,) [m]."""
         self.complaint = ""
         data, joints = self._plant.data, self._reached(place, None, None)
         data.qpos[self._address] = joints
         data.ctrl[self._motors] = joints
 
     def put_like(self, carrier: Carrier) -> None:
-        """Stand as the same carrier of another world does, pressing as hard."""
+        """Copy the state of the same carrier in another world, including its pressing force."""
         self.complaint = carrier.complaint
         self._plant.data.qpos[self._address] = carrier._plant.data.qpos[carrier._address]
         self._plant.data.ctrl[self._motors] = carrier._plant.data.ctrl[carrier._motors]
 
     def orders(self, displacement: Floats, posture: Floats | None) -> Floats:
-        """(steps, nu) controls that move the hand by a displacement (3,) [m] from where it is; an arm near a posture
-        (J,) [rad or m]."""
+        """(steps, nu) controls for a displacement (3,) [m] of the hand; an arm stays near a posture (J,) [rad or m]."""
         plant, begin = self._plant, self._plant.data.qpos[self._address]
         end = self._reached(self._place(begin) + displacement, begin, posture)
         orders = np.tile(plant.data.ctrl, (len(plant.shares), 1))
@@ -286,15 +284,15 @@ class Carrier:
         return orders
 
     def resting(self, order: Floats) -> Floats:
-        """(nu,) controls that keep the hand where it is now, in place of others (nu,)."""
+        """(nu,) controls that hold the hand in place, given the present ones (nu,)."""
         kept = order.copy()
         kept[self._motors] = self._plant.data.qpos[self._address]
         return kept
 
     def _place(self, joints: Floats) -> Floats:
-        """(3,) where the hand is at some joints (J,)."""
+        """(3,) position of the hand at joints (J,)."""
         return joints
 
     def _reached(self, place: Floats, _near: Floats | None, _posture: Floats | None, /) -> Floats:
-        """(J,) joints with the hand at a place: those near some others, with what freedom is left to a posture."""
+        """(J,) joints that place the hand: close to given ones, with the null space used for a posture."""
         return place

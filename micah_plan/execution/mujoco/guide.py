@@ -1,4 +1,4 @@
-"""How a part moves along a path in MuJoCo, which knows hinges and slides only.
+"""Motion along paths in MuJoCo, which offers only hinges and slides.
 
 A runner slides as far as the configuration says. The part has three slides and three hinges, and each is tied to the
 runner by a polynomial, one set of them for every stretch between knots of the path; as the runner goes from one stretch
@@ -28,7 +28,7 @@ RUNS_ALONG = (0.0, 0.0, 1.0)
 
 
 class Guide:
-    """A part's path, as the ties of its six joints to its runner.
+    """A part's path as constraints between its six joints and a runner.
 
     Attributes:
         part: name of its body; the runner's joint has the same.
@@ -47,7 +47,7 @@ class Guide:
         self._stretch = 0
 
     def build(self, world: World, above: Any, body: Any, mass: float) -> Any:
-        """Give a body its six joints beside a runner in the same frame; the runner's body, which has no joint yet.
+        """Add the six joints of a body and a runner in the same frame; returns the runner's body, without joints.
 
         Args:
             body: at its pose at c = 0.
@@ -61,7 +61,7 @@ class Guide:
         return runner
 
     def tie(self, world: World) -> None:
-        """Tie the part's joints to the runner's, and show where the runner is."""
+        """Add the constraints, and show the runner's position."""
         for number in range(6):
             name = f"{self.part}/{number}"
             world.tie(name, self._ties[0, number], self.part, name=name)
@@ -89,7 +89,7 @@ class Guide:
         qpos[self._addresses] = self._ties[self._stretch] @ c ** np.arange(5)
 
     def follow(self, model: Any, c: float) -> bool:
-        """Put in the ties of the stretch with a configuration; whether that is another one."""
+        """Switch to the constraints of the stretch at c; returns whether it changed."""
         stretch = int(self._stretches(np.array(c)))
         changed = stretch != self._stretch or not np.array_equal(
             model.eq_data[self._equalities, :5], self._ties[stretch]
@@ -100,11 +100,11 @@ class Guide:
         return changed
 
     def leaves(self, c: Floats) -> Flags:
-        """(k,) whether configurations are in another stretch than the one that is followed."""
+        """(k,) whether configurations lie outside the active stretch."""
         return np.asarray(self._stretches(c) != self._stretch)
 
     def lever(self, c: float) -> Floats:
-        """(3,) what makes a pull on the handle one on the runner, in the frame of what the part is attached to.
+        """(3,) factor from a force on the handle to one on the runner, in the frame of the parent.
 
         Along the path, and as long as at c = 0: what a latch holds against is a force at the handle.
         """
@@ -112,7 +112,7 @@ class Guide:
         return np.asarray(velocity * (np.linalg.norm(arm) / np.linalg.norm(velocity)))
 
     def _carried(self, mujoco: Any, model: Any) -> float:
-        """What the runner carries at c = 0, where the world is built [kg m^2 per unit of c squared]."""
+        """Effective mass at c = 0 of what the runner moves [kg m^2 per unit of c squared]."""
         data, velocity, momentum = mujoco.MjData(model), np.zeros(model.nv), np.zeros(model.nv)
         mujoco.mj_forward(model, data)
         joints = [int(model.joint(f"{self.part}/{number}").dofadr[0]) for number in range(6)]
@@ -144,13 +144,13 @@ class Guide:
 
 
 def handle_velocity(joint: Joint, handle: Vector3, c: float) -> Floats:
-    """(3,) how a handle [m], in the part's frame, moves with the configuration [m per unit of it]."""
+    """(3,) velocity of a handle [m], in the part's frame, per unit of the configuration."""
     rotation, translation = np.split(jacobian(joint, c)[0], 2)
     return np.asarray(translation + np.cross(rotation, forward(joint, c)[0].rotation.apply(handle)))
 
 
 def _turned_about(joint: Joint, knots: Floats) -> Floats:
-    """(3, 3) axes of the hinges as columns: the first is that about which the part turns most, seen from c = 0."""
+    """(3, 3) axes of the hinges as columns, the first along the part's main rotation, at c = 0."""
     c = np.linspace(knots[0], knots[-1], _AROUND)
     turns = forward(joint, 0.0)[0].rotation.inv() * forward(joint, c).rotation
     steps = (turns[:-1].inv() * turns[1:]).as_rotvec()
@@ -159,6 +159,6 @@ def _turned_about(joint: Joint, knots: Floats) -> Floats:
 
 
 def _angles(turns: Rotation, axes: Floats) -> Floats:
-    """(k, 3) angles of hinges about axes that each turn with the hinges before."""
+    """(k, 3) angles of hinges about successively rotated axes."""
     frame = Rotation.from_matrix(axes)
     return np.asarray((frame.inv() * turns * frame).as_euler("XYZ"))

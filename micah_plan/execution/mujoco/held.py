@@ -91,7 +91,7 @@ class HeldPlant(PhysicalPlant):
         self._hand, *self.parts = [model.body(OBJECT + n).id for n in ("hand", grip.held.name, grip.moving.name)]
 
     def reset(self, rng: np.random.Generator) -> Measurement:
-        """A new trial: a start drawn from the belief; the object's mass and all friction drawn anew."""
+        """Start a trial: a start sampled from the belief, with mass and friction sampled anew."""
         model, data, parts, spread = self.model, self.data, self.parts, self.parameters.spread
         x = sample_start(self.automaton, self.problem.start, rng)[1]
         friction, mass, inertia = self._nominal
@@ -114,7 +114,7 @@ class HeldPlant(PhysicalPlant):
         return self._measure(0.0)
 
     def apply(self, command: Command) -> Measurement:
-        """One control step: the hand's target moves as the input says from where the hand truly is, then rests.
+        """One control step: the hand's target moves by the input from the hand's true position, then rests.
 
         Where it may push with no more than a force, it stops when it does.
         """
@@ -131,7 +131,7 @@ class HeldPlant(PhysicalPlant):
         return self._measure(self.parameters.control_period)
 
     def _guarded(self, orders: Floats, limit: float) -> None:
-        """One control step that ends where the hand is when it begins to push harder than a limit [N]."""
+        """A control step that ends when the hand's force exceeds a limit [N]."""
         before = felt = self._push()[2]
         share = 1.0 - np.exp(-_LOOKS * self.model.opt.timestep / _FORCE_LAG)
         for begin in range(0, len(orders), _LOOKS):
@@ -142,11 +142,11 @@ class HeldPlant(PhysicalPlant):
                 orders[begin + _LOOKS :] = self.carrier.resting(orders[min(begin + _LOOKS, len(orders)) - 1])
 
     def _push(self) -> Floats:
-        """(3,) force of all that the object touches, but the hand, on the object [N]."""
+        """(3,) contact force on the object except that of the hand [N]."""
         return contact_force(self, self.parts)
 
     def _apply_open(self, released: ReleasedPlant, command: Command, displacement: Floats) -> Measurement:
-        """A step of a hand that has released it, or does so now."""
+        """A step of a hand that has opened, or opens now."""
         if not self._is_open:
             self._is_open = True
             held, raised = self.parts[0], self.support.raised
@@ -157,7 +157,7 @@ class HeldPlant(PhysicalPlant):
         return self._measure(self.parameters.control_period)
 
     def truth(self) -> Truth:
-        """The true state; its mode says whether the object latched, or something happened that must not."""
+        """The true state; its mode is the latch, or a collision."""
         x, incident = np.zeros(self.automaton.n), self._watch.incident
         latched, latches = self._show(x), zip(self._object.modes, self.latches, strict=True)
         stands, complaint, place = False, self.carrier.complaint, self.data.xpos[self._hand]
@@ -188,7 +188,7 @@ class HeldPlant(PhysicalPlant):
         return self._with_slides(hand, position, quaternion)
 
     def _with_slides(self, hand: Floats, position: Floats, quaternion: Floats) -> tuple[Floats, Floats]:
-        """Poses with those of the slides as they are with the hand at a place (3,): they are no bodies of their own."""
+        """Poses with those of the slides derived from the hand's position (3,): they are not bodies of the world."""
         position[self._object.slides] = self._object.places(self._object.coordinates(hand))
         quaternion[self._object.slides] = [0.0, 0.0, 0.0, 1.0]
         return position, quaternion
@@ -209,7 +209,7 @@ class HeldPlant(PhysicalPlant):
 
 
 def in_mujoco(problem: Problem) -> PhysicalPlant:
-    """The plant for a problem, with its parameters: its object on its joints, or in a hand among bodies of its scene.
+    """The plant for a problem with its parameters: an object on its joints, or in a hand among bodies.
 
     Raises:
         MissingDependencyError: if MuJoCo is not installed.

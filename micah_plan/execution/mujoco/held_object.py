@@ -70,15 +70,15 @@ class HeldObject:
         world.solids(moving, grip.moving.shapes, mass, rubbing(MOVING, self._parameters))
 
     def places(self, hand: Floats) -> Floats:
-        """(s, 3) places of the slides' children [m] for the hand's coordinates (s,); the last is the hand's."""
+        """(s, 3) positions of the slides' children [m] for the hand's coordinates (s,); the last is the hand's."""
         return np.cumsum(self._steps + hand[:, None] * self.axes, axis=0)
 
     def coordinates(self, place: Floats) -> Floats:
-        """(s,) the hand's coordinates at a place (3,), the nearest ones if the slides do not lead there."""
+        """(s,) the hand's coordinates at a position (3,), or the nearest ones."""
         return np.asarray(np.linalg.pinv(self.axes.T) @ (place - self._steps.sum(axis=0)))
 
     def _add_pivot(self, world: World, body: Any) -> None:
-        """The turn of the part in the hand against a spring; it shows in a coordinate if nothing else shows that."""
+        """Add the pivot of the part in the hand with its spring; it shows a coordinate unless another joint does."""
         automaton, grip, parameters = self._automaton, self._grip, self._parameters
         spring = {"stiffness": parameters.pivot_stiffness, "damping": parameters.pivot_damping}
         in_hand, moving = (automaton.links[number].coordinate for number in self.parts)
@@ -117,7 +117,7 @@ class HeldObject:
 
 
 def _links(automaton: HybridAutomaton, grip: Grip) -> tuple[list[int], int, int]:
-    """Numbers of the links by which the hand moves, of the one to the part in it, and of the one to the other part."""
+    """Indices of the hand's links, of the held part's link, and of the moving part's link."""
     numbers = {link.child: number for number, link in enumerate(automaton.links)}
     for part in (grip.held.name, grip.moving.name):
         if part not in numbers:

@@ -34,7 +34,7 @@ _COUNT, _LEAST_DISTANCE = [1 << 0, 0, 1], [1 << 3, 1, 1]
 
 
 def add_contact_sensors(scene: World, touchable: Collection[str], grip: Grip) -> None:
-    """Give a world the sensors of contacts that a `IncidentWatch` reads.
+    """Add the contact sensors that an `IncidentWatch` reads.
 
     Args:
         touchable: names of bodies that the object, but no arm, may push against.
@@ -69,7 +69,7 @@ def add_contact_sensors(scene: World, touchable: Collection[str], grip: Grip) ->
 
 
 class IncidentWatch:
-    """Looks at what happens to a held object, and remembers the first incident of a trial."""
+    """Watches a held object, and keeps the first incident of a trial."""
 
     def __init__(self, plant: PhysicalPlant, touchable: Collection[str]) -> None:
         """Args: touchable: as of `add_contact_sensors`."""
@@ -89,24 +89,24 @@ class IncidentWatch:
         self.incident = ""
 
     def begin(self) -> None:
-        """A new trial starts from here."""
+        """Start a new trial."""
         self.incident = ""
         data = self._plant.data
         self._pose = {i: np.append(data.xpos[i], data.xmat[i][6:]) for i in self._loose}
 
     def look(self) -> bool:
-        """Look at the contacts of the last step; whether there was reason to."""
+        """Check the contacts of the last step; returns whether there was a reason to."""
         suspects = bool(self.suspects(self._plant.data.sensordata[None])[0])
         if suspects:
             self.incident = self._collision()
         return suspects
 
     def look_at_loose_bodies(self) -> None:
-        """Look whether a loose body was knocked over."""
+        """Check whether a loose body was knocked over."""
         self.incident = self.incident or self._knocked_over()
 
     def suspects(self, measured: Floats) -> Flags:
-        """(k,) whether a contact may be a collision: it is deep, or with what is fixed and may not be touched.
+        """(k,) whether a contact may be a collision: deep, or with a forbidden fixed body.
 
         After an incident none is.
         """
@@ -116,7 +116,7 @@ class IncidentWatch:
         return np.asarray((deep | forbidden.any(axis=1) | by_arm) & (not self.incident))
 
     def _collision(self) -> str:
-        """The first contact of the last step that is one."""
+        """The first collision of the last step."""
         data, push = self._plant.data, np.zeros(6)
         for number in range(data.ncon):
             contact = data.contact[number]

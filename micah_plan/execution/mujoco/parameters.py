@@ -1,4 +1,4 @@
-"""The physical parameters of an object, a hand and a tracker: one class, with defaults for each kind of object."""
+"""Physical parameters of object, hand and tracker, with defaults by kind of object."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ABOVE_0 = float(np.nextafter(0.0, 1.0))
 
 
 def _key(standing: float | None, held: float | None, *, least: float = 0.0, most: float = np.inf) -> Any:
-    """A parameter: its default for standing and for held objects (None: that kind does not know it), and its range."""
+    """A parameter with its range, and its default for standing and for held objects (None: not applicable)."""
     limits = {"least": least, "most": most}
     return field(default=held if standing is None else standing, metadata={"defaults": (standing, held), **limits})
 
@@ -117,14 +117,14 @@ def defaults(*, held: bool) -> dict[str, float]:
 
 
 def amounts(values: Mapping[str, float], *, held: bool) -> Iterator[Amount]:
-    """The parameters of a `plant` block against their defaults, for what looks like a mistake."""
+    """The parameters of a `plant` block compared with their defaults, for plausibility checks."""
     usual = defaults(held=held)
     for name, value in values.items():
         yield Amount(f"plant.{name}", value, "", _UNUSUAL * usual.get(name, 0.0), f"{_UNUSUAL:,.0f} times its default")
 
 
 def parameters_of(problem: Problem) -> PhysicalParameters:
-    """The parameters of a problem's `plant` block, for its kind of object; defaults for the rest.
+    """The parameters of a problem's `plant` block, completed by defaults.
 
     Raises:
         InputError: as `PhysicalParameters.from_mapping`.

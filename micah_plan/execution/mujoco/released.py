@@ -1,4 +1,4 @@
-"""After a release, in MuJoCo: the object is a free body, and what holds it until the fingers open is friction.
+"""A released object in MuJoCo: a free body, held by friction until the fingers open.
 
 While a hand carries an object, the grip is no question: the object is a part of the hand. To release it, the world is
 built a second time with the object free and the fingers on motors. It takes over where everything is, the fingers close
@@ -50,7 +50,7 @@ _FREE = "free/"
 
 
 class Support:
-    """The upper side on which the object is put down, whose height differs from trial to trial."""
+    """The support of a release, whose height varies between trials."""
 
     def __init__(self, problem: Problem, model: Any) -> None:
         """Args: model: of a world with the problem's scene."""
@@ -63,12 +63,12 @@ class Support:
         self._nominal = model.geom_size.copy(), model.geom_pos.copy()
 
     def draw(self, rng: np.random.Generator) -> None:
-        """Draw the error of the height anew."""
+        """Sample the error of the height."""
         if len(self._geoms):
             self.set(self._std * float(rng.standard_normal()))
 
     def set(self, raised: float) -> None:
-        """Raise the upper side by some length [m]; what stands below stays where it is."""
+        """Raise the upper side by a length [m]; the lower side stays in place."""
         (size, position), geoms, self.raised = self._nominal, self._geoms, raised
         for number in geoms:
             along = Rotation.from_quat(self._model.geom_quat[number], scalar_first=True).inv().apply([0.0, 0.0, 1.0])
@@ -85,7 +85,7 @@ class Support:
 
 @dataclass(frozen=True, eq=False)
 class Handover:
-    """The world in which the hand still has the object.
+    """The state of the world in which the hand still holds the object.
 
     Attributes:
         world, carrier: the world, and what moves its hand.
@@ -103,14 +103,14 @@ class Handover:
 
 
 class ReleasedPlant(PhysicalPlant):
-    """The world of a held object with the object free and the fingers on motors; it is compiled when first needed.
+    """The world with the object free and motorised fingers, compiled on demand.
 
     Attributes:
         incident: what must not happen and did; empty if nothing.
     """
 
     def __init__(self, problem: Problem, parameters: PhysicalParameters, posture: Floats | None) -> None:
-        """Args: posture: as of `held.HeldPlant`.
+        """Args: posture: as in `held.HeldPlant`.
 
         Raises:
             InputError: if the problem does not say how the robot's gripper opens.
@@ -161,7 +161,7 @@ class ReleasedPlant(PhysicalPlant):
         self._upright = Rotation.from_rotvec(rest.turn) * in_hand
 
     def take_over(self, before: Handover, rng: np.random.Generator) -> None:
-        """Begin where another world is; rng: of this trial."""
+        """Continue from the state of another world; rng: of this trial."""
         if not self._is_built:
             self._build()
         model, data = self.model, self.data
@@ -198,7 +198,7 @@ class ReleasedPlant(PhysicalPlant):
         self._rng, self._last, self._moved = rng, (self.place, self._turn), 0.0
 
     def open(self) -> None:
-        """Close the fingers until they press, hold, and open them, one a little later than the other."""
+        """Close the fingers until they press, wait, and open them with a small delay between them."""
         data, period = self.data, self.model.opt.timestep
         places = data.qpos[self._finger_places]
         opening = np.sign([goal - at for (_, goal), at in zip(self._goals, places, strict=True)])
@@ -224,13 +224,13 @@ class ReleasedPlant(PhysicalPlant):
 
     @property
     def place(self) -> Floats:
-        """(3,) of the point of the object that a hand would hold [m]."""
+        """(3,) position of the grasped point of the object [m]."""
         held = self._bodies[0]
         return np.asarray(self.data.xpos[held] + self.data.xmat[held].reshape(3, 3) @ self._point)
 
     @property
     def stands(self) -> bool:
-        """Whether the object rests upright, and touches nothing that moves the hand."""
+        """Whether the object rests upright, without contact to the arm or hand."""
         turned = self._turn * self._upright.inv()
         if turned.magnitude() > LARGEST_TILT or self._moved > _STILL:
             return False
@@ -262,7 +262,7 @@ class ReleasedPlant(PhysicalPlant):
 
     @property
     def complaint(self) -> str:
-        """Why the hand could not go where it was told to; empty if it could."""
+        """The reason why the hand could not reach its command; empty if it could."""
         return self._carrier.complaint
 
     def _hold(self, fingers: Floats, seconds: float) -> None:
@@ -301,7 +301,7 @@ def contact_force(plant: PhysicalPlant, bodies: Sequence[int]) -> Floats:
 
 
 def _add_pads(world: World, hand: Any, grip: Grip, parameters: PhysicalParameters) -> None:
-    """Two fingers beside the held part, on slides along the hinge's direction."""
+    """Add two fingers beside the held part, on slides along the hinge's direction."""
     rotation = Rotation.from_rotvec(grip.rotation)
     wide = box_corners(grip.held.shapes)[:, 1]
     for name, sign, edge in zip(_PADS, (1.0, -1.0), (wide.max(), wide.min()), strict=True):

@@ -34,7 +34,7 @@ _UNLIMITED = 1e3
 
 
 class StandingPlant(PhysicalPlant):
-    """Any automaton whose parts each have one moving joint, as a mechanism in MuJoCo.
+    """Any automaton with one moving joint per part, as a mechanism in MuJoCo.
 
     Each part's handle is pulled by a compliant hand (spring, critical damping, limited force) that is told
     displacements relative to where it is. Within a control step its target moves on a straight line and then rests. Its
@@ -79,7 +79,7 @@ class StandingPlant(PhysicalPlant):
         self._guided = guided
 
     def reset(self, rng: np.random.Generator) -> Measurement:
-        """A new trial: a start drawn from the belief, everything at rest, latched if the start mode pins it."""
+        """Start a trial: a start sampled from the belief, at rest, latched if the start mode pins it."""
         mode, x = sample_start(self.automaton, self.start, rng)
         self._still = x.copy()
         for joint, _ in self._shown:
@@ -102,7 +102,7 @@ class StandingPlant(PhysicalPlant):
         return self._measure(0.0, np.zeros((len(self._bodies), 3)))
 
     def apply(self, command: Command) -> Measurement:
-        """One control step: every hand moves by the command's displacement from where its handle truly is."""
+        """One control step: every hand moves by the commanded displacement from its handle's true position."""
         begin, end = self._targets[-1], self.data.actuator_length + command.handle.ravel()
         speed = (end - begin) / (self._moving_steps * self.model.opt.timestep)
         self._targets = begin + self.shares[:, None] * (end - begin)
@@ -122,7 +122,7 @@ class StandingPlant(PhysicalPlant):
         return Measurement(float(self.data.time), *self._seen(*self._poses(self._bodies), elapsed), force)
 
     def _suspects(self, measured: Floats) -> Flags:
-        """Where a hand was too strong, or a part on a path came to its next stretch."""
+        """Flags of a hand force above its limit, or of a part on a path that enters the next stretch."""
         forces = measured[:, self._motors : 2 * self._motors].reshape(len(measured), -1, 3)
         suspects = np.asarray((self._limited(forces) != forces).any(axis=(1, 2)))
         for guide in self._guides:
@@ -145,13 +145,12 @@ class StandingPlant(PhysicalPlant):
         return too_strong
 
     def _limited(self, forces: Floats) -> Floats:
-        """Forces (..., 3) with those cut that are more than a hand has [N]."""
+        """Forces (..., 3) limited to the hand's strength [N]."""
         size = np.sqrt(np.square(forces).sum(axis=-1, keepdims=True))
         return np.asarray(forces * (self.parameters.max_force / np.maximum(size, self.parameters.max_force)))
 
     def _pull(self, latch: LatchState, begin: int, measured: Floats) -> Floats:
-        """Of the hands' springs; without damping: the damper's kick when a latch snaps shut is no pull that would open
-        it."""
+        """(k,) pull of the hands' springs without damping, whose impulse at a latch must not open it."""
         column, turns, hands = self._levers[latch.joint]
         places = measured[:, : self._motors].reshape(len(measured), -1, 3)[:, hands]
         targets = self._targets[begin : begin + len(measured)].reshape(len(measured), -1, 3)[:, hands]
@@ -180,14 +179,14 @@ class StandingPlant(PhysicalPlant):
         return np.asarray(damping)
 
     def _moved_with(self, body: int) -> list[int]:
-        """Numbers of the parts that a body's joint moves: its own, and those that are attached to it."""
+        """Numbers of the parts that a body's joint moves: its own, and those attached to it."""
         moved = {body}
         moved.update(body for body in self._bodies if self.model.body_parentid[body] in moved)
         return [number for number, body in enumerate(self._bodies) if body in moved]
 
 
 def standing_world(automaton: HybridAutomaton, parameters: PhysicalParameters) -> tuple[World, Floats, list[Guide]]:
-    """A standing object, whose joints' positions are the configurations. Nothing collides.
+    """The world of a standing object whose joint positions are the configurations, without collisions.
 
     Each part has a hand: three motors along the axes of the base frame, whose lengths are the place of its handle [m].
     Sensors show the lengths of all motors, then their forces [N], then of each joint that can latch position, anchor
@@ -258,9 +257,7 @@ def _only_moving_joint(automaton: HybridAutomaton, link: int) -> Joint:
 def _add_joint(
     world: World, body: Any, automaton: HybridAutomaton, number: int, arm: float, parameters: PhysicalParameters
 ) -> None:
-    """A slide (of a path's runner, too), a hinge, or for a screw a hinge with a slide that follows it; latched where a
-    mode pins it.
-    """
+    """Add a slide, a hinge, or a hinge with a coupled slide for a screw, with latches where a mode pins it."""
     joint, link = automaton.moving_joint(number), automaton.links[number]
     axis, position = RUNS_ALONG, np.zeros(3)
     if joint.has_axis:

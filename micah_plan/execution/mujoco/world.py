@@ -1,4 +1,4 @@
-"""Worlds: bodies on joints with latches, built with MuJoCo's model editor (MjSpec), in radians and SI units.
+"""Building of worlds with MuJoCo's model editor (MjSpec): bodies on joints with latches, in radians and SI units.
 
 MuJoCo is imported here alone. Bodies of the scene are called `scene/NAME` in the world, those of a held object
 `object/NAME`.
@@ -72,11 +72,11 @@ class LatchState:
     coordinate: int = -1
 
     def is_near(self, position: Floats | float) -> Flags | bool:
-        """Whether it would catch the joint at a position [rad or m], (k,) or one, if it is armed."""
+        """(k,) whether an armed latch would catch the joint at a position [rad or m]."""
         return (self.low <= position) & (position <= self.high)
 
     def opens(self, pull: Floats | float) -> Flags | bool:
-        """Whether a locked joint comes free under the hand's static pull on it [N m or N], (k,) or one."""
+        """(k,) whether a locked joint is released by the hand's static pull [N m or N]."""
         return (self.free_up & (pull > self.release)) | (self.free_down & (pull < -self.release))
 
     def catches(self, position: float, pull: float) -> bool:
@@ -88,7 +88,7 @@ class LatchState:
 
 @dataclass(frozen=True, eq=False)
 class WorldJoint:
-    """A joint that shows a coordinate of the model.
+    """A joint that represents a coordinate of the model.
 
     Attributes:
         name: in the world.
@@ -106,7 +106,7 @@ class WorldJoint:
 
 
 class World:
-    """A world that is being built.
+    """A world under construction.
 
     Attributes:
         mujoco, spec: the library, and the world in its editor.
@@ -120,7 +120,7 @@ class World:
         self.joints: list[WorldJoint] = []
 
     def solids(self, body: Any, shapes: Sequence[Primitive], mass: float, surface: Attributes) -> None:
-        """Give a body shapes in its own frame, which share its mass [kg] by volume.
+        """Add shapes to a body in its own frame, with its mass [kg] distributed by volume.
 
         Raises:
             InputError: for a shape of unknown kind or size.
@@ -133,11 +133,11 @@ class World:
             body.add_geom(type=kind, size=size, mass=mass * volume / whole, **place, **surface)
 
     def joint(self, body: Any, kind: str, name: str, **attributes: Any) -> None:
-        """Give a body a hinge or slide."""
+        """Add a hinge or slide to a body."""
         body.add_joint(name=name, type=getattr(self.mujoco.mjtJoint, f"mjJNT_{kind.upper()}"), **attributes)
 
     def show(self, joint: WorldJoint) -> None:
-        """Let a joint show a coordinate, and give it its latches, which are open.
+        """Let a joint represent a coordinate, with its latches, initially open.
 
         A sensor called `sensor_name` shows the position of a joint with latches.
         """
@@ -149,7 +149,7 @@ class World:
             self.spec.add_sensor(name=sensor_name(joint.name), type=self.mujoco.mjtSensor.mjSENS_JOINTPOS, **reference)
 
     def tie(self, joint: str, coefficients: Sequence[float] | Floats, joint_2: str = "", **attributes: Any) -> None:
-        """Hold a joint at a + b q + ... + e q^4, where q is the position of another joint (without one: 0)."""
+        """Constrain a joint to a + b q + ... + e q^4, where q is the position of another joint (none: 0)."""
         kind = self.mujoco.mjtEq.mjEQ_JOINT
         constraint = self.spec.add_equality(type=kind, name1=joint, name2=joint_2, **_STIFF, **attributes)
         constraint.data[:5] = [*coefficients, *(5 - len(coefficients)) * [0.0]]
@@ -224,7 +224,7 @@ def pose(position: ArrayLike, quaternion: ArrayLike) -> Attributes:
 
 
 def rubbing(meets: Attributes, parameters: PhysicalParameters) -> Attributes:
-    """The surface of what meets others."""
+    """Contact attributes of a surface that meets others."""
     return {**meets, **_CONTACT, "friction": (parameters.contact_friction, 0.005, 0.0001)}
 
 

@@ -1,4 +1,4 @@
-"""Actions that were given relative to a measured pose, turned to where the part really was.
+"""Actions given relative to a measured pose, rotated into the true pose.
 
 A controller that steps on from what it measures points its command along the motion at the *measured* configuration,
 which differs from the true one by the tracker's noise. The noise of a measured step is then known from the direction
@@ -25,7 +25,7 @@ _NEAR = 4  # rows on each side that a direction is compared with
 def with_anchored_actions(
     joint: Joint, pieces: Sequence[tuple[int, int]], track: PartTrack, inlier: Booleans
 ) -> PartTrack:
-    """The track with the actions of the pieces' rows turned back by what follows the rows' own errors."""
+    """The track with the pieces' actions rotated to remove their correlation with the rows' measurement errors."""
     if not joint.turns or track.action is None:
         return track
     configuration = configurations_along(joint, pieces, track, inlier)

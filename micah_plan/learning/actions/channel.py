@@ -1,4 +1,4 @@
-"""Estimating the action channel: in which frame, how strongly and how late recorded actions move a joint.
+"""Estimation of the action channel: frame, gain and delay of recorded actions along a joint.
 
 The model is c' = c + g J⁻¹(c) R a(t - delay) + w, measured with white noise (MICAH, equation for the predicted pose,
 with the action seen through a channel). Time counts in shares of the run, and w is a random walk in time, so neither
@@ -73,7 +73,7 @@ _Start = tuple[CommandPath, float, Floats, float]
 
 @dataclass(frozen=True, eq=False)
 class _Mode:
-    """A point of the posterior and what lies around it.
+    """A posterior mode of the channel with its neighbourhood.
 
     Attributes:
         delay, rotation, log_gain: the point; the delay is a share of the run, the rotation a quaternion (4,).
@@ -100,7 +100,7 @@ def estimate_channel(
     inlier: Booleans | None = None,
     least_log_odds: float = LEAST_LOG_ODDS,
 ) -> ActionChannel | None:
-    """How the actions of a run move a part along its joint.
+    """The channel from a run's actions to its motion along a joint.
 
     Args:
         joint: fitted; prismatic, revolute or screw.
@@ -148,7 +148,7 @@ def _quadratic(steps: ConfigurationSteps, predictors: Floats, noise: StepNoise, 
 def _searches(
     joint: Joint, pieces: Sequence[tuple[int, int]], track: PartTrack, counted: Booleans, steps: ConfigurationSteps
 ) -> list[tuple[ConfigurationSteps, Floats]]:
-    """Steps and delays to look for a channel at: for a motion that is slow compared to a row, and for one that is not.
+    """(steps, delays) to search a channel with, for a motion that is slow relative to a row, and for one that is not.
 
     Of few rows these are the same.
     """
@@ -163,7 +163,7 @@ def _searches(
 def _started(
     steps: ConfigurationSteps, command: CommandPath, walk: float, searches: list[tuple[ConfigurationSteps, Floats]]
 ) -> _Start:
-    """Where to start, and the command as far as the part follows it.
+    """Initial channels, and the command up to where the part follows it.
 
     Actions jitter. If the part follows that, it tells the delay exactly; if it is an error of the log, a delay that
     fits it fits by chance, and halfway between two rows, where neighbours average, every delay seems to explain more.
@@ -205,7 +205,7 @@ def _score(tried: tuple[float, _Start]) -> float:
 
 
 def _may_lag(steps: ConfigurationSteps, begun: Sequence[CommandPath], delays: Floats, walk: float) -> bool:
-    """Whether what a servo of first order makes of commands is more like the steps than the first of them itself.
+    """Whether a first-order lag of the commands explains the steps clearly better than the first of `begun`.
 
     All linear maps of actions are allowed, not only turns with a gain, so that no rotations need be searched.
     """
@@ -224,7 +224,7 @@ def _may_lag(steps: ConfigurationSteps, begun: Sequence[CommandPath], delays: Fl
 def _searched(
     steps: ConfigurationSteps, command: CommandPath, walk: float, tried: Floats
 ) -> tuple[float, Floats, float]:
-    """Where to start: delay, rotation and ln gain, from a grid over some delays and all rotations."""
+    """Initial channels (delay, rotation, ln gain) from a grid over delays and all rotations."""
     log_prior = -0.5 * (tried / DELAY_STD) ** 2
     predictors = steps.predictors(command, tried)
     normals, targets, rotations, gains, delays, densities = [], [], [], [], [], []
@@ -247,7 +247,9 @@ def _searched(
 def _settled(
     steps: ConfigurationSteps, command: CommandPath, walk: float, delay: float, rotation: Floats, log_gain: float
 ) -> tuple[_Mode, list[tuple[StepNoise, float]], Floats]:
-    """The mode with a grid of delays as wide as their posterior, the noise there, the variance of unknown actions."""
+    """The refined mode with a grid of delays as wide as their posterior, the noise, and the variance of unknown
+    actions.
+    """
     width, center = 2.0 / _COARSE_STEPS, delay
     for number in range(_MOST_ROUNDS):
         extra = _unknown(steps, delay, min(width, _MOST_UNKNOWN), walk)
@@ -280,7 +282,7 @@ def _noises(
     at: tuple[float, Floats, float],
     closely: bool,
 ) -> list[tuple[StepNoise, float]]:
-    """Random walks that matter, with their ln posterior.
+    """Relevant random walks with their log posterior.
 
     The channel takes up much of what a slow random walk does, so that the walk that fits best with the best channel is
     too small, often 0; with the channel integrated out, and a flat prior of its std (Gelman, Bayesian Analysis 2006),
@@ -307,7 +309,7 @@ def _weighed(
     walks: Floats,
     at: tuple[float, Floats, float],
 ) -> tuple[list[StepNoise], Floats]:
-    """Noises with given walks (w,), and their ln posterior, rotation and gain integrated out by Laplace's method."""
+    """Noises of given random walks (w,) with their log posterior; the channel is marginalised by Laplace's method."""
     delay, rotation, log_gain = at
     noises = [step_noise_of(steps, steps.size, extra, float(walk), white) for walk in walks]
     predictors = steps.predictors(command, np.array([delay]))[0]
@@ -321,7 +323,7 @@ def _weighed(
 def _explored(
     steps: ConfigurationSteps, command: CommandPath, noise: StepNoise, delays: Floats, rotation: Floats, log_gain: float
 ) -> _Mode:
-    """The mode over a grid of delays, starting everywhere at one rotation and gain."""
+    """The mode optimised over a grid of delays from one rotation and gain."""
     d = len(delays)
     quadratic = _quadratic(steps, steps.predictors(command, delays), noise, command.frame_std)
     channels, information = climb(quadratic, np.tile(rotation, (d, 1)), np.full(d, log_gain))
@@ -339,7 +341,7 @@ def _explored(
 def _integrated(
     steps: ConfigurationSteps, command: CommandPath, noises: list[tuple[StepNoise, float]], mode: _Mode, none: float
 ) -> Posterior:
-    """Over rotations, gains, delays and random walks."""
+    """The posterior marginalised over rotations, gains, delays and random walks."""
     delays = mode.delays[::2]
     spacing = delays[1] - delays[0]
     log_prior = -0.5 * (delays / DELAY_STD) ** 2 + np.log(spacing / (DELAY_STD * np.sqrt(2 * np.pi)))
@@ -385,7 +387,7 @@ def _reported(
 
 
 def _spacings(walks: Floats) -> Floats:
-    """(w,) share of the ln-axis that each of evenly spaced walks stands for."""
+    """(w,) quadrature weights of evenly spaced walks on the log axis."""
     return np.full(len(walks), abs(np.log(walks[1] / walks[0])) if len(walks) > 1 else 1.0)
 
 
@@ -397,13 +399,13 @@ def _predicted(
 
 
 def _unknown(steps: ConfigurationSteps, delay: float, width: float, walk: float) -> Floats:
-    """(m,) variance of steps: of all that are inexact, and of those whose actions, at some delay, are not recorded."""
+    """(m,) variance of steps that are inexact, or whose actions lie outside the recording at some delay."""
     outside = (steps.start < max(delay + width, 0.0)) | (steps.end > 1.0 + min(delay - width, 0.0))
     return inexact(steps) + np.where(outside, walk * (steps.end - steps.start), 0.0)
 
 
 def _explained(steps: ConfigurationSteps, command: CommandPath, mode: _Mode, noise: StepNoise) -> float:
-    """Share of the mean squared step, between blocks of the run, that the channel predicts; less measurement noise."""
+    """Fraction of the mean squared step, across folds, that the channel predicts, without measurement noise."""
     predicted = _predicted(steps, command, mode.delay, mode.rotation, mode.log_gain)
     block = np.minimum((0.5 * (steps.start + steps.end) * _BLOCKS).astype(np.int64), _BLOCKS - 1)
     moved = np.bincount(block, steps.size, _BLOCKS)

@@ -129,7 +129,7 @@ def climb(quadratic: Quadratic, rotation: Floats, log_gain: Floats, iterations: 
 
 
 def _expanded(quadratic: Quadratic, rotation: Floats, log_gain: Floats) -> tuple[Floats, Floats, Floats]:
-    """Score (d,), its slope (d, 4) and information (d, 4, 4) by (e, ln g)."""
+    """Score (d,), gradient (d, 4) and information (d, 4, 4) with respect to (e, ln g)."""
     matrix = np.exp(log_gain)[:, None, None] * rotation_matrix(rotation)
     m = matrix.reshape(-1, 9)
     turned = np.matmul(_TURNS, matrix[:, None]).reshape(-1, 3, 9)
@@ -144,7 +144,7 @@ def _expanded(quadratic: Quadratic, rotation: Floats, log_gain: Floats) -> tuple
 
 
 def _folded(normal: Floats) -> Floats:
-    """(d, 45) symmetric matrices (d, 9, 9) as their upper triangles, what is off the diagonal twice."""
+    """(d, 45) upper triangles of symmetric matrices (d, 9, 9), with off-diagonal entries doubled."""
     rows, columns = np.triu_indices(9)
     return np.asarray(normal[:, rows, columns] * np.where(rows == columns, 1.0, 2.0))
 
@@ -252,7 +252,7 @@ def _over_gains(quadratic: Quadratic, entries: Floats) -> tuple[Floats, Floats, 
 
 
 def _draws(number: int, normals: list[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
-    """(k, 3) points of an equal mixture of normal distributions, and their ln density."""
+    """(k, 3) samples of an equal mixture of normal distributions, with their log density."""
     points = _normal_lattice(number)
     turns, densities = [], []
     factors = [np.linalg.cholesky(covariance) for _, covariance in normals]

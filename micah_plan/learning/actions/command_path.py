@@ -1,4 +1,4 @@
-"""What the actions of a run command, as a path in time: late, smoothed, or as a servo follows it."""
+"""Commands of a run as a path in time: delayed, smoothed, or lagged by a servo."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SAME_FRAME = 0.02  # rad, by which the frames of places and poses differ
 
 @dataclass(frozen=True, eq=False)
 class CommandPath:
-    """What the actions of a run command as a path in time; beyond its ends it goes on as there.
+    """Commands of a run as a path in time, extrapolated linearly beyond its ends.
 
     Displacements add up to a path in the base frame (k = 3); places are configurations of the joint (k = 1).
 
@@ -47,11 +47,11 @@ class CommandPath:
 
     @property
     def is_of_places(self) -> bool:
-        """Whether it leads along the joint from one commanded place to the next."""
+        """Whether the path consists of positions along the joint."""
         return bool(self.path.shape[1] == 1)
 
     def at(self, time: Floats) -> Floats:
-        """(..., k) what was commanded until the given times (...)."""
+        """(..., k) commanded path at the given times (...)."""
         path = np.stack([np.interp(time, self.time, column) for column in self.path.T], axis=-1)
         early, late = np.minimum(time - self.time[0], 0.0), np.maximum(time - self.time[-1], 0.0)
         if early.min(initial=0.0) < 0:
@@ -61,7 +61,7 @@ class CommandPath:
         return path
 
     def lagging(self, rows: float) -> CommandPath:
-        """The same as what a servo of first order makes of it, with a time constant of so many rows."""
+        """The path behind a first-order lag with a time constant of `rows` rows."""
         step, lag = self.row / _BETWEEN, rows * self.row
         fine = np.arange(-self.row, 1 + self.row, step)
         commanded, kept = self.at(fine), float(np.exp(-step / lag))
@@ -75,7 +75,7 @@ class CommandPath:
         return replace(self, time=fine, path=arrived, lag=lag)
 
     def smoothed(self, rows: float) -> CommandPath:
-        """The same, each action spread over time by a normal distribution, its std so many rows."""
+        """The path with each action spread over time by a Gaussian of std `rows` rows."""
         row = self.row
         # Four standard deviations beyond the ends, so that the path is what it is at the ends.
         edge = 4 * rows * row
@@ -86,7 +86,7 @@ class CommandPath:
 
 
 def commanded_places(joint: Joint, track: PartTrack) -> CommandPath | None:
-    """Where a run's actions lead along a joint, each place until the next is commanded; None if they are no places.
+    """The positions along a joint that a run's actions command, each until the next; None if they are displacements.
 
     An action may be the straight way to a place, or the way along the joint's tangent that is as long as its arc. Read
     as what it is, a place that is held is the same from row to row, however far the part has come. That tells places
@@ -120,7 +120,7 @@ def commanded_places(joint: Joint, track: PartTrack) -> CommandPath | None:
 
 
 def _in_which_turn(place: Floats, at: Floats) -> Floats:
-    """Commanded angles (n,) [rad] in the turn that each is meant in: the part gets there from where it is (n,).
+    """Commanded angles (n,) [rad], unwrapped to the turn nearest to the part's angles (n,).
 
     While a part is on a long way to a place, the place is in the turn that it is in when the part is there.
     """
@@ -133,7 +133,7 @@ def _in_which_turn(place: Floats, at: Floats) -> Floats:
 
 
 def _usual_row(time: Floats) -> float:
-    """How long a row usually is, given when rows begin (n,)."""
+    """Typical duration of a row, from the times of rows (n,)."""
     return max(float(np.median(np.diff(time))), 1 / (_LONGEST_GAPS * len(time)))
 
 
@@ -145,7 +145,7 @@ def _in_base_frame(track: PartTrack) -> Floats | None:
 
 
 def command_of(track: PartTrack) -> CommandPath | None:
-    """What the run's actions command as displacements; None where there are none."""
+    """The run's commanded path of displacements; None without actions."""
     action = _in_base_frame(track)
     if action is None:
         return None
@@ -162,7 +162,7 @@ def command_of(track: PartTrack) -> CommandPath | None:
 
 
 def leverage(joint: Joint, c: Floats) -> Floats:
-    """(m, 3) rows that J⁻¹ multiplies a displacement by; 0 where the part's origin is on the axis."""
+    """(m, 3) rows of J⁻¹ for displacements; 0 where the part's origin lies on the axis."""
     if joint.kind == "prismatic":
         return np.broadcast_to(np.array(joint.axis), (len(c), 3))
     direction = jacobian(joint, c)[:, 3:]
@@ -171,7 +171,7 @@ def leverage(joint: Joint, c: Floats) -> Floats:
 
 
 def with_delayed_actions(track: PartTrack, delay: float) -> PartTrack:
-    """The track with its actions `delay` [s] later: each row's action is what moves the part from it to the next.
+    """The track with its actions `delay` [s] later: each row's action is that of the motion to the next row.
 
     Nothing is commanded before the first and after the last row.
     """

@@ -1,4 +1,4 @@
-"""The steps of a joint's configuration between measured rows, what was commanded for them, and their noise.
+"""Steps of a joint's configuration between measured rows, with their commands and noise.
 
 A step is c' - c = g J⁻¹(c) R ΔA + w + v' - v, with ΔA the command given meanwhile, w a random walk and v the white
 noise of a row. So the steps of a piece have a tridiagonal covariance (the innovations form of a scalar Kalman filter),
@@ -54,7 +54,7 @@ class ConfigurationSteps:
         return len(self.size)
 
     def predictors(self, command: CommandPath, delays: Floats) -> Floats:
-        """(d, 9, m) what the entries of g R (row by row) make of the steps, for each delay (d,) [share of the run]."""
+        """(d, 9, m) regressors of the steps for the entries of g R (row by row), at delays (d,) [share of the run]."""
         ends = np.concatenate([self.start, self.end])
         path = command.at(ends - delays[:, None])
         commanded = path[:, len(self) :] - path[:, : len(self)]
@@ -89,7 +89,7 @@ class StepNoise:
 def configuration_steps(
     joint: Joint, pieces: Sequence[tuple[int, int]], track: PartTrack, inlier: Booleans, white: float, most: int | None
 ) -> ConfigurationSteps:
-    """Steps of the rows of pieces that count; with `most`, about that many per run, between averages of rows.
+    """Steps of the counted rows of pieces; with `most`, about that many per run, between averages of rows.
 
     Args:
         white: variance of one measured configuration [rad² or m²].
@@ -115,7 +115,7 @@ def configuration_steps(
 def configurations_along(
     joint: Joint, pieces: Sequence[tuple[int, int]], track: PartTrack, inlier: Booleans
 ) -> list[tuple[Rows, Floats, Floats]]:
-    """Per piece its rows that count, their measured configurations, and these without most of their noise.
+    """Per piece: counted rows, their measured configurations, and the smoothed ones.
 
     A row counts in its average no more than its neighbours do, so what noise is left has nothing to do with that of a
     step from row to row.
@@ -133,7 +133,7 @@ def configurations_along(
 
 
 def fit_noise(steps: ConfigurationSteps, residual: Floats, extra: Floats) -> StepNoise:
-    """The most probable random walk and white noise behind what is left (m,) of the steps.
+    """The most probable random walk and white noise behind the residuals (m,) of the steps.
 
     Args:
         extra: (m,) variance known besides [rad² or m²].
@@ -159,7 +159,7 @@ def fit_noise(steps: ConfigurationSteps, residual: Floats, extra: Floats) -> Ste
 
 
 def step_noise_of(steps: ConfigurationSteps, residual: Floats, extra: Floats, walk: float, white: float) -> StepNoise:
-    """Given noise (variances, see StepNoise), with its density of what is left (m,) of the steps."""
+    """Given noise (variances, see StepNoise), with the log density of the residuals (m,) of the steps."""
     diagonal = walk * (steps.end - steps.start) + extra + 2 * white * (1 + 1e-9)
     below = np.where(steps.linked, -white, 0.0)
     pivots, factor, _ = lapack.dpttrf(diagonal, below)
@@ -174,7 +174,7 @@ def step_noise_of(steps: ConfigurationSteps, residual: Floats, extra: Floats, wa
 
 
 def inexact(steps: ConfigurationSteps) -> Floats:
-    """(m,) variance of steps that no part makes more exactly than by a share of them."""
+    """(m,) variance of imprecise motion, proportional to the step."""
     return np.asarray((INEXACT * steps.size) ** 2)
 
 

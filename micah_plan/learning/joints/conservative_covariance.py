@@ -1,4 +1,4 @@
-"""Covariances whose stds cover: 1.96 of them hold 95 % of errors that are a mixture of normal distributions.
+"""Covariances with conservative stds: 1.96 of them cover 95 % of a mixture of normal errors.
 
 A rare component of large errors would widen intervals made of the mixture's variance beyond all that ever occurs.
 """
@@ -14,7 +14,7 @@ _BISECTIONS = 30
 
 
 def conservative_covariance(matrix: Floats, chance: Floats, off: Floats, std: Floats) -> Floats:
-    """(k, k) covariance with the correlations of a matrix (k, k), and stds that cover.
+    """(k, k) covariance with given correlations (k, k) and conservative stds.
 
     Args:
         chance: (m,) probabilities of the components.

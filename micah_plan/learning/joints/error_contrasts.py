@@ -1,4 +1,4 @@
-"""Error contrasts: what rows say of a joint where their own configurations cannot reach.
+"""Error contrasts: components of the pose errors that no configuration of the joint can absorb.
 
 Each row has a configuration of its own, which is estimated with the joint. Combinations of a row's errors that no
 change of its configuration can alter ("error contrasts") are free of it, so their likelihood is that of the joint
@@ -41,7 +41,7 @@ class Contrasts:
 
 
 def contrasts_of(joint: Joint, compared: Seen, stds: tuple[float, float]) -> list[Contrasts]:
-    """The contrasts of rows: of positions, of rotations and of both, those that the joint has.
+    """Contrasts of the rows: of positions, of rotations and of both, as the joint allows.
 
     Args:
         stds: of a rotation [rad] and a position [m].

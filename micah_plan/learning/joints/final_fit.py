@@ -1,4 +1,4 @@
-"""The last fit of a joint, to all rows of its segments: robust, of maximum likelihood, with an honest covariance.
+"""Final fit of a joint to all rows of its segments: robust maximum likelihood with an honest covariance.
 
 A mixture with outliers finds the rows to believe, beginning with the likelier of the guess and the closed form;
 generalized least squares on SE(3) under the noise that they leave finds the joint. Whether a hinge advances as it turns
@@ -49,7 +49,7 @@ _FAR = 4.0  # stds that better weights may move an axis by
 
 @dataclass(frozen=True)
 class LackOfFit:
-    """What all rows say against a joint that was fitted to them.
+    """Evidence of all rows against a fitted joint.
 
     Attributes:
         screw_log_odds: of a screw against the hinge, as likely before; None where neither was asked for.
@@ -94,7 +94,7 @@ def fit_joint(
     weight: Floats,
     settings: LearnSettings | None = None,
 ) -> FittedJoint:
-    """The joint of the guess's kind that makes the rows most likely, or the screw that a hinge turns out to be.
+    """The maximum-likelihood joint of the guess's kind, or the screw that a hinge turns out to be.
 
     Args:
         guess: a joint of the kind to fit; it competes with the other starts, is the answer where rows are too few, and
@@ -143,7 +143,7 @@ def fit_joint(
 
 
 def _deviation(posterior: ErrorPosterior, scales: Scales) -> Deviation:
-    """How far a part leaves its joint, by what a fit leaves."""
+    """Distance of a part from its joint, from the residuals of a fit."""
     sizes = np.sqrt([posterior.rotation, posterior.position])
     unusual = (sizes > np.array(scales.misfit)[:, None]).any(axis=0)
     rotation, position = sizes @ posterior.chance
@@ -157,7 +157,7 @@ def _left_by(fit: JointFit, time: Floats, stds: tuple[float, float], scales: Sca
 def _hinge_or_screw(
     joint: Joint, rows: tuple[Floats, Floats], time: Floats, stds: tuple[float, float], scales: Scales
 ) -> tuple[Joint, float] | None:
-    """The hinge or the screw near a joint that turns, and the log odds of the screw; None if rows are too few to tell.
+    """(hinge or screw near a joint that turns, log odds of the screw); None with too few rows.
 
     Args:
         rows, time: positions (n, 3), quaternions (n, 4) and their times (n,) [s].
@@ -183,7 +183,7 @@ def _refined(
     noise: NoiseVariances,
     posterior: ErrorPosterior,
 ) -> Joint:
-    """The likeliest joint, with its covariance; or the one before, if the likelihood leads astray."""
+    """The maximum-likelihood joint with its covariance; the previous one if the likelihood diverges from it."""
     fit = fit_likelihood(before, position, quaternion, noise)
     joint = replace(fit.joint, covariance=parameter_covariance(fit, noise, posterior))
     if _strays(joint, before):
@@ -193,7 +193,7 @@ def _refined(
 
 
 def _strays(joint: Joint, before: Joint) -> bool:
-    """Whether an axis is further from where equal weights put it than its covariance lets it be.
+    """Whether the axis is farther from the unweighted one than its covariance allows.
 
     Where one direction is much noisier than the others, a free configuration along it explains that noise, and the
     motion passes for wander: a likelihood that knows one noise for all directions then has another, false optimum.
@@ -236,7 +236,7 @@ class _Rows:
         return fit_mixtures(sorts, weight, self.outlier_weight)
 
     def judged(self, joint: Joint) -> FittedJoint:
-        """A joint as it is, without covariance, with what the rows say of it."""
+        """A joint as given, without covariance, with the rows evaluated on it."""
         bare = replace(joint, covariance=None)
         if not (self.weight > 0.5).any():
             return FittedJoint(bare, np.zeros(len(self.weight)), 0.0, 0.0, 0.0, 0.0)
@@ -261,7 +261,7 @@ def _best_start(guess: Joint, rows: _Rows, used: NDArray[np.int64]) -> tuple[Joi
 def _believed(
     joint: Joint, stds: tuple[float, float], rows: _Rows, used: NDArray[np.int64], trusting: bool
 ) -> tuple[JointFit, NDArray[np.int64], tuple[float, float]] | None:
-    """A joint fitted to the rows that agree with it, those rows and their stds; None where too few do."""
+    """(fit, rows, stds) of a joint fitted to the rows that agree with it; None with too few."""
     fit, kept = None, used[:0]
     for _ in range(_ROUNDS):
         before = kept
@@ -278,7 +278,7 @@ def _believed(
 
 
 def _carried(guess: Joint, position: Floats, quaternion: Floats | None) -> Joint:
-    """The guess carried to the middle one of the rows: a start even where the rows fix no joint of its kind."""
+    """The guess moved to the middle row, as a start even where the rows determine no joint of its kind."""
     row = int(np.argmin(((position - np.median(position, axis=0)) ** 2).sum(axis=1)))
     shift = position[row] - guess.position
     center = tuple((guess.center + shift).tolist()) if guess.turns else guess.center
@@ -287,7 +287,7 @@ def _carried(guess: Joint, position: Floats, quaternion: Floats | None) -> Joint
 
 
 def _counted_as(joint: Joint, guess: Joint, has_orientation: bool) -> Joint:
-    """The same motion, counted in the guess's direction from where the guess counts, or as it may be held."""
+    """The same motion with the direction and origin of the guess."""
     if not joint.moves:
         return replace(joint, fixed_at=guess.fixed_at)
     if np.dot(joint.axis, guess.axis) < 0:
@@ -316,13 +316,13 @@ def _stds(mixtures: Mixtures, number: int = 0) -> tuple[float, float]:
 
 
 def _units(quaternion: Floats | None) -> Floats | None:
-    """Unit quaternions; their signs matter to nothing below."""
+    """Normalised quaternions; their signs are arbitrary."""
     if quaternion is None:
         return None
     return np.asarray(quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True))
 
 
 def minimal_rows(kind: JointKind, has_orientation: bool) -> int:
-    """How many rows fix a joint: 1 pose for rigid, 2 poses else; 3 positions for a circle."""
+    """Number of rows that determine a joint: 1 pose for rigid, 2 poses else; 3 positions for a circle."""
     freedom = KINDS[kind]
     return 3 if freedom.turns and not has_orientation else 2 if freedom.moves else 1

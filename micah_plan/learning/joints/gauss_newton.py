@@ -1,4 +1,4 @@
-"""Damped steps of Gauss and Newton, for every fit of one joint to all of its rows.
+"""Damped Gauss-Newton iterations for fits of a single joint to all of its rows.
 
 Source: Nocedal and Wright, Numerical Optimization, 2006, section 10.3 (Levenberg and Marquardt).
 """
@@ -17,29 +17,29 @@ _MORE, _LESS = 30.0, 0.1  # damping, after a step that fails and after one that 
 
 
 class Fitted(Protocol):
-    """A fit as it is: what the rows say of its p free numbers."""
+    """A fit with p free parameters, as Gauss-Newton sees it."""
 
     @property
     def information(self) -> Floats:
-        """(p, p) of the rows."""
+        """(p, p) Fisher information of the rows."""
 
     @property
     def pull(self) -> Floats:
-        """(p,) of the rows, towards less cost."""
+        """(p,) negative gradient of the cost."""
 
     @property
     def cost(self) -> float:
-        """Of the rows [nats]."""
+        """Negative log likelihood of the rows [nats]."""
 
     def moved(self, step: Floats) -> Self | None:
-        """The fit after a step (p,) of its numbers; None where the step is too long to mean anything."""
+        """The fit after a step (p,) of its parameters; None if the step leaves the valid range."""
 
 
 F = TypeVar("F", bound=Fitted)
 
 
 def descended(now: F, steps: int, converged: float) -> F:
-    """A fit after so many steps, or until the next one promises less than `converged` [nats]."""
+    """The fit after at most `steps` steps, or until the next promises less than `converged` [nats]."""
     damping = 0.0
     for _ in range(steps):
         damped = now.information + damping * np.diag(np.diag(now.information)) + np.eye(len(now.pull)) / UNKNOWN**2

@@ -1,4 +1,4 @@
-"""A screw as positions show it: the frame of its path at one point, the path's curvature, and its lead angle.
+"""A screw parameterised by its positions: Frenet frame at one point, curvature, and lead angle.
 
 A piece of a helix shows its tangent, its curvature and its torsion one after the other, each less clearly than the one
 before. Axis, centre and pitch are made of all of these. In the frame of the path only one number is hard to tell: the
@@ -48,7 +48,7 @@ class Helix:
         return np.asarray(np.sin(self.lead) * self.frame[0] + np.cos(self.lead) * self.frame[2])
 
     def moved(self, numbers: Floats) -> Helix | None:
-        """After a step of the first of the `NUMBERS`; None where there is no such helix."""
+        """The helix after a step of the first of the `NUMBERS`; None outside their range."""
         step = np.zeros(NUMBERS)
         step[: len(numbers)] = numbers
         curvature, lead = self.curvature + float(step[5]), self.lead + float(step[6])
@@ -58,7 +58,7 @@ class Helix:
         return Helix(self.point + step[3:5] @ self.frame[1:], turned, curvature, lead)
 
     def joint(self, length: float, like: Joint) -> Joint:
-        """The screw whose origin lies an arc length [m] before the point; its orientation is not looked at."""
+        """The screw whose origin lies an arc length [m] before the point; its orientation is arbitrary."""
         axis, center, pitch, position = _parts(self, length)
         return screw(axis, center, float(pitch[0]), position, like.quaternion)
 
@@ -81,7 +81,7 @@ def helix_of(joint: Joint, length: float) -> Helix | None:
 
 
 def chart_slopes(helix: Helix, length: float, joint: Joint, chart: JointChart) -> Floats:
-    """(p, 7) free numbers of the screw (`chart_of` without orientations) per number of its helix."""
+    """(p, 7) derivative of the screw's parameters (`chart_of` without orientations) by those of its helix."""
     slopes = np.zeros((chart.free.shape[1], NUMBERS))
     across = chart.free[5:, 5:].T
     turns, shifts = helix.frame, helix.frame[1:]

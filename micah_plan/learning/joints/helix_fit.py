@@ -1,4 +1,4 @@
-"""The last fit of a screw that only positions show, over every lead angle that they allow.
+"""Final fit of a screw from positions only, marginalised over the lead angle.
 
 A short arc of a helix is hardly told from a circle, nor from a tight helix that follows the tracker's wander: the
 likelihood of the lead angle is wide and has several peaks, and each of these, taken for the answer, is too sure of
@@ -36,7 +36,7 @@ _LEAST_CURVATURE = 0.3  # of what it was, after one step
 
 @dataclass(frozen=True, eq=False)
 class _Tried:
-    """A helix fitted at one lead angle, with the slopes (p, 7) of its joint's free numbers."""
+    """A helix fitted at a fixed lead angle, with derivatives (p, 7) of its joint's parameters."""
 
     helix: Helix
     fit: JointFit
@@ -56,7 +56,7 @@ class _Rows:
 def fit_helix(
     start: Joint, position: Floats, time: Floats, noise: NoiseVariances, scales: Scales
 ) -> tuple[Joint, NoiseVariances] | None:
-    """The screw of the median lead angle, with its covariance, and the noise that it leaves; None of a straight path.
+    """The screw of the median lead angle with its covariance and noise; None for a straight path.
 
     Args:
         start: a screw near the rows, of any lead angle; the answer counts from where it counts.
@@ -98,13 +98,13 @@ def fit_helix(
 
 
 def _over_leads(start: _Tried, rows: _Rows, noise: NoiseVariances) -> list[_Tried]:
-    """Helices at lead angles all over their range, each fitted from its neighbour."""
+    """Helices fitted over the range of lead angles, each started from its neighbour."""
     upwards = start.helix.lead < _LEADS
     return _at(start, _LEADS[upwards], rows, noise) + _at(start, _LEADS[~upwards][::-1], rows, noise)
 
 
 def _at(start: _Tried, leads: Floats, rows: _Rows, noise: NoiseVariances) -> list[_Tried]:
-    """Helices at lead angles, each fitted from the one before."""
+    """Helices fitted at given lead angles, each started from the previous one."""
     trials: list[_Tried] = []
     for lead in leads.tolist():
         before = trials[-1] if trials else start
@@ -119,13 +119,13 @@ def _at(start: _Tried, leads: Floats, rows: _Rows, noise: NoiseVariances) -> lis
 
 
 def _fitted(helix: Helix, rows: _Rows, noise: NoiseVariances, free: int, steps: int = _STEPS) -> _Tried:
-    """The helix after Gauss-Newton steps of the first numbers."""
+    """The helix after Gauss-Newton steps of the first parameters."""
     return descended(_Descent(*_seen(helix, rows, noise), rows, noise, free), steps, _CONVERGED).tried
 
 
 @dataclass(frozen=True, eq=False)
 class _Descent:
-    """A helix on its way to the likeliest one, of which so many numbers are free."""
+    """State of the descent of a helix towards maximum likelihood, with some parameters free."""
 
     tried: _Tried
     whole_pull: Floats
@@ -153,7 +153,7 @@ class _Descent:
 
 
 def _shortened(step: Floats, helix: Helix) -> Floats:
-    """A step along which the frame's numbers mean something."""
+    """A step limited to the valid range of the frame's parameters."""
     share = min(1.0, _LARGEST_TURN / max(float(np.linalg.norm(step[:3])), 1e-12))
     if step[5] < 0:
         share = min(share, (1 - _LEAST_CURVATURE) * helix.curvature / -float(step[5]))
@@ -161,7 +161,7 @@ def _shortened(step: Floats, helix: Helix) -> Floats:
 
 
 def _seen(helix: Helix, rows: _Rows, noise: NoiseVariances) -> tuple[_Tried, Floats]:
-    """A helix as it is, and the pull (7,) of the rows on its numbers."""
+    """A helix with its gradient (7,) on the rows."""
     joint = helix.joint(0.0, rows.like)
     fit = seen_with(joint, rows.position, None, noise)
     information, pull, cost = normal_equations(fit, noise)
@@ -170,13 +170,13 @@ def _seen(helix: Helix, rows: _Rows, noise: NoiseVariances) -> tuple[_Tried, Flo
 
 
 def _log_density(trial: _Tried, rows: _Rows) -> float:
-    """Ln density of the lead angle, all other numbers and the noise integrated out."""
+    """Log density of the lead angle, with other parameters and noise marginalised."""
     within = trial.fit.chart.in_frame @ trial.slopes[:, :-1]
     return log_evidence(trial.fit.contrasts, within, rows.wanders, trial.fit.seen.configuration, rows.scales)
 
 
 def _chances(leads: Floats, log_density: Floats) -> tuple[Floats, Floats]:
-    """Angles (f,) between those tried (m,), in order, and their probabilities; no angle is preferred beforehand."""
+    """(f,) angles between the candidates (m,), sorted, and their probabilities under a flat prior."""
     fine = _interpolation(len(leads)) @ leads
     log_fine = PchipInterpolator(leads, log_density)(fine)
     chance = np.gradient(fine) * np.exp(log_fine - log_fine.max())
@@ -190,7 +190,7 @@ def _interpolation(points: int) -> Floats:
 
 
 def _covered(median: _Tried, tried: Sequence[_Tried], chance: Floats, spread: Floats, start: Joint) -> Joint:
-    """A fitted screw, counted from where a start counts, with its covariance over all lead angles.
+    """A fitted screw relative to a start, with its covariance over all lead angles.
 
     Args:
         tried: fits in the order of their angles.
@@ -217,7 +217,7 @@ def _covered(median: _Tried, tried: Sequence[_Tried], chance: Floats, spread: Fl
 
 
 def _counted_from(trial: _Tried, start: Joint) -> tuple[Joint, JointChart, Floats]:
-    """A fitted screw whose origin is closest to that of another, its chart, and slopes (p, 7) there."""
+    """A fitted screw with its origin closest to another's, its chart, and derivatives (p, 7)."""
     c = float(seen_by(trial.fit.joint, np.array([start.position]), None, 1.0).configuration[0])
     length = -c * trial.helix.width
     joint = trial.helix.joint(length, start)
@@ -226,7 +226,7 @@ def _counted_from(trial: _Tried, start: Joint) -> tuple[Joint, JointChart, Float
 
 
 def _carried(source: Joint, chart: JointChart, joint: Joint, here: JointChart) -> Floats:
-    """(k, p) named parameters of a joint with chart `here` per free number of another one's chart."""
+    """(k, p) derivative of the named parameters of a joint with chart `here` by another chart's parameters."""
     axis = np.array(source.axis)
     side = 1.0 if float(axis @ joint.axis) >= 0 else -1.0
     across = here.free[5:, 5:]
@@ -240,7 +240,7 @@ def _carried(source: Joint, chart: JointChart, joint: Joint, here: JointChart) -
 
 
 def _difference(source: Joint, joint: Joint, chart: JointChart) -> Floats:
-    """(k,) named parameters of a screw less those of a joint, counted from where it comes closest to its origin."""
+    """(k,) named parameters of a screw minus those of a joint, relative to its point closest to the origin."""
     compared = seen_by(source, np.array([joint.position]), None, 1.0)
     c = float(compared.configuration[0])
     radial, axis = np.cos(c) * compared.frame[0] + np.sin(c) * compared.frame[1], np.array(source.axis)

@@ -1,4 +1,4 @@
-"""Many joints as arrays: h joints of any kinds, one row each, so that a pool is compared, moved and fitted at once."""
+"""Joints as arrays: h joints of any kinds, one row each, for batched comparison, motion and fits."""
 
 from __future__ import annotations
 
@@ -41,27 +41,27 @@ class JointArrays:
 
     @cached_property
     def moving(self) -> Booleans:
-        """(h,) which are not rigid."""
+        """(h,) whether each joint is not rigid."""
         return np.array([KINDS[kind].moves for kind in self.kinds], dtype=bool)
 
     @cached_property
     def turning(self) -> Booleans:
-        """(h,) which rotate."""
+        """(h,) whether each joint rotates."""
         return np.array([KINDS[kind].turns for kind in self.kinds], dtype=bool)
 
     @cached_property
     def twisting(self) -> Booleans:
-        """(h,) which have a pitch."""
+        """(h,) whether each joint has a pitch."""
         return np.array([KINDS[kind].climbs for kind in self.kinds], dtype=bool)
 
     def take(self, index: Sequence[int] | NDArray[np.int64]) -> JointArrays:
-        """Some of the joints."""
+        """The joints with these indices."""
         i = np.asarray(index, dtype=np.int64)
         kinds = tuple(self.kinds[j] for j in i)
         return JointArrays(kinds, self.axis[i], self.center[i], self.position[i], self.quaternion[i], self.pitch[i])
 
     def joint(self, i: int) -> Joint:
-        """One of them as a joint."""
+        """Joint i."""
         fixed = self.axis[i], self.center[i], float(self.pitch[i])
         return twisting(self.kinds[i], *fixed, self.position[i], self.quaternion[i])
 
@@ -83,7 +83,7 @@ class JointArrays:
         return JointArrays(self.kinds, axis, center, carried[2] + step[:, 3:6], quaternion, pitch)
 
     def where(self, condition: Booleans, alternative: JointArrays) -> JointArrays:
-        """These joints where a condition (h,) holds, the other ones (of the same kinds) elsewhere."""
+        """These joints where a condition (h,) holds, the alternatives (of the same kinds) where not."""
         wide = condition[:, None]
         return JointArrays(
             self.kinds,
@@ -108,7 +108,7 @@ def arrays_of(joints: Sequence[Joint]) -> JointArrays:
 
 
 def concatenated_joints(several: Sequence[JointArrays]) -> JointArrays:
-    """All of their joints, one after another."""
+    """The concatenation of several arrays of joints."""
     names = ("axis", "center", "position", "quaternion", "pitch")
     arrays = (np.concatenate([getattr(part, name) for part in several]) for name in names)
     return JointArrays(tuple(kind for part in several for kind in part.kinds), *arrays)

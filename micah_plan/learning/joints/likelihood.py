@@ -1,4 +1,4 @@
-"""The joint of maximum likelihood under white and wandering noise, and the covariance of its parameters.
+"""Maximum-likelihood fits of a joint under white and drifting noise, with the covariance of its parameters.
 
 Generalized least squares over error contrasts, by Gauss-Newton with Levenberg's damping. The covariance
 is that of this estimator under the whole posterior of the noise (a sandwich), not only under the likeliest noise.
@@ -24,7 +24,7 @@ _STEPS = 25
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """A joint with the rows it was fitted to, as it sees them."""
+    """A joint with the rows of its fit, in its frame."""
 
     joint: Joint
     chart: JointChart
@@ -33,7 +33,7 @@ class JointFit:
 
 
 def seen_with(joint: Joint, position: Floats, quaternion: Floats | None, noise: NoiseVariances) -> JointFit:
-    """A joint as it is, with rows (n, 3), (n, 4)."""
+    """A joint as given, with rows (n, 3), (n, 4)."""
     rotation_std, position_std = noise.stds
     compared = seen_by(joint, position, quaternion, position_std / rotation_std)
     return JointFit(joint, chart_of(joint, quaternion is not None), compared, contrasts_of(joint, compared, noise.stds))
@@ -42,7 +42,7 @@ def seen_with(joint: Joint, position: Floats, quaternion: Floats | None, noise: 
 def fit_likelihood(
     joint: Joint, position: Floats, quaternion: Floats | None, noise: NoiseVariances, converged: float = 1e-6
 ) -> JointFit:
-    """The joint that makes rows (n, 3), (n, 4) most likely, from a start; its kind is kept.
+    """The maximum-likelihood joint for rows (n, 3), (n, 4), from a start of the same kind.
 
     Args:
         converged: it stops where the next step promises less than that [nats].
@@ -57,7 +57,7 @@ def fit_likelihood(
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """A joint on its way to the likeliest one, and how to look at another."""
+    """State of the descent of a joint, with its residuals and derivatives."""
 
     fit: JointFit
     information: Floats
@@ -90,7 +90,7 @@ def parameter_covariance(fit: JointFit, noise: NoiseVariances, posterior: ErrorP
 def error_covariance(
     fit: JointFit, noise: NoiseVariances, posterior: ErrorPosterior, gain: Floats, besides: Floats
 ) -> Floats:
-    """(k, k) covariance of numbers that errors move by a gain (k, p) times the pull; its stds cover.
+    """(k, k) conservative covariance of quantities that errors change by a gain (k, p) times the gradient.
 
     Args:
         besides: (k, k) covariance that they have anyway.
@@ -105,7 +105,7 @@ def error_covariance(
 
 
 def pitch_log_odds(fit: JointFit, posterior: ErrorPosterior, typical: float) -> float:
-    """Log odds of the screw that was fitted against the hinge that it is with pitch 0, as likely before [nats].
+    """Log odds of the fitted screw against the hinge with pitch 0, at even prior odds [nats].
 
     Both have the other parameters and the errors in common, so the odds are the density of pitch 0 before and after
     the rows were seen (Dickey, Annals of Mathematical Statistics 1971).
@@ -132,7 +132,7 @@ def pitch_log_odds(fit: JointFit, posterior: ErrorPosterior, typical: float) -> 
 def _errors(
     fit: JointFit, noise: NoiseVariances, posterior: ErrorPosterior, gain: Floats
 ) -> tuple[Floats, list[Floats], Floats]:
-    """(k, k) covariances of numbers that errors move by a gain (k, p) times the pull, and (2, s) variances of misfits.
+    """(k, k) covariances of quantities with gain (k, p), and (2, s) variances of misfits.
 
     By noise, and by misfits of variance 1 of positions and of rotations.
     """
@@ -144,7 +144,7 @@ def _errors(
 
 
 def normal_equations(fit: JointFit, noise: NoiseVariances) -> tuple[Floats, Floats, float]:
-    """Information (p, p) on the free numbers, pull (p,) of the errors, and their cost [nats]."""
+    """Information (p, p) and gradient (p,) of the free parameters, and the cost [nats]."""
     size = fit.contrasts[0].design.shape[2] + 1
     gram = np.zeros((size, size))
     for contrast in fit.contrasts:
@@ -164,7 +164,7 @@ def _weighted(columns: Floats, contrast: Contrasts, noise: NoiseVariances) -> Fl
 
 
 def _pulled(fit: JointFit, noise: NoiseVariances) -> tuple[Floats, Floats]:
-    """(n, 3, 11) what errors of positions and of rotations pull, under weights of one noise."""
+    """(n, 3, 11) weighted sensitivities of the parameters to errors of positions and of rotations."""
     n, _, p = fit.contrasts[0].design.shape
     by_position, by_rotation = np.zeros((n, 3, p)), np.zeros((n, 3, p))
     for contrast in fit.contrasts:
@@ -177,7 +177,7 @@ def _pulled(fit: JointFit, noise: NoiseVariances) -> tuple[Floats, Floats]:
 
 
 def _noise_pull(by_position: Floats, by_rotation: Floats, posterior: ErrorPosterior) -> Floats:
-    """(p, p) covariance of the pull of a tracker's noise."""
+    """(p, p) covariance of the gradient due to the tracker's noise."""
     n, _, p = by_position.shape
     total = np.zeros((p, p))
     for probability, noise in posterior.noises:
@@ -194,6 +194,6 @@ def _noise_pull(by_position: Floats, by_rotation: Floats, posterior: ErrorPoster
 
 
 def _misfit_pull(columns: Floats, modes: Floats) -> Floats:
-    """(p, p) covariance of the pull (n, 3, p) of a misfit of variance 1 in every direction."""
+    """(p, p) covariance of the gradient (n, 3, p) due to a misfit of variance 1 in every direction."""
     pulled = np.tensordot(modes, columns, axes=(0, 0)).reshape(-1, columns.shape[2])
     return np.asarray(pulled.T @ pulled)

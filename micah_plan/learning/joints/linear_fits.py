@@ -1,4 +1,4 @@
-"""Joints of all kinds by linear least squares, many stretches of rows at once: where fits start.
+"""Linear least-squares fits of joints of all kinds to many stretches of rows, as starts.
 
 With orientations every model is linear in the measured rotation matrices: a part-fixed point c_b on the axis stays put,
 p_t + R_t c_b = c_w (+ pitch · angle along the axis), and the axis is the direction the relative rotations share. A
@@ -80,14 +80,14 @@ def linear_fits(
 
 
 def _squared(share: Floats, vectors: Floats) -> Floats:
-    """(h, 3, 3) weighted sums of the squares of vectors (h, n, 3)."""
+    """(h, 3, 3) weighted sums of outer products of vectors (h, n, 3)."""
     return np.asarray((vectors * share[..., None]).swapaxes(1, 2) @ vectors)
 
 
 def _turning(
     share: Floats, centred: Floats, middle: Floats, position: Floats, quaternion: Floats
 ) -> tuple[Floats, Floats, Floats, Floats, Booleans]:
-    """Axes (h, 3), points on them (h, 3), origins in the middle (h, 3), pitches (h,) and whether anything turned."""
+    """Axes (h, 3), points on them (h, 3), mean origins (h, 3), pitches (h,), and (h,) whether there is a rotation."""
     relative = times(np.broadcast_to(quaternion, (len(share), *quaternion.shape)), conjugate(middle)[:, None])
     turns = rotation_vector(relative)
     values, vectors = np.linalg.eigh(_squared(share, turns))
@@ -115,7 +115,7 @@ def _turning(
 
 
 def _arcs(share: Floats, centred: Floats, vectors: Floats) -> tuple[Line, Floats, Line, Floats, Booleans]:
-    """Circles, starts (h, 3), helices through these, their pitches (h,), and whether there are any (h,).
+    """Circles, starts (h, 3), helices through them, their pitches (h,), and whether the fit exists (h,).
 
     Points are relative to the mean of the rows. A helix leaves the plane of its circle with the cube of the angle, by a
     sixth of its torsion times the squared radius of the circle; torsion by curvature is the tangent of its lead angle.

@@ -1,4 +1,4 @@
-"""How real joints deviate from ideal ones: smoothly with the configuration, and the same in every row that comes there.
+"""Misfit of real joints: a smooth function of the configuration, equal in all rows at the same configuration.
 
 Rows do not average such a deviation out. It is a random path over the range of configurations,
 
@@ -55,7 +55,7 @@ def misfit_prior(variance: Floats, typical: float) -> Floats:
 
 
 def without_misfit(products: Floats, contrasts: list[slice], tried: Floats) -> tuple[Floats, Floats]:
-    """Products of columns with the misfit integrated out, and what that costs.
+    """Products of columns with the misfit marginalised, and the log determinants of that.
 
     Args:
         products: (g, k, k) of the columns of all contrasts and, behind them, of the modes.

@@ -1,4 +1,4 @@
-"""The mixture of MLESAC over many hypotheses at once: inliers of a spread to be found, and uniform outliers.
+"""Mixture model of MLESAC for many hypotheses: inliers of unknown spread, and uniform outliers.
 
 Sources: Torr and Zisserman, "MLESAC", CVIU 2000; MICAH, the mixture (1 - γ) N + γ U with p(γ) ∝ exp(-w γ).
 """
@@ -19,7 +19,7 @@ _LEAST_OUTLIERS = 1e-4  # share of rows
 
 @dataclass(frozen=True, eq=False)
 class Sort:
-    """One sort of errors, of positions or of rotations.
+    """A group of errors: of positions or of rotations.
 
     Attributes:
         squares: (h, n) squared errors of n rows under h hypotheses.

@@ -1,4 +1,4 @@
-"""The free numbers of a joint: what they are called and how they move it.
+"""Local parameters of a joint: their names, and the joint after a step.
 
 A joint has fewer freedoms than named parameters, for its origin may be counted from any pose of the motion. A
 `JointChart` spans those freedoms at one joint without singularity: tilts of the axis about the directions of
@@ -96,7 +96,7 @@ def cross(a: Floats, b: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class JointChart:
-    """Free numbers around a joint.
+    """Local parameters of a joint.
 
     Attributes:
         names: (k,) of `automaton.joint.ParameterCovariance`.
@@ -115,7 +115,7 @@ class JointChart:
 
 
 def chart_of(joint: Joint, has_orientation: bool) -> JointChart:
-    """The free numbers of a joint; without orientations the part's is none of them."""
+    """The local parameters of a joint; without orientations the part's orientation is excluded."""
     before = KINDS[joint.kind].parameters
     after = (_ROTATION if has_orientation else ()) + _POSITION
     k, size = len(before), len(after)
@@ -140,7 +140,7 @@ def chart_of(joint: Joint, has_orientation: bool) -> JointChart:
 
 
 def stepped(joint: Joint, chart: JointChart, numbers: Floats) -> Joint | None:
-    """The joint after a step of the free numbers (p,); None where the step is too long to mean anything."""
+    """The joint after a step of the free parameters (p,); None if the step leaves the valid range."""
     step = dict(zip(chart.names, (chart.free @ numbers).tolist(), strict=True))
     if not all(abs(value) <= _LONGEST_STEP for value in step.values()):
         return None

@@ -43,19 +43,19 @@ def conjugate(q: Floats) -> Floats:
 
 
 def rotation_vector(q: Floats) -> Floats:
-    """(..., 3) rotation vectors [rad] of the shorter way, whatever the sign of q."""
+    """(..., 3) rotation vectors [rad] of at most half a turn, independent of the sign of q."""
     vector, scalar = q[..., :3], q[..., 3]
     return np.asarray(vector * _turn_per_sine(np.einsum("...i,...i->...", vector, vector), scalar)[..., None])
 
 
 def rotation_vectors(q: Floats) -> Floats:
-    """The same of quaternions (..., 4, n) with rows last: (..., 3, n)."""
+    """Rotation vectors of quaternions (..., 4, n) with rows last: (..., 3, n)."""
     vector, scalar = q[..., :3, :], q[..., 3, :]
     return np.asarray(vector * _turn_per_sine((vector**2).sum(axis=-2), scalar)[..., None, :])
 
 
 def _turn_per_sine(square: Floats, scalar: Floats) -> Floats:
-    """What a quaternion's vector, of such squared length, is multiplied with to be a rotation vector."""
+    """Factor from a quaternion's vector part to its rotation vector."""
     length = np.sqrt(square)
     angle = 2 * np.arctan2(length, np.abs(scalar))
     return np.copysign(np.where(length > TINY, angle / np.maximum(length, TINY), 2.0), scalar)

@@ -1,4 +1,4 @@
-"""Many joints compared with all rows of a track at once, in plain arrays.
+"""Comparison of many joints with all rows of a track, in plain arrays.
 
 The same closed forms as automaton.kinematics (MICAH, section II-B), over (h, n) arrays instead of SciPy's transforms:
 a pool of joints against a few hundred rows is then a handful of array operations.
@@ -28,7 +28,7 @@ _TELLING_PITCH = 0.05 / (2 * np.pi)  # m/rad
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """All n rows as h joints see them, d = 6 [rotation vector (rad), position (m)] or 3 where only positions exist.
+    """All n rows in the frames of h joints, d = 6 [rotation vector (rad), position (m)] or 3 with positions only.
 
     Attributes:
         configuration: (h, n) closest configurations [rad or m], 0 for rigid.
@@ -50,11 +50,11 @@ class Compared:
         )
 
     def take(self, index: Ints | Booleans | slice) -> Compared:
-        """Some of the joints."""
+        """The joints with these indices."""
         return Compared(self.configuration[index], self.error[index], self.direction[index])
 
     def where(self, condition: Booleans, alternative: Compared) -> Compared:
-        """These joints where a condition (h,) holds, the other ones elsewhere."""
+        """These joints where a condition (h,) holds, the alternatives where not."""
         narrow, wide = condition[:, None], condition[:, None, None]
         return Compared(
             np.where(narrow, self.configuration, alternative.configuration),
@@ -73,7 +73,7 @@ def compare_all(
 def compare_arrays(
     joints: JointArrays, position: Floats, quaternion: Floats | None, rotation_length: float | Floats
 ) -> Compared:
-    """The same for joints that are arrays already.
+    """`compare_all` for joints that are arrays.
 
     Args:
         joints: the h joints.

@@ -1,4 +1,4 @@
-"""What errors that rows share add to what is known of a joint: the rows themselves do not show it.
+"""Uncertainty of a joint due to errors that all rows share, which residuals cannot reveal.
 
 A small move of it (v, w) and a factor 1 + s of lengths move the axis by w x axis, a point p of it by v + w x p + s p,
 and the pitch by s pitch.
@@ -28,7 +28,7 @@ _ROWS = {name: row for row, name in enumerate(_PARAMETERS)}
 
 
 def with_shared_error(joint: Joint, ends: tuple[float, float], error: SharedError) -> Joint:
-    """The joint with the covariance of its parameters widened; itself where it has none.
+    """The joint with an enlarged covariance of its parameters; unchanged if it has none.
 
     Args:
         ends: smallest and largest configuration of the rows that it was fitted to [rad or m].
@@ -44,7 +44,7 @@ def with_shared_error(joint: Joint, ends: tuple[float, float], error: SharedErro
 
 
 def _slopes_by_frame(joint: Joint) -> Floats:
-    """(11, 7) derivatives of the parameters by a shift and a turn of the frame, and by the factor of lengths."""
+    """(11, 7) derivatives of the parameters by a shift and a rotation of the frame, and by the scale of lengths."""
     slopes = np.zeros((11, 7))
     if joint.moves:
         basis = axis_basis(joint.axis)
@@ -60,7 +60,7 @@ def _slopes_by_frame(joint: Joint) -> Floats:
 
 
 def _of_few_poses(joint: Joint, names: tuple[str, ...], ends: tuple[float, float], pose: Floats) -> Floats:
-    """(k, k) covariance of the parameters that a few poses with this covariance (6, 6) leave."""
+    """(k, k) covariance of the parameters determined by a few poses with covariance (6, 6)."""
     has_turns = "rotation_1" in names
     chart = chart_of(joint, has_turns)
     if not pose.any():

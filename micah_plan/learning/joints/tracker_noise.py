@@ -1,4 +1,4 @@
-"""Noise of a tracker's poses, white and wandering, and its posterior given what a fit of a joint leaves."""
+"""Noise of a tracker's poses, white and drifting, and its posterior given the residuals of a joint's fit."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _UNLIKELY = 0.05  # of the likeliest correlation time; others add little but tim
 
 @dataclass(frozen=True)
 class Scales:
-    """What is believed of errors before anything is seen.
+    """Prior scales of errors.
 
     Attributes:
         least: smallest stds of noise to believe in, of a rotation [rad] and a position [m].
@@ -37,7 +37,7 @@ class Scales:
 
 @dataclass(frozen=True, eq=False)
 class NoiseVariances:
-    """Variances of a tracker's noise per axis [m², rad²] with a wander of one correlation time, if any."""
+    """Variances of a tracker's noise per axis [m², rad²], with a drift of one correlation time if any."""
 
     position_white: float
     position_wander: float
@@ -54,7 +54,7 @@ class NoiseVariances:
         )
 
     def of(self, contrast: Contrasts) -> tuple[float, float]:
-        """White and wandering variance of contrasts."""
+        """White and drift variance of contrasts."""
         turns = contrast.reach**2 if contrast.position is not None else 1.0
         white = wander = 0.0
         if contrast.position is not None:
@@ -66,7 +66,7 @@ class NoiseVariances:
 
 @dataclass(frozen=True, eq=False)
 class ErrorPosterior:
-    """What is known of the errors of poses, given what a fit leaves.
+    """Posterior of pose errors, given the residuals of a fit.
 
     Attributes:
         noises: probabilities of correlation times, with the tracker's noise there.
@@ -83,12 +83,12 @@ class ErrorPosterior:
 
     @property
     def likeliest(self) -> NoiseVariances:
-        """The noise of the likeliest correlation time."""
+        """The noise at the likeliest correlation time."""
         return max(self.noises, key=lambda pair: pair[0])[1]
 
 
 def white_noise(stds: tuple[float, float]) -> NoiseVariances:
-    """Noise without wander, of a std of rotations [rad] and positions [m]."""
+    """Noise without drift, with stds of rotations [rad] and positions [m]."""
     return NoiseVariances(stds[1] ** 2, 0.0, stds[0] ** 2, 0.0, None)
 
 
@@ -100,7 +100,7 @@ def noise_of(
     stds: tuple[float, float],
     scales: Scales,
 ) -> ErrorPosterior | None:
-    """Posterior of the noise and of the joint's misfit; None where rows are too few to tell.
+    """Posterior of the noise and of the joint's misfit; None with too few rows.
 
     Args:
         contrasts: what a fit leaves.
@@ -150,7 +150,7 @@ def _sizes(posterior: NoisePosterior, probability: Floats) -> tuple[Floats, Floa
 
 
 def wanders(time: Floats) -> list[OrnsteinUhlenbeck]:
-    """Wanders worth trying for rows at these times (n,) [s]."""
+    """Candidate drift processes for rows at times (n,) [s]."""
     return [OrnsteinUhlenbeck(time, memory) for memory in memories(time).tolist()]
 
 
@@ -161,7 +161,8 @@ def log_evidence(
     configuration: Floats,
     scales: Scales,
 ) -> float:
-    """Ln density of what a fit to positions leaves, its numbers (flat) and the noise integrated out; 0 of too few rows.
+    """Log evidence of the positions' residuals, with parameters (flat prior) and noise marginalised; 0 with too few
+    rows.
 
     Args:
         contrasts, configuration, scales: those of `noise_of`.
@@ -185,7 +186,7 @@ def _posteriors(
     modes: Floats,
     scales: Scales,
 ) -> list[NoisePosterior] | None:
-    """Of the pure contrasts, positions first."""
+    """Posteriors of the pure contrasts, positions first."""
     posteriors: list[NoisePosterior] = []
     for contrast in contrasts:
         if contrast.reach:

@@ -1,4 +1,5 @@
-"""Noise of a tracker in time, estimated from what a fit leaves: white, an Ornstein-Uhlenbeck wander, a joint's misfit.
+"""Temporal noise of a tracker from the residuals of a fit: white noise, an Ornstein-Uhlenbeck process, a joint's
+misfit.
 
 The precision of an Ornstein-Uhlenbeck process sampled at any times is tridiagonal (it is Markov), so everything here
 costs O(n). Scales come from the restricted likelihood (Patterson and Thompson, 1971), which pays for the parameters.
@@ -29,7 +30,7 @@ _GAP = 10.0  # rows; a longer pause counts as one of this length
 
 
 class OrnsteinUhlenbeck:
-    """A wander of variance 1 at given times."""
+    """An Ornstein-Uhlenbeck process of variance 1 at given times."""
 
     def __init__(self, time: Floats, memory: float) -> None:
         """Times (n,) [s], not decreasing; memory is the correlation time [s]."""
@@ -58,7 +59,7 @@ class OrnsteinUhlenbeck:
 
 @dataclass(frozen=True, eq=False)
 class NoisePosterior:
-    """What is known of the noise of contrasts, for each of the `finer` correlation times.
+    """Posterior of the noise of contrasts, for each of the `finer` correlation times.
 
     Attributes:
         log_likelihood: (f,) restricted, the ratios of wander and misfit to white noise integrated out.
@@ -74,7 +75,7 @@ class NoisePosterior:
 
 
 def memories(time: Floats) -> Floats:
-    """Correlation times worth trying for rows at these times (n,) [s]: from two rows to the whole duration."""
+    """Candidate correlation times for rows at times (n,) [s]: from two rows to the whole duration."""
     steps = np.diff(time)
     typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
     duration = float(np.minimum(steps, _GAP * typical).sum())
@@ -84,7 +85,7 @@ def memories(time: Floats) -> Floats:
 def noise_posterior(
     processes: list[OrnsteinUhlenbeck], modes: Floats, error: Floats, design: Floats, scale: tuple[float, float]
 ) -> NoisePosterior | None:
-    """Posterior of the noise that contrasts share, given what a fit leaves of them.
+    """Posterior of the noise shared by contrasts, given their residuals.
 
     Args:
         processes: one per correlation time.
@@ -133,7 +134,7 @@ def noise_posterior(
 
 
 def _products(processes: list[OrnsteinUhlenbeck], slowness: Floats, columns: Floats) -> tuple[Floats, Floats]:
-    """(g, m, m) products of columns (n, m) under every wander and, last, none; and (g,) log dets of the noise."""
+    """(g, m, m) products of columns (n, m) whitened by each process and, last, by none; and (g,) log determinants."""
     # Side by side, so that one tridiagonal solve serves all contrasts.
     beside = np.asfortranarray(columns)
     whole = beside.T @ beside
@@ -148,12 +149,12 @@ def _products(processes: list[OrnsteinUhlenbeck], slowness: Floats, columns: Flo
 
 
 def finer(tried: Floats) -> Floats:
-    """The correlation times that a `NoisePosterior` speaks of, from those tried."""
+    """The correlation times of a `NoisePosterior`, from the candidates."""
     return np.geomspace(tried[0], tried[-1], _FINE)
 
 
 def _finer(values: Floats, times: int) -> Floats:
-    """(s, f, 1 + f) values on the finer grid, from those tried (s, t r + 1) of which the last is without wander."""
+    """(s, f, 1 + f) values on the finer grid from the candidates (s, t r + 1), of which the last has no wander."""
     over_times, over_ratios = _spline(times), _spline(len(_RATIOS))
     wandering = over_times @ values[:, :-1].reshape(len(values), times, -1) @ over_ratios.T
     calm = np.broadcast_to(values[:, -1:, None], (len(values), _FINE, 1))
@@ -167,7 +168,7 @@ def _spline(points: int) -> Floats:
 
 
 def _prior(slowness: Floats) -> Floats:
-    """(f, 1 + f) what is believed of correlation times and ratios before anything is seen.
+    """(f, 1 + f) prior of correlation times and ratios.
 
     Likelihoods underrate slow wander, for a fit absorbs it: the prior leans that way, as reference priors of
     autoregressions do (Berger and Yang, 1994).
@@ -179,7 +180,7 @@ def _prior(slowness: Floats) -> Floats:
 
 
 def _left(grams: Floats, least: float) -> tuple[Floats, Floats]:
-    """Squares (...) that fits leave and log det of their information; grams (..., r + 1, r + 1) of columns, errors."""
+    """(residual sums of squares (...), log determinants of information) from Gram matrices (..., r + 1, r + 1)."""
     rank = grams.shape[-1] - 1
     lower = np.linalg.cholesky(grams[..., :rank, :rank])
     pulled = np.linalg.solve(lower, grams[..., :rank, rank:])[..., 0]
@@ -188,7 +189,7 @@ def _left(grams: Floats, least: float) -> tuple[Floats, Floats]:
 
 
 def _independent(columns: Floats) -> Floats:
-    """An orthonormal basis of the columns (m, p), without directions that are nothing but round-off."""
+    """An orthonormal basis of the columns (m, p), without directions at the level of round-off."""
     scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     values, vectors = np.linalg.eigh(scaled.T @ scaled)
     real = values > 1e-10 * max(float(values[-1]), 1e-300)

@@ -1,1 +1,1 @@
-"""Several parts: which one is attached to which."""
+"""Several parts: their kinematic tree."""

@@ -1,4 +1,4 @@
-"""The spanning arborescence of greatest weight: which parent each node has, so that the sum is greatest.
+"""Maximum spanning arborescence: the parents of all nodes with the greatest sum of weights.
 
 Source: Edmonds, "Optimum branchings", 1967. SciPy's spanning trees are of undirected graphs.
 
@@ -45,7 +45,7 @@ def maximum_arborescence(weights: Mapping[Arc, Weight], root: str) -> dict[str, 
 
 
 def _chosen(weights: Mapping[Arc, Weight], root: str) -> set[Arc]:
-    """The arcs of the arborescence: the best into every node, and around each cycle of them one that breaks it."""
+    """The arcs of the arborescence: the best into every node, with each cycle broken once."""
     best: dict[str, Arc] = {}
     for arc in sorted(weights):
         parent, child = arc

@@ -1,4 +1,4 @@
-"""Parts that may carry others: those whose motion the others share."""
+"""Candidate carriers: parts whose motion other parts share."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FEW = 0.05  # share of the rows that do not count
 
 
 def carriers(recording: Recording) -> dict[str, tuple[str, ...]]:
-    """For every part, the other parts that it can be attached to, in the order of the recording's parts."""
+    """For every part, the other parts it may be mounted on, in the order of the recording's parts."""
     windows = {part: [moving_windows(recording, run, part) for run in recording.runs] for part in recording.parts}
     moving = {part: np.concatenate(runs) for part, runs in windows.items()}
     return {
@@ -30,7 +30,7 @@ def carriers(recording: Recording) -> dict[str, tuple[str, ...]]:
 
 
 def moves_far(recording: Recording) -> bool:
-    """Whether the only part of a recording moves so far that nobody need learn whether it is rigid."""
+    """Whether the only part of a recording moves so far that a rigid pose can be excluded."""
     for run in recording.runs:
         place = _places(recording.rows(recording.run == run))
         if len(place) > 2 and extent(place, _FEW) > max(_FAR, _FAR_STDS * float(std_of_bends(bends(place)))):
@@ -39,7 +39,7 @@ def moves_far(recording: Recording) -> bool:
 
 
 def moving_windows(recording: Recording, run: int, part: str) -> Booleans:
-    """In which of the windows of a run a part moves; windows are of equal duration over the whole run, all parts."""
+    """Windows of a run in which a part moves; all parts share windows of equal duration."""
     in_run = recording.run == run
     own = np.flatnonzero(in_run & np.array([name == part for name in recording.part], dtype=bool))
     moves = np.zeros(_WINDOWS, dtype=bool)

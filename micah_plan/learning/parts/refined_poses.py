@@ -1,4 +1,4 @@
-"""Where a part was, as the edge to its parent says it: less noisy than what was measured of it."""
+"""Poses of a part refined by the edge to its parent."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _OUTLIER_STDS = 5.0  # from the running median
 
 
 def branch_poses(edge: KinematicEdge, relative: RelativeRows, poses: RigidTransform) -> RigidTransform:
-    """Poses with those of an edge's child replaced by what the edge says of them.
+    """Poses in which those of an edge's child are projected on the edge.
 
     A part on a joint can only be where its joint allows: projected onto it (f ∘ f⁻¹) a measured pose keeps one of its
     six errors, and that one is made small: what the actions do not say of the segment's configurations is smoothed. A
@@ -67,14 +67,14 @@ def _smoothed_freely(poses: RigidTransform) -> RigidTransform:
 
 
 def _commanded(joint: Joint, c: Floats, action: Floats) -> Floats:
-    """(k,) configurations to which the actions lead, up to a constant: their sum, scaled as far as it is followed."""
+    """(k,) configurations integrated from the actions, up to a constant and scaled by how far they are followed."""
     asked = np.nan_to_num(inverse_jacobian(joint, c, action))[:-1]
     followed = float(asked @ np.diff(c)) / max(float(asked @ asked), 1e-12)
     return np.concatenate([[0.0], np.cumsum(followed * asked)])
 
 
 def _smoothed(c: Floats) -> Floats:
-    """A spline through configurations, as smooth as generalised cross-validation finds best, and blind to outliers."""
+    """Robust smoothing spline through configurations, with generalised cross-validation."""
     if len(c) < _FEWEST_ROWS:
         return c
     miss = c - median_filter(c, size=_WINDOW, mode="nearest")

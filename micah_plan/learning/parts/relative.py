@@ -1,4 +1,4 @@
-"""One part of a recording as another part sees it: the rows that a kinematic edge between the two is learned from.
+"""Rows of one part relative to another, from which their edge is learned.
 
 Source: MICAH, section IV-A: Δ_ij = x_i ⊖ x_j is all that matters for the edge between i and j.
 """
@@ -92,7 +92,7 @@ def relative_rows(
 
 
 def relative_to(recording: Recording, base: str) -> Recording:
-    """The parts of an object on a tracked base that moves, as that base sees them: a door on a cart that is pushed.
+    """The parts of an object relative to its tracked moving base, such as a door on a cart.
 
     Args:
         base: the part that the poses are given in afterwards; its rows are left out.
@@ -123,7 +123,7 @@ def relative_to(recording: Recording, base: str) -> Recording:
 
 
 def in_whole_recording(edge: KinematicEdge, relative: RelativeRows, child: str) -> KinematicEdge:
-    """An edge learned from relative rows, with its rows counted within the whole recording and its parent named."""
+    """An edge learned from relative rows, renumbered for the whole recording with its parent named."""
     rows = relative.rows.tolist()
     return KinematicEdge(
         relative.parent,
@@ -161,7 +161,7 @@ def _rows_of(recording: Recording, part: str) -> Ints:
 
 
 def _covered(time: Floats, others: Floats) -> NDArray[np.bool_]:
-    """Which times lie between two of the others that are not far apart, or on one of them."""
+    """Times that lie between two close times of others, or on one."""
     if len(others) < 2:
         return np.zeros(len(time), dtype=bool)
     intervals = np.diff(others)

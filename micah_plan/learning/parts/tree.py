@@ -1,4 +1,4 @@
-"""The kinematic tree of several parts: which part is attached to which, from edges learned pair by pair.
+"""Kinematic tree of several parts from edges learned pairwise.
 
 Sources: Sturm, Stachniss and Burgard, "A probabilistic framework for learning kinematic models of articulated
 objects", JAIR 2011 (spanning tree of greatest posterior); MICAH, section IV-A (edges of several models). Why evidences
@@ -43,7 +43,7 @@ _EVIDENCE_DIGITS = 6  # evidences that agree so far [nats] are ties
 
 @dataclass(frozen=True, eq=False)
 class PairEdge:
-    """What was learned of a child relative to a parent.
+    """A learned edge of a child relative to a candidate parent.
 
     Attributes:
         relative: the rows that it was learned from.
@@ -60,12 +60,12 @@ class PairEdge:
 
     @property
     def free_rows(self) -> int:
-        """How many rows no joint explains."""
+        """Number of rows that no joint explains."""
         return sum(segment.end - segment.start + 1 for segment in self.edge.segments if _is_free(segment))
 
     @property
     def log_evidence(self) -> float:
-        """ln probability of its rows [nats]: of all segmentations if the learner says it, else of the chosen one."""
+        """Log evidence of its rows [nats]: of all segmentations if available, else of the chosen one."""
         if self.edge.certainty is not None:
             return self.edge.certainty.log_evidence
         return sum(segment.log_evidence for segment in self.edge.segments)
@@ -114,14 +114,14 @@ def learn_tree(recording: Recording, learn_pair: PairLearner, progress: Progress
 
 
 def _is_free(segment: Segment) -> bool:
-    """Whether no joint explains a segment, or it leaves its joint further than real ones do."""
+    """Whether no joint explains a segment, or it deviates from its joint more than real ones do."""
     sure = segment.certainty
     is_off = sure is not None and sure.deviation is not None and sure.deviation.probability > 0.5
     return segment.no_single_joint is not None or is_off
 
 
 class _Pairs:
-    """Learned pairs, each learned once."""
+    """Learned pairs, cached."""
 
     def __init__(self, recording: Recording, learn_pair: PairLearner, progress: Progress | None) -> None:
         self.recording = recording
@@ -132,7 +132,7 @@ class _Pairs:
         self._base_evidence: dict[tuple[str, str], float] = {}
 
     def measured(self, parent: str, child: str) -> PairEdge:
-        """From measured poses.
+        """The pair learned from measured poses.
 
         Raises:
             InputError: if the two have too few rows in common.
@@ -146,7 +146,7 @@ class _Pairs:
         return pair
 
     def are_rigid(self, parent: str, child: str) -> bool:
-        """Whether two parts never move relative to each other; False where they cannot be seen together."""
+        """Whether two parts never move relative to each other; False without common rows."""
         if (parent, child) not in self._learned:
             relative = relative_rows(self.recording, parent, child)
             if relative is None or moves_far(relative.recording):
@@ -154,11 +154,11 @@ class _Pairs:
         return self.measured(parent, child).is_rigid
 
     def on_branch(self, branch: tuple[str, ...], child: str) -> PairEdge | None:
-        """From the pose of the branch's last part as the branch (base first) says it; None: too few common rows."""
+        """The pair learned from refined poses of the branch (base first); None with too few common rows."""
         return self.measured(BASE, child) if branch == (BASE,) else self._pair(branch, child, self._along(branch))
 
     def log_evidence_of_base(self, pair: PairEdge, child: str) -> float:
-        """ln probability of a pair's rows [nats] if the child stands on the base: parents compare on equal rows."""
+        """Log evidence of a pair's rows [nats] with the child on the base, for comparison on equal rows."""
         relative, whole = pair.relative, self.measured(BASE, child)
         if len(relative) == len(whole.relative):
             return whole.log_evidence
@@ -170,7 +170,7 @@ class _Pairs:
         return self._base_evidence[key]
 
     def is_attachment(self, pair: PairEdge, child: str) -> bool:
-        """Whether a pair may say that its child stands on its parent, which is not the base."""
+        """Whether a pair is evidence that its child is mounted on a parent other than the base."""
         return not pair.free_rows or pair.free_rows < self.measured(BASE, child).free_rows
 
     def final(self, parent: str, child: str) -> KinematicEdge:
@@ -191,7 +191,7 @@ class _Pairs:
         return self._learned[key]
 
     def _along(self, branch: tuple[str, ...]) -> RigidTransform:
-        """(n,) poses with those of the branch's parts put where the branch says."""
+        """(n,) poses with the parts of the branch replaced by their refined ones."""
         if branch == (BASE,):
             return self.recording.poses()
         if branch not in self._poses:
@@ -202,13 +202,13 @@ class _Pairs:
 
 
 def _telling(relative: RelativeRows) -> Recording:
-    """What is learned from: an action is relative to the measured pose, so beside no motion it is measurement noise."""
+    """The recording to learn from: without actions where the relative motion may be nothing but measurement noise."""
     still = relative.parent != BASE and not moves_far(relative.recording)
     return replace(relative.recording, action=None) if still else relative.recording
 
 
 def _bodies(able: Mapping[str, tuple[str, ...]], pairs: _Pairs) -> dict[str, str]:
-    """Parts that are rigidly attached to another, and the first part by name of the body that they belong to."""
+    """(parts that are rigidly attached to others, representative part of each body)."""
     first = {part: part for part in able}
     for child in sorted(able):
         for parent in sorted(able[child]):
@@ -220,7 +220,7 @@ def _bodies(able: Mapping[str, tuple[str, ...]], pairs: _Pairs) -> dict[str, str
 
 
 def _searched(able: Mapping[str, tuple[str, ...]], pairs: _Pairs) -> tuple[dict[str, str], float]:
-    """Parent of every body: the tree of greatest evidence, given branches along which parents' poses are found.
+    """Parent of every body: the tree of greatest evidence, with poses refined along candidate branches.
 
     And its probability among all trees, with the poses found along it.
     """
@@ -241,7 +241,7 @@ def _searched(able: Mapping[str, tuple[str, ...]], pairs: _Pairs) -> tuple[dict[
 
 
 def _share(evidence: Mapping[Arc, float], tree: Mapping[str, str]) -> float:
-    """Probability of a tree among all, whose weights a determinant sums (Tutte's matrix-tree theorem).
+    """Posterior probability of a tree among all spanning trees (Tutte's matrix-tree theorem).
 
     Log odds of parents are overstated as those of kinds are: noise and joints are fitted to the rows that judge them.
     """
@@ -263,7 +263,7 @@ def _share(evidence: Mapping[Arc, float], tree: Mapping[str, str]) -> float:
 
 
 def _weights(able: Mapping[str, tuple[str, ...]], tree: Mapping[str, str], pairs: _Pairs) -> dict[Arc, Weight]:
-    """Of every possible edge: evidence over that of the base; ties: rigid first, then the base, then by name."""
+    """Weights of all possible edges: evidence relative to the base; ties broken by rigidity, base, name."""
     order = {name: -float(number) for number, name in enumerate(sorted(able))}
     weights: dict[Arc, Weight] = {}
     for child, parents in able.items():
@@ -279,7 +279,7 @@ def _weights(able: Mapping[str, tuple[str, ...]], tree: Mapping[str, str], pairs
 
 
 def _branch(tree: Mapping[str, str], part: str) -> tuple[str, ...]:
-    """The parts from the base to a part."""
+    """The parts on the branch from the base to a part."""
     branch = [part]
     while branch[0] != BASE:
         branch.insert(0, tree[branch[0]])

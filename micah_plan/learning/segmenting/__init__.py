@@ -1,1 +1,1 @@
-"""Where one joint takes over from another: noise, evidence, changepoints and how sure they are."""
+"""Segmentation: noise, evidence, changepoints and their certainty."""

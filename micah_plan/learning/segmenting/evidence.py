@@ -1,4 +1,4 @@
-"""The evidence ln L(s, t, M) of every segment, from densities of rows that no start needs to compute again.
+"""Evidence ln L(s, t, M) of all segments, from densities of rows that are shared by all starts.
 
 One generative model serves all kinds: measured pose = joint at its configuration + an error with wander and tails (see
 noise.py). Rigid is the joint without motion. A row's density given the rows before it in the same segment depends on
@@ -38,7 +38,7 @@ _SLIP = 0.01  # probability that a row tells nothing of the next
 
 @dataclass(frozen=True, eq=False)
 class EvidenceTable:
-    """Densities of rows under a pool.
+    """Log densities of rows under a pool.
 
     Attributes:
         likelihood_power: power of the likelihood.
@@ -63,14 +63,14 @@ class EvidenceTable:
 
     @cached_property
     def sums(self) -> Floats:
-        """(h, n, n) evidence of every segment (first, last row), its joint's parameters paid for by someone else.
+        """(h, n, n) log evidence of every segment (first, last row), excluding the cost of its joint's parameters.
 
         What is said of last rows before the first means nothing.
         """
         return segment_sums(self.log_density, self.ending)
 
     def charged(self, index: int) -> Floats:
-        """(n, n) the same of one hypothesis, less what a segment pays for a joint of its own."""
+        """(n, n) log evidence of one hypothesis, minus the cost of a joint per segment."""
         n = len(self.sums[index])
         lengths = np.maximum(np.arange(2 * n - 1) - n + 2, 1).astype(float)
         # The cost of a segment depends on its length alone.
@@ -79,11 +79,11 @@ class EvidenceTable:
 
     @cached_property
     def best(self) -> Floats:
-        """(n, n) the same of whichever hypothesis is best for a segment."""
+        """(n, n) evidence of the best hypothesis for each segment."""
         return best_of(self.charged(i) for i in range(len(self.rows)))
 
     def cost(self, index: Ints, rows: Floats, held: bool = True) -> Floats:
-        """What a segment of so many rows pays for a hypothesis' parameters."""
+        """Cost of a hypothesis' parameters for a segment of a given number of rows [nats]."""
         n = np.maximum(rows, np.maximum(self.parameters[index], 1.0))
         return np.asarray(
             (self.held if held else self.occam)[index] + 0.5 * self.parameters[index] * np.log(n / self.rows[index])
@@ -116,7 +116,7 @@ def all_tabulated(
     likelihood_power: float,
     begun: bool = False,
 ) -> list[EvidenceTable]:
-    """The same of several sets of hypotheses, each under a noise of its own, at once."""
+    """Evidence tables of several pools, each under its own noise, in one batch."""
     together, counts = all_of(pools), [len(pool) for pool in pools]
     noise = stacked(noises, counts) if len(pools) > 1 else noises[0]
     pool = pool_of(together, track, noise)
@@ -159,7 +159,7 @@ def all_tabulated(
 
 
 def _across(pool: Pool, noise: NoiseModel) -> tuple[Floats, Floats, Floats]:
-    """(p + 1, h, n) ln densities across the joints, and (h, n) how much wider than usual a row's noise is.
+    """(p + 1, h, n) log densities across the joints, and (h, n) relative std of each row's noise.
 
     And (h, n) by how much less likely than a row on the joint usually is each of them is, alone [nats, at most 0].
     """

@@ -1,4 +1,4 @@
-"""Free motion: what explains rows that no single joint does (two degrees of freedom, a path that deforms).
+"""Free motion: the alternative to joints (two degrees of freedom, a path that deforms).
 
 Every channel goes on at a nearly constant velocity: a local linear trend under white noise, filtered row by row, with
 one scale of noise and one of acceleration for positions, and one each for rotations. A joint foretells all but one of
@@ -28,7 +28,7 @@ FINEST_EXTENT = 1e-3  # m or rad
 
 @dataclass(frozen=True, eq=False)
 class Trend:
-    """Rows told from those before them, under the likeliest scales of noise and of acceleration.
+    """Autoregressive prediction of rows, under the likeliest scales of noise and acceleration.
 
     Attributes:
         squares: (n - 2,) squared innovations of the third row on, in their variance.
@@ -42,7 +42,7 @@ class Trend:
 
 
 def free_log_probability(track: PartTrack, noise: NoiseModel, likelihood_power: float) -> float:
-    """ln probability of a track of free motion, to compare with that of its segments.
+    """Log evidence of a track as free motion, comparable with that of segments.
 
     Args:
         noise: as the roughness of the rows tells it.
@@ -65,7 +65,7 @@ def rough(noise: NoiseModel) -> list[float]:
 
 
 def price(rows: int) -> float:
-    """What the two scales of a trend cost that are fitted [nats]."""
+    """Cost of the two fitted scales of a trend [nats]."""
     return float(np.log(3.0 * rows))
 
 
@@ -79,7 +79,7 @@ def _path(track: PartTrack) -> Floats:
 
 
 def trend_of(vector: Floats, std: float, spacing: Floats | None = None) -> Trend:
-    """The likeliest trend of rows (n, k).
+    """The likeliest local linear trend of rows (n, k).
 
     Args:
         std: roughness of the rows.
@@ -93,12 +93,12 @@ def trend_of(vector: Floats, std: float, spacing: Floats | None = None) -> Trend
 
 
 def density(squares: Floats, sizes: Floats, d: int) -> Floats:
-    """ln densities of innovations in d dimensions: Student's, for some rows are outliers."""
+    """Student's t log densities of innovations in d dimensions, robust against outliers."""
     return np.asarray(log_peak(d, _DOF) - 0.5 * (_DOF + d) * np.log1p(squares / (_DOF + d)) - sizes)
 
 
 def likeliest_scale(squares: Floats, d: int) -> float:
-    """The common factor of variances under which squared innovations in d dimensions are likeliest."""
+    """The maximum-likelihood common factor of variances of squared innovations in d dimensions."""
     scale = float(squares.mean()) / d
     for _ in range(_ITERATIONS):
         scale = float((squares / (1 + squares / (scale * (_DOF + d)))).mean()) / d
@@ -106,7 +106,7 @@ def likeliest_scale(squares: Floats, d: int) -> float:
 
 
 def _begun(vector: Floats, std: float) -> float:
-    """ln density of the first two rows: uniform over a cube as large as the path, and a step as they are."""
+    """Log density of the first two rows: uniform over the extent of the path, then a step of its size."""
     k = vector.shape[1]
     step = max(np.sqrt((np.diff(vector, axis=0) ** 2).sum(axis=1).mean() / k), std)
     away = (vector[1] - vector[0]) / step

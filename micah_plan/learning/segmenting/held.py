@@ -1,4 +1,4 @@
-"""Where a part was held: all rests on one joint at once, from what the actions asked of it and it did not do.
+"""Detection of rests: all intervals at which a joint was held, from actions without motion.
 
 In every step the part either follows what the action asks of it along the joint, not quite, or it is held and does not
 move; which of the two is a hidden state that rarely changes. A filter of the configuration weighs them row by row
@@ -31,7 +31,7 @@ _FEWEST_FOLLOWED = 8  # steps from which a channel is estimated
 
 @dataclass(frozen=True, eq=False)
 class Along:
-    """What is known of a part along one joint in n rows.
+    """Configurations and actions of a part along one joint, in n rows.
 
     Attributes:
         configuration: (n,) measured [rad or m].
@@ -46,14 +46,14 @@ class Along:
 
 
 def along_joint(pool: Pool, joint: int, action: Floats) -> Along:
-    """What a pool knows of one of its joints, in the rows that it sees."""
+    """The trace of a pool's joint in its rows."""
     scales = pool.along.take([joint])
     noise = float((scales.white + scales.fast)[0]), float(scales.renewed[0])
     return Along(pool.seen.configuration[joint], action, *noise)
 
 
 def places_held(along: Along) -> Booleans:
-    """(p, n) rows of each place at which the part was held, however often: rests less apart than a stop is sharp."""
+    """(p, n) rows of each place at which the part was held, with repeated rests at one place merged."""
     rests = held_rows(along)
     if not len(rests):
         return rests
@@ -65,7 +65,7 @@ def places_held(along: Along) -> Booleans:
 
 
 def held_rows(along: Along) -> Booleans:
-    """(r, n) rows of each rest, in their order: the row of arrival is not one of them."""
+    """(r, n) rows of each rest in order, without the row of arrival."""
     held = held_steps(along) > 0.5
     edges = np.flatnonzero(np.diff(np.concatenate([[False], held, [False]]).astype(int))).reshape(-1, 2)
     edges = edges[edges[:, 1] - edges[:, 0] >= _FEWEST_STEPS]
@@ -76,7 +76,7 @@ def held_rows(along: Along) -> Booleans:
 
 
 def held_steps(along: Along) -> Floats:
-    """(n - 1,) probability of every step that the part was held; 0 where the actions do not tell."""
+    """(n - 1,) probability of each step that the part was held; 0 where actions give no evidence."""
     step, action = np.diff(along.configuration), along.action[:-1]
     asked = np.any(action != 0, axis=1)
     smooth = np.convolve(step, np.full(3, 1 / 3), mode="same")
@@ -98,7 +98,7 @@ def held_steps(along: Along) -> Floats:
 
 
 def _smoothed(along: Along, expected: Floats, loose: float) -> Floats:
-    """(n - 1,) probability of being held, given the expected steps (n - 1,) and the variance that they leave."""
+    """(n - 1,) posterior probability of being held, given expected steps (n - 1,) and their residual variance."""
     measured = along.configuration.tolist()
     mean, variance, chance = measured[0], along.white, 0.5
     forward, odds = [], []
@@ -128,7 +128,7 @@ def _smoothed(along: Along, expected: Floats, loose: float) -> Floats:
 
 
 def _from_later(odds: list[float]) -> Floats:
-    """(k,) probability that a part is held in each step, by the later ones alone, from what each tells [nats]."""
+    """(k,) backward probability that a part is held in each step, from the log odds of the later steps [nats]."""
     chance = 0.5
     backward = [chance]
     for tells in odds[:0:-1]:

@@ -1,4 +1,4 @@
-"""The power with which a likelihood counts, by how far it is to be trusted.
+"""Likelihood power: tempering of the likelihood by the suspected misfit of the model.
 
 No hinge is ideal and no tracker errs as a noise model says. Where noise is far below such misfits, rows claim
 more than they know, and the smallest systematic deviation, recorded long enough, would become a second joint. Where

@@ -1,4 +1,4 @@
-"""How a part moves along its joint: the latent configuration's step, given the action.
+"""Motion along a joint: step models of the latent configuration given the actions.
 
 c_{t+1} = c_t + h·a_t + w_t. Without actions (CHAMP) h = 0, and w_t is 0 with probability ρ, the prior share of rest,
 and N(μ, q) otherwise, with μ the typical step of the demonstration. With them w_t is what the action leaves
@@ -46,7 +46,7 @@ _SMOOTHED = 5  # steps, on each side, that tell the way of one
 
 @dataclass(frozen=True, eq=False)
 class _StepModel:
-    """One way to explain the steps of h hypotheses: ln densities (n - 1, h) in three states.
+    """A model of the steps of h hypotheses: log densities (n - 1, h) in three states.
 
     Going forth, going back, or not started; where actions lead: following exactly, loosely, or waiting for the hand.
     """
@@ -61,7 +61,7 @@ class _StepModel:
 
 @dataclass(frozen=True, eq=False)
 class StepModels:
-    """The step models of h hypotheses, and the density of every row's step.
+    """Step models of h hypotheses, with the density of every row's step.
 
     Attributes:
         log_density: (h, n) of the configuration at a row, given those before [1/rad or 1/m]; 0 for rigid.
@@ -76,7 +76,7 @@ class StepModels:
     parameters: Floats
 
     def part(self, part: slice) -> StepModels:
-        """Of some hypotheses."""
+        """The step models of some hypotheses."""
         return StepModels(self.log_density[part], self.unled[part], self.gain[part], self.parameters[part])
 
 
@@ -140,7 +140,7 @@ def fit_motion(
 
 
 def _step_variances(grid: Floats, action: Floats | None, n: int) -> tuple[Floats, Floats, Floats]:
-    """Variances (n - 1, h, g) of steps that nothing leads, that actions lead, and of a part that has not moved yet.
+    """Variances (n - 1, h, g) of steps without an action, with one, and of a part that has not moved yet.
 
     The more an action asks for, the further the part may miss it; where nothing is asked, it hardly moves.
     """
@@ -154,7 +154,7 @@ def _step_variances(grid: Floats, action: Floats | None, n: int) -> tuple[Floats
 
 
 def _signals(c: Floats, action: Floats | None) -> Floats:
-    """(h, n, k): the configurations, a ramp, and what was commanded so far."""
+    """(h, n, k) regressors: configurations, a ramp, and the commanded path."""
     n = c.shape[1]
     signals = [c, np.broadcast_to(np.arange(n, dtype=float), c.shape)]
     if action is not None:
@@ -257,7 +257,7 @@ def _constant_velocity_model(
 
 
 def _either(densities: list[Floats], begun: bool) -> Floats:
-    """ln density (n, ...) of rows given those before, with the hidden states of `_StepModel`.
+    """(n, ...) log predictive density of each row, with the hidden states of `_StepModel` summed out.
 
     A demonstration may take its time before the part moves; a part that has moved and stands still is another matter.
     """
@@ -283,7 +283,7 @@ def _quiet_density(innovation: Floats, quiet: Floats) -> Floats:
 
 
 def _speeds(c: Floats, weight: Floats, white: Floats) -> tuple[Floats, Floats]:
-    """(n - 1, h) mean step of the few before each, and how much of its scatter (h,) is not noise."""
+    """(n - 1, h) mean of the few steps before each, and the non-noise share of its scatter (h,)."""
     last = np.arange(c.shape[1] - 1)
     first = np.maximum(last - _TRACKED, 0)
     before = ((c[:, last] - c[:, first]) / np.maximum(last - first, 1)).T
@@ -302,7 +302,7 @@ def _directions(c: Floats) -> Floats:
 
 
 def _onward(c: Floats) -> Floats:
-    """(h,) the way 1 or -1 that the part goes first, far enough to be no noise."""
+    """(h,) direction 1 or -1 of the first motion beyond noise."""
     away = c - c[:, :1]
     far = np.abs(away) >= 0.5 * np.abs(away).max(axis=1, keepdims=True)
     return np.asarray(np.sign(away[np.arange(len(c)), np.argmax(far, axis=1)]))
@@ -321,7 +321,7 @@ def _action_driven_model(
     action: Floats,
     contact_rate: Floats,
 ) -> list[_StepModel]:
-    """h along the levers (h, 3), and h of any direction, each for the best E[w²] of the grid.
+    """Gains along the levers (h, 3), and in any direction, each for the best E[w²] of the grid.
 
     Args:
         steps, commanded: (n - 1, h, g) and (3, n - 1, h, g) innovations of the configuration and of what was commanded.

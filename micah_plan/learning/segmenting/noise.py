@@ -1,4 +1,4 @@
-"""Noise of a pose measurement: white, with fast and slow wander, and how much of it the rows before foretell.
+"""Noise of pose measurements: white, with fast and slow drift, and its prediction from earlier rows.
 
 Measured pose = joint at its configuration + error e_t. Errors are white noise + a fast wander + a slow wander of the
 tracker (Ornstein-Uhlenbeck each), of one scale for rotations and one for positions. A row's error given the p rows
@@ -25,7 +25,7 @@ _UNMEASURED = 0.05  # rad
 
 @dataclass(frozen=True)
 class MeasurementNoise:
-    """Noise of one pose measurement in few numbers.
+    """Noise of one pose measurement in a few parameters.
 
     Attributes:
         position_std, rotation_std: total std per axis [m, rad]; rotation is a placeholder where it was not measured.
@@ -39,7 +39,7 @@ class MeasurementNoise:
 
     @property
     def rotation_length(self) -> float:
-        """What weighs rotation against position [m/rad]."""
+        """Ratio of position to rotation noise [m/rad]."""
         return self.position_std / self.rotation_std
 
 
@@ -59,7 +59,7 @@ class NoiseScales:
     slow_kept: Floats
 
     def take(self, index: slice | Sequence[int] | Ints) -> Self:
-        """Some of them, or one of them several times."""
+        """The entries with these indices."""
         return type(self)(**{name: value[index] for name, value in self._arrays().items()})
 
     def _arrays(self) -> dict[str, Floats]:
@@ -67,7 +67,7 @@ class NoiseScales:
 
     @property
     def renewed(self) -> Floats:
-        """Variance of the wander that is new in each row."""
+        """Variance of the drift's innovation per row."""
         return np.asarray(self.fast * (1 - self.fast_kept**2) + self.slow * (1 - self.slow_kept**2))
 
 
@@ -94,7 +94,7 @@ class NoiseModel(NoiseScales):
 
     @cached_property
     def innovation(self) -> Floats:
-        """(m, d, d) covariance of a row's error, given those before."""
+        """(m, d, d) covariance of a row's innovation."""
         std = np.sqrt(self.left[:, -1])
         return np.asarray(std[:, :, None] * self.correlation * std[:, None])
 
@@ -105,13 +105,13 @@ class NoiseModel(NoiseScales):
 
     @cached_property
     def rotation_length(self) -> Floats:
-        """(m, 1) what weighs rotation against position [m/rad]."""
+        """(m, 1) ratio of position to rotation noise [m/rad]."""
         total = (self.white + self.fast + self.slow).reshape(len(self), -1, 3).mean(axis=2)
         rotation = np.sqrt(total[:, :1]) if total.shape[1] == 2 else _UNMEASURED
         return np.asarray(np.sqrt(total[:, -1:]) / rotation)
 
     def of_rows(self, rows: float) -> MeasurementNoise:
-        """The noise of single rows, where the first of these is that of means of `rows` rows."""
+        """The noise of single rows, where the present one is of means of `rows` rows."""
         white = self.white[0] * rows
         total = white + self.fast[0] + self.slow[0]
         turns = slice(0, len(white) - 3)
@@ -146,12 +146,12 @@ class NoiseModel(NoiseScales):
 
     @cached_property
     def decorrelation(self) -> Floats:
-        """(m, d, d) what makes scaled innovations independent."""
+        """(m, d, d) matrices that decorrelate scaled innovations."""
         return np.linalg.inv(np.linalg.cholesky(self.correlation))
 
 
 def stacked(noises: Sequence[NoiseModel], counts: Sequence[int]) -> NoiseModel:
-    """Each of some noises (m = 1) for so many hypotheses."""
+    """Noises (m = 1) repeated for given numbers of hypotheses."""
     arrays = [noise._arrays() for noise in noises]
     return NoiseModel(
         **{

@@ -1,4 +1,4 @@
-"""Noise of a track, estimated from its rows: first from their roughness, then from what joints leave."""
+"""Noise of a track: first from second differences of its rows, then from the residuals of joints."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _ITERATIONS = 3
 
 
 def initial_noise(track: PartTrack, settings: LearnSettings) -> NoiseModel:
-    """White noise from the rows' misses of their neighbours' line, and the wander that is always expected."""
+    """Initial noise: white from second differences of rows, and the assumed drift."""
     missed = [bends(track.position)]
     if track.rotation is not None:
         steps = (track.rotation[:-1].inv() * track.rotation[1:]).as_rotvec()
@@ -45,7 +45,7 @@ def initial_noise(track: PartTrack, settings: LearnSettings) -> NoiseModel:
 def fit_noise_to_residuals(
     answers: Sequence[tuple[Pool, Ints]], settings: LearnSettings, any_slow: bool = False
 ) -> list[NoiseModel]:
-    """The noise that each of some answers for a track leaves: white noise, fast wander, correlation and tails.
+    """Noise estimated from the residuals of each answer for a track: white, fast drift, correlation and tails.
 
     Args:
         answers: joints as they see the rows, and which of them (n,) explains a row.
@@ -66,7 +66,7 @@ def fit_noise_to_residuals(
 def _scales(
     errors: Floats, free: Floats, correlation: Floats, slow_shares: Floats, settings: LearnSettings
 ) -> NoiseModel:
-    """The likeliest scales of errors (m, n, d): one of all rotations and one of all positions, in no preferred axes.
+    """Maximum-likelihood scales of errors (m, n, d), isotropic for rotations and for positions.
 
     Args:
         free: (m, n, d) directions of the motion, in which nothing is known of the errors.
@@ -115,7 +115,7 @@ def misses(pool: Pool, which: Ints) -> tuple[Floats, Floats]:
 
 
 def correlated(innovation: Floats, free: Floats) -> tuple[Floats, Floats]:
-    """Correlation matrices (with a prior worth d + 2 rows of none) and tails of scaled innovations (m, n, d).
+    """Regularised correlation matrices and tails of scaled innovations (m, n, d).
 
     Their scale is that of a whole vector: what a tracker has of axes of its own is in the matrix. Along free directions
     (m, n, d) nothing is known; expectation maximisation fills in what the matrix itself expects.
@@ -176,7 +176,7 @@ def _model(
 
 
 def _slow(n: int, d: int, settings: LearnSettings) -> tuple[Floats, float]:
-    """Variances (d / 3,) of the slow wander and its correlation in neighbouring rows."""
+    """Variances (d / 3,) of the slow drift, and its lag-1 correlation."""
     stds = np.array([settings.rotation_wander, settings.position_wander])[-d // 3 :]
     return stds**2, float(np.exp(-1 / max(settings.wander_durations * n, 1e-9)))
 
@@ -190,5 +190,5 @@ def _rough(missed: Floats, size: ArrayLike = 3.0) -> Floats:
 
 
 def finest_stds(d: int) -> Floats:
-    """White noise at least of d channels: of rotations [rad], if there are any, and of positions [m]."""
+    """Lower bounds of white noise in d channels: of rotations [rad], if there are any, and of positions [m]."""
     return np.array([_FINEST_ROTATION, _FINEST_POSITION])[-d // 3 :]

@@ -1,4 +1,4 @@
-"""What joints cost: how much narrower than their prior the rows make their parameters (Laplace's approximation).
+"""Parameter costs of joints: log ratio of prior to posterior volume (Laplace's approximation).
 
 ln p(y | M) ≈ ln p(y | θ_fit) - 1/2 ln det(I + Σ₀ F), with the parameters' prior covariance Σ₀ and Fisher information F.
 The term k/2 ln n of MICAH's ln L is its limit for many rows, but leaves out by how much one row tells: with wide priors
@@ -29,7 +29,7 @@ _WIDTHS = np.array([1.0] * 12 + [PITCH])
 
 
 def parameter_costs(pool: Pool, track: PartTrack, noise: NoiseModel, likelihood_power: float) -> tuple[Floats, Floats]:
-    """(h,) costs of the hypotheses' parameters on the rows that they were fitted to [nats], and what of it is denial.
+    """(h,) costs of the hypotheses' parameters [nats], and the part of it for implausible kinds.
 
     Args:
         likelihood_power: power of the likelihood.
@@ -39,7 +39,7 @@ def parameter_costs(pool: Pool, track: PartTrack, noise: NoiseModel, likelihood_
 
 
 def _parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, likelihood_power: float) -> Floats:
-    """(h,) how much narrower the rows make the parameters than their prior, and what is believed of joints before."""
+    """(h,) log ratio of prior to posterior volume of the parameters, including the prior of joints [nats]."""
     joints, used = pool.hypotheses.joints, pool.hypotheses.used
     count = np.maximum(used.sum(axis=1), 1)
     # Evenly spaced ones among the used rows.
@@ -58,7 +58,7 @@ def _parameter_cost(pool: Pool, track: PartTrack, noise: NoiseModel, likelihood_
 
 
 def held_costs(cost: Floats, denied: Floats, pool: Pool, noise: NoiseModel, likelihood_power: float) -> Floats:
-    """(h,) the same, cheaper where a rigid pose lies on a moving joint of the pool: a part is held on its way.
+    """(h,) costs with a discount for rigid poses on a moving joint of the pool: a part held on its path.
 
     Given the joint, the pose has only its configuration free, and the slow wander across it.
     """
@@ -84,7 +84,7 @@ def held_costs(cost: Floats, denied: Floats, pool: Pool, noise: NoiseModel, like
 
 
 def _denied(pool: Pool, noise: NoiseModel) -> Floats:
-    """(h,) what it costs that the rows of a moving joint do not move beyond noise, or that those of a rigid one do."""
+    """(h,) cost of a moving joint whose rows do not move beyond noise, or of a rigid one whose rows do [nats]."""
     used = pool.hypotheses.used
     rows = np.maximum(used.sum(axis=1), 1)[:, None]
     block = np.maximum(rows / BLOCKS, 1.0)

@@ -1,4 +1,4 @@
-"""Pieces of a track, each with its joint, that are the most probable ones: the recursion over a table of evidence."""
+"""Maximum-a-posteriori segmentation by dynamic programming over a table of evidence."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Segmentation:
 
     @property
     def which(self) -> Ints:
-        """(n,) the hypothesis that explains each row."""
+        """(n,) hypothesis of each row."""
         return np.concatenate([np.full(p.end - p.start + 1, p.hypothesis) for p in self.pieces])
 
 
@@ -73,7 +73,7 @@ def best_segmentation(
 
 
 def length_priors(track: PartTrack, settings: LearnSettings) -> list[LengthPrior]:
-    """Priors of the lengths of a track's segments, in its rows, the longest first: how often a part stops is unknown.
+    """Priors of segment lengths in rows, longest first, for unknown numbers of stops.
 
     Where it moves once there and back, a segment lasts half of the track. Where it moves there and back many times it
     may be one segment as before, or segments may last as long as they do there, or anything between: each halving is a

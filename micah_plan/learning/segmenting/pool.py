@@ -1,4 +1,4 @@
-"""The pool of joints that segments choose from, and all steps as they see them.
+"""The pool of candidate joints for segments, with all steps in their frames.
 
 Joints are fitted to windows of the track and to the segments found so far, never to each pair of a first and a last
 row; so segments that obey one joint share its parameters.
@@ -38,16 +38,16 @@ class Hypotheses:
         return len(self.joints)
 
     def take(self, index: Sequence[int] | Ints) -> Hypotheses:
-        """Some of them."""
+        """The hypotheses with these indices."""
         return Hypotheses(self.joints.take(index), self.used[np.asarray(index, dtype=np.int64)])
 
     def joined(self, more: Hypotheses) -> Hypotheses:
-        """These and others."""
+        """These hypotheses followed by others."""
         return all_of([self, more])
 
 
 def all_of(pools: Sequence[Hypotheses]) -> Hypotheses:
-    """The hypotheses of one pool after those of another."""
+    """The concatenated hypotheses of several pools."""
     if len(pools) == 1:
         return pools[0]
     return Hypotheses(
@@ -57,7 +57,7 @@ def all_of(pools: Sequence[Hypotheses]) -> Hypotheses:
 
 @dataclass(frozen=True, eq=False)
 class Pool:
-    """All n rows of a track as h hypotheses see them under a noise.
+    """All n rows of a track in the frames of h hypotheses, under a noise.
 
     Attributes:
         hypotheses: the h joints.
@@ -74,7 +74,7 @@ class Pool:
     moving: Booleans
 
     def part(self, part: slice, hypotheses: Hypotheses) -> Pool:
-        """As some of the hypotheses see the rows."""
+        """The pool restricted to some hypotheses."""
         return Pool(hypotheses, self.seen.take(part), self.along.take(part), self.lever[part], self.moving[part])
 
 
@@ -115,7 +115,7 @@ def windows(rows: int) -> list[tuple[int, int]]:
 
 
 def window_hypotheses(track: PartTrack, kinds: Sequence[JointKind], noise: NoiseModel) -> Hypotheses:
-    """Joints of all kinds fitted in closed form to every window; moving ones where something moves beyond noise."""
+    """Closed-form joints of all kinds for every window; moving ones only where motion exceeds noise."""
     n, noise_of_row = len(track), noise.of_rows(1.0)
     of_kind: list[JointKind] = []
     used = []
@@ -135,14 +135,14 @@ def window_hypotheses(track: PartTrack, kinds: Sequence[JointKind], noise: Noise
 
 
 def refitted_hypotheses(kinds: Sequence[JointKind], used: Booleans, track: PartTrack, noise: NoiseModel) -> Hypotheses:
-    """Joints of maximum likelihood of given kinds on given rows (h, n), those that the rows determine."""
+    """Maximum-likelihood joints of given kinds on given rows (h, n), where the rows determine them."""
     return all_refitted([(kinds, used)], track, noise)[0]
 
 
 def all_refitted(
     wanted: Sequence[tuple[Sequence[JointKind], Booleans]], track: PartTrack, noise: NoiseModel
 ) -> list[Hypotheses]:
-    """The same of several sets of kinds and rows at once, each under one of as many noises."""
+    """`refitted_hypotheses` for several sets of kinds and rows at once, each under its own noise."""
     kinds = [kind for wanted_kinds, _ in wanted for kind in wanted_kinds]
     used = np.concatenate([rows for _, rows in wanted])
     joints, fixed = linear_fits(kinds, used, track.position, track.quaternion)

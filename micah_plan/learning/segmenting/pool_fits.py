@@ -1,4 +1,4 @@
-"""Joints of maximum likelihood under the noise of a track, many at once: Gauss-Newton on the rows' innovations."""
+"""Maximum-likelihood joints under the noise of a track, batched Gauss-Newton on innovations."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def fit_pool_likelihood(
 
 @dataclass(frozen=True, eq=False)
 class _Fits:
-    """Joints that are being fitted, the rows of each and what they say.
+    """State of a batched fit: joints with their rows and residuals.
 
     Attributes:
         joints, place: the h joints, and which of all those to be fitted they are.
@@ -78,7 +78,7 @@ class _Fits:
     damping: Floats
 
     def step(self) -> tuple[Floats, Floats]:
-        """(h, 13) steps of `JointArrays.moved`, and how much likelier they promise to make the rows (h,) [nats]."""
+        """(h, 13) steps of `JointArrays.moved`, and their promised gain (h,) [nats]."""
         design = parameter_design(self.joints, self.seen, self.position)
         h, d, numbers, _ = design.shape
         columns = _whitened(design, self.coefficients[..., None, :], self.scale[..., None, :])
@@ -99,7 +99,7 @@ class _Fits:
         return step, 0.5 * (step[:, :numbers] * pull).sum(axis=1)
 
     def after(self, step: Floats) -> _Fits:
-        """The joints after a step, where it makes the rows likelier."""
+        """The joints after a step, where it increases the likelihood."""
         trial = self.joints.moved(step)
         compared = compare_arrays(trial, self.position, self.quaternion, self.rotation_length)
         innovation, cost = _innovations(compared.error, self.coefficients, self.scale, self.decorrelation, self.dof)
@@ -117,7 +117,7 @@ class _Fits:
         )
 
     def take(self, index: Ints) -> _Fits:
-        """Some of them."""
+        """The entries with these indices."""
         return _Fits(
             joints=self.joints.take(index),
             place=self.place[index],
@@ -136,7 +136,7 @@ class _Fits:
 
 
 def _start(joints: JointArrays, used: Booleans, track: PartTrack, noise: NoiseModel) -> _Fits:
-    """The joints as they are, and the rows (h, n) that each is fitted to."""
+    """The initial joints with the rows (h, n) of each."""
     index = np.argsort(~used, axis=1, kind="stable")[:, : used.sum(axis=1).max()]
     order = np.take_along_axis(_known_before(used, min(_ORDER, noise.left.shape[1] - 1)), index, axis=1)
     used = np.take_along_axis(used, index, axis=1)
@@ -200,7 +200,7 @@ def parameter_design(joints: JointArrays, compared: Compared, position: Floats) 
 
 
 def _known_before(used: Booleans, most: int) -> Ints:
-    """(h, n) how many rows directly before a row are used, up to `most`."""
+    """(h, n) number of consecutive used rows before each row, up to `most`."""
     order = np.zeros(used.shape, dtype=np.int64)
     unbroken = np.ones(used.shape, dtype=bool)
     for back in range(1, most + 1):
@@ -221,7 +221,7 @@ def _whitened(values: Floats, coefficients: Floats, scale: Floats) -> Floats:
 def _innovations(
     error: Floats, coefficients: Floats, scale: Floats, decorrelation: Floats, dof: Floats
 ) -> tuple[Floats, Floats]:
-    """(h, d, n) scaled innovations of the errors, 0 in rows that are not used, and what they cost (h,) [nats]."""
+    """(h, d, n) scaled innovations of the errors, 0 in unused rows, and their cost (h,) [nats]."""
     innovation = decorrelation @ _whitened(error, coefficients, scale)
     heavy = dof + error.shape[1]
     cost = 0.5 * (heavy * np.log1p((innovation**2).sum(axis=1) / heavy)).sum(axis=1)

@@ -1,4 +1,4 @@
-"""The posterior over segmentations: how many changepoints there are, and where (forward and backward sums).
+"""Posterior over segmentations by forward-backward sums: number and places of changepoints.
 
 Source: Fearnhead and Liu, JRSS B 2007; the sums run over all segmentations where the MAP recursion takes the best one.
 Two neighbouring segments never have the same joint: that is one segment.
@@ -19,7 +19,7 @@ _MORE_SEGMENTS = 3  # than there are in the most probable segmentation
 
 @dataclass(frozen=True, eq=False)
 class ChangepointPosterior:
-    """Where the segments of a track begin.
+    """Posterior of the starts of a track's segments.
 
     Attributes:
         counts: (m,) probability of 0, 1, ... m - 1 changepoints.
@@ -35,14 +35,14 @@ class ChangepointPosterior:
 
 
 def without_changepoints(posterior: ChangepointPosterior, probability: float) -> ChangepointPosterior:
-    """The posterior, where with some probability there is no changepoint at all."""
+    """The posterior mixed with the hypothesis of no changepoint."""
     counts = (1 - probability) * posterior.counts
     counts[0] += probability
     return replace(posterior, counts=counts, changepoint=(1 - probability) * posterior.changepoint)
 
 
 def with_another_changepoint(posterior: ChangepointPosterior, probability: float) -> ChangepointPosterior:
-    """The posterior, where with some probability there is one changepoint more, at any row."""
+    """The posterior mixed with the hypothesis of one more changepoint at any row."""
     counts = (1 - probability) * np.append(posterior.counts, 0.0) + probability * np.append(0.0, posterior.counts)
     changepoint = posterior.changepoint.copy()
     changepoint[1:] += probability / max(len(changepoint) - 1, 1)
@@ -50,7 +50,7 @@ def with_another_changepoint(posterior: ChangepointPosterior, probability: float
 
 
 def changepoint_posterior(worth: Floats, apart: Floats, prior: LengthPrior, changepoints: int) -> ChangepointPosterior:
-    """Sum over segmentations with up to a few more changepoints than the most probable one.
+    """Posterior summed over segmentations with up to a few changepoints more than the best.
 
     Args:
         worth: (h, n, n) evidence of every segment (first, last row) under h hypotheses, less what it pays for using it

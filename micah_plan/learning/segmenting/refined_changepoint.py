@@ -1,4 +1,4 @@
-"""Finding a changepoint again to the row: the two joints are known, only where one takes over from the other is not."""
+"""Refinement of a changepoint to the row between two known joints."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _UNLIKELY = 7.0  # nats; rows so much less likely than the best are not looked a
 
 @dataclass(frozen=True, eq=False)
 class RefinedChangepoint:
-    """Where a changepoint is.
+    """A changepoint with its posterior.
 
     Attributes:
         row: first row of the later segment, in the track.
@@ -98,7 +98,7 @@ def _scores(
     inlier: Booleans,
     settings: LearnSettings,
 ) -> Floats:
-    """(k,) ln probability of the steps that begin at `starts`, with the changepoint at each of them."""
+    """(k,) log probability of the steps starting at `starts`, with the changepoint at each of them."""
     steps = averaged(track, inlier, np.append(starts, end))
     longer = len(track) / max(end - int(starts[0]), 1)
     scaled = replace(settings, wander_durations=settings.wander_durations * longer)

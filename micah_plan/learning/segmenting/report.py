@@ -1,4 +1,4 @@
-"""What is reported of a track: how many changepoints, which kind of joint each segment has, and how sure that is."""
+"""Reported certainties of a track: number of changepoints, and kinds of joints with their probabilities."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ OTHER_MECHANISM = 0.1
 
 
 def posterior_of(answer: Segmented, settings: LearnSettings) -> ChangepointPosterior:
-    """The posterior over segmentations; joints of the most probable one are paid for once, others by each segment.
+    """The posterior over segmentations; joints of the best are charged once, others per segment.
 
     Its joints are those of the most probable one, their rivals on the same rows, and rests in the end of any length.
     """
@@ -68,7 +68,7 @@ def posterior_of(answer: Segmented, settings: LearnSettings) -> ChangepointPoste
 
 
 def _beside(stated: ChangepointPosterior, answer: Segmented) -> ChangepointPosterior:
-    """The posterior, where answers of other numbers of segments may have joints fitted to other rows."""
+    """The posterior extended by answers with other numbers of segments, whose joints have their own rows."""
     counts, changepoint = stated.counts.copy(), stated.changepoint.copy()
     count = len(answer.segmentation.pieces)
     for pieces in {len(other_answer.kinds) for other_answer in answer.others} - {count}:
@@ -87,7 +87,7 @@ def _beside(stated: ChangepointPosterior, answer: Segmented) -> ChangepointPoste
 
 
 def _odds(rival: Alternative, answer: Segmented) -> float:
-    """How probable another answer is, over the one that was found."""
+    """Odds of another answer against the chosen one."""
     return float(np.exp(min(rival.log_probability - answer.log_probability, 0.0) / LOG_ODDS_OVERSTATED))
 
 
@@ -147,5 +147,5 @@ def kind_probabilities(
 
 
 def other_mechanism(lack_of_fit: LackOfFit) -> float:
-    """Probability that a part which leaves its joint is on a mechanism of more than one axis."""
+    """Probability that a part off its joint is on a mechanism with more than one axis."""
     return 0.0 if lack_of_fit.deviation is None else OTHER_MECHANISM * lack_of_fit.deviation.probability

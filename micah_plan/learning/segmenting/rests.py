@@ -1,4 +1,4 @@
-"""Rests of a part that its joint moves and that is held for a while: joints learned from the other rows.
+"""Rests on a joint: the joint is learned from the other rows.
 
 What the actions say of a joint is fitted to all rows that it explains. If rows at which the part was pushed against a
 stop are among them, the actions seem to say little, and so the stop is not seen. Here the rests that there may be are
@@ -34,7 +34,7 @@ _LONGEST = 0.6  # of the rows
 
 
 def with_rests(answer: Segmented, priors: Sequence[LengthPrior], settings: LearnSettings) -> Segmented | None:
-    """The most probable segments if the part was held wherever the actions say that it was, on its main joint.
+    """The most probable segments with the rests on the main joint that the actions indicate.
 
     What there is already stays among what is chosen from. None if the actions say so nowhere, or if no joint moves it.
     """

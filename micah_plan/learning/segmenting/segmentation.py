@@ -1,4 +1,4 @@
-"""Segmenting one track: the pool of joints, the most probable changepoints and the noise, until they agree.
+"""Segmentation of one track: candidate joints, changepoints and noise, iterated to consistency.
 
 How many changepoints there may be depends on rests that the most probable answer lacks.
 """
@@ -65,7 +65,7 @@ def segment_track(track: PartTrack, settings: LearnSettings, start: Segmented | 
 
 
 def best_single(answer: Segmented, settings: LearnSettings) -> Segmented:
-    """The whole track as one segment of the one moving joint (if there is any) that explains it best, under any wander.
+    """The whole track as one segment of its best moving joint (if any), under any drift.
 
     Compared under one noise, a joint that misses the rows has made that noise wide, and any kind will do.
     """
@@ -84,7 +84,7 @@ def best_single(answer: Segmented, settings: LearnSettings) -> Segmented:
 
 
 def under_noise(answer: Segmented, noise: NoiseModel, settings: LearnSettings) -> Segmented:
-    """The segments into which the joints of an answer, and their rivals, cut the track under another noise."""
+    """The segmentation by an answer's joints and their rivals under another noise."""
     (table,) = _tables([answer], [noise], settings)
     return Segmented(answer.track, noise, answer.prior, selections(table, answer.prior, settings)[0], table)
 
@@ -92,7 +92,7 @@ def under_noise(answer: Segmented, noise: NoiseModel, settings: LearnSettings) -
 def _from_two_noises(
     track: PartTrack, prior: LengthPrior, settings: LearnSettings
 ) -> list[tuple[NoiseModel, EvidenceTable]]:
-    """The joints of all windows under the noise of the rows' roughness, and under that which a single joint leaves.
+    """Joints of all windows under the noise of second differences, and under that of a single joint's residuals.
 
     The second is the noise left by the joint that is the most probable one with the noise that it leaves.
     """
@@ -110,7 +110,7 @@ def _from_two_noises(
 def _singles(
     track: PartTrack, noise: NoiseModel, settings: LearnSettings, any_slow: bool = False
 ) -> tuple[list[Hypotheses], list[NoiseModel]]:
-    """A joint of every kind that all rows determine, fitted to them under a noise, and the noise that each leaves.
+    """A joint of every kind fitted to all rows under a noise, with its residual noise.
 
     Where something moves, what a rigid model leaves is motion, not noise.
     """
@@ -125,14 +125,14 @@ def _singles(
 
 
 def _likeliest(alone: Sequence[EvidenceTable], prior: LengthPrior, settings: LearnSettings) -> int:
-    """Which of some joints, each alone in its table, explains the whole track best."""
+    """Index of the joint that best explains the whole track alone."""
     return int(np.argmax([shared(table, [0], prior, settings).log_probability for table in alone]))
 
 
 def _proposed(
     track: PartTrack, noise: NoiseModel, table: EvidenceTable, priors: Sequence[LengthPrior], settings: LearnSettings
 ) -> list[Segmented]:
-    """What a table proposes under each prior of lengths."""
+    """The segmentations that a table proposes under each prior of lengths."""
     # The copy ends here, and with it the evidence of all segments of all windows, which takes much memory.
     read = replace(table)
     return [
@@ -143,7 +143,7 @@ def _proposed(
 
 
 def _different(proposals: Sequence[Segmented]) -> list[Segmented]:
-    """The best of those that cut the track at much the same places into the same kinds, best first."""
+    """The best of the proposals with about the same changepoints and kinds, best first."""
     best_of: dict[tuple[tuple[str, int], ...], Segmented] = {}
     for proposal in sorted(proposals, key=lambda p: -p.log_probability):
         names = proposal.table.pool.hypotheses.joints.kinds
@@ -154,7 +154,7 @@ def _different(proposals: Sequence[Segmented]) -> list[Segmented]:
 
 
 def _settled(starts: Sequence[Segmented], settings: LearnSettings) -> list[Segmented]:
-    """Alternate between segments, their joints and the noise until no probability grows."""
+    """Alternate between segments, joints and noise until the probability stops growing."""
     best, open_ones = list(starts), dict(enumerate(starts))
     for _ in range(_MOST_ROUNDS):
         if not open_ones:
@@ -175,9 +175,7 @@ def _settled(starts: Sequence[Segmented], settings: LearnSettings) -> list[Segme
 
 
 def _beside_rivals(answer: Segmented, settings: LearnSettings) -> Segmented:
-    """The same segments in a table where every kind of joint is fitted to the rows of each: what is said of them
-    compares them with these.
-    """
+    """The segments in a table with all kinds of joints fitted to each, for the comparison of kinds."""
     (table,) = _tables([answer], [answer.noise], settings)
     used, _ = rows_of_joints(answer)
     pieces = tuple(replace(piece, hypothesis=used.index(piece.hypothesis)) for piece in answer.segmentation.pieces)
@@ -185,7 +183,7 @@ def _beside_rivals(answer: Segmented, settings: LearnSettings) -> Segmented:
 
 
 def _tables(answers: Sequence[Segmented], noises: Sequence[NoiseModel], settings: LearnSettings) -> list[EvidenceTable]:
-    """Of each answer, under a noise: its joints, in the order of `_rows_of_joints`, and their rivals of every kind."""
+    """Tables of each answer under a noise: its joints in the order of `rows_of_joints`, and rivals of every kind."""
     track, kinds = answers[0].track, list(settings.kinds)
     in_use = [rows_of_joints(answer) for answer in answers]
     wanted = [(kinds * len(used), np.repeat(rows, len(kinds), axis=0)) for used, rows in in_use]

@@ -1,4 +1,4 @@
-"""The segments of a track, the joints that they refer to, and the noise under which they were found."""
+"""The segments of a track with their joints and noise."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from micah_plan.learning.track import PartTrack
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Another answer for the same rows, under the noise that it leaves itself.
+    """Another answer for the same rows, under its own noise.
 
     Attributes:
         kinds: of the joints of its pieces, in their order.
@@ -32,7 +32,7 @@ class Alternative:
 
 @dataclass(frozen=True, eq=False)
 class Segmented:
-    """The most probable segments of a track and what they refer to.
+    """The most probable segments of a track with their evidence.
 
     Attributes:
         track: the rows that were segmented.

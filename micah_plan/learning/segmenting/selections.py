@@ -1,4 +1,4 @@
-"""Segments chosen from a table of evidence when a joint is paid for once, however often a part returns to it.
+"""Selection of segments where a joint's parameters are charged once, regardless of returns to it.
 
 The recursion over changepoints lets every segment pay for its own joint. Here a few joints are chosen first, at a cost,
 and the recursion runs with them alone: joints are dropped while that pays, and one joint with rests is always tried.
@@ -47,7 +47,7 @@ def selections(table: EvidenceTable, prior: LengthPrior, settings: LearnSettings
 
 
 def shared(table: EvidenceTable, members: list[int], prior: LengthPrior, settings: LearnSettings) -> Segmentation:
-    """The most probable segments under few joints, which are paid once, and how probable they are at any places.
+    """The most probable segments of a few joints charged once, with their probability over all places.
 
     So is the choice of their kinds: a part that returns to a joint returns to one of those of the answer.
     """
@@ -58,7 +58,7 @@ def shared(table: EvidenceTable, members: list[int], prior: LengthPrior, setting
 def _paid_once(
     pieces: tuple[Piece, ...], table: EvidenceTable, prior: LengthPrior, settings: LearnSettings
 ) -> Segmentation:
-    """Segments of few joints, less what these cost."""
+    """A segmentation in which each joint's parameters are charged once."""
     used: dict[int, int] = {}
     for piece in pieces:
         used[piece.hypothesis] = used.get(piece.hypothesis, 0) + piece.end - piece.start + 1
@@ -73,7 +73,7 @@ def _paid_once(
 
 
 def _over_places(pieces: Sequence[Piece], table: EvidenceTable, prior: LengthPrior) -> float:
-    """Ln probability of the rows under joints in an order, wherever one takes over from the one before."""
+    """Log probability of the rows under an order of joints, summed over the changepoints."""
     used = sorted({piece.hypothesis for piece in pieces})
     worth = table.sums[used] + length_terms(prior, len(table.sums[0]))
     # Relative to the best segments before a row: sums are products of matrices then.
@@ -90,7 +90,7 @@ def _over_places(pieces: Sequence[Piece], table: EvidenceTable, prior: LengthPri
 
 
 def few(table: EvidenceTable, members: list[int], prior: LengthPrior, settings: LearnSettings) -> Segmentation:
-    """Segments of some joints, of which some are dropped while that pays."""
+    """Segments of some joints, from which joints are dropped while that increases the evidence."""
     return _fewest(members, lambda *pieces: shared(table, list(pieces), prior, settings))
 
 

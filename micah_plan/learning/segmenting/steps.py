@@ -1,4 +1,4 @@
-"""Steps of a track: its rows averaged to a resolution that depends on the motion, not on the sampling rate.
+"""Steps: rows averaged to a resolution set by the motion, independent of the sampling rate.
 
 What learning assumes of neighbouring rows (how fast a tracker wanders, how often a part rests, how long a segment is)
 it assumes of neighbouring steps. So the same motion sampled 16 times as often gives the same segments, at the same
@@ -51,11 +51,11 @@ class Steps:
     sweeps: float
 
     def assumed(self, settings: LearnSettings) -> LearnSettings:
-        """What is assumed of the rows, of the steps."""
+        """The settings converted from rows to steps."""
         return replace(settings.of_steps(self.size), sweeps=max(self.sweeps, 1.0))
 
     def of(self, track: PartTrack) -> Steps:
-        """The same rows averaged, of a track that has other actions."""
+        """The rows of a track with other actions averaged in the same way."""
         return replace(self, track=averaged(track, self.counted, self.first))
 
 
@@ -81,7 +81,7 @@ def steps_of(track: PartTrack, inlier: Booleans, settings: LearnSettings) -> Ste
 
 @dataclass(frozen=True, eq=False)
 class Activity:
-    """When a part moves.
+    """Activity of a part: the steps in which it moves.
 
     Attributes:
         rows: (k,) those that count, fewer of long rests: as many as a motion from end to end takes.
@@ -95,12 +95,12 @@ class Activity:
     sweeps: float
 
     def motions_in(self, rows: int) -> float:
-        """For how many motions there and back there are steps in so many rows: for more than there are among rests."""
+        """Number of motions there and back represented by so many rows, with more steps in motion than at rest."""
         return max(self.sweeps, 1.0) * max(rows / (_WITH_REST * self.moving), 1.0)
 
 
 def activity_of(track: PartTrack, used: Ints) -> Activity:
-    """When a part moves, by position or rotation, whichever is clearer, of the rows `used` of its track."""
+    """Activity of a part by position or rotation, whichever is clearer, from the rows `used`."""
     is_pushed = _is_pushed(track)
     while True:
         path = max((_path(values) for values in _channels(track.take(used))), key=lambda path: path.clarity)
@@ -121,7 +121,7 @@ def activity_of(track: PartTrack, used: Ints) -> Activity:
 
 
 def _is_pushed(track: PartTrack) -> Booleans:
-    """(n,) whether an action asks for more than a small part of what most actions ask for."""
+    """(n,) whether an action exceeds a small fraction of the usual size."""
     if track.action is None:
         return np.zeros(len(track), dtype=bool)
     size = np.linalg.norm(track.action, axis=1)
@@ -160,7 +160,7 @@ def is_long(track: PartTrack, inlier: Booleans) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """The path of a part in strides that noise does not make.
+    """Path of a part in strides longer than noise.
 
     Attributes:
         clarity: extent over noise.
@@ -201,7 +201,7 @@ def _path(rows: Floats) -> _Path:
 
 
 def _noise(values: Floats, whole: float) -> tuple[int, float]:
-    """After how many rows (n, k) their noise forgets, and its std.
+    """(decorrelation length in rows, std) of the noise of rows (n, k).
 
     How far rows are from the middle of those `lag` before and after grows with the lag where that is motion, and where
     rows were interpolated between noisy ones; it stays where it is noise that the rows between have forgotten.

@@ -1,4 +1,4 @@
-"""What the inputs of a mode change of a state, and what they keep.
+"""Leaves of a mode: the affine subspaces that its inputs cannot leave.
 
 A mode moves x along the range of its input matrix B. What is left of x, functionals F with F B = 0, stays as it was
 when the mode was entered: the place of an object that nobody holds, or the distance between a hand and the rod that it
@@ -49,7 +49,7 @@ class Leaves:
 
     @property
     def independent(self) -> Booleans:
-        """(n,) the coordinates that some input moves and that can move alone."""
+        """(n,) coordinates that some input moves independently of all others."""
         return np.asarray(np.linalg.norm(self.along, axis=1) > 1.0 - ROUND_OFF)
 
     def own(self, points: Floats) -> Floats:
@@ -57,7 +57,7 @@ class Leaves:
         return np.asarray((points / self.speed) @ self.along)
 
     def kept_words(self, names: Sequence[str]) -> list[str]:
-        """What inputs keep, as sums of coordinates of these names, e.g. ``"hand - rod"``."""
+        """Invariants of the inputs as sums of named coordinates, e.g. ``"hand - rod"``."""
         words = []
         for row in _reduced(self.kept / self.speed):
             weights = row / row[np.flatnonzero(np.abs(row) > ROUND_OFF * np.abs(row).max())[0]]
@@ -99,7 +99,7 @@ class Leaves:
         return np.vstack([*found, self.put_on(x, rest)])
 
     def _box(self, states: Polytope, x: Floats) -> tuple[Floats, Floats]:
-        """(r,) least and largest own coordinates, from x on, of a part of its leaf."""
+        """(r,) bounds of a leaf's coordinates, relative to x, within a set."""
         axes = self.along.T / self.speed
         ends = self.own(states.extremes(np.vstack([-axes, axes])) - x)
         low, high = np.split(ends, 2)
@@ -120,7 +120,7 @@ class Leaves:
 
 
 def _reduced(rows: Floats) -> Floats:
-    """(k, n) rows of full rank as sums of each other in which k columns have a single 1: short words for the same."""
+    """(k, n) reduced row echelon form of full-rank rows, for short descriptions."""
     rows = rows.copy()
     done: list[int] = []
     for column in range(rows.shape[1]):

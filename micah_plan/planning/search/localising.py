@@ -1,4 +1,4 @@
-"""Paths through roadmaps that make a detour where it localises, by length and predicted uncertainty.
+"""Paths through roadmaps with detours for localisation, ranked by length and predicted uncertainty.
 
 A detour costs steps, but may leave a belief narrow enough for the goal. The cheapest path makes none. So paths are also
 routed through any one vertex of the roadmaps (a wall to touch, a place in the light), then through a second one, and
@@ -54,7 +54,7 @@ class ScoredPath:
 
 @dataclass(frozen=True, eq=False)
 class _Front:
-    """Beliefs on their way: variance (v, n), overshoot and steps so far (v,), and visits of each mode (v, q)."""
+    """Beliefs of a search front: variance (v, n), overshoot and steps so far (v,), and visits of each mode (v, q)."""
 
     variance: Floats
     overshoot: Floats
@@ -62,13 +62,13 @@ class _Front:
     visits: Ints
 
     def rows(self, rows: Ints) -> _Front:
-        """Copies of some of them."""
+        """Copies of some rows."""
         return _Front(self.variance[rows], self.overshoot[rows], self.steps[rows], self.visits[rows])
 
 
 @dataclass(frozen=True, eq=False)
 class _Beginning:
-    """A path from the start to its last stop, its steps, and the belief there (a front of one)."""
+    """A path to its last stop, with its steps and the belief there (a front of one)."""
 
     vertices: tuple[int, ...]
     stops: tuple[int, ...]
@@ -79,7 +79,7 @@ class _Beginning:
 def best_paths(
     roadmap: JoinedRoadmap, beliefs: PathBeliefs, shortest: Sequence[VertexPath], revisits: int, deadline: Deadline
 ) -> list[ScoredPath]:
-    """The shortest paths and detours that localise, one through each sequence of transitions, the cheapest first."""
+    """Shortest paths and localising detours, one for each sequence of transitions, cheapest first."""
     localising = LocalisingSearch(roadmap, beliefs, revisits, deadline)
     detours: list[ScoredPath] = []
     with suppress(TimeLimitError):
@@ -128,7 +128,7 @@ class LocalisingSearch:
         return sorted(found.values(), key=lambda path: (path.cost, path.vertices))
 
     def score(self, path: VertexPath) -> ScoredPath:
-        """A path of the mode search with its predicted uncertainty."""
+        """A path of the mode search, scored with its predicted uncertainty."""
         offsets = [self.roadmap.offsets[mode] for mode in path.modes]
         vertices = [offset + v for offset, part in zip(offsets, path.vertices, strict=True) for v in part]
         front, owner = self._start().belief, np.array([0])
@@ -147,7 +147,7 @@ class LocalisingSearch:
         return _Beginning((start,), (0,), 0.0, belief)
 
     def _through_all(self, beginning: _Beginning) -> list[tuple[ScoredPath, _Beginning]]:
-        """Shortest paths from a beginning through each vertex: on to the goal, and as a beginning that stops there."""
+        """Shortest paths from a beginning through each vertex, both to the goal and as beginnings with a stop there."""
         here = beginning.vertices[-1]
         distance, previous = dijkstra(self.roadmap.graph, indices=here, return_predecessors=True)
         distance, previous = distance[: self.size], previous[: self.size]
@@ -172,7 +172,7 @@ class LocalisingSearch:
         return results
 
     def _spread(self, belief: _Front, here: int, previous: Ints) -> _Front:
-        """A belief at a vertex carried along its tree of shortest paths to all vertices that it reaches."""
+        """A belief at a vertex propagated along its shortest-path tree to all reachable vertices."""
         front, level = belief.rows(np.zeros(self.size, dtype=np.int64)), np.array([here])
         while (level := np.flatnonzero(np.isin(previous, level))).size:
             self._check_time()
@@ -180,7 +180,7 @@ class LocalisingSearch:
         return front
 
     def _onward(self, front: _Front, at: Ints) -> tuple[Ints, _Front]:
-        """Beliefs at these vertices carried on to the goal: where they end (r,), and they themselves."""
+        """Beliefs at vertices propagated to the goal: their final vertices (r,), and the beliefs."""
         at = at.copy()
         while (moving := np.flatnonzero(self.following[at] != self.size)).size:
             self._check_time()
@@ -189,7 +189,7 @@ class LocalisingSearch:
         return at, front
 
     def _advance(self, front: _Front, origin: Ints, end: Ints, out_of: Ints, into: Ints) -> None:
-        """Hop from vertices to neighbours; rows `out_of` of the front become rows `into`."""
+        """Move beliefs from vertices to neighbours; rows `out_of` of the front become rows `into`."""
         before, mode = front.rows(out_of), self.beliefs.mode_of
         front.variance[into], overshoot, steps = self.beliefs.hop(before.variance, origin, end)
         front.overshoot[into] = before.overshoot + overshoot
@@ -198,7 +198,7 @@ class LocalisingSearch:
         front.visits[into] = before.visits
 
     def _spare(self, front: _Front) -> Floats:
-        """(v,) steps that max_knots leaves."""
+        """(v,) steps left of max_knots."""
         return np.asarray(self.beliefs.problem.settings.max_knots - front.visits.sum(axis=1) - np.ceil(front.steps))
 
     def _check_time(self) -> None:

@@ -34,7 +34,7 @@ class VertexPath:
 
 @dataclass(frozen=True, eq=False)
 class _Prefix:
-    """A partial sequence that has just entered `mode`.
+    """A partial sequence at its entry to `mode`.
 
     Attributes:
         entry: (v,) cost of entering at each vertex; infinite where it cannot enter.
@@ -55,7 +55,7 @@ class _Prefix:
 def cheapest_sequences(
     roadmap: JoinedRoadmap, k: int, *, revisits: int = 0, is_over: Callable[[], bool] = lambda: False
 ) -> list[VertexPath]:
-    """At most k sequences with different edges, cheapest first; empty if the goal is not connected to the start.
+    """At most k sequences with different edges, cheapest first; empty if the goal is not reachable.
 
     Args:
         revisits: how many times a sequence may come back to a mode that it has been in.
@@ -91,7 +91,7 @@ def cheapest_sequences(
 
 
 class _Search:
-    """Shortest paths of the joined roadmap, computed when first needed."""
+    """Shortest paths of the joined roadmap, computed on demand."""
 
     def __init__(self, roadmap: JoinedRoadmap) -> None:
         self.roadmap, offsets, costs = roadmap, roadmap.offsets, roadmap.to_goal[0]

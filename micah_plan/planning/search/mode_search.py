@@ -1,4 +1,4 @@
-"""The high level of POMDP-HD: which mode sequences lead from the start to the goal, cheapest first.
+"""High level of POMDP-HD: mode sequences from start to goal, cheapest first.
 
 1. sample the states of every mode                                        `samples`
 2. connect them within each mode, and the modes by guard edges            `roadmap`
@@ -48,7 +48,7 @@ _MORE_TRANSITIONS = 2
 
 @dataclass(frozen=True, eq=False)
 class ModeSequence:
-    """A mode sequence with the path that the roadmaps found through it.
+    """A mode sequence with its path through the roadmaps.
 
     Attributes:
         modes: (P,) names.
@@ -68,13 +68,13 @@ class ModeSequence:
 
     @property
     def total(self) -> float:
-        """Cost and uncertainty together, by which sequences are ranked [steps]."""
+        """Cost plus uncertainty [steps], by which sequences are ranked."""
         return self.cost + self.uncertainty
 
 
 @dataclass(frozen=True)
 class SearchResult:
-    """What a search found.
+    """Result of a search.
 
     Attributes:
         sequences: cheapest first.
@@ -90,7 +90,7 @@ class SearchResult:
 def search_modes(
     problem: Problem, limits: Limits, start_mode: str, seed: int = 0, *, deadline: Deadline = NEVER
 ) -> SearchResult:
-    """The cheapest mode sequences from the start to the goal. The same seed gives the same result.
+    """The cheapest mode sequences from start to goal, determined by the seed.
 
     The shortest sequences compete with detours that localise (`localising`) by length and predicted uncertainty.
 
@@ -120,7 +120,7 @@ def search_modes(
 
 
 def _modes_near_the_way(problem: Problem, start_mode: str) -> set[str]:
-    """The modes of sequences with at most so many more transitions than the shortest to the goal; all, if few."""
+    """Modes of sequences with a limited number of transitions beyond the shortest; all if there are few."""
     automaton, names = problem.automaton, set(problem.automaton.mode_names)
     if len(names) <= FEW_MODES:
         return names
@@ -143,7 +143,7 @@ def _holds(mode: Mode, index: int, value: float, tolerance: float) -> bool:
 
 
 def _distances(neighbours: Mapping[str, set[str]], first: set[str]) -> dict[str, int]:
-    """How many transitions lead from the first modes to each that they reach."""
+    """Number of transitions from the first modes to each reachable mode."""
     steps_to, level, steps = dict.fromkeys(first, 0), first, 0
     while level:
         steps += 1
@@ -153,7 +153,7 @@ def _distances(neighbours: Mapping[str, set[str]], first: set[str]) -> dict[str,
 
 
 def _searched(problem: Problem, limits: Limits, start_mode: str, seed: int, deadline: Deadline) -> SearchResult:
-    """`search_modes` in all modes of a problem; among obstacles once more with more states if few do not connect."""
+    """`search_modes` over all modes; among obstacles repeated with more states if few do not connect."""
     among = any(obstacles_on_state(problem.automaton, mode.name) for mode in problem.automaton.modes)
     if not among:
         return _among_states(problem, limits, start_mode, seed, deadline)
@@ -198,7 +198,7 @@ def _among_states(
 def _joined(
     problem: Problem, limits: Limits, samples: Samples, motions: Mapping[str, ModeMotion], deadline: Deadline
 ) -> JoinedRoadmap:
-    """The roadmaps of all modes, with the guard edges that the samples take."""
+    """Roadmaps of all modes joined by the guard edges of the samples."""
     edges, graphs = problem.automaton.edges, dict[str, csr_array]()
     for name, points in samples.points.items():
         deadline.check("search", f"{len(graphs)} of {len(samples.points)} modes had a roadmap", "samples_per_mode")
@@ -214,7 +214,7 @@ def _joined(
 
 
 def _mode_sequence(path: ScoredPath, beliefs: PathBeliefs, motions: dict[str, ModeMotion]) -> ModeSequence:
-    """The path divided into its modes, its corners cut between the stops."""
+    """The path split into modes, with corners shortcut between stops."""
     names, mode_of = list(beliefs.index), beliefs.mode_of[list(path.vertices)]
     points = beliefs.points[list(path.vertices)]
     begins = [0, *(np.flatnonzero(np.diff(mode_of)) + 1).tolist(), len(mode_of)]

@@ -1,4 +1,4 @@
-"""Why a way visits a mode: what leads from the start to the goal, among the same states, where nothing leaves it."""
+"""Purpose of a mode: the best path from start to goal, over the same states, that never leaves through it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _PROGRAMMES = 50
 
 @dataclass(frozen=True, eq=False)
 class OtherWays:
-    """The ways through roadmaps that do without one mode.
+    """Paths through roadmaps that avoid one mode.
 
     Attributes:
         problem, limits, samples, roadmap, beliefs: of the search.
@@ -44,7 +44,7 @@ class OtherWays:
     deadline: Deadline
 
     def purposes(self, modes: Iterable[str]) -> dict[str, ModePurpose]:
-        """Why ways visit each of these modes, by its name, as far as there is time to tell."""
+        """The purposes of modes by name, as far as the deadline allows."""
         purposes = dict[str, ModePurpose]()
         for mode in modes:
             purpose = self._purpose(mode)
@@ -58,7 +58,7 @@ class OtherWays:
         return easier_graphs(self.problem, self.limits, self.roadmap, self.samples.points, self.deadline)
 
     def _purpose(self, mode: str) -> ModePurpose:
-        """What there is where a mode is not left and not ended in."""
+        """The alternative without a mode: neither left nor ended in."""
         samples, roadmap, automaton = self.samples, self.roadmap, self.problem.automaton
         if not samples.goals.keys() - {mode}:
             return ModePurpose(mode, is_goal=True)
@@ -91,15 +91,14 @@ def _leaves(edge: Edge, mode: str) -> bool:
 
 
 def with_other_ways(purposes: Sequence[ModePurpose]) -> tuple[ModePurpose, ...]:
-    """Those of modes that there is a way without."""
+    """The purposes of modes that can be avoided."""
     return tuple(purpose for purpose in purposes if purpose.without)
 
 
 def easier_graphs(
     problem: Problem, limits: Limits, roadmap: JoinedRoadmap, points: Mapping[str, Floats], deadline: Deadline
 ) -> dict[str, dict[str, csr_array]]:
-    """The graphs of all modes without each of the constraints on the path, and of the guards on states; empty, if there
-    is no time for all of them."""
+    """(v, v) graphs of all modes without one constraint or guard each; empty if time runs out."""
     leaves = {mode.name: leaves_of(mode, limits) for mode in problem.automaton.modes}
     easier = dict[str, dict[str, csr_array]]()
     for constraint in problem.constraints:
@@ -118,7 +117,7 @@ def easier_graphs(
 def in_the_way_of(
     roadmap: JoinedRoadmap, easier: Mapping[str, Mapping[str, csr_array]], revisits: int, deadline: Deadline
 ) -> tuple[str, ...]:
-    """The constraints and guards without any one of which the same samples would connect start and goal.
+    """Constraints and guards without any one of which the samples connect start and goal.
 
     That nothing connects them is certain; what is in the way is not told where the deadline passes.
     """

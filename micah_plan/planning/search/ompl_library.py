@@ -1,4 +1,4 @@
-"""OMPL, imported in one place, and whole: an exception while it is loaded, as Ctrl-C raises one, ends the process."""
+"""The only import of OMPL, shielded from signals: an exception during its loading would end the process."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def _signals_afterwards() -> Iterator[None]:
-    """Handle signals that arrive within this block at its end."""
+    """Defer signals within the block to its end."""
     if threading.current_thread() is not threading.main_thread():
         yield  # handlers run in the main thread only, so none interrupts this one
         return

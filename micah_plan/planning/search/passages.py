@@ -1,4 +1,4 @@
-"""Through which leaves start and goal are connected: mode sequences as linear programmes.
+"""Connectivity of leaves: mode sequences as linear programmes.
 
 Random states of a mode with many leaves (`leaves`) lie on as many leaves, and almost none of them on one that leads on.
 But modes, guards and resets are affine: for a given sequence of transitions the states in which they are taken, one
@@ -66,7 +66,7 @@ class Passage:
 
 
 def passage_exists(problem: Problem, limits: Limits, start_mode: str, revisits: int) -> bool | None:
-    """Whether a passage leads to the goal with so many revisits; None if the sequences are too many to tell."""
+    """Whether a passage to the goal exists with `revisits` returns; None if there are too many sequences to decide."""
     search = _Search(problem, limits)
     if next(search.complete(start_mode, NEVER, revisits), None) is not None:
         return True
@@ -75,7 +75,7 @@ def passage_exists(problem: Problem, limits: Limits, start_mode: str, revisits: 
 
 @dataclass(frozen=True, eq=False)
 class _Prefix:
-    """A sequence of transitions that begins at the start, as a polytope of its inputs w (v,), one u (m,) per mode.
+    """A sequence of transitions from the start, as a polytope of its inputs w (v,), one u (m,) per mode.
 
     Attributes:
         modes, edges: as in `Passage`; the last mode has just been entered.
@@ -98,7 +98,7 @@ class _Prefix:
 def passages(
     problem: Problem, limits: Limits, start_mode: str, rng: np.random.Generator, deadline: Deadline = NEVER
 ) -> Generator[Passage, None, bool]:
-    """Passages through the sequences of transitions, the shortest first: of each the shortest, then random others.
+    """Passages through sequences of transitions, shortest first: the shortest of each, then random ones.
 
     Returns:
         whether the limit of linear programmes ended the search before any was found.
@@ -123,7 +123,7 @@ def passages(
 
 
 class _Search:
-    """Best-first search over sequences of transitions."""
+    """Best-first search over sequences of transitions by linear programmes."""
 
     def __init__(self, problem: Problem, limits: Limits) -> None:
         self.problem, self.limits, self.automaton = problem, limits, problem.automaton
@@ -134,11 +134,11 @@ class _Search:
 
     @property
     def is_over(self) -> bool:
-        """Whether the limit of linear programmes is reached."""
+        """Whether the limit on linear programmes is reached."""
         return self.solved >= self.problem.settings.search_limit
 
     def complete(self, start_mode: str, deadline: Deadline, revisits: int) -> Iterator[tuple[_Prefix, Floats]]:
-        """Sequences that end in the goal, each with the inputs (v,) of its shortest passage."""
+        """Sequences that reach the goal, each with the inputs (v,) of its shortest passage."""
         start = nominal_start(self.problem, self.limits, start_mode)
         entry = np.zeros((self.automaton.n, 0)), start
         first = _Prefix((start_mode,), (), (entry,), (), np.zeros((0, 0)), np.zeros(0))
@@ -181,7 +181,7 @@ class _Search:
         return Passage(prefix.modes, prefix.edges, entries, exits)
 
     def shortest(self, prefix: _Prefix) -> tuple[float, float, Floats] | None:
-        """The shortest inputs of a sequence; None if none lead through it.
+        """The shortest inputs of a sequence; None if infeasible.
 
         Returns:
             the steps that they take, how far the goal is at least from where the sequence ends, or the error that is
@@ -226,7 +226,7 @@ class _Search:
         return self._solved(np.where(limited, direction * scale, 0.0), prefix.rows, prefix.least, prefix.size)
 
     def _solved(self, cost: Floats, rows: Floats, least: Floats, free: int) -> Floats | None:
-        """The variables of least cost, the first `free` of which may be negative; None if none meet the rows."""
+        """The optimal variables, of which the first `free` may be negative; None if infeasible."""
         self.solved += 1
         bounds = [(None, None)] * free + [(0.0, None)] * (len(cost) - free)
         if not len(cost):
@@ -240,7 +240,7 @@ class _Search:
         return np.asarray(solution.x) if solution.status == 0 else None
 
     def _moved(self, prefix: _Prefix, mode: Mode) -> tuple[_Prefix, tuple[Floats, Floats]]:
-        """The sequence with one more input, in its last mode, and where that leads."""
+        """The sequence extended by an input in its last mode, with the resulting state."""
         m = self.automaton.m
         rows = np.hstack([prefix.rows, np.zeros((len(prefix.rows), m))])
         M, c = prefix.entries[-1]
@@ -248,7 +248,7 @@ class _Search:
         return replace(prefix, rows=rows, exits=(*prefix.exits, place)), place
 
     def _ended(self, prefix: _Prefix, mode: Mode) -> _Prefix:
-        """The sequence with an input that leads into the goal."""
+        """The sequence extended by an input into the goal."""
         moved, place = self._moved(prefix, mode)
         states = self.states[mode.name]
         for index, value, tolerance in self.problem.goal.target:
@@ -257,7 +257,7 @@ class _Search:
         return _within(moved, states, place)
 
     def _followed(self, prefix: _Prefix, mode: Mode, index: int, edge: Edge) -> list[_Prefix]:
-        """The sequence with one more transition: one for each boundary of its guard that it may be entered through."""
+        """The sequence extended by a transition: one variant for each boundary of entry into its guard."""
         moved, place = self._moved(prefix, mode)
         lowest, highest = admissible_inputs(mode, self.limits.max_step)
         moved = _within(moved, self.states[mode.name].intersect(edge.guard, lowest, highest), place)
@@ -299,7 +299,7 @@ def _within(prefix: _Prefix, states: Polytope, place: tuple[Floats, Floats]) -> 
 
 
 def _on(prefix: _Prefix, facet: HalfSpace, place: tuple[Floats, Floats]) -> _Prefix:
-    """The sequence with the state at a place on a boundary, of which its rows have it on the inside already."""
+    """The sequence with the state at a place on a boundary."""
     M, c = place
     a = np.array(facet.a)
     rows, least = np.vstack([prefix.rows, -(a @ M)]), np.append(prefix.least, float(a @ c) - facet.c)
@@ -307,7 +307,7 @@ def _on(prefix: _Prefix, facet: HalfSpace, place: tuple[Floats, Floats]) -> _Pre
 
 
 def _leading_to_goal(problem: Problem) -> set[str]:
-    """The modes from which transitions lead to one that the goal admits."""
+    """The modes with a transition into a mode that the goal admits."""
     automaton: HybridAutomaton = problem.automaton
     leading = {name for name in automaton.mode_names if problem.goal.admits(name)}
     for _ in automaton.modes:

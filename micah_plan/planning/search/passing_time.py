@@ -1,4 +1,4 @@
-"""Time as an input of the search: what drifts by itself gets anywhere along its drift, if a plan waits.
+"""Time as an input of the search: by waiting, a plan reaches any state along a drift.
 
 A gate that rises, a lid that falls shut, a belt that carries a box away are moved by no input. To a search over inputs
 they would stand still for ever: what is in the way now would always be. Here waiting is one more input, which moves
@@ -21,7 +21,7 @@ _TIME = "passing time"  # no input of a model has a blank in its name
 
 
 def with_passing_time(problem: Problem) -> Problem:
-    """The problem with time as a further input; itself where nothing drifts that no input of its mode moves."""
+    """The problem with time as an additional input; unchanged if no coordinate drifts without an input."""
     if not drifts(problem):
         return problem
     automaton, start = problem.automaton, np.array(problem.start.mean)

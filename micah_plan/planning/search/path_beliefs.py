@@ -1,4 +1,4 @@
-"""The belief that a path through the roadmaps would lead to: a cheap filter along many paths at once.
+"""Cheap belief prediction along many paths of the roadmaps at once.
 
 Variances are per coordinate, without correlations. Process and measurement noise are diagonal, so this is the
 filter of the transcription where resets do not couple coordinates, and an estimate where they do. As there, every
@@ -29,7 +29,7 @@ WORTH_A_STEP = 0.98
 
 
 class PathBeliefs:
-    """Variances (p, n) of p beliefs, each on its way along the vertices of a joined roadmap."""
+    """Variances (p, n) of p beliefs, each moving along the vertices of a joined roadmap."""
 
     def __init__(self, problem: Problem, limits: Limits, roadmap: JoinedRoadmap, points: Mapping[str, Floats]) -> None:
         """Args: the problem, its limits, the roadmap, and by mode the states (v, n) of its vertices."""
@@ -57,7 +57,7 @@ class PathBeliefs:
         self._k = problem.settings.sigmas
 
     def start(self, vertex: int) -> Floats:
-        """(n,) variance once feedback had time to correct a start that is k standard deviations off."""
+        """(n,) variance after feedback has corrected an initial deviation of k standard deviations."""
         mode = self.problem.automaton.mode(list(self.index)[self.mode_of[vertex]])
         variance = np.square(np.array([self.problem.start.std], dtype=float))
         for pin in mode.pins:
@@ -98,7 +98,7 @@ class PathBeliefs:
         return variance, overshoot, least + overshoot
 
     def ending(self, variance: Floats, vertex: Ints, spare: Floats) -> Floats:
-        """(p,) cost of the final variance, in steps, after measuring at the goal as long as that pays.
+        """(p,) cost of the final variance in steps, with measurements at the goal as long as they pay.
 
         Args:
             spare: (p,) steps left for it.
@@ -153,7 +153,7 @@ class PathBeliefs:
 
 
 def steps_to_correct_start(problem: Problem, limits: Limits, mode: Mode) -> int:
-    """Steps that the feedback needs in a mode to correct a start that is k standard deviations off.
+    """Steps needed to correct an initial deviation of k standard deviations by feedback.
 
     At most those that a plan may have: where an effect takes nearly all of an input, there would be no end of them.
     """
@@ -162,7 +162,7 @@ def steps_to_correct_start(problem: Problem, limits: Limits, mode: Mode) -> int:
 
 
 def _together(prior: Floats, measured: Floats) -> Floats:
-    """Variance of two independent pieces of information; an infinite one adds nothing."""
+    """Variance of two independent estimates combined; an infinite one adds no information."""
     both = np.maximum(prior + measured, np.finfo(float).tiny)
     joined = prior * np.divide(measured, both, out=np.ones_like(both), where=np.isfinite(measured))
     return np.asarray(joined)

@@ -47,7 +47,7 @@ class Polytope:
         return bool(len(self.b)) and not len(self.extremes(np.zeros((1, self.n))))
 
     def intersect(self, region: Region, lowest: Floats, highest: Floats) -> Polytope:
-        """This set within a region of (x, u): the states that some input between two takes into each half-space.
+        """The states of this set from which some input in bounds lies in each half-space of a region of (x, u).
 
         Args:
             lowest, highest: (m,) inputs [rad or m].
@@ -76,7 +76,7 @@ class Polytope:
         return Polytope(lower, upper, np.array(rows).reshape(-1, self.n), np.array(offsets, dtype=float))
 
     def fix(self, coordinate: int, value: float) -> Polytope:
-        """This set with one coordinate held at a value, whatever range it had."""
+        """This set with one coordinate fixed at a value, regardless of its range."""
         is_it = np.arange(self.n) == coordinate
         return replace(self, lower=np.where(is_it, value, self.lower), upper=np.where(is_it, value, self.upper))
 
@@ -112,7 +112,7 @@ class Polytope:
         return np.asarray(solution.x[:n])
 
     def sample(self, rng: np.random.Generator, count: int) -> Floats:
-        """(count, n) random states of the (non-empty) set: uniform in a box, else mixtures of extreme points."""
+        """(count, n) random states of the non-empty set: uniform in a box, else mixtures of extreme points."""
         if not len(self.b):
             return np.asarray(self.lower + rng.random((count, self.n)) * (self.upper - self.lower))
         directions = rng.normal(size=(4 + 4 * self.n, self.n))
@@ -132,7 +132,7 @@ class Polytope:
 
 
 def open_states(mode: Mode, limits: Limits) -> Polytope:
-    """The states of a mode as far as its pins and ties leave them open: its invariant within the limits."""
+    """The states of a mode without fixing its pins and ties: its invariant within the limits."""
     states = Polytope(limits.lower, limits.upper, np.zeros((0, len(limits.lower))), np.zeros(0))
     return states.intersect(mode.invariant, -limits.max_step, limits.max_step)
 
@@ -150,5 +150,5 @@ def mode_states(mode: Mode, limits: Limits) -> Polytope:
 
 
 def nominal_start(problem: Problem, limits: Limits, mode: str) -> Floats:
-    """(n,) the state of the start's mode next to the start's mean, which noise may have put outside of its range."""
+    """(n,) state of the start's mode closest to the start's mean, which noise may have moved out of range."""
     return mode_states(problem.automaton.mode(mode), limits).nearest(np.array(problem.start.mean, dtype=float))

@@ -43,7 +43,7 @@ _FEWEST_GROWN = 8
 
 @dataclass(frozen=True, eq=False)
 class ModeMotion:
-    """Motions x -> y of one mode.
+    """Straight motions x -> y of one mode.
 
     Attributes:
         B: (n, m) input matrix.
@@ -68,9 +68,7 @@ class ModeMotion:
 
     @cached_property
     def shared_faces(self) -> dict[tuple[int, int], Booleans]:
-        """By pairs (i, j) of obstacles and what is outside, one of them an obstacle, that share a face: (h, g) which of
-        their boundaries it is, of those that inputs move a state across.
-        """
+        """(i, j) -> (h, g): pairs of regions, one an obstacle, with the boundaries they share and inputs can cross."""
         every = (*self.obstacles, *self.outside)
         boundaries = [(i, h, row) for i, region in enumerate(every) for h, row in enumerate(region.half_spaces)]
         a = np.array([row.a for _, _, row in boundaries]).reshape(-1, len(self.B))
@@ -112,7 +110,7 @@ class ModeMotion:
         return np.asarray(steps)
 
     def shortcut(self, path: Floats) -> Floats:
-        """(w, n) the path (k, n) without the states that a straight motion can leave out."""
+        """(w, n) the path (k, n) without states that straight motions can skip."""
         corners, i = [0], 0
         while i < len(path) - 1:
             ends = np.arange(len(path) - 1, i, -1)
@@ -138,7 +136,7 @@ def motions_of(problem: Problem, limits: Limits) -> dict[str, ModeMotion]:
 
 
 def _forwards(mode: Mode) -> Booleans:
-    """(m,) inputs that admissible ones have no negative values of: time, or the hand on a ratchet."""
+    """(m,) inputs that cannot be negative: time, or a ratchet."""
     found = np.zeros(mode.B.shape[1], dtype=bool)
     for h in mode.inputs.half_spaces:
         b = np.array(h.b)
@@ -148,7 +146,7 @@ def _forwards(mode: Mode) -> Booleans:
 
 
 def obstacles_on_state(automaton: HybridAutomaton, mode: str) -> tuple[Region, ...]:
-    """The guards that leave a mode and depend on x alone; others are avoided by the choice of the input."""
+    """The guards on x alone that leave a mode; guards on inputs are avoided by the choice of the input."""
     edges = [edge for edge in automaton.edges_from(mode) if not edge.is_self_transition]
     # A chain lies within the guard of its first transition.
     guards = [edge.guard for edge in edges if not isinstance(edge, ZeroTimeEdge)]
@@ -156,13 +154,13 @@ def obstacles_on_state(automaton: HybridAutomaton, mode: str) -> tuple[Region, .
 
 
 def _blocked(guard: Region, x: Floats, y: Floats) -> Booleans:
-    """(k,) whether each motion has a part inside the guard, more than a point of its boundary."""
+    """(k,) whether a motion passes through the interior of a guard."""
     enter, leave = _within(guard, x, y, ROUND_OFF)
     return np.asarray(leave - enter > ROUND_OFF)
 
 
 def _within(guard: Region, x: Floats, y: Floats, depth: float) -> tuple[Floats, Floats]:
-    """(k,) shares of each motion at which it enters the guard, by that much inside of its boundary, and leaves it."""
+    """(k,) fractions of each motion at which it enters and leaves the guard, shrunk by a depth."""
     u = np.zeros((*x.shape[:-1], len(guard.half_spaces[0].b)))
     before, after = guard.margins(x, u), guard.margins(y, u)
     slope = after - before
@@ -175,7 +173,7 @@ def _within(guard: Region, x: Floats, y: Floats, depth: float) -> tuple[Floats, 
 
 
 def _squeezed(motion: ModeMotion, x: Floats, y: Floats) -> Booleans:
-    """(k,) whether each motion goes along a face that two obstacles share: between them is no room at all.
+    """(k,) whether a motion runs along a face shared by two obstacles, where there is no clearance.
 
     What a mode's invariant excludes is one more of them; but a mode may be as thin as its invariant alone makes it.
     """
@@ -201,7 +199,7 @@ def _moved(boundary: HalfSpace, moves: Floats) -> bool:
 
 
 def _touched(obstacle: Region, x: Floats, moves: Floats) -> Booleans:
-    """(k, h) on which boundaries of an obstacle states (k, n) are, of those that inputs through B (n, m) cross."""
+    """(k, h) boundaries of an obstacle that states (k, n) lie on and inputs through B (n, m) can cross."""
     margins = obstacle.margins(x, np.zeros((len(x), len(obstacle.half_spaces[0].b))))
     return (np.abs(margins) <= _ON_BOUNDARY) & [_moved(h, moves) for h in obstacle.half_spaces]
 
@@ -254,7 +252,7 @@ class JoinedRoadmap:
 
     @cached_property
     def to_goal(self) -> tuple[Floats, Ints]:
-        """(V,) cheapest cost from each vertex to any goal [steps], revisits allowed, and (V,) the vertex to go to next.
+        """(V,) cheapest cost from each vertex to the goal [steps], with revisits, and (V,) next vertex.
 
         Next of a vertex of the goal comes V, which lies behind all goals.
         """
@@ -264,7 +262,7 @@ class JoinedRoadmap:
 
 
 def along(links: Ints, vertex: int, end: int) -> list[int]:
-    """The vertices from one to another, where each links to the next, as in a tree of shortest paths."""
+    """The vertices from one to another along predecessor links."""
     path = [vertex]
     while path[-1] != end:
         path.append(int(links[path[-1]]))
@@ -278,7 +276,7 @@ def roadmap_of(points: Floats, leaves: Leaves, motion: ModeMotion, deadline: Dea
 
 
 def connections_of(points: Floats, leaves: Leaves, deadline: Deadline = NEVER) -> Ints:
-    """(e, 2) PRM*'s connections between the states (v, n) on each leaf, whatever is in the way."""
+    """(e, 2) connections of PRM* between the states (v, n) of each leaf, ignoring obstacles."""
     numbers, leaf, none = leaves.own(points), leaves.numbers(points), np.zeros((0, 2), dtype=np.int64)
     rows_of = np.split(np.argsort(leaf, kind="stable"), np.cumsum(np.bincount(leaf))[:-1]) if len(leaf) else []
     return np.concatenate([none, *(rows[_prm_connections(numbers[rows], deadline)] for rows in rows_of)])
@@ -291,7 +289,7 @@ def _graph(points: Floats, pairs: Ints, steps: Floats) -> csr_array:
 
 
 def without_each_obstacle(points: Floats, leaves: Leaves, motion: ModeMotion) -> dict[str, csr_array]:
-    """`roadmap_of` of a mode without the obstacles of each name."""
+    """`roadmap_of` a mode without the obstacles of each name in turn."""
     pairs = connections_of(points, leaves)
     x, y = points[pairs[:, 0]], points[pairs[:, 1]]
     free = replace(motion, obstacles=()).steps(x, y)
@@ -305,7 +303,7 @@ def without_each_obstacle(points: Floats, leaves: Leaves, motion: ModeMotion) ->
 
 
 def _prm_connections(points: Floats, deadline: Deadline) -> Ints:
-    """(e, 2) the connections, both ways and sorted, that PRM* makes between distinct states (v, n) added in order."""
+    """(e, 2) sorted connections, in both directions, that PRM* makes between distinct states (v, n) added in order."""
     free = np.flatnonzero(np.ptp(points, axis=0) > 0) if len(points) else np.zeros(0, dtype=np.int64)
     if not len(free):
         return np.zeros((0, 2), dtype=np.int64)
@@ -362,7 +360,7 @@ def bounding_box(lower: Floats, upper: Floats) -> Any:
 
 
 class _GivenStates(ob.ValidStateSampler):  # type: ignore[misc]  # OMPL's wheel has no type information
-    """Hands given states to a planner, one after the other."""
+    """Feeds given states to a planner in order."""
 
     def __init__(self, information: Any, states: Floats) -> None:
         super().__init__(information)

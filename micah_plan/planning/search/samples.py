@@ -1,4 +1,4 @@
-"""The states from which the roadmaps are built: start, goal, guards with their resets, and random states.
+"""Samples for the roadmaps: start, goal, guards with their resets, and random states.
 
 States on the faces of guards line narrow corridors, where random ones rarely fall (Amato and Wu, "A randomized roadmap
 method for path and manipulation planning", ICRA 1996, for samples on the faces of obstacles).
@@ -75,7 +75,7 @@ def sample_modes(
 
 
 class _Sampler:
-    """Adds states to the modes of a problem, stage by stage.
+    """Samples states of a problem's modes in stages.
 
     Attributes:
         start, target: (n,) the start's mean, and the same with the goal's values.
@@ -102,7 +102,7 @@ class _Sampler:
         self.is_cut_short = False
 
     def add(self, mode: str, point: Floats) -> int:
-        """The number of a state (n,) in its mode, counted as they are added; the same for one added before."""
+        """Index of a state (n,) in its mode; states are stored once."""
         added = self._added[mode]
         return added.setdefault((point + 0.0).tobytes(), (len(added), point))[0]  # + 0.0 makes a negative zero positive
 
@@ -111,7 +111,7 @@ class _Sampler:
         return [point for _, point in self._added[mode].values()]
 
     def add_goals(self) -> None:
-        """States within the goal: the nearest to its values, and random ones."""
+        """Add states in the goal: the nearest to its values, and random ones."""
         for name, states in self.goals.items():
             if name in self._on_leaves:
                 continue
@@ -120,7 +120,7 @@ class _Sampler:
                 self.add(name, point)
 
     def add_guards(self) -> None:
-        """States on the guards, with those behind their resets."""
+        """Sample states on the guards, together with their images under the resets."""
         for index, edge in enumerate(self._automaton.edges):
             state = f"{index} of {len(self._automaton.edges)} guards had states"
             self._deadline.check("search", state, "samples_per_mode")
@@ -136,7 +136,7 @@ class _Sampler:
                 self.exits[index] = np.array(list(taken), dtype=np.int64)
 
     def add_passages(self, start_mode: str) -> None:
-        """States where passages enter and leave modes, if any mode has many leaves."""
+        """Add states where passages enter and leave modes, if a mode has many leaves."""
         if not self._on_leaves:
             return
         rng = self._rng.spawn(1)[0]
@@ -159,7 +159,7 @@ class _Sampler:
                 entry = self.points_of(edge.target)[pair[1]]
 
     def _passages(self, start_mode: str, rng: np.random.Generator) -> Iterator[Passage]:
-        """The passages; notes whether the limit ended the search for them."""
+        """The passages; notes whether the search hit its limit."""
         self.is_cut_short = yield from passages(self._problem, self._limits, start_mode, rng, self._deadline)
 
     def add_random(self) -> None:
@@ -177,7 +177,7 @@ class _Sampler:
                 self._add_outside(mode, self._draw(self.states[mode.name], self._leaves[mode.name], missing))
 
     def _add_random_on_leaves(self, mode: Mode, wanted: int) -> None:
-        """Random states on the leaves that passages use, on the first most, and on the faces of guards there."""
+        """Add random states on the leaves of passages, most on the first, and on faces of guards there."""
         leaves, bases = self._leaves[mode.name], np.array(self._on_leaves[mode.name])
         if not len(bases) or not leaves.along.shape[1]:
             return
@@ -195,12 +195,12 @@ class _Sampler:
                     self.add(mode.name, _on_face(inside, region, leaves.put_on(base, point), leaves))
 
     def _add_outside(self, mode: Mode, points: Floats) -> None:
-        """Those of some states (k, n) that are outside of the guards on states."""
+        """Add the states (k, n) that lie outside of the guards on the state."""
         for point in points[~inside_any(obstacles_on_state(self._automaton, mode.name), points)]:
             self.add(mode.name, point)
 
     def _add_exit(self, edge: Edge, x: Floats, only_if_allowed: bool = False) -> tuple[int, int] | None:
-        """Numbers of the states before and behind an edge taken at x; None if it leads out of the invariant."""
+        """Indices of the states before and after an edge taken at x; None if outside the target's invariant."""
         after, target = edge.reset.apply(x, np.zeros(self._automaton.m)), self._automaton.mode(edge.target)
         for pin in target.pins:
             after[pin.coordinate] = pin.value
@@ -266,7 +266,7 @@ def _on_boundary(states: Polytope, edge: Edge, x: Floats) -> Floats:
 
 
 def _on_face(states: Polytope, region: Region, x: Floats, leaves: Leaves) -> Floats:
-    """The state moved within its leaf to the closest boundary of a region, where it is in the mode; x if nowhere."""
+    """The state moved within its leaf to the closest boundary of a region; x if no such point lies in the mode."""
     moved = []
     for half_space in region.half_spaces:
         a = np.array(half_space.a)

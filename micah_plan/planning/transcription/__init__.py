@@ -1,1 +1,1 @@
-"""The low level of POMDP-HD: direct transcription of the belief trajectory along one mode sequence."""
+"""Low level of POMDP-HD: direct transcription of the belief trajectory along one mode sequence."""

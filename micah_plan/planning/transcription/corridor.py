@@ -1,4 +1,4 @@
-"""What a phase must keep to between its ends: boundaries of the model on x, and constraints of the user on the path.
+"""Path constraints of a phase: boundaries of the model on x, and the user's constraints.
 
 A margin g(x, u) >= 0 of a constraint on the path (`task.path`) is planned to hold with the confidence, linearised at
 the mean μ: with a = ∂g/∂x and b = ∂g/∂u there,
@@ -73,17 +73,17 @@ class CorridorRow(NamedTuple):
 
     @property
     def row(self) -> Row:
-        """What the mean must meet."""
+        """The constraint on the mean."""
         return self.side.row._replace(knot=self.side.row.knot + self.step)
 
     def slack_start(self, k: float) -> float:
-        """The slack that makes the guess feasible, in steps."""
+        """The slack that makes the guess feasible [steps]."""
         side = self.side
         return max(0.0, k * float(side.stds[self.step]) - float(side.margins[self.step])) / side.scale
 
 
 def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, k: float) -> list[CorridorRow]:
-    """The rows of a phase for knots 1..N, knot by knot. A boundary that the mode cannot move across has none.
+    """Rows of a phase at knots 1..N; boundaries that the mode cannot cross have none.
 
     Args:
         k: standard deviations of the planned confidence.
@@ -118,7 +118,7 @@ def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, k: f
 
 
 def _nearest(outside: Iterable[HalfSpace], stds: Mapping[HalfSpace, float]) -> list[HalfSpace]:
-    """Of half-spaces to stay out of, the first of each direction: who is out of it is out of all behind it.
+    """The nearest half-space of each direction, which implies those behind it.
 
     Args:
         stds: of those thresholds that are uncertain; only those that are equally so stand for each other.
@@ -135,7 +135,7 @@ def _nearest(outside: Iterable[HalfSpace], stds: Mapping[HalfSpace, float]) -> l
 def _side(
     automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, half_space: HalfSpace, sign: float, std: float
 ) -> Side | None:
-    """A side of a boundary whose place has that std; None if the mode cannot move across."""
+    """One side of a boundary with a given std; None if the mode cannot cross it."""
     a, c = sign * np.array(half_space.a), sign * half_space.c
     if not np.any(a @ automaton.mode(guess.mode).B):
         return None
@@ -147,7 +147,7 @@ def _side(
 
 
 def _threshold_stds(automaton: HybridAutomaton, mode: Mode, boundaries: list[HalfSpace]) -> dict[HalfSpace, float]:
-    """Stds of the thresholds at which the mode is left: of guards, and of boundaries that end at one."""
+    """Stds of thresholds where the mode is left: of guards, and of boundaries that coincide with one."""
     stds: dict[HalfSpace, float] = {}
     for edge in automaton.edges_from(mode.name):
         for guard in edge.guard.half_spaces if edge.threshold_std else ():
@@ -170,7 +170,7 @@ def _fixed_boundaries(
 
 
 def _obstacles(automaton: HybridAutomaton, mode: Mode, exit_edge: int | None) -> list[tuple[HalfSpace, ...]]:
-    """Guards on x of the transitions that the phase does not take, unless they lie outside the invariant anyway."""
+    """Guards on x of transitions that the phase does not take, except those outside the invariant."""
     obstacles = []
     for index, edge in enumerate(automaton.edges):
         rows = edge.guard.half_spaces
@@ -185,7 +185,7 @@ def _obstacles(automaton: HybridAutomaton, mode: Mode, exit_edge: int | None) ->
 
 
 def _entered_before(mode: Mode, leaving: Edge, guess: PhaseGuess) -> tuple[HalfSpace, ...]:
-    """The half-spaces of a guard that hold where the last step of a phase begins.
+    """Half-spaces of a guard that hold at the start of the phase's last step.
 
     The transition happens within that step, at the instant at which the last half-space is entered: where the mode
     ends, or else the one that the guess enters last. The others must hold until then, not only at the next knot.
@@ -197,7 +197,7 @@ def _entered_before(mode: Mode, leaving: Edge, guess: PhaseGuess) -> tuple[HalfS
 
 
 def mixed_guards(automaton: HybridAutomaton, guess: PhaseGuess) -> dict[tuple[HalfSpace, ...], Edge]:
-    """The guards on both x and u of the transitions that a phase does not take, each with the first of those.
+    """The guards on x and u of transitions that a phase does not take, with the first edge of each.
 
     Whole ones, though planned edges are divided where others come first: those are on the input as well, and no input
     of the phase takes them either.
@@ -212,7 +212,7 @@ def mixed_guards(automaton: HybridAutomaton, guess: PhaseGuess) -> dict[tuple[Ha
 
 
 def kept_out(guard: tuple[HalfSpace, ...], guess: PhaseGuess, k: float) -> list[HalfSpace]:
-    """(N,) the half-space of a guard on x and u that each step stays out of.
+    """(N,) half-space of a guard on x and u that each step avoids.
 
     One on x alone where the guess is clearly outside, at both ends of the step; else the one on u that its input misses
     by most, or is inside of by least.
@@ -235,7 +235,7 @@ def _around(
     guess: PhaseGuess,
     k: float,
 ) -> list[list[HalfSpace | None]]:
-    """For each obstacle the half-space that each step of the phase stays outside of.
+    """The half-space of each obstacle that each step avoids.
 
     A step stays out of a convex set if both its ends are outside of the same half-space: of the one that they are
     outside of by most standard deviations. Where that is too little, obstacles would contradict each other: of two
@@ -271,7 +271,7 @@ def _around(
 
 @dataclass(frozen=True, eq=False)
 class _Beside:
-    """Obstacles around a step, and where beside it inputs can lead.
+    """Obstacles around a step, and the directions of inputs past them.
 
     Attributes:
         far: (r,) standard deviations by which the step is outside of each half-space of all obstacles.
@@ -306,7 +306,7 @@ class _Beside:
         return cls(far, slopes, -slopes[near] / squared[near, None], firsts, k)
 
     def agree(self, chosen: list[int]) -> bool:
-        """Whether inputs lead to where all of these half-spaces, one of each obstacle, are k-sigma away."""
+        """Whether inputs can reach a k-sigma distance from one half-space of each obstacle jointly."""
         at = self.firsts + np.array(chosen)
         at = at[np.any(self.slopes[at] != 0.0, axis=1)]
         free = [(None, None)] * self.slopes.shape[1]
@@ -316,7 +316,7 @@ class _Beside:
         return bool(found.status == 0)
 
     def sides(self, rows: list[list[HalfSpace]]) -> list[HalfSpace]:
-        """The half-space of each obstacle to stay outside of, at the nearest place that is k-sigma out of all."""
+        """The half-space of each obstacle to avoid, at the nearest place k-sigma away from all."""
         ways = np.concatenate([np.zeros((1, self.slopes.shape[1])), *(size * self.k * self.ways for size in _SIZES)])
         ways = np.concatenate([ways, *(way + ways for way in ways[1:])])
         away = ways @ self.slopes.T
@@ -328,7 +328,7 @@ class _Beside:
 
 
 def _stds_outside(rows: Sequence[HalfSpace], guess: PhaseGuess, spreads: Floats | float = 0.0) -> Floats:
-    """(r, N) standard deviations by which each step is outside of half-spaces on x, at the end where that is less.
+    """(r, N) distance of each step from half-spaces on x in standard deviations, at its closer end.
 
     Args:
         spreads: (N+1, n, n) covariance to be added to the belief's.
@@ -359,7 +359,7 @@ class PathTerms:
 
 @dataclass(frozen=True, eq=False)
 class PathRows:
-    """The steps of a phase to which constraints on the path apply.
+    """Steps of a phase that path constraints apply to.
 
     Attributes:
         terms: what.
@@ -441,7 +441,7 @@ def _rows(
 
 
 def _covariance(phase: PhaseGuess, number: int, spread: Floats, is_same_mode: bool) -> Floats:
-    """Σ where the step of an input ends, the estimate's covariance given; behind a reset both count as independent."""
+    """Σ at the end of a step given the estimate's covariance; across a reset both are independent."""
     gain, before = phase.gains[number], phase.spreads[number]
     together = phase.closed[number] @ before @ gain.T * float(is_same_mode)
     return np.block([[spread, together], [together.T, gain @ before @ gain.T]])

@@ -1,4 +1,4 @@
-"""Phases, knots and the start point of a transcription: the search path with the belief rolled out along it."""
+"""Phases, knots and initial guess of a transcription: the search path with a belief roll-out."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _MOST_TRIED_KNOTS = 400
 
 @dataclass(frozen=True, eq=False)
 class PhaseGuess:
-    """One mode of the sequence and its guess.
+    """One mode of the sequence with its guess.
 
     Attributes:
         mode: its name.
@@ -88,14 +88,14 @@ def guess(problem: Problem, limits: Limits, sequence: ModeSequence, stretch: flo
 
 
 def guess_again(problem: Problem, limits: Limits, sequence: ModeSequence, steps: list[int]) -> tuple[PhaseGuess, ...]:
-    """The start point on a path that is followed already, with its number of steps in each mode."""
+    """The initial guess from a path that is already followed, with its steps per mode."""
     return _roll(problem, limits, sequence, steps)[0]
 
 
 def guess_at(
     problem: Problem, guess: tuple[PhaseGuess, ...], means: Floats, factors: Floats, inputs: Floats
 ) -> tuple[PhaseGuess, ...]:
-    """The same phases with another path as their guess: means (K, n), factors (K, n, n) and inputs (K-1, m)."""
+    """The phases with another guess: means (K, n), factors (K, n, n) and inputs (K-1, m)."""
     phases, spread = list[PhaseGuess](), guess[0].spreads[0]
     for phase in guess:
         knots = slice(phase.first_knot, phase.first_knot + phase.steps + 1)
@@ -109,7 +109,7 @@ def guess_at(
 
 
 def _carried(automaton: HybridAutomaton, edge: int, spread: Floats) -> Floats:
-    """(n, n) covariance of the estimate behind a reset; there is none of what the new mode pins."""
+    """(n, n) covariance of the estimate after a reset; zero for pinned coordinates."""
     taken = automaton.edges[edge]
     A, free = matrix_after(automaton, taken), automaton.mode(taken.target).free
     return np.asarray(A @ spread @ A.T * np.outer(free, free))
@@ -140,7 +140,7 @@ def _divide(problem: Problem, limits: Limits, sequence: ModeSequence, needed: li
 
 
 def _too_few_knots(needed: int, allowed: int) -> Reason:
-    """Why a path that needs at least so many knots cannot be planned with those that are allowed."""
+    """The reason for refusing a path that needs at least `needed` knots."""
     ways = [larger_steps(max(2.0, float(np.ceil(needed / allowed))))]
     if needed <= _MOST_TRIED_KNOTS:
         ways.insert(0, more_knots(needed / allowed))
@@ -202,12 +202,12 @@ def _least_steps(problem: Problem, limits: Limits, mode: str, path: Floats, B: F
 
 
 def _drift(automaton: HybridAutomaton, mode: str, path: Floats) -> Floats:
-    """(n,) how far a step moves what no input moves, where a path (w, n) begins."""
+    """(n,) drift per step at the beginning of a path (w, n)."""
     return drift_of(automaton, automaton.mode(mode), path[0])
 
 
 def _spreads(mode: CompiledMode, spread: Floats, factors: Floats, closed: Floats) -> Floats:
-    """(N+1, n, n) covariance of the estimate along a phase: feedback narrows it, measurements widen it."""
+    """(N+1, n, n) covariance of the estimate along a phase, narrowed by feedback and widened by measurements."""
     spreads, (n, m), count = [spread], mode.mode.B.shape, len(closed)
     if count:
         _, side_by_side = mode.predict.map(count)(
@@ -233,12 +233,12 @@ def _apart(side_by_side: ca.DM) -> Floats:
 
 
 def _belief(pair: Any) -> tuple[Floats, Floats]:
-    """A mean (n,) and factor (n, n) as arrays from what a compiled function returned."""
+    """A mean (n,) and factor (n, n) as arrays, from the result of a compiled function."""
     return np.array(pair[0], dtype=float).ravel(), np.array(pair[1], dtype=float)
 
 
 def _localising_steps(problem: Problem, phase: PhaseGuess, spare: int) -> int:
-    """Steps to add to the last phase until the last step starts from a belief narrow enough to meet the goal.
+    """Steps to append to the last phase until the belief is narrow enough for the goal.
 
     What counts is the belief before the last measurement: that one comes too late for any input.
     """
@@ -259,7 +259,7 @@ def _localising_steps(problem: Problem, phase: PhaseGuess, spare: int) -> int:
 
 
 def _inside(start: Floats, x: Floats, covariance: Floats, edge: int, problem: Problem, limits: Limits) -> Floats:
-    """A state near x at which a guard holds with the planned confidence, as far as B can reach from a start.
+    """A state near x at which a guard holds with the planned confidence, reachable by B from a start.
 
     But for what faces the half-space that is crossed: that holds when it is.
     """
@@ -283,7 +283,7 @@ def _inside(start: Floats, x: Floats, covariance: Floats, edge: int, problem: Pr
 def crossed(
     mode: Mode, leaving: Edge, before: Floats, after: Floats, k: float
 ) -> tuple[list[HalfSpace], list[HalfSpace], list[HalfSpace]]:
-    """The half-spaces on the state of a guard on it, those that a motion enters last, and those that face these.
+    """Half-spaces on the state of a guard: all, those that a motion enters last, and those that face these.
 
     A transition happens at the instant at which the last half-space is entered: where the mode ends, or else the one
     that the motion from one state (n,) to another enters last. What faces it (the far side of a plate) holds then,
@@ -315,7 +315,7 @@ def crossed(
 
 @dataclass(frozen=True, eq=False)
 class Need:
-    """What must hold at k-sigma for a half-space of a guard to hold: a'x >= c.
+    """Condition at k-sigma for a half-space of a guard to hold: a'x >= c.
 
     Attributes:
         a, c: (n,) and the threshold.
@@ -334,7 +334,7 @@ class Need:
 def guard_need(
     automaton: HybridAutomaton, mode: str, row: HalfSpace, std: float, belief: tuple[Floats, Floats], k: float
 ) -> Need:
-    """The half-space itself, or the same without what the mode's inputs do not move, at the worst of its range.
+    """The half-space, or the same without coordinates that no input moves, at the worst value of their range.
 
     Of a coordinate that no input moves a plan need not fear more than its range: lower arms that hang down further than
     they can open do not have to be touched. The one that asks for less at a belief (mean (n,), covariance (n, n)) is

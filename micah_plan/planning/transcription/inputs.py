@@ -1,4 +1,4 @@
-"""Rows that the input of each step must meet, with the feedback that is executed around it.
+"""Constraints on the input of each step, including the executed feedback.
 
 What is executed is not the planned input u but u + G (estimate - mean), and the true state lies around the estimate. So
 a half-space a'x + b'u >= c is planned to hold as
@@ -53,7 +53,7 @@ class InputRow(NamedTuple):
 
 
 def input_rows(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, k: float) -> list[InputRow]:
-    """Admissible inputs, invariants, and guards on inputs that must not be taken, step by step.
+    """Admissible inputs, invariants, and guards on inputs to avoid, step by step.
 
     Args:
         k: standard deviations of the planned confidence.
@@ -99,13 +99,13 @@ def _row(
 
 
 def spread_across(a: Floats, b: Floats, gain: Floats, spread: Floats) -> float:
-    """Variance of a'x + b'u by an estimate that wanders (n, n) and the feedback (m, n) on it."""
+    """Variance of a'x + b'u under deviations (n, n) and their feedback (m, n)."""
     across = a + b @ gain
     return max(0.0, float(across @ spread @ across))
 
 
 def deepest(half_space: HalfSpace, limits: Limits) -> float:
-    """How far inside of a half-space on the input alone a plan may be asked to be: as its largest input is."""
+    """The depth inside a half-space on the input that a plan can be asked for: that of the largest input."""
     if half_space.on_state:
         return np.inf
     return max(0.0, (1.0 - EQUAL) * float(np.abs(half_space.b) @ limits.max_step) - half_space.c)

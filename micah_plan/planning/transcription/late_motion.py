@@ -1,4 +1,4 @@
-"""Motion that only the mode before a guard makes, where the guard may hold already.
+"""Motion lost to late transitions: only the mode before a guard makes it.
 
 A transition happens when its guard holds, not at the knot that a plan has for it. A phase that moves on across its
 guard, or comes close to it for several steps, has changed its mode by then with some probability. What a step moves and
@@ -30,7 +30,7 @@ from micah_plan.planning.zero_time_transitions import stds_of
 def lost_motion(
     automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, pattern: ca.Sparsity
 ) -> Callable[[ca.MX, ca.MX], ca.MX] | None:
-    """(packed states, inputs) of a phase -> the expected square of what it loses [steps²]; None if that is nothing."""
+    """(packed states, inputs) -> expected squared motion [steps²] lost in a phase to late transitions; None if none."""
     edge = None if guess.edge is None else automaton.edges[guess.edge]
     lost = None if edge is None else _lost_per_input(automaton, edge, limits.speed)
     if edge is None or lost is None:
@@ -52,7 +52,7 @@ def lost_motion(
 
 
 def _lost_per_input(automaton: HybridAutomaton, edge: Edge, speed: Floats) -> Floats | None:
-    """(n, m) by how much an input moves each coordinate otherwise before a guard on the state than behind it [steps].
+    """(n, m) difference of each coordinate's motion per input before and behind a guard on the state [steps].
 
     A turn is crossed in one known step (`automaton.input_reversal`) and loses nothing.
     """

@@ -1,4 +1,4 @@
-"""The mean, then the factor's entries that can ever be other than zero.
+"""Packed beliefs: the mean, then the structurally nonzero entries of the factor.
 
 Coordinates that start independent and that no reset mixes stay independent, so most factors are far from full: with 12
 drawers a knot has 24 numbers, not 90.
@@ -22,7 +22,7 @@ Expression = TypeVar("Expression", ca.MX, ca.SX)
 def factor_pattern(
     automaton: HybridAutomaton, start: Floats, modes: Iterable[str], edges: Iterable[int]
 ) -> ca.Sparsity:
-    """The lower triangular pattern that a start's factor (n, n) fills on its way through these modes and edges."""
+    """The lower triangular sparsity of a start's factor (n, n) propagated through modes and edges."""
     n, m = automaton.n, automaton.m
     maps = [compiled_mode(automaton, name).belief_step for name in dict.fromkeys(modes)]
     maps += [compiled_edge(automaton, index).belief_reset for index in dict.fromkeys(edges)]

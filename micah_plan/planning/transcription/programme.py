@@ -190,7 +190,7 @@ def _defect_rows(automaton: HybridAutomaton, guess: PhaseGuess, pattern: ca.Spar
 def _require_inputs(
     nlp: Transcription, mode: str, phase: PhaseVariables, wanted: list[InputRow], slacks: ca.MX
 ) -> None:
-    """What the inputs must meet, with the feedback around them."""
+    """Add the constraints on inputs, including the feedback around them."""
     steps = [row.step for row in wanted]
     a, b, c = (np.array([getattr(row, name) for row in wanted]) for name in "abc")
     margins, stds = _margin_function(nlp.pattern).map(len(wanted))(phase.states[:, steps], a.T, c[None, :])
@@ -207,7 +207,7 @@ def _require_inputs(
 
 
 def _require_corridor(nlp: Transcription, phase: PhaseVariables, boundaries: list[CorridorRow]) -> None:
-    """The boundaries between the ends of the phase."""
+    """Add the corridor of a phase."""
     directions = np.array([boundary.side.normal for boundary in boundaries]).T
     offsets = np.array([boundary.side.offset for boundary in boundaries])
     at = phase.states[:, [boundary.step for boundary in boundaries]]
@@ -222,7 +222,7 @@ def _require_corridor(nlp: Transcription, phase: PhaseVariables, boundaries: lis
 
 
 def _require_path(nlp: Transcription, guess: PhaseGuess, phase: PhaseVariables, path: PathRows, slacks: ca.MX) -> None:
-    """The constraints on the path for the steps of a phase, and their cost."""
+    """Add the path constraints and costs of a phase."""
     terms, count = path.terms, len(path.terms.requirements)
     inputs = ca.horzcat(*(nlp.phases[p].inputs[:, i] for p, i in path.inputs))
     at = phase.states[:, path.knots]
@@ -245,7 +245,7 @@ def _require_with_room(
     margins: ca.MX,
     uncertain: tuple[list[int], ca.MX, Floats, ca.MX],
 ) -> None:
-    """Rows that the mean must keep to; and that of some of them k-sigma does, with a slack that costs.
+    """Add rows on the mean, and for some of them k-sigma margins with a penalised slack.
 
     Args:
         uncertain: numbers of these rows, stds of their margins, lengths of one step across them, slacks in steps.
@@ -261,8 +261,7 @@ def _require_with_room(
 
 
 def _missing_cost(weight: float, margins: ca.MX, stds: ca.MX) -> ca.MX:
-    """What it costs on average that margins (r, 1) of these stds are negative: each as much as missing the goal by its
-    tolerance."""
+    """Expected cost of negative margins (r, 1) with these stds, each weighted like a goal missed by its tolerance."""
     return ca.MX(weight * 0.5 * (1.0 - ca.erf(margins / (np.sqrt(2.0) * stds))))
 
 
@@ -275,7 +274,7 @@ def _margin_function(pattern: ca.Sparsity) -> ca.Function:
 
 
 def _join(nlp: Transcription, before: int, after: int) -> None:
-    """The guard at the end of one phase and the reset into the next.
+    """Add the guard at the end of a phase and the reset into the next.
 
     A guard on the input is taken by the next phase's first input: the transition is the first event of that step.
     """
@@ -335,7 +334,7 @@ def _crossing_function(edge: CompiledEdge, pattern: ca.Sparsity, m: int) -> ca.F
 
 
 def _add_goal(nlp: Transcription) -> None:
-    """The goal at the last knot, and once all commands have arrived: the mean within the tolerance.
+    """Add the goal at the last knot, and after delayed commands: the mean within the tolerance.
 
     Error and variance are in the cost.
     """

@@ -1,4 +1,4 @@
-"""Named constraints: what each row of a transcription bounds and where, and which rows are missed most."""
+"""Named constraints of a transcription: their bounds and places, and the most violated ones."""
 
 from __future__ import annotations
 
@@ -60,12 +60,12 @@ class Row(NamedTuple):
 
 
 def boundary_name(half_space: HalfSpace, sign: float) -> str:
-    """What must hold: to stay inside of a boundary (+1) or outside of it (-1)."""
+    """The name of the constraint to stay inside a boundary (+1) or outside (-1)."""
     return f"'{half_space.name}'" if sign > 0 else f"staying out of '{half_space.name}'"
 
 
 def unit_of(automaton: HybridAutomaton, half_space: HalfSpace) -> str:
-    """The unit of a half-space's margin if all its coordinates and inputs share one, else empty."""
+    """The common unit of a half-space's coordinates and inputs; empty if they differ."""
     weights = zip((*automaton.coordinates, *automaton.inputs), (*half_space.a, *half_space.b), strict=True)
     units = {item.unit for item, weight in weights if weight}
     return units.pop() if len(units) == 1 else ""
@@ -85,7 +85,7 @@ class ConstraintRows(list[Row]):
         return np.array([row.upper for row in self])
 
     def worst(self, g: Floats, count: int = 3) -> list[int]:
-        """Numbers of the rows that are missed most at g (r,), one per constraint and mode, worst first."""
+        """Indices of the most violated rows at g (r,), one per constraint and mode, worst first."""
         violations = [row.violation(float(value)) for row, value in zip(self, g, strict=True)]
         largest = max((v for v in violations if np.isfinite(v)), default=0.0)
         visible = max(NEGLIGIBLE, _VISIBLE_SHARE * largest)
@@ -99,7 +99,7 @@ class ConstraintRows(list[Row]):
 
 @dataclass(frozen=True)
 class Shortfall:
-    """A row that does not hold, and why.
+    """A violated row with its circumstances.
 
     Attributes:
         row: which.

@@ -1,4 +1,4 @@
-"""Solving a transcription: the resulting belief path, or the constraints that stand in the way."""
+"""Solution of a transcription: its belief path, or the violated constraints."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class BeliefPath:
 
 
 def solve_transcription(nlp: Transcription, time_limit_s: float) -> BeliefPath:
-    """The locally optimal belief path. A problem without a solution does not raise: `feasible` and `message` say so."""
+    """The locally optimal belief path. Infeasible problems do not raise: see `feasible` and `message`."""
     solution = Solver(nlp.programme, time_limit_s).solve()
     if not solution.is_number:
         worst = "; ".join(map(sentence_of, _worst(nlp, solution.w, solution.rows))) or "the cost is not a number"
@@ -57,7 +57,7 @@ def solve_transcription(nlp: Transcription, time_limit_s: float) -> BeliefPath:
 
 
 def unmet(nlp: Transcription, time_limit_s: float) -> list[Shortfall]:
-    """What stands in the way of an infeasible problem, worst first.
+    """The violated constraints of an infeasible programme, worst first.
 
     Constraints on the path, and by how much each must be relaxed at all knots, if that is enough: the row is that of
     the knot where it is tightest. Else the worst rows where the summed violation of all but the dynamics is least
@@ -88,7 +88,7 @@ def unmet(nlp: Transcription, time_limit_s: float) -> list[Shortfall]:
 
 
 def _elastic(programme: Programme, rows: Floats, loose: list[int], amounts: list[int]) -> Programme:
-    """The programme in which some rows may be missed, each by the amount of that number, at the cost of all amounts.
+    """The programme with some rows relaxed by penalised amounts (elastic mode).
 
     Args:
         rows: (r,) values at the start.
@@ -117,7 +117,7 @@ def _elastic(programme: Programme, rows: Floats, loose: list[int], amounts: list
 
 
 def _worst(nlp: Transcription, w: Floats, rows: Floats) -> list[Shortfall]:
-    """The rows that are missed most, where the decision variables are w and the rows have these values."""
+    """The most violated rows for given decision variables and row values."""
     return [_shortfall(nlp, w, i, nlp.rows[i].violation(float(rows[i]))) for i in nlp.rows.worst(rows)]
 
 
@@ -130,7 +130,7 @@ def blocks_of(nlp: Transcription, values: Floats) -> list[tuple[Floats, Floats, 
 
 
 def _met_in_part(nlp: Transcription, w: Floats) -> list[Shortfall]:
-    """For each boundary that does not hold at k-sigma somewhere: where it is missed most."""
+    """For each boundary violated at k-sigma, the largest violation."""
     worst: dict[tuple[str, str], tuple[float, int, float]] = {}
     for phase, (_, _, slacks) in zip(nlp.phases, blocks_of(nlp, w), strict=True):
         for (number, scale), slack in zip(phase.soft, slacks.ravel().tolist(), strict=True):
@@ -141,7 +141,7 @@ def _met_in_part(nlp: Transcription, w: Floats) -> list[Shortfall]:
 
 
 def _shortfall(nlp: Transcription, w: Floats, number: int, amount: float) -> Shortfall:
-    """The row of a number as a shortfall, with its std under the belief of its knot."""
+    """A row as a shortfall, with its std under the belief at its knot."""
     row = nlp.rows[number]
     if row.confidence is None:
         return Shortfall(row, amount)
@@ -151,7 +151,7 @@ def _shortfall(nlp: Transcription, w: Floats, number: int, amount: float) -> Sho
 
 
 def _width(row: Row, rival: Row) -> float | None:
-    """The width of the corridor between two boundaries, in the unit of the first; None if they do not face."""
+    """Width of the corridor between two boundaries in the unit of the first; None if they do not face."""
     if row.half_space is None or rival.half_space is None:
         return None
     a, b = row.sign * np.array(row.half_space.a), rival.sign * np.array(rival.half_space.a)
@@ -164,7 +164,7 @@ def _width(row: Row, rival: Row) -> float | None:
 
 
 def path_of(nlp: Transcription, solution: Solution, in_part: tuple[Shortfall, ...] = ()) -> BeliefPath:
-    """The belief path that a solution stands for."""
+    """The belief path of a solution."""
     blocks, firsts = blocks_of(nlp, solution.w), [phase.first_knot for phase in nlp.guess]
     means, factors = unpack(np.hstack([states for states, _, _ in blocks]), nlp.pattern)
     inputs, is_transition = np.zeros((len(means) - 1, nlp.problem.automaton.m)), np.zeros(len(means) - 1, dtype=bool)

@@ -1,4 +1,4 @@
-"""Stops that hold what drifts against them: they are part of the step that a plan counts on.
+"""Stops against drift, which are part of the step that a plan is based on.
 
 A latch that a spring turns back rests on its stop while nobody turns it. The flow of its mode alone would take it
 further with every step, and no input could hold it: the plan would seem to contradict itself. So the mean of a
@@ -36,7 +36,7 @@ class Stop(NamedTuple):
 
 
 def stops_of(automaton: HybridAutomaton, mode: str) -> tuple[Stop, ...]:
-    """The ends of a mode at which a step without input leads beyond them, and a self-transition back to them."""
+    """The ends of a mode that a step without input exceeds and a self-transition restores."""
     found, own = dict[tuple[int, float], Stop](), automaton.mode(mode)
     for edge in automaton.edges_from(mode):
         if (end := _end(automaton, edge)) is None:
@@ -51,7 +51,7 @@ def stops_of(automaton: HybridAutomaton, mode: str) -> tuple[Stop, ...]:
 
 
 def _end(automaton: HybridAutomaton, edge: Edge) -> tuple[int, float, bool] | None:
-    """(coordinate, value, whether it is an upper end) to which a self-transition puts back what went beyond it."""
+    """(coordinate, value, is upper) of an end to which a self-transition resets the state; None for other edges."""
     rows = edge.guard.half_spaces
     if not edge.is_self_transition or len(rows) != 1 or (bound := rows[0].bound) is None:
         return None
