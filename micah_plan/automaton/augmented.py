@@ -41,7 +41,7 @@ def augment_state(
         added: (k,) the coordinates e.
         weights: of e in invariants and guards; None: these depend on x alone.
     """
-    return _resized(automaton, (*automaton.coordinates, *added), weights)
+    return _with_coordinates(automaton, (*automaton.coordinates, *added), weights)
 
 
 def fix_augmented_state(automaton: HybridAutomaton, n: int, values: Sequence[float] = ()) -> HybridAutomaton:
@@ -51,10 +51,10 @@ def fix_augmented_state(automaton: HybridAutomaton, n: int, values: Sequence[flo
         values: (k,) of the coordinates e behind them; none: nothing depends on e, as after `augment_state` without
             weights.
     """
-    return _resized(automaton, automaton.coordinates[:n], values=values)
+    return _with_coordinates(automaton, automaton.coordinates[:n], values=values)
 
 
-def _resized(
+def _with_coordinates(
     automaton: HybridAutomaton,
     coordinates: tuple[Coordinate, ...],
     weights: Weights | None = None,
@@ -64,7 +64,7 @@ def _resized(
     n, nothing, noise = len(coordinates), (0.0,) * automaton.m, automaton.noise
 
     def plain(region: Region) -> Region:
-        return region.mapped(lambda h: replace(h, a=_fit(h.a, n, 0.0), c=h.c - sum(map(mul, h.a[n:], values))))
+        return region.mapped(lambda h: replace(h, a=_padded(h.a, n, 0.0), c=h.c - sum(map(mul, h.a[n:], values))))
 
     def dependent(region: Region, mode: Mode | None = None) -> Region:
         if weights is None:
@@ -79,11 +79,11 @@ def _resized(
     def resized_mode(mode: Mode) -> Mode:
         return replace(
             mode,
-            input_matrix=_fit(mode.input_matrix, n, nothing),
+            input_matrix=_padded(mode.input_matrix, n, nothing),
             invariant=dependent(mode.invariant, mode),
             inputs=plain(mode.inputs),
             pins=tuple(map(at_value, mode.pins)),
-            ties=tuple(replace(tie, weights=_fit(tie.weights, n, 0.0)) for tie in mode.ties),
+            ties=tuple(replace(tie, weights=_padded(tie.weights, n, 0.0)) for tie in mode.ties),
         )
 
     def resized_edge(edge: Edge) -> Edge:
@@ -95,9 +95,9 @@ def _resized(
         edges=tuple(map(resized_edge, automaton.edges)),
         coordinates=coordinates,
         noise=Noise(
-            _fit(noise.process_std, n, 0.0),
-            _fit(noise.observation_std, n, float("inf")),
-            None if noise.light is None else replace(noise.light, growth=_fit(noise.light.growth, n, 0.0)),
+            _padded(noise.process_std, n, 0.0),
+            _padded(noise.observation_std, n, float("inf")),
+            None if noise.light is None else replace(noise.light, growth=_padded(noise.light.growth, n, 0.0)),
         ),
         init=tuple((name, plain(region)) for name, region in automaton.init),
     )
@@ -106,12 +106,12 @@ def _resized(
 def _resized_reset(reset: Reset, n: int, nothing: tuple[float, ...]) -> Reset:
     A = None
     if reset.A is not None:
-        kept = tuple(_fit(row, n, 0.0) for row in reset.A[:n])
+        kept = tuple(_padded(row, n, 0.0) for row in reset.A[:n])
         A = (*kept, *(tuple(float(i == k) for k in range(n)) for i in range(len(kept), n)))
-    B = None if reset.B is None else _fit(reset.B, n, nothing)
-    return Reset(A, B, None if reset.c is None else _fit(reset.c, n, 0.0))
+    B = None if reset.B is None else _padded(reset.B, n, nothing)
+    return Reset(A, B, None if reset.c is None else _padded(reset.c, n, 0.0))
 
 
-def _fit(values: tuple[_T, ...], n: int, further: _T) -> tuple[_T, ...]:
+def _padded(values: tuple[_T, ...], n: int, further: _T) -> tuple[_T, ...]:
     """The first n values, filled up to n with a further one."""
     return values[:n] + (further,) * (n - len(values))

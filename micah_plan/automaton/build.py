@@ -172,7 +172,7 @@ def _edges(
             neighbour = k + 1 if forward else k - 1
             if 0 <= neighbour < len(chain):
                 target = _mode_name(chains, (*choice[:i], neighbour, *choice[i + 1 :]))
-                guard = _leaving(chain[k], forward, i, len(chains), names[i], release)
+                guard = _exit_guard(chain[k], forward, i, len(chains), names[i], release)
                 spread = chain[k].upper_std if forward else chain[k].lower_std
                 spread = 0.0 if chain[k].is_rigid else spread  # it is left by an input, whose threshold is chosen
                 changes.append(Edge(source, target, Region((guard,)), threshold_std=spread))
@@ -181,7 +181,7 @@ def _edges(
     return changes + clamps
 
 
-def _leaving(model: LocalModel, forward: bool, i: int, n: int, name: str, release: float) -> HalfSpace:
+def _exit_guard(model: LocalModel, forward: bool, i: int, n: int, name: str, release: float) -> HalfSpace:
     """Guards {c >= upper} and {c < lower} of the paper; guards on the input out of rigid models."""
     if model.is_rigid:
         side, at = (input_above, release) if forward else (input_below, 0.0 - release)

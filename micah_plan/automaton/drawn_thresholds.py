@@ -86,7 +86,7 @@ def with_boundary_states(automaton: HybridAutomaton) -> HybridAutomaton:
     numbers = {boundary: automaton.n + i for i, boundary in enumerate(stds)}
 
     def weights(half_space: HalfSpace, mode: Mode | None) -> list[float]:
-        growth = _growth(automaton, half_space, mode)
+        growth = _moving_boundary(automaton, half_space, mode)
         return [0.0 if growth is None or growth[0] != boundary else -growth[1] for boundary in stds]
 
     def following(pin: Pin, at: Boundary) -> Pin:
@@ -103,7 +103,9 @@ def with_boundary_states(automaton: HybridAutomaton) -> HybridAutomaton:
     return mapped(whole, with_following_pins, lambda edge: replace(edge, threshold_std=0.0))
 
 
-def _growth(automaton: HybridAutomaton, half_space: HalfSpace, mode: Mode | None) -> tuple[Boundary, float] | None:
+def _moving_boundary(
+    automaton: HybridAutomaton, half_space: HalfSpace, mode: Mode | None
+) -> tuple[Boundary, float] | None:
     """(boundary that moves a half-space, growth of its threshold per unit); None if fixed.
 
     That is its own boundary. A mode's invariant around a pinned coordinate moves with the boundary at which it is

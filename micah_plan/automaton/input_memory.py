@@ -101,7 +101,9 @@ def passed_on(
     """
     passed, after = list(u), dict[int, Value]()
     for memory in memories:
-        out, kept = _through(ops, memory, x[memory.coordinate], passed[memory.input], tuple(x[memory.coordinates]))
+        out, kept = _through_memory(
+            ops, memory, x[memory.coordinate], passed[memory.input], tuple(x[memory.coordinates])
+        )
         after |= dict(enumerate(kept, start=memory.first))
         if memory.effect.acts_in(mode):
             passed[memory.input] = out
@@ -142,7 +144,9 @@ class InputChannel:
             sent = passed[..., memory.input].copy()
             c = 0.0 * sent if x is None else x[..., memory.coordinate]
             kept = self._kept[k]
-            out, self._kept[k] = _through(np, memory, c, sent, _at_rest(memory.effect, c) if kept is None else kept)
+            out, self._kept[k] = _through_memory(
+                np, memory, c, sent, _at_rest(memory.effect, c) if kept is None else kept
+            )
             acts = memory.effect.acts_in(mode) if isinstance(mode, str) else self._acts[k][mode]
             passed[..., memory.input] = np.where(acts, out, sent)
         return passed
@@ -168,7 +172,7 @@ def effects_left_out(automaton: HybridAutomaton, memory: bool = False) -> tuple[
     return tuple(lines)
 
 
-def _through(
+def _through_memory(
     ops: Operations, memory: InputMemory, c: Value, u: Value, kept: tuple[Value, ...]
 ) -> tuple[Value, tuple[Value, ...]]:
     """(input behind one memory at configuration c, its next values)."""

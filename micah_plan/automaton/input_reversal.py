@@ -38,7 +38,7 @@ class InputReversal:
 
 def input_reversal_of(automaton: HybridAutomaton, edge: Edge) -> InputReversal | None:
     """The reversal at an edge; None where motion continues alike, the state is pinned, or a reset acts."""
-    crossed = None if edge.is_self_transition or not edge.reset.is_identity else _way_out(automaton, edge)
+    crossed = None if edge.is_self_transition or not edge.reset.is_identity else _entered_row(automaton, edge)
     if crossed is None:
         return None
     a = np.array(crossed.a)
@@ -48,7 +48,7 @@ def input_reversal_of(automaton: HybridAutomaton, edge: Edge) -> InputReversal |
         return None
     mirrored = -1.0  # share of the way behind the boundary by which the next mode leads back; -1: it leads on alike
     if onward <= 0.0:
-        mirrored = 0.0 if _returns(automaton, edge, crossed) else -onward / float(forth @ forth)
+        mirrored = 0.0 if _leads_back(automaton, edge, crossed) else -onward / float(forth @ forth)
     across = (1.0 + mirrored) * a / float(a @ a)
     sides = tuple(h for h in edge.guard.half_spaces if h is not crossed and not h.on_input)
     A = np.eye(automaton.n) - np.outer(across, a)
@@ -61,7 +61,7 @@ def matrix_after(automaton: HybridAutomaton, edge: Edge) -> Floats:
     return edge.reset.matrices(automaton.n, automaton.m)[0] if reversal is None else reversal.A
 
 
-def _way_out(automaton: HybridAutomaton, edge: Edge) -> HalfSpace | None:
+def _entered_row(automaton: HybridAutomaton, edge: Edge) -> HalfSpace | None:
     """The row of a guard through which motion enters it, if the target does not pin it."""
     source, target = automaton.mode(edge.source), automaton.mode(edge.target)
     for half_space in edge.guard.half_spaces:
@@ -69,12 +69,12 @@ def _way_out(automaton: HybridAutomaton, edge: Edge) -> HalfSpace | None:
         if half_space.on_input or not np.any(a @ source.B) or a[~target.free].any():
             continue
         ends = any(h.excludes(half_space) for h in source.invariant.half_spaces)
-        if len(edge.guard.half_spaces) == 1 or ends or _returns(automaton, edge, half_space):
+        if len(edge.guard.half_spaces) == 1 or ends or _leads_back(automaton, edge, half_space):
             return half_space
     return None
 
 
-def _returns(automaton: HybridAutomaton, edge: Edge, half_space: HalfSpace) -> bool:
+def _leads_back(automaton: HybridAutomaton, edge: Edge, half_space: HalfSpace) -> bool:
     """Whether a transition leads back from the other side of a boundary."""
     others = [e for e in automaton.edges if (e.source, e.target) == (edge.target, edge.source)]
     rows = [h for other_edge in others for h in other_edge.guard.half_spaces]

@@ -71,7 +71,7 @@ class LinkMotion:
             return self._turned(self.joints[0], position, rotation, near)
         tried, misses = [], []
         for joint, (low, high) in zip(self.joints, self.ends, strict=True):
-            c = np.clip(self._on(joint, low, high, position, rotation), low, high)
+            c = np.clip(self._along_joint(joint, low, high, position, rotation), low, high)
             pose = forward(joint, c)
             missed = ((pose.translation - position) ** 2).sum(axis=1)
             if rotation is not None:
@@ -102,9 +102,9 @@ class LinkMotion:
             rows = number == k
             if rows.any():
                 configuration[rows] = meant(joint, c[rows], action[rows])
-        return configuration if len(self.joints) == 1 else self._or_another(c, action, configuration, number)
+        return configuration if len(self.joints) == 1 else self._or_on_next_joint(c, action, configuration, number)
 
-    def _or_another(self, c: Floats, action: Floats, nearest: Floats, number: Ints) -> Floats:
+    def _or_on_next_joint(self, c: Floats, action: Floats, nearest: Floats, number: Ints) -> Floats:
         """Displacements of actions that lead onto the next joint of a path, where that fits better."""
         target = self.poses(c).translation + action
         best, missed = nearest.copy(), np.full(len(c), np.inf)
@@ -114,7 +114,7 @@ class LinkMotion:
                 ahead = forward(joint, c[rows] + nearest[rows]).translation
                 missed[rows] = np.linalg.norm(ahead - target[rows], axis=1)
         for k, (joint, (low, high)) in enumerate(zip(self.joints, self.ends, strict=True)):
-            there = np.clip(self._on(joint, low, high, target, None), low, high)
+            there = np.clip(self._along_joint(joint, low, high, target, None), low, high)
             away = np.linalg.norm(forward(joint, there).translation - target, axis=1)
             # Only a neighbour that the motion gets to: a small action does not leave its joint.
             better = (number != k) & np.isfinite(there) & (away < missed - EQUAL)
@@ -132,13 +132,15 @@ class LinkMotion:
         if joint.kind != "revolute" or near is not None or not len(position):
             return inverse(joint, position, rotation, near=near)
         if high - low < _TURN:
-            return self._on(joint, low, high, position, rotation)
+            return self._along_joint(joint, low, high, position, rotation)
         configuration = np.unwrap(inverse(joint, position, rotation))
         least, most = (low - configuration.min()) / _TURN - _BESIDE, (high - configuration.max()) / _TURN + _BESIDE
         turns = np.clip(0.0, np.ceil(least), np.floor(most)) if least <= most else np.round(0.5 * (least + most))
         return np.asarray(configuration + _TURN * turns)
 
-    def _on(self, joint: Joint, low: float, high: float, position: Floats, rotation: Rotation | None) -> Floats:
+    def _along_joint(
+        self, joint: Joint, low: float, high: float, position: Floats, rotation: Rotation | None
+    ) -> Floats:
         """Configurations along one joint, unwrapped around the middle of its range."""
         finite_ends = [end for end in (low, high) if np.isfinite(end)]
         return inverse(

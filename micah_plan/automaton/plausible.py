@@ -164,7 +164,7 @@ def never_taken(automaton: HybridAutomaton) -> tuple[str, ...]:
 def _jumps(automaton: HybridAutomaton, edge: Edge) -> Iterator[str]:
     """Amounts by which a transition moves parts relative to their parents without motion."""
     source, target = automaton.mode(edge.source), automaton.mode(edge.target)
-    before = _crossing(automaton, edge)
+    before = _state_at_guard(automaton, edge)
     after = np.array(edge.reset.apply(before, np.zeros(automaton.m)))
     for pin in target.pins:
         after[pin.coordinate] = pin.value
@@ -179,7 +179,7 @@ def _jumps(automaton: HybridAutomaton, edge: Edge) -> Iterator[str]:
             )
 
 
-def _crossing(automaton: HybridAutomaton, edge: Edge) -> Floats:
+def _state_at_guard(automaton: HybridAutomaton, edge: Edge) -> Floats:
     """A state (n,) at which a transition is taken: the middle of the guard and both modes."""
     source, target = automaton.mode(edge.source), automaton.mode(edge.target)
     state = np.zeros(automaton.n)

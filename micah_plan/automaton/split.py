@@ -39,7 +39,7 @@ def with_split(automaton: HybridAutomaton, coordinate: int, at: float) -> Hybrid
             modes.append(replace(mode, name=name, invariant=_with(mode.invariant, side)))
         if mode.name not in halves:
             modes.append(mode)
-    kept = [half for edge in automaton.edges for half in _halved(automaton, edge, halves, coordinate, entered)]
+    kept = [half for edge in automaton.edges for half in _halved_edges(automaton, edge, halves, coordinate, entered)]
     crossings = [
         edge
         for first, second in halves.values()
@@ -61,7 +61,7 @@ def with_split(automaton: HybridAutomaton, coordinate: int, at: float) -> Hybrid
     return split
 
 
-def _halved(
+def _halved_edges(
     automaton: HybridAutomaton,
     edge: Edge,
     halves: Mapping[str, tuple[str, str]],

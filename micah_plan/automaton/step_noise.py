@@ -121,7 +121,7 @@ def with_gains(automaton: HybridAutomaton, errors: Floats) -> HybridAutomaton:
 @memoised
 def free_process_std(automaton: HybridAutomaton, mode: Mode) -> tuple[float, ...]:
     """(n,) std of the process noise in a mode: that of the model, and 0 for coordinates that it pins or ties."""
-    return tuple(np.where(_untied(mode), automaton.noise.process_std, 0.0).tolist())
+    return tuple(np.where(_independent_coordinates(mode), automaton.noise.process_std, 0.0).tolist())
 
 
 @memoised
@@ -130,7 +130,7 @@ def free_gain_std(automaton: HybridAutomaton, mode: Mode) -> Floats:
     stds = np.zeros(automaton.n)
     for i, _, std in mode_gains(automaton, mode):
         stds[i] = std
-    return np.where(_untied(mode), stds, 0.0)
+    return np.where(_independent_coordinates(mode), stds, 0.0)
 
 
 def step_noise_std(automaton: HybridAutomaton, mode: Mode, u: Floats) -> Floats:
@@ -141,7 +141,7 @@ def step_noise_std(automaton: HybridAutomaton, mode: Mode, u: Floats) -> Floats:
     return np.asarray(np.hypot(free, gain * (u @ mode.B.T)))
 
 
-def _untied(mode: Mode) -> Booleans:
+def _independent_coordinates(mode: Mode) -> Booleans:
     """(n,) the coordinates that a mode neither pins nor ties."""
     free = mode.free.copy()
     free[[tie.coordinate for tie in mode.ties]] = False

@@ -87,15 +87,15 @@ def tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[Track, ...
         InputError: if parts and links do not match, or the parts of a run were not measured at the same times.
     """
     names = _part_of_link(automaton, recording)
-    seen = _Seen.of(automaton, settled(recording), names)
+    seen = _RowsByLink.of(automaton, settled(recording), names)
     inside = _tracks(automaton, seen, is_outside=False)
     if inside[0].believed is None or not any(form(effect.name).layer == "sensor" for effect in automaton.effects):
         return inside
     outside = _tracks(automaton, seen, is_outside=True)
-    return outside if _disbelief(outside) < _disbelief(inside) else inside
+    return outside if _estimate_error(outside) < _estimate_error(inside) else inside
 
 
-def _disbelief(tracks: tuple[Track, ...]) -> float:
+def _estimate_error(tracks: tuple[Track, ...]) -> float:
     """Sum of squared estimated minus measured configurations [rad² or m²]."""
     return float(sum(np.nansum((track.believed - track.x) ** 2) for track in tracks if track.believed is not None))
 
@@ -115,7 +115,7 @@ def _part_of_link(automaton: HybridAutomaton, recording: Recording) -> tuple[str
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _RowsByLink:
     """All runs concatenated (N rows) in the frames of their links, since the overhead is per call.
 
     Attributes:
@@ -133,7 +133,7 @@ class _Seen:
     x: Floats
 
     @classmethod
-    def of(cls, automaton: HybridAutomaton, recording: Recording, names: Sequence[str]) -> _Seen:
+    def of(cls, automaton: HybridAutomaton, recording: Recording, names: Sequence[str]) -> _RowsByLink:
         """The rows of each part in one order.
 
         Raises:
@@ -160,10 +160,10 @@ class _Seen:
         return cls(runs, tuple(named[name] for name in names), relative, position, quaternion, x)
 
 
-def _tracks(automaton: HybridAutomaton, seen: _Seen, *, is_outside: bool) -> tuple[Track, ...]:
+def _tracks(automaton: HybridAutomaton, seen: _RowsByLink, *, is_outside: bool) -> tuple[Track, ...]:
     time = seen.by_link[0].time
     since = np.concatenate([time[rows] - time[rows][:1] for _, rows in seen.runs])
-    believed = _believed(automaton, seen)
+    believed = _estimated_configurations(automaton, seen)
     # Of a run that tells nothing of beliefs the sensor's own readings were measured.
     tells_beliefs = [believed is not None and bool(np.isfinite(believed[rows]).any()) for _, rows in seen.runs]
     outside = np.repeat(
@@ -209,7 +209,7 @@ def _relative_poses(
     return relative, position, np.stack(quaternions, axis=1) if len(quaternions) == len(relative) else None
 
 
-def _believed(automaton: HybridAutomaton, seen: _Seen) -> Floats | None:
+def _estimated_configurations(automaton: HybridAutomaton, seen: _RowsByLink) -> Floats | None:
     """(N, n) configurations estimated by the controller, NaN where a pose is missing; None if all are.
 
     They are in the turn of the measured ones.
@@ -263,7 +263,7 @@ def _relative(parts: dict[str, Recording], link: Link) -> Recording:
     )
 
 
-def _relative_actions(automaton: HybridAutomaton, seen: _Seen, x: Floats) -> Floats:
+def _relative_actions(automaton: HybridAutomaton, seen: _RowsByLink, x: Floats) -> Floats:
     """(N, l, 3) commanded displacements of the parts' origins relative to their parents [m].
 
     The action of a part on a moving parent includes the parent's commanded motion: what remains for its own joint is

@@ -114,7 +114,7 @@ def step(automaton: HybridAutomaton, mode: str, x: Values, u: Values, disturbanc
     if automaton.input_memories:
         passed, after = passed_on(np, automaton.input_memories, mode, start.tolist(), command.tolist())
         command = np.array(passed, dtype=float)
-    travel = _alone(automaton).travel(np.array([index]), start[None], command[None], pushed[None])
+    travel = _batch_of_one(automaton).step_with_events(np.array([index]), start[None], command[None], pushed[None])
     final = travel.x[0]
     for i, value in after.items():  # memories take their next values when the step ends
         final[i] = value
@@ -123,7 +123,7 @@ def step(automaton: HybridAutomaton, mode: str, x: Values, u: Values, disturbanc
 
 
 @memoised
-def _alone(automaton: HybridAutomaton) -> TransitionBatch:
+def _batch_of_one(automaton: HybridAutomaton) -> TransitionBatch:
     """The model as a batch of one object."""
     return TransitionBatch(automaton, np.zeros((1, threshold_stds(automaton).size)))
 
@@ -190,29 +190,29 @@ class TransitionBatch:
 
     def step(self, modes: Ints, x: Floats, u: Floats, disturbance: Floats) -> tuple[Ints, Floats]:
         """Modes (t,), by index, and states (t, n) after one step with inputs (t, m) and disturbances (t, n)."""
-        done = self._travelled(modes, x, u, disturbance, None)
+        done = self._run_step(modes, x, u, disturbance, None)
         return done.modes, done.x
 
-    def travel(self, modes: Ints, x: Floats, u: Floats, disturbance: Floats) -> BatchStep:
+    def step_with_events(self, modes: Ints, x: Floats, u: Floats, disturbance: Floats) -> BatchStep:
         """The step with all its events."""
-        return self._travelled(modes, x, u, disturbance, [])
+        return self._run_step(modes, x, u, disturbance, [])
 
-    def _travelled(
+    def _run_step(
         self, modes: Ints, x: Floats, u: Floats, disturbance: Floats, events: list[tuple[int, Event]] | None
     ) -> BatchStep:
         n = x.shape[1]
         x, pushed = np.hstack([x, self.shifts]), np.hstack([disturbance, np.zeros_like(self.shifts)])
         ends, final, complete = modes.copy(), x.copy(), np.ones(len(x), dtype=bool)
-        travelling: list[_Travellers] = []
+        travelling: list[_StepState] = []
         for index, rows in alike(modes):
             mode, start = self._mode(index), x[rows]
             mode.pin(start)
             d = mode.displacement(rows, start, u[rows], pushed[rows])
-            travelling.append(_Travellers(index, rows, start, d, np.zeros(rows.size), 0))
+            travelling.append(_StepState(index, rows, start, d, np.zeros(rows.size), 0))
         while travelling:
             group = travelling.pop()
             if group.instant is not None:
-                onward, ended = self._settled(group, group.instant, u, pushed, events)
+                onward, ended = self._after_event(group, group.instant, u, pushed, events)
                 travelling += onward
                 complete[ended.rows] = False
                 ends[ended.rows], final[ended.rows] = group.mode, ended.x
@@ -223,7 +223,7 @@ class TransitionBatch:
             final[group.rows[quiet]] = group.x[quiet] + (1.0 - group.s[quiet])[:, None] * group.d[quiet]
             for k in np.unique(number[~quiet]).tolist():
                 chosen = ~quiet & (number == k)
-                travelling.append(self._arrived(group.where(chosen), k, ahead[chosen]))
+                travelling.append(self._moved_to_guard(group.where(chosen), k, ahead[chosen]))
         happened = tuple(
             (row, replace(event, x_before=event.x_before[:n], x_after=event.x_after[:n])) for row, event in events or ()
         )
@@ -235,7 +235,7 @@ class TransitionBatch:
             self._modes[index] = _Mode(self._automaton, index, self.gains)
         return self._modes[index]
 
-    def _next_entry(self, group: _Travellers, u: Floats) -> tuple[Floats, Ints]:
+    def _next_entry(self, group: _StepState, u: Floats) -> tuple[Floats, Ints]:
         """(k,) distance to the next entry into a guard, infinite if there is none, and the exit's number.
 
         After an event, guards that hold already are blocked ones: only later entries count.
@@ -251,7 +251,7 @@ class TransitionBatch:
             first[near], number[near] = at.min(axis=0), at.argmin(axis=0)
         return first, number
 
-    def _arrived(self, group: _Travellers, number: int, ahead: Floats) -> _Travellers:
+    def _moved_to_guard(self, group: _StepState, number: int, ahead: Floats) -> _StepState:
         """A group at the instant of its arrival at a guard."""
         taken = np.zeros((len(self._automaton.edges), ahead.size), dtype=bool)
         entered = np.zeros((len(self._automaton.modes), ahead.size), dtype=bool)
@@ -259,14 +259,14 @@ class TransitionBatch:
         x, s = group.x + ahead[:, None] * group.d, np.minimum(1.0, group.s + ahead)
         return replace(group, x=x, s=s, instant=_Instant(number, taken, entered, np.zeros((0, *x.shape))))
 
-    def _settled(
+    def _after_event(
         self,
-        group: _Travellers,
+        group: _StepState,
         instant: _Instant,
         u: Floats,
         pushed: Floats,
         events: list[tuple[int, Event]] | None,
-    ) -> tuple[list[_Travellers], _Travellers]:
+    ) -> tuple[list[_StepState], _StepState]:
         """(groups after the next event of an instant or after its end, objects with too many events).
 
         An exit back to a mode entered at this instant, and an edge taken at it, are blocked (no chattering): walls.
@@ -280,7 +280,7 @@ class TransitionBatch:
         leaves, number = np.asarray(free.any(axis=0)), free.argmax(axis=0)
         is_over = leaves & (group.events >= MOST_EVENTS)
         onward = [
-            self._taken(group.where(leaves & ~is_over & (number == k)), k, u, pushed, events)
+            self._behind_exit(group.where(leaves & ~is_over & (number == k)), k, u, pushed, events)
             for k in np.unique(number[leaves & ~is_over]).tolist()
         ]
         pressed = (rate > mode.tolerances) & (np.abs(margin) <= mode.tolerances) & holding
@@ -289,15 +289,17 @@ class TransitionBatch:
             # The first half-space of the first exit.
             exits = pressed[..., slides].any(axis=0).argmax(axis=0)
             rows = pressed[:, exits, slides].argmax(axis=0)
-            onward.append(_slid(group.where(slides), mode.states[rows * len(mode.edges) + exits] * mode.free))
+            onward.append(
+                _projected_on_walls(group.where(slides), mode.states[rows * len(mode.edges) + exits] * mode.free)
+            )
         rests = ~leaves & ~slides
         if rests.any():
             onward.append(replace(group.where(rests), instant=None))
         return onward, group.where(is_over)
 
-    def _taken(
-        self, group: _Travellers, number: int, u: Floats, disturbance: Floats, events: list[tuple[int, Event]] | None
-    ) -> _Travellers:
+    def _behind_exit(
+        self, group: _StepState, number: int, u: Floats, disturbance: Floats, events: list[tuple[int, Event]] | None
+    ) -> _StepState:
         """A group behind one of its mode's exits."""
         leaving, instant = self._mode(group.mode), group.instant
         edge, target = int(leaving.edges[number]), int(leaving.targets[number])
@@ -316,7 +318,7 @@ class TransitionBatch:
             for k, row in enumerate(rows.tolist()):
                 events.append((row, Event(edge, float(group.s[k]), group.x[k], x[k], source, entered)))
         happened = None if instant is None else instant.after(edge, target)
-        return _Travellers(target, rows, x, d, group.s, group.events + 1, happened)
+        return _StepState(target, rows, x, d, group.s, group.events + 1, happened)
 
 
 class _Mode:
@@ -414,7 +416,7 @@ class _Mode:
 
 
 @dataclass(frozen=True, eq=False)
-class _Travellers:
+class _StepState:
     """Objects of one mode during a step.
 
     Attributes:
@@ -434,13 +436,13 @@ class _Travellers:
     events: int
     instant: _Instant | None = None
 
-    def where(self, chosen: Booleans) -> _Travellers:
+    def where(self, chosen: Booleans) -> _StepState:
         """The objects selected by a mask."""
         if chosen.all():
             return self
         instant = None if self.instant is None else self.instant.where(chosen)
         moved = self.x[chosen], self.d[chosen], self.s[chosen]
-        return _Travellers(self.mode, self.rows[chosen], *moved, self.events, instant)
+        return _StepState(self.mode, self.rows[chosen], *moved, self.events, instant)
 
 
 @dataclass(frozen=True, eq=False)
@@ -469,7 +471,7 @@ class _Instant:
         return _Instant(-1, taken, entered, self.walls[:0])
 
 
-def _slid(group: _Travellers, normals: Floats) -> _Travellers:
+def _projected_on_walls(group: _StepState, normals: Floats) -> _StepState:
     """A group whose motion is projected on the walls, with normals (k, n), that it has met at this instant."""
     instant = group.instant
     if instant is None:

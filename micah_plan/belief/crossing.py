@@ -19,7 +19,7 @@ from micah_plan.arrays import SMALLEST_STD, Booleans, Floats, Ints
 from micah_plan.automaton.effects.motion import displaced
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.step_noise import step_noise_std
-from micah_plan.belief.gaussian import condition_on_pins, lower_factors, put_at_pins, those, weighted
+from micah_plan.belief.gaussian import condition_on_pins, lower_factors, put_at_pins, take_last, weighted
 from micah_plan.belief.layout import Exit, ExitBounds, Layout, ModeLayout
 from micah_plan.belief.pieces import Binding, Ends, Pieces
 from micah_plan.belief.truncation import NEGLIGIBLE, NOTHING, REACH, Shares, split, truncated
@@ -67,48 +67,48 @@ def through_guards(
         events: transitions that the pieces have taken in this step.
     """
     if events:
-        pieces = _slid(mode, pieces)
+        pieces = _projected_on_blocked(mode, pieces)
     ended: list[Ends] = []
-    free, first = _free(mode, pieces, events), 0
-    sure = _sure_exits(mode, free)
+    free, first = _allowed_exits(mode, pieces, events), 0
+    sure = _first_input_exits(mode, free)
     leaving = (sure < len(mode.exits)).nonzero()[0]
     if leaving.size:
-        _leave_at_once(layout, mode, pieces.where(leaving), those(free, leaving), sure[leaving], pending)
+        _leave_at_once(layout, mode, pieces.where(leaving), take_last(free, leaving), sure[leaving], pending)
         staying = (sure == len(mode.exits)).nonzero()[0]
         if not staying.size:
             return ended
-        pieces, free = pieces.where(staying), those(free, staying)
+        pieces, free = pieces.where(staying), take_last(free, staying)
     while first < len(mode.exits) and pieces.owner.size:
-        may = free[first:] & _reached(mode.exit_bounds[first], pieces, events)
+        may = free[first:] & _reachable_exits(mode.exit_bounds[first], pieces, events)
         meets = np.asarray(may.any(axis=0))
         busy = meets.nonzero()[0]
         if busy.size < meets.size:
             ended.append(pieces.ends().where((~meets).nonzero()[0]))
             if not busy.size:
                 return ended
-            pieces, free, may = pieces.where(busy), those(free, busy), those(may, busy)
+            pieces, free, may = pieces.where(busy), take_last(free, busy), take_last(may, busy)
         ahead = int(may.any(axis=1).argmax())
-        exit_taken = mode.exits[first + ahead]
-        taken, pieces = _cross(layout, mode, pieces, may[ahead].nonzero()[0], exit_taken)
+        candidate_exit = mode.exits[first + ahead]
+        taken, pieces = _cross(layout, mode, pieces, may[ahead].nonzero()[0], candidate_exit)
         if taken is not None:
-            pending.setdefault(exit_taken.target, []).append(taken)
+            pending.setdefault(candidate_exit.target, []).append(taken)
         alive = (pieces.probability >= NEGLIGIBLE).nonzero()[0]
-        pieces, free, first = pieces.where(alive), those(free, alive), first + ahead + 1
+        pieces, free, first = pieces.where(alive), take_last(free, alive), first + ahead + 1
     return [*ended, pieces.ends()] if pieces.owner.size else ended
 
 
-def _free(mode: ModeLayout, pieces: Pieces, events: int) -> Booleans:
+def _allowed_exits(mode: ModeLayout, pieces: Pieces, events: int) -> Booleans:
     """(e, p) whether the input allows each exit, and it is not blocked at this instant."""
     free = np.ones((len(mode.exits), pieces.owner.size), dtype=bool)
-    for number, exit_taken in enumerate(mode.exits):
+    for number, candidate_exit in enumerate(mode.exits):
         if events:
-            free[number] = ~_blocked(pieces, number, exit_taken)
-        if len(exit_taken.on_input):
-            free[number] &= exit_taken.allowed(pieces.u)
+            free[number] = ~_blocked(pieces, number, candidate_exit)
+        if len(candidate_exit.on_input):
+            free[number] &= candidate_exit.allowed(pieces.u)
     return free
 
 
-def _sure_exits(mode: ModeLayout, free: Booleans) -> Ints:
+def _first_input_exits(mode: ModeLayout, free: Booleans) -> Ints:
     """(p,) first exit that the input alone opens for each piece; the number of exits where none does."""
     sure = np.full(free.shape[1], len(mode.exits))
     for number in reversed(range(len(mode.exits))):
@@ -126,58 +126,66 @@ def _leave_at_once(
         sure: (p,) the exit that the input alone opens; those before it take what lies inside of them at that instant.
     """
     parts = [(pieces, free, sure)]
-    for number, exit_taken in enumerate(mode.exits):
+    for number, candidate_exit in enumerate(mode.exits):
         after: list[tuple[Pieces, Booleans, Ints]] = []
         for part, opened, until in parts:
             may = opened[number] & (number <= until) & (part.probability >= NEGLIGIBLE)
-            if len(exit_taken.on_state) and not len(exit_taken.on_input):
+            if len(candidate_exit.on_state) and not len(candidate_exit.on_input):
                 # What lies behind the boundary of a mode is the tail of a fit, unless the mean itself does.
-                inside = exit_taken.on_state.a @ part.mean[0] - exit_taken.on_state.offsets(part.u) > SMALLEST_STD
+                inside = (
+                    candidate_exit.on_state.a @ part.mean[0] - candidate_exit.on_state.offsets(part.u) > SMALLEST_STD
+                )
                 may &= inside.all(axis=0)
             chosen, others = may.nonzero()[0], (~may).nonzero()[0]
             if others.size:
-                after.append((part.where(others), those(opened, others), until[others]))
+                after.append((part.where(others), take_last(opened, others), until[others]))
             if not chosen.size:
                 continue
             here = part.where(chosen)
-            gone, remaining = (here, []) if not len(exit_taken.on_state) else _divided_at_start(here, exit_taken)
+            gone, remaining = (
+                (here, []) if not len(candidate_exit.on_state) else _divided_at_start(here, candidate_exit)
+            )
             crosses = (gone.probability >= NEGLIGIBLE).nonzero()[0]
             if crosses.size:
                 taken = gone.where(crosses)
                 binding = (
-                    _binding(taken.mean[0], taken.factor[0], taken.u, exit_taken) if len(exit_taken.on_state) else None
+                    _binding(taken.mean[0], taken.factor[0], taken.u, candidate_exit)
+                    if len(candidate_exit.on_state)
+                    else None
                 )
-                pending.setdefault(exit_taken.target, []).append(transition(layout, mode, taken, exit_taken, binding))
-            after += [(piece, those(opened, chosen), until[chosen]) for piece in remaining]
+                pending.setdefault(candidate_exit.target, []).append(
+                    transition(layout, mode, taken, candidate_exit, binding)
+                )
+            after += [(piece, take_last(opened, chosen), until[chosen]) for piece in remaining]
         parts = after
 
 
-def _divided_at_start(pieces: Pieces, exit_taken: Exit) -> tuple[Pieces, list[Pieces]]:
+def _divided_at_start(pieces: Pieces, candidate_exit: Exit) -> tuple[Pieces, list[Pieces]]:
     """(shares inside a guard at the start of the step, shares outside each of its half-spaces).
 
     Of several half-spaces each gives those that are inside of the ones before it and outside of it.
     """
     inside, outside = pieces, list[Pieces]()
-    for a, offset in zip(exit_taken.on_state.a, exit_taken.on_state.offsets(pieces.u), strict=True):
+    for a, offset in zip(candidate_exit.on_state.a, candidate_exit.on_state.offsets(pieces.u), strict=True):
         margin, row = a @ inside.mean[0] - offset, weighted(a, inside.factor[0])
         chance = ndtr(margin / (np.sqrt(np.einsum("kp,kp->p", row, row)) + SMALLEST_STD))
-        outside.append(_given(inside, -margin, -row, 1.0 - chance))
-        inside = _given(inside, margin, row, chance)
+        outside.append(_conditioned(inside, -margin, -row, 1.0 - chance))
+        inside = _conditioned(inside, margin, row, chance)
     return inside, outside
 
 
-def _given(pieces: Pieces, margin: Floats, row: Floats, chance: Floats) -> Pieces:
+def _conditioned(pieces: Pieces, margin: Floats, row: Floats, chance: Floats) -> Pieces:
     """The shares of pieces with a positive margin (p,) at the start, which has probability `chance` (p,)."""
     mean, factor = pieces.mean, pieces.factor
     cut = ((chance < 1.0) & (chance >= NEGLIGIBLE)).nonzero()[0]
     if cut.size:
         mean, factor = mean.copy(), factor.copy()
-        cut_mean = those(mean, cut), those(factor, cut), margin[cut], those(row, cut)
+        cut_mean = take_last(mean, cut), take_last(factor, cut), margin[cut], take_last(row, cut)
         mean[..., cut], factor[..., cut] = truncated(*cut_mean)
     return replace(pieces, probability=pieces.probability * chance, mean=mean, factor=factor)
 
 
-def _reached(exit_bounds: ExitBounds, pieces: Pieces, events: int) -> Booleans:
+def _reachable_exits(exit_bounds: ExitBounds, pieces: Pieces, events: int) -> Booleans:
     """(e, p) whether a piece lies inside all half-spaces of each exit with probability above 1e-15.
 
     The std of a margin is bounded by those of the coordinates; what turns out to be far nevertheless stays whole.
@@ -203,29 +211,31 @@ def _reached(exit_bounds: ExitBounds, pieces: Pieces, events: int) -> Booleans:
 
 
 def _cross(
-    layout: Layout, mode: ModeLayout, pieces: Pieces, chosen: Ints, exit_taken: Exit
+    layout: Layout, mode: ModeLayout, pieces: Pieces, chosen: Ints, candidate_exit: Exit
 ) -> tuple[Pieces | None, Pieces]:
     """(crossing shares in the target with the remaining step, staying shares) of the chosen pieces at an exit."""
-    if not len(exit_taken.on_state):
+    if not len(candidate_exit.on_state):
         remaining = pieces.probability.copy()
         remaining[chosen] = 0.0
-        return transition(layout, mode, pieces.where(chosen), exit_taken, None), replace(pieces, probability=remaining)
+        return transition(layout, mode, pieces.where(chosen), candidate_exit, None), replace(
+            pieces, probability=remaining
+        )
     probability, mean, factor, u = pieces.probability, pieces.mean, pieces.factor, pieces.u
     if chosen.size < probability.size:
-        probability, mean, factor, u = (those(values, chosen) for values in (probability, mean, factor, u))
-    binding = _binding(mean[0], factor[0], u, exit_taken)
+        probability, mean, factor, u = (take_last(values, chosen) for values in (probability, mean, factor, u))
+    binding = _binding(mean[0], factor[0], u, candidate_exit)
     margins = binding.margins(mean, factor)
     reach = margins.can_cross(probability).nonzero()[0]
     if not reach.size:
         return None, pieces
     if reach.size < chosen.size:
         chosen, binding, margins = chosen[reach], binding.where(reach), margins.where(reach)
-        probability, mean, factor, u = (those(values, reach) for values in (probability, mean, factor, u))
+        probability, mean, factor, u = (take_last(values, reach) for values in (probability, mean, factor, u))
     shares = split(mean, factor, margins)
     taken, remaining = probability * shares.probability
     rest = shares.mean[1], shares.factor[1]
-    if len(exit_taken.on_state) > 1:
-        taken = taken * _within_others(shares, exit_taken, binding, u)
+    if len(candidate_exit.on_state) > 1:
+        taken = taken * _within_others(shares, candidate_exit, binding, u)
         # The complement of a corner is no half-space: what stays keeps the moments of the whole.
         rest, remaining = (mean, factor), probability - taken
     staying = pieces.replaced(chosen, remaining, *rest)
@@ -235,13 +245,13 @@ def _cross(
     mean, factor = shares.mean[0], shares.factor[0]
     if crosses.size < chosen.size:
         chosen, binding, taken = chosen[crosses], binding.where(crosses), taken[crosses]
-        mean, factor = those(mean, crosses), those(factor, crosses)
-    return transition(layout, mode, pieces.subset(chosen, taken, mean, factor), exit_taken, binding), staying
+        mean, factor = take_last(mean, crosses), take_last(factor, crosses)
+    return transition(layout, mode, pieces.subset(chosen, taken, mean, factor), candidate_exit, binding), staying
 
 
-def _binding(mean: Floats, factor: Floats, u: Floats, exit_taken: Exit) -> Binding:
+def _binding(mean: Floats, factor: Floats, u: Floats, candidate_exit: Exit) -> Binding:
     """The binding half-space, with the worst margin at the start (n, p), (n, k, p)."""
-    rows = exit_taken.on_state
+    rows = candidate_exit.on_state
     offsets = rows.offsets(u)
     if len(rows) == 1:
         return Binding(rows.terms, offsets[0])
@@ -256,7 +266,7 @@ def _stds(weights: Floats, factor: Floats) -> Floats:
     return np.asarray(np.sqrt(np.einsum("rkp,rkp->rp", rows, rows)))
 
 
-def _within_others(shares: Shares, exit_taken: Exit, binding: Binding, u: Floats) -> Floats:
+def _within_others(shares: Shares, candidate_exit: Exit, binding: Binding, u: Floats) -> Floats:
     """(p,) probability that crossing shares lie within all half-spaces but the binding one; the shares are cut in
     place.
 
@@ -268,8 +278,8 @@ def _within_others(shares: Shares, exit_taken: Exit, binding: Binding, u: Floats
     within = np.ones(mean.shape[-1])
     before, after = binding.along(mean.swapaxes(0, 1)) - binding.offset
     way_there = np.where(before < 0.0, np.clip(before / np.minimum(before - after, -NOTHING), 0.0, 1.0), 0.0)
-    for number, offset in enumerate(exit_taken.on_state.offsets(u) + SMALLEST_STD):
-        weights = exit_taken.on_state.a[number]
+    for number, offset in enumerate(candidate_exit.on_state.offsets(u) + SMALLEST_STD):
+        weights = candidate_exit.on_state.a[number]
         start, end = (weights @ place - offset for place in mean)
         at = np.where(end < start, way_there, 1.0)
         ahead = start + at * (end - start)
@@ -281,17 +291,17 @@ def _within_others(shares: Shares, exit_taken: Exit, binding: Binding, u: Floats
         inside = ndtr(ahead[cut] / std[cut])
         within[cut] *= np.where(inside >= NEGLIGIBLE, inside, 0.0)
         cut = cut[inside >= NEGLIGIBLE]
-        cut_factor, row = those(factor, cut), those(rows, cut)
-        mean[..., cut], factor[..., cut] = truncated(those(mean, cut), cut_factor, ahead[cut], row)
+        cut_factor, row = take_last(factor, cut), take_last(rows, cut)
+        mean[..., cut], factor[..., cut] = truncated(take_last(mean, cut), cut_factor, ahead[cut], row)
     return within
 
 
-def _blocked(pieces: Pieces, number: int, exit_taken: Exit) -> Booleans:
+def _blocked(pieces: Pieces, number: int, candidate_exit: Exit) -> Booleans:
     """(p,) whether an exit leads back to a mode entered at this instant, or repeats a self-transition."""
-    return np.asarray(pieces.taken[number] if exit_taken.is_self else pieces.entered[exit_taken.target])
+    return np.asarray(pieces.taken[number] if candidate_exit.is_self else pieces.entered[candidate_exit.target])
 
 
-def _slid(mode: ModeLayout, pieces: Pieces) -> Pieces:
+def _projected_on_blocked(mode: ModeLayout, pieces: Pieces) -> Pieces:
     """The pieces with ends projected on the boundaries of blocked exits.
 
     Where one input moves a coordinate forth in a mode and back in the next, the step that enters the next mode would
@@ -299,19 +309,19 @@ def _slid(mode: ModeLayout, pieces: Pieces) -> Pieces:
     on into its guard. Nothing happens twice at one instant (`automaton.transition`), so the boundary is a wall: the
     end of the step is put on it, and nothing is left of the spread across.
     """
-    for number, exit_taken in enumerate(mode.exits):
-        if len(exit_taken.on_state):
-            chosen = _blocked(pieces, number, exit_taken).nonzero()[0]
+    for number, candidate_exit in enumerate(mode.exits):
+        if len(candidate_exit.on_state):
+            chosen = _blocked(pieces, number, candidate_exit).nonzero()[0]
             if chosen.size:
-                pieces = _slid_along(mode, pieces, exit_taken, chosen)
+                pieces = _projected_along(mode, pieces, candidate_exit, chosen)
     return pieces
 
 
-def _slid_along(mode: ModeLayout, pieces: Pieces, exit_taken: Exit, chosen: Ints) -> Pieces:
-    rows, u = exit_taken.on_state, those(pieces.u, chosen)
-    starts, ends = rows.a @ those(pieces.mean, chosen) - rows.offsets(u)
+def _projected_along(mode: ModeLayout, pieces: Pieces, candidate_exit: Exit, chosen: Ints) -> Pieces:
+    rows, u = candidate_exit.on_state, take_last(pieces.u, chosen)
+    starts, ends = rows.a @ take_last(pieces.mean, chosen) - rows.offsets(u)
     pressed = np.argmin(starts, axis=0)
-    at_it = (np.abs(starts.min(axis=0)) <= SMALLEST_STD) & (ends.min(axis=0) >= 0.0) & exit_taken.allowed(u)
+    at_it = (np.abs(starts.min(axis=0)) <= SMALLEST_STD) & (ends.min(axis=0) >= 0.0) & candidate_exit.allowed(u)
     for number, a in enumerate(rows.a):
         # The part of the boundary's normal along which the mode can give way.
         normal = a.copy()
@@ -322,13 +332,15 @@ def _slid_along(mode: ModeLayout, pieces: Pieces, exit_taken: Exit, chosen: Ints
         back, which = (normal / float(normal @ normal))[:, None], chosen[pressing]
         mean, factor, displacement = pieces.mean.copy(), pieces.factor.copy(), pieces.displacement.copy()
         mean[1][:, which] -= back * ends[number, pressing]
-        factor[1][..., which] -= back[:, None] * weighted(a, those(factor[1], which))
-        displacement[:, which] -= back * (a @ those(displacement, which))
+        factor[1][..., which] -= back[:, None] * weighted(a, take_last(factor[1], which))
+        displacement[:, which] -= back * (a @ take_last(displacement, which))
         pieces = replace(pieces, mean=mean, factor=factor, displacement=displacement)
     return pieces
 
 
-def transition(layout: Layout, mode: ModeLayout, pieces: Pieces, exit_taken: Exit, binding: Binding | None) -> Pieces:
+def transition(
+    layout: Layout, mode: ModeLayout, pieces: Pieces, candidate_exit: Exit, binding: Binding | None
+) -> Pieces:
     """The pieces after the transition: reset where the path meets the guard, then the new mode's motion.
 
     With r the share of the path behind the guard, r = m1 / (m1 - m0) is linearised about the means, as are its products
@@ -336,8 +348,8 @@ def transition(layout: Layout, mode: ModeLayout, pieces: Pieces, exit_taken: Exi
     """
     (start, end), (before, after) = pieces.mean, pieces.factor
     n, width, count = before.shape
-    noise = None if exit_taken.is_self else _freed(layout, mode, pieces, exit_taken)
-    room = 0 if noise is None else len(exit_taken.located) + len(noise[0])
+    noise = None if candidate_exit.is_self else _freed_coordinates(layout, mode, pieces, candidate_exit)
+    room = 0 if noise is None else len(candidate_exit.located) + len(noise[0])
     mean, factor = np.empty((2, n, count)), np.zeros((2, n, width + room, count))
     met, ahead = factor[:, :, :width]
     share, per_way = _share_behind(pieces, binding)
@@ -351,28 +363,28 @@ def transition(layout: Layout, mode: ModeLayout, pieces: Pieces, exit_taken: Exi
     if binding is not None:
         share_factor = binding.along(met) * per_way  # the uncertainty of the share itself, by the factors' columns
         met -= motion[:, None] * share_factor
-    if exit_taken.reset is not None:
+    if candidate_exit.reset is not None:
         behind = after - met
-        a, b, c = exit_taken.reset
+        a, b, c = candidate_exit.reset
         mean[0] = a @ mean[0] + b @ pieces.u + c[:, None]
         met[:] = weighted(a, met)
-        if exit_taken.is_self:
+        if candidate_exit.is_self:
             behind_mean, behind = a @ behind_mean, weighted(a, behind)
         np.add(met, behind, out=ahead)
     np.add(mean[0], behind_mean, out=mean[1])
-    if exit_taken.is_self:
+    if candidate_exit.is_self:
         displacement = share * (
-            pieces.displacement if exit_taken.reset is None else exit_taken.reset[0] @ pieces.displacement
+            pieces.displacement if candidate_exit.reset is None else candidate_exit.reset[0] @ pieces.displacement
         )
     else:
-        nominal = pieces.fraction * _motion(layout.automaton, layout.modes[exit_taken.target], mean[0], pieces.u)
+        nominal = pieces.fraction * _motion(layout.automaton, layout.modes[candidate_exit.target], mean[0], pieces.u)
         change, displacement = nominal - pieces.displacement, share * nominal
         mean[1] += share * change
         if binding is not None:
             ahead += change[:, None] * share_factor
     at_once = share > 1.0 - 1e-9
     entered = pieces.entered & at_once
-    entered[mode.index] = entered[exit_taken.target] = True
+    entered[mode.index] = entered[candidate_exit.target] = True
     arrived = Pieces(
         owner=pieces.owner,
         probability=pieces.probability,
@@ -381,11 +393,11 @@ def transition(layout: Layout, mode: ModeLayout, pieces: Pieces, exit_taken: Exi
         u=pieces.u,
         fraction=share * pieces.fraction,
         displacement=displacement,
-        pinned_at=_pinned_at(mode, pieces, exit_taken, at_once),
+        pinned_at=_pinned_at(mode, pieces, candidate_exit, at_once),
         entered=entered,
-        taken=_taken(layout, mode, pieces, exit_taken, at_once),
+        taken=_exits_taken(layout, mode, pieces, candidate_exit, at_once),
     )
-    return arrived if noise is None else _settled(layout, arrived, exit_taken, width, noise)
+    return arrived if noise is None else _in_new_mode(layout, arrived, candidate_exit, width, noise)
 
 
 def _share_behind(pieces: Pieces, binding: Binding | None) -> tuple[Floats, Floats]:
@@ -406,9 +418,9 @@ def _motion(automaton: HybridAutomaton, mode: ModeLayout, mean: Floats, u: Float
     return np.asarray(displaced(automaton, mode.mode, mean.T, u.T)[0].T)
 
 
-def _pinned_at(mode: ModeLayout, pieces: Pieces, exit_taken: Exit, at_once: Booleans) -> Floats:
+def _pinned_at(mode: ModeLayout, pieces: Pieces, candidate_exit: Exit, at_once: Booleans) -> Floats:
     """(n, p) pinned values of pieces that leave a mode at once; NaN where they move freely or a reset acts."""
-    if exit_taken.reset is not None or not np.count_nonzero(at_once):
+    if candidate_exit.reset is not None or not np.count_nonzero(at_once):
         return np.full(pieces.pinned_at.shape, np.nan)
     pinned_at = np.where(at_once, pieces.pinned_at, np.nan)
     for pin in mode.mode.pins:
@@ -417,27 +429,29 @@ def _pinned_at(mode: ModeLayout, pieces: Pieces, exit_taken: Exit, at_once: Bool
     return pinned_at
 
 
-def _taken(layout: Layout, mode: ModeLayout, pieces: Pieces, exit_taken: Exit, at_once: Booleans) -> Booleans:
+def _exits_taken(layout: Layout, mode: ModeLayout, pieces: Pieces, candidate_exit: Exit, at_once: Booleans) -> Booleans:
     """`Pieces.taken` after an exit; cleared for newly entered modes."""
-    if not exit_taken.is_self:
-        return np.zeros((len(layout.modes[exit_taken.target].exits), pieces.owner.size), dtype=bool)
+    if not candidate_exit.is_self:
+        return np.zeros((len(layout.modes[candidate_exit.target].exits), pieces.owner.size), dtype=bool)
     taken = pieces.taken & at_once
-    taken[mode.exits.index(exit_taken)] = True
+    taken[mode.exits.index(candidate_exit)] = True
     return np.asarray(taken)
 
 
-def _freed(layout: Layout, source: ModeLayout, pieces: Pieces, exit_taken: Exit) -> tuple[Ints, Floats]:
+def _freed_coordinates(layout: Layout, source: ModeLayout, pieces: Pieces, candidate_exit: Exit) -> tuple[Ints, Floats]:
     """(coordinates (c,) that were noise-free in the mode before, their std (c, p) or (c, 1) per whole step)."""
-    if exit_taken.freed is not None:
-        return exit_taken.freed
-    modes = source.mode, layout.modes[exit_taken.target].mode
+    if candidate_exit.freed is not None:
+        return candidate_exit.freed
+    modes = source.mode, layout.modes[candidate_exit.target].mode
     old, new = (step_noise_std(layout.automaton, mode, pieces.u.T).T for mode in modes)
     fresh = np.where(old == 0.0, new, 0.0)
     coordinates = np.flatnonzero(fresh.any(axis=1))
     return coordinates, np.asarray(fresh[coordinates])
 
 
-def _settled(layout: Layout, pieces: Pieces, exit_taken: Exit, column: int, noise: tuple[Ints, Floats]) -> Pieces:
+def _in_new_mode(
+    layout: Layout, pieces: Pieces, candidate_exit: Exit, column: int, noise: tuple[Ints, Floats]
+) -> Pieces:
     """The pieces in their new mode, with pinned coordinates fixed and process noise on freed ones.
 
     A pin that the guard locates replaces what was known of its coordinate, any other pin adds to it.
@@ -447,12 +461,12 @@ def _settled(layout: Layout, pieces: Pieces, exit_taken: Exit, column: int, nois
         noise: of the freed coordinates.
     """
     target, mean, factor, displacement = (
-        layout.modes[exit_taken.target],
+        layout.modes[candidate_exit.target],
         pieces.mean,
         pieces.factor,
         pieces.displacement,
     )
-    put_at_pins(mean[0], factor[0], exit_taken.located, column)
+    put_at_pins(mean[0], factor[0], candidate_exit.located, column)
     for i in target.pinned:
         mean[1, i], factor[1, i], displacement[i] = mean[0, i], factor[0, i], 0.0
     for tie in target.mode.ties:
@@ -461,13 +475,13 @@ def _settled(layout: Layout, pieces: Pieces, exit_taken: Exit, column: int, nois
         displacement[i] = weights @ displacement
     coordinates, std = noise
     for number, i in enumerate(coordinates):
-        factor[1, i, column + len(exit_taken.located) + number] += std[number] * pieces.fraction
+        factor[1, i, column + len(candidate_exit.located) + number] += std[number] * pieces.fraction
     joint = 2 * len(displacement)
     if factor.shape[2] > _WIDEST * joint:
         factor = lower_factors(factor.reshape(joint, *factor.shape[2:])).reshape(*factor.shape[:2], joint, -1)
-    if not exit_taken.met:
+    if not candidate_exit.met:
         return replace(pieces, factor=factor)
     means, factors = condition_on_pins(
-        mean.reshape(joint, -1), factor.reshape(joint, *factor.shape[2:]), exit_taken.met
+        mean.reshape(joint, -1), factor.reshape(joint, *factor.shape[2:]), candidate_exit.met
     )
     return replace(pieces, mean=means.reshape(mean.shape), factor=factors.reshape(factor.shape))

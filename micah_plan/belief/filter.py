@@ -27,14 +27,14 @@ from micah_plan.belief.gaussian import (
     condition_on_pins,
     lower_factors,
     measured,
+    replace_last,
     replaced_at_pins,
-    those,
-    with_those,
+    take_last,
 )
 from micah_plan.belief.hybrid_belief import BeliefBatch, HybridBelief, batch_of
 from micah_plan.belief.layout import HalfSpaceRows, Layout, layout_of
 from micah_plan.belief.lost_belief import most_evidence, reinitialise
-from micah_plan.belief.moment_matching import assembled, mixed
+from micah_plan.belief.moment_matching import merged_by_mode, merged_moments
 from micah_plan.belief.pieces import Ends, Pieces, joined_pieces
 from micah_plan.belief.truncation import (
     NEGLIGIBLE,
@@ -78,7 +78,7 @@ def initial_belief(
         )
     if not np.isfinite(center).all():
         raise InputError(f"the mean of a start belief must be finite. Got {center.tolist()}")
-    factor = np.diag(_valid_stds(width)) if width.ndim == 1 else _root(width)
+    factor = np.diag(_valid_stds(width)) if width.ndim == 1 else _covariance_root(width)
     name = _mode_at(automaton, center, factor) if mode is None else automaton.mode(mode).name
     layout = layout_of(automaton)
     index = next(mode.index for mode in layout.modes if mode.mode.name == name)
@@ -91,7 +91,7 @@ def initial_belief(
     return _completed(layout, BeliefBatch.of(weights, means, factors, n)).alone(0)
 
 
-def repeated(automaton: HybridAutomaton, belief: HybridBelief, count: int) -> BeliefBatch:
+def repeated_belief(automaton: HybridAutomaton, belief: HybridBelief, count: int) -> BeliefBatch:
     """A belief repeated `count` times as a batch."""
     batch = batch_of([belief], layout_of(automaton).stds)
     weights, means, factors = (np.repeat(values, count, axis=-1) for values in batch.side_by_side())
@@ -163,7 +163,7 @@ def explains(automaton: HybridAutomaton, belief: HybridBelief, z: Floats) -> boo
     What remains of it scatters by less than the noise of a measurement. Where it is so far away that noise would have
     less than the probability that filters drop, the model does not describe what is measured, however sure the belief.
     """
-    apart, sensed = _apart(automaton, belief, z)
+    apart, sensed = _innovation_and_std(automaton, belief, z)
     away = np.abs(apart) / np.maximum(sensed, SMALLEST_STD)
     return bool(np.all(2 * ndtr(-away[np.isfinite(away)]) >= NEGLIGIBLE))
 
@@ -173,12 +173,12 @@ def innovations(automaton: HybridAutomaton, belief: HybridBelief, z: Floats) -> 
 
     Of a model that holds they are independent, with mean 0 and std 1. NaN where nothing was measured.
     """
-    apart, sensed = _apart(automaton, belief, z)
+    apart, sensed = _innovation_and_std(automaton, belief, z)
     std = np.linalg.norm(belief.factors[belief.most_likely, : len(z)], axis=1)
     return np.asarray(apart / np.maximum(np.hypot(std, sensed), SMALLEST_STD))
 
 
-def _apart(automaton: HybridAutomaton, belief: HybridBelief, z: Floats) -> tuple[Floats, Floats]:
+def _innovation_and_std(automaton: HybridAutomaton, belief: HybridBelief, z: Floats) -> tuple[Floats, Floats]:
     """(measurement z minus the likeliest mode's mean, its noise std)."""
     layout, mode = layout_of(automaton), np.array([belief.most_likely])
     mean = np.zeros((layout.n, 1))
@@ -198,7 +198,7 @@ def _predicted(layout: Layout, beliefs: BeliefBatch, u: Floats) -> BeliefBatch:
         if owner.size:
             mean, factor, inputs = means[:, index], factors[:, :, index], u
             if owner.size < count:
-                mean, factor, inputs = (those(values, owner) for values in (mean, factor, inputs))
+                mean, factor, inputs = (take_last(values, owner) for values in (mean, factor, inputs))
             if remembered is not None:
                 passed, kept = passed_arrays(registers, layout.modes[index].mode.name, mean.T, inputs.T)
                 inputs, remembered[:, owner] = passed.T, kept.T
@@ -217,7 +217,7 @@ def _predicted(layout: Layout, beliefs: BeliefBatch, u: Floats) -> BeliefBatch:
             )
             arrived += [(index, end) for end in ends]
         travelling, events = pending, events + 1
-    return assembled(layout, arrived, count, remembered)
+    return merged_by_mode(layout, arrived, count, remembered)
 
 
 def _completed(layout: Layout, beliefs: BeliefBatch) -> BeliefBatch:
@@ -231,12 +231,12 @@ def _completed(layout: Layout, beliefs: BeliefBatch) -> BeliefBatch:
         mean, factor = means[:, *at], factors[:, :, *at]
     else:
         modes = range(len(weights))
-        mean, factor = mixed(weights, [means[:, q] for q in modes], [factors[:, :, q] for q in modes])
+        mean, factor = merged_moments(weights, [means[:, q] for q in modes], [factors[:, :, q] for q in modes])
     means, factors = means.copy(), factors.copy()
     for mode in layout.modes:
         owners = lacking[mode.index].nonzero()[0]
         if owners.size:
-            at_pins = replaced_at_pins(those(mean, owners), those(factor, owners), mode.mode.pins)
+            at_pins = replaced_at_pins(take_last(mean, owners), take_last(factor, owners), mode.mode.pins)
             means[:, mode.index, owners] = at_pins[0]
             factors[:, :, mode.index, owners] = lower_factors(at_pins[1]) if mode.pinned else at_pins[1]
     return BeliefBatch.of(weights, means, factors, beliefs.n)
@@ -252,9 +252,9 @@ def _updated(layout: Layout, beliefs: BeliefBatch, z: Floats, chosen: Booleans) 
     means, factors = means.reshape(layout.n, -1), factors.reshape(layout.n, layout.n, -1)
     mode, owner = chosen.nonzero()
     at = mode * chosen.shape[1] + owner
-    mean, factor = (means, factors) if at.size == chosen.size else (those(means, at), those(factors, at))
+    mean, factor = (means, factors) if at.size == chosen.size else (take_last(means, at), take_last(factors, at))
     seen, weight = np.full((layout.n, owner.size), np.nan), weights[mode, owner]
-    seen[: layout.own] = those(z, owner)
+    seen[: layout.own] = take_last(z, owner)
     after, narrowed, score = _measured_in_modes(layout, mode, mean, factor, seen, weight >= NEGLIGIBLE)
     scores = np.full(chosen.shape, -np.inf)
     with np.errstate(divide="ignore"):
@@ -262,10 +262,10 @@ def _updated(layout: Layout, beliefs: BeliefBatch, z: Floats, chosen: Booleans) 
     best = scores.max(axis=0)
     weights = np.exp(scores - best)
     if at.size < chosen.size:
-        after, narrowed = with_those(means, at, after), with_those(factors, at, narrowed)
+        after, narrowed = replace_last(means, at, after), replace_last(factors, at, narrowed)
     evidence = best + np.log(weights.sum(axis=0))
     posterior = BeliefBatch.of(weights / weights.sum(axis=0), after, narrowed, layout.own)
-    return _found_again(layout, beliefs, posterior, z, evidence)
+    return _reinitialise_if_lost(layout, beliefs, posterior, z, evidence)
 
 
 def _measured_in_modes(
@@ -280,15 +280,15 @@ def _measured_in_modes(
     score += chance - np.where(says, before, 0.0).sum(axis=0)
     for part in piled:
         at = part.number
-        on_it, sharp, likelihood = measured(part.mean, part.factor, those(seen, at), those(std, at))
+        on_it, sharp, likelihood = measured(part.mean, part.factor, take_last(seen, at), take_last(std, at))
         both = np.stack([score[at] + np.log1p(-part.share), likelihood + np.log(part.share)])
         score[at] = logsumexp(both, axis=0)
-        merged = mixed(np.exp(both - score[at]), [those(mean, at), on_it], [those(factor, at), sharp])
-        mean, factor = with_those(mean, at, merged[0]), with_those(factor, at, merged[1])
+        merged = merged_moments(np.exp(both - score[at]), [take_last(mean, at), on_it], [take_last(factor, at), sharp])
+        mean, factor = replace_last(mean, at, merged[0]), replace_last(factor, at, merged[1])
     return mean, factor, score
 
 
-def _found_again(
+def _reinitialise_if_lost(
     layout: Layout, before: BeliefBatch, after: BeliefBatch, z: Floats, evidence: Floats
 ) -> tuple[BeliefBatch, Booleans]:
     """(beliefs after a measurement, whether each was reinitialised) where a lost belief is less probable than a new
@@ -309,7 +309,7 @@ def _found_again(
 
 
 @dataclass(frozen=True, eq=False)
-class _Piled:
+class _BoundaryMass:
     """States concentrated on the boundary of one guard, for some of p Gaussians.
 
     Attributes:
@@ -326,7 +326,7 @@ class _Piled:
 
 def _uncut_at_guards(
     layout: Layout, mode: Ints, mean: Floats, factor: Floats, likely: Booleans
-) -> tuple[Floats, Floats, Floats, list[_Piled]]:
+) -> tuple[Floats, Floats, Floats, list[_BoundaryMass]]:
     """Gaussians whose truncations outside the mode-ending guards have the moments (n, p), (n, n, p).
 
     Args:
@@ -337,18 +337,18 @@ def _uncut_at_guards(
         what lies on a guard's boundary instead.
     """
     margins = _margins(layout, mode, mean, factor)
-    chances, near, piled = log_probability(*margins), is_cut(*margins) & likely, list[_Piled]()
+    chances, near, piled = log_probability(*margins), is_cut(*margins) & likely, list[_BoundaryMass]()
     for number in map(int, np.flatnonzero(near.any(axis=1))):
         cut = near[number].nonzero()[0]
-        mean_there, factor_there = those(mean, cut), those(factor, cut)
+        mean_there, factor_there = take_last(mean, cut), take_last(factor, cut)
         margin, row = _margins(layout, mode[cut], mean_there, factor_there, number)
         wider_mean, wider, share = uncut(mean_there, factor_there, margin, row)
         there = (share < 1.0).nonzero()[0]
         if there.size:
-            at_it = onto_boundary(*(those(values, there) for values in (mean_there, factor_there, margin, row)))
-            piled.append(_Piled(cut[there], 1.0 - share[there], at_it[0], lower_factors(at_it[1])))
+            at_it = onto_boundary(*(take_last(values, there) for values in (mean_there, factor_there, margin, row)))
+            piled.append(_BoundaryMass(cut[there], 1.0 - share[there], at_it[0], lower_factors(at_it[1])))
         wider = lower_factors(wider)
-        mean, factor = with_those(mean, cut, wider_mean), with_those(factor, cut, wider)
+        mean, factor = replace_last(mean, cut, wider_mean), replace_last(factor, cut, wider)
         chances[number, cut] = log_probability(*_margins(layout, mode[cut], wider_mean, wider, number))
     return mean, factor, chances, piled
 
@@ -368,11 +368,11 @@ def _cut_at_guards(
     chances = np.where(near | ~says, 0.0, log_probability(margins, rows))
     for number in map(int, np.flatnonzero(near.any(axis=1))[::-1]):
         cut = near[number].nonzero()[0]
-        there = those(mean, cut), those(factor, cut)
+        there = take_last(mean, cut), take_last(factor, cut)
         margin = _margins(layout, mode[cut], *there, number)
         chances[number, cut] = log_probability(*margin)
         inward, narrower = truncated(*there, *margin)
-        mean, factor = with_those(mean, cut, inward), with_those(factor, cut, lower_factors(narrower))
+        mean, factor = replace_last(mean, cut, inward), replace_last(factor, cut, lower_factors(narrower))
     return mean, factor, chances.sum(axis=0)
 
 
@@ -383,7 +383,7 @@ def _margins(
 
     Of the guard with that number alone (p,) and (k, p).
     """
-    weights, offsets = (those(values[number], mode) for values in layout.outside)
+    weights, offsets = (take_last(values[number], mode) for values in layout.outside)
     margin = np.einsum("...ip,ip->...p", weights, mean) - offsets
     return margin, np.einsum("...ip,ikp->...kp", weights, factor)
 
@@ -391,11 +391,11 @@ def _margins(
 def _sensing_std(layout: Layout, mode: Ints, mean: Floats) -> Floats:
     """(n, p) std of a measurement of states (n, p) in these modes (p,)."""
     if layout.std is not None:
-        return those(layout.std, mode)
+        return take_last(layout.std, mode)
     std = np.empty(mean.shape)
     for index, sensing in enumerate(layout.sensing):
         chosen = (mode == index).nonzero()[0]
-        std[:, chosen] = sensing.std_at(those(mean, chosen).T).T
+        std[:, chosen] = sensing.std_at(take_last(mean, chosen).T).T
     return std
 
 
@@ -403,13 +403,13 @@ def _mode_at(automaton: HybridAutomaton, mean: Floats, factor: Floats) -> str:
     holding = automaton.modes_at(mean, ROUND_OFF)
     if holding:
         return holding[0]
-    chances = [_chance(mode.invariant.half_spaces, mean, factor) for mode in automaton.modes]
+    chances = [_probability_inside(mode.invariant.half_spaces, mean, factor) for mode in automaton.modes]
     if max(chances) < _LEAST_CHANCE:
         raise InputError(f"the start {mean.tolist()} lies in no mode's invariant", remedy="move it or name a mode")
     return automaton.modes[int(np.argmax(chances))].name
 
 
-def _chance(half_spaces: Sequence[HalfSpace], mean: Floats, factor: Floats) -> float:
+def _probability_inside(half_spaces: Sequence[HalfSpace], mean: Floats, factor: Floats) -> float:
     """Approximate probability that a state (n,) with factor (n, n) lies in all half-spaces, taken as independent."""
     rows = HalfSpaceRows.of(half_spaces, mean.size, len(half_spaces[0].b) if half_spaces else 0)
     stds = np.sqrt(np.square(rows.a @ factor).sum(axis=1) + SMALLEST_STD**2)
@@ -422,7 +422,7 @@ def _valid_stds(stds: Floats) -> Floats:
     return stds
 
 
-def _root(covariance: Floats) -> Floats:
+def _covariance_root(covariance: Floats) -> Floats:
     """Lower factor of a covariance, singular ones included."""
     values, vectors = np.linalg.eigh(covariance)
     if not np.allclose(covariance, covariance.T) or values.min() < -1e-9 * max(1.0, values.max()):

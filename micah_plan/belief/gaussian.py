@@ -31,7 +31,7 @@ Values = TypeVar("Values", NDArray[np.float64], NDArray[np.int64], NDArray[np.bo
 _FEW = 8
 
 
-def those(values: Values, chosen: Ints) -> Values:
+def take_last(values: Values, chosen: Ints) -> Values:
     """(..., c) columns `chosen` (c,) of arrays (..., p).
 
     Unlike indexing, which puts the numbers first in memory, it leaves their number last there too.
@@ -45,15 +45,15 @@ def weighted(weights: Floats, factors: Floats) -> Floats:
     return np.asarray((weights @ factors.reshape(n, -1)).reshape(*weights.shape[:-1], *rest))
 
 
-def with_those(values: Floats, chosen: Ints, replacement: Floats) -> Floats:
+def replace_last(values: Floats, chosen: Ints, replacement: Floats) -> Floats:
     """Arrays (..., p) with the columns `chosen` (c,) replaced by (..., c)."""
     changed = values.copy()
-    put_those(changed, chosen, replacement)
+    assign_last(changed, chosen, replacement)
     return changed
 
 
-def put_those(values: Floats, chosen: Ints, replacement: Floats) -> None:
-    """`with_those` in place."""
+def assign_last(values: Floats, chosen: Ints, replacement: Floats) -> None:
+    """`replace_last` in place."""
     # A run of numbers is copied as one piece.
     is_run = chosen.size > 0 and not np.count_nonzero(np.diff(chosen) != 1)
     values[..., slice(chosen[0], chosen[-1] + 1) if is_run else chosen] = replacement

@@ -60,8 +60,8 @@ def reinitialise(layout: Layout, belief: BeliefBatch, z: Floats) -> tuple[Belief
             np.where(is_measured, np.maximum(std, SMALLEST_STD), spread),
         )
         density = np.where(is_measured, -np.log(widths), 0.0)
-        mean, covariance, score = _in_mode(layout.modes[index].mode, mean, np.diag(within**2), density)
-        scores[index] = score + _log_chance(layout, index, mean, covariance) - np.log(len(modes))
+        mean, covariance, score = _conditioned_on_mode(layout.modes[index].mode, mean, np.diag(within**2), density)
+        scores[index] = score + _log_probability_in_mode(layout, index, mean, covariance) - np.log(len(modes))
         means[:, index, 0] = mean
         values, vectors = np.linalg.eigh(covariance)
         factors[:, :, index] = lower_factors((vectors * np.sqrt(np.maximum(values, 0.0)))[:, :, None])
@@ -70,14 +70,14 @@ def reinitialise(layout: Layout, belief: BeliefBatch, z: Floats) -> tuple[Belief
     return BeliefBatch.of(weights, means, factors, layout.own), evidence + float(np.log(NEGLIGIBLE))
 
 
-def _in_mode(mode: Mode, mean: Floats, covariance: Floats, density: Floats) -> tuple[Floats, Floats, float]:
+def _conditioned_on_mode(mode: Mode, mean: Floats, covariance: Floats, density: Floats) -> tuple[Floats, Floats, float]:
     """Mean (n,) and covariance (n, n) conditioned on a mode's pins and ties, and the measurement's log density.
 
     Args:
         density: (n,) log density of each measured coordinate where the mode does not say where it is.
     """
     score = float(density.sum())
-    for coordinate, row, value, std in _known(mode, mean.size):
+    for coordinate, row, value, std in _pin_and_tie_rows(mode, mean.size):
         across = covariance @ row
         variance, away = float(row @ across) + std**2, value - float(row @ mean)
         mean, covariance = mean + across * (away / variance), covariance - np.outer(across, across) / variance
@@ -94,7 +94,7 @@ def _marginals(belief: BeliefBatch) -> tuple[Floats, Floats]:
     return mean, np.sqrt(weights @ (np.square(factors[positive]).sum(axis=2) + np.square(means - mean)))
 
 
-def _known(mode: Mode, n: int) -> Iterator[tuple[int, Floats, float, float]]:
+def _pin_and_tie_rows(mode: Mode, n: int) -> Iterator[tuple[int, Floats, float, float]]:
     """(coordinate, row (n,), value, std) of a mode's pins and ties, as row'x = value ± std."""
     unit = np.eye(n)
     for pin in mode.pins:
@@ -108,7 +108,7 @@ def _known(mode: Mode, n: int) -> Iterator[tuple[int, Floats, float, float]]:
         yield tie.coordinate, unit[tie.coordinate] - np.array(tie.weights), tie.offset, SMALLEST_STD
 
 
-def _log_chance(layout: Layout, index: int, x: Floats, covariance: Floats) -> float:
+def _log_probability_in_mode(layout: Layout, index: int, x: Floats, covariance: Floats) -> float:
     """Log probability that a state lies in a mode's invariant, outside its ending guards."""
     invariant = [h for h in layout.modes[index].mode.invariant.half_spaces if h.on_state and not h.on_input]
     rows = np.array([*(h.a for h in invariant), *layout.outside[0][:, :, index]]).reshape(-1, layout.n)

@@ -11,16 +11,16 @@ import numpy as np
 
 from micah_plan.arrays import Floats, Ints
 from micah_plan.belief.gaussian import (
+    assign_last,
     lower_factors,
-    put_those,
-    those,
+    take_last,
 )
 from micah_plan.belief.hybrid_belief import BeliefBatch
 from micah_plan.belief.layout import Layout
 from micah_plan.belief.pieces import Ends, side_by_side
 
 
-def mixed(weights: Floats, means: Sequence[Floats], factors: Sequence[Floats]) -> tuple[Floats, Floats]:
+def merged_moments(weights: Floats, means: Sequence[Floats], factors: Sequence[Floats]) -> tuple[Floats, Floats]:
     """Means (n, o) and lower factors (n, n, o) of o mixtures of r Gaussians each (moment matching).
 
     Args:
@@ -36,7 +36,7 @@ def mixed(weights: Floats, means: Sequence[Floats], factors: Sequence[Floats]) -
     return center, lower_factors(columns, overwrite=True)
 
 
-def assembled(
+def merged_by_mode(
     layout: Layout, arrived: Sequence[tuple[int, Ends]], count: int, remembered: Floats | None
 ) -> BeliefBatch:
     """One Gaussian per mode and belief from its pieces, by moment matching.
@@ -50,16 +50,16 @@ def assembled(
     numbers = [index * count + ends.owner for index, ends in arrived]
     pieces = np.bincount(np.concatenate(numbers), minlength=q * count)
     alone = [(pieces[number] == 1).nonzero()[0] for number in numbers]
-    single, at = _gathered(arrived, numbers, alone)
+    single, at = _selected_columns(arrived, numbers, alone)
     if at.size:
-        put_those(weights, at, single.probability)
-        put_those(means, at, single.mean)
-        put_those(factors, at, lower_factors(single.factor))
+        assign_last(weights, at, single.probability)
+        assign_last(means, at, single.mean)
+        assign_last(factors, at, lower_factors(single.factor))
     merged = (pieces > 1).nonzero()[0]
     if merged.size:
         others = [(pieces[number] > 1).nonzero()[0] for number in numbers]
-        several, at = _gathered(arrived, numbers, others)
-        weights[merged], means[:, merged], factors[..., merged] = _mixtures(several, at, pieces[merged])
+        several, at = _selected_columns(arrived, numbers, others)
+        weights[merged], means[:, merged], factors[..., merged] = _merged_by_number(several, at, pieces[merged])
     if remembered is not None:
         for of_input in layout.automaton.input_memories:
             memory = slice(of_input.first, of_input.first + of_input.size)
@@ -68,7 +68,7 @@ def assembled(
     return BeliefBatch.of(shares / shares.sum(axis=0), means, factors, layout.own)
 
 
-def _gathered(
+def _selected_columns(
     arrived: Sequence[tuple[int, Ends]], numbers: Sequence[Ints], chosen: Sequence[Ints]
 ) -> tuple[Ends, Ints]:
     """(selected entries of all groups, their numbers (p,))."""
@@ -84,7 +84,7 @@ def _gathered(
     return Ends(owner, probability, mean, side_by_side([group.factor for group in groups])), np.concatenate(at)
 
 
-def _mixtures(ends: Ends, number: Ints, counts: Ints) -> tuple[Floats, Floats, Floats]:
+def _merged_by_number(ends: Ends, number: Ints, counts: Ints) -> tuple[Floats, Floats, Floats]:
     """Weights (o,), means (n, o) and factors (n, n, o) of pieces merged by number (p,), in ascending order.
 
     Args:
@@ -102,7 +102,7 @@ def _mixtures(ends: Ends, number: Ints, counts: Ints) -> tuple[Floats, Floats, F
             places = order[first[at] + np.minimum(ranks, counts[at] - 1)]
             shares = np.where(ranks < counts[at], ends.probability[places], 0.0)
             weights[at] = weight = shares.sum(axis=0)
-            pieces = ([those(values, place) for place in places] for values in (ends.mean, ends.factor))
-            means[:, at], factors[..., at] = mixed(shares / weight, *pieces)
+            pieces = ([take_last(values, place) for place in places] for values in (ends.mean, ends.factor))
+            means[:, at], factors[..., at] = merged_moments(shares / weight, *pieces)
         fewer = most
     return weights, means, factors

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats, Ints
-from micah_plan.belief.gaussian import those
+from micah_plan.belief.gaussian import take_last
 from micah_plan.belief.truncation import Margins
 
 
@@ -31,7 +31,7 @@ class Ends:
         """The ends with these numbers."""
         if chosen.size == self.owner.size:
             return self
-        moments = those(self.mean, chosen), those(self.factor, chosen)
+        moments = take_last(self.mean, chosen), take_last(self.factor, chosen)
         return Ends(self.owner[chosen], self.probability[chosen], *moments)
 
 
@@ -67,7 +67,9 @@ class Pieces:
         """The pieces with these numbers, in ascending order."""
         if chosen.size == self.owner.size:
             return self
-        return self.subset(chosen, self.probability[chosen], those(self.mean, chosen), those(self.factor, chosen))
+        return self.subset(
+            chosen, self.probability[chosen], take_last(self.mean, chosen), take_last(self.factor, chosen)
+        )
 
     def subset(self, chosen: Ints, probability: Floats, mean: Floats, factor: Floats) -> Pieces:
         """Shares of the pieces with these numbers, as Gaussians of their own."""
@@ -78,12 +80,12 @@ class Pieces:
             probability=probability,
             mean=mean,
             factor=factor,
-            u=those(self.u, chosen),
+            u=take_last(self.u, chosen),
             fraction=self.fraction[chosen],
-            displacement=those(self.displacement, chosen),
-            pinned_at=those(self.pinned_at, chosen),
-            entered=those(self.entered, chosen),
-            taken=those(self.taken, chosen),
+            displacement=take_last(self.displacement, chosen),
+            pinned_at=take_last(self.pinned_at, chosen),
+            entered=take_last(self.entered, chosen),
+            taken=take_last(self.taken, chosen),
         )
 
     def replaced(self, chosen: Ints, probability: Floats, mean: Floats, factor: Floats) -> Pieces:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import erfcx, log_ndtr, ndtr
 
 from micah_plan.arrays import SMALLEST_STD, Booleans, Floats, Ints
-from micah_plan.belief.gaussian import those
+from micah_plan.belief.gaussian import take_last
 from micah_plan.belief.plane_moments import MASS, WHOLE, XX, XY, X, Y, half_planes, wedge
 
 # A share of a belief below this is dropped.
@@ -53,7 +53,7 @@ class Margins:
 
     def where(self, chosen: Ints) -> Margins:
         """Margins of the Gaussians with these numbers."""
-        return Margins(those(self.mean, chosen), those(self.row, chosen))
+        return Margins(take_last(self.mean, chosen), take_last(self.row, chosen))
 
     def can_cross(self, probability: Floats) -> Booleans:
         """(p,) whether the crossing share can exceed the filter's threshold, for shares (p,) of beliefs.
@@ -100,7 +100,7 @@ def split(mean: Floats, factor: Floats, margins: Margins) -> Shares:
     if lost[0].size:
         probability[lost] = 0.0
         moments[:, *lost] = WHOLE
-    center, root = _fitted(moments)
+    center, root = _matched_gaussian(moments)
     # The noise along each of the two directions moves the state by as much.
     moved = [np.einsum("...kp,kp->...p", factor, direction) for direction in (first, second)]
     apart = (slice(None), *(None,) * (mean.ndim - 1))
@@ -145,7 +145,7 @@ def uncut(mean: Floats, factor: Floats, margin: Floats, row: Floats) -> tuple[Fl
         means, factors, and the share (p,) of them that does not lie on the boundary.
     """
     direction, along, ahead = _along(factor, margin, row)
-    back, wider, share = _before_cut(ahead)
+    back, wider, share = _untruncated_moments(ahead)
     return mean - along * back, factor + (along * (wider - 1.0))[..., None, :] * direction, share
 
 
@@ -162,7 +162,7 @@ def _along(factor: Floats, margin: Floats, row: Floats) -> tuple[Floats, Floats,
     return direction, np.einsum("...kp,kp->...p", factor, direction), margin / std
 
 
-def _before_cut(ahead: Floats) -> tuple[Floats, Floats, Floats]:
+def _untruncated_moments(ahead: Floats) -> tuple[Floats, Floats, Floats]:
     """(shift, scale, share) of Gaussians before truncation, relative to their truncated moments.
 
     Args:
@@ -178,13 +178,13 @@ def _before_cut(ahead: Floats) -> tuple[Floats, Floats, Floats]:
     return ahead - wider * place, wider, share
 
 
-def _cut(place: Floats) -> tuple[Floats, Floats]:
+def _truncated_moments(place: Floats) -> tuple[Floats, Floats]:
     """(mean distance, std) of unit Gaussians with mean `place` truncated at 0."""
     mills = np.sqrt(2 / np.pi) / erfcx(-place / np.sqrt(2))
     return place + mills, np.sqrt(1.0 - mills * (mills + place))
 
 
-_CUT_DISTANCES, _CUT_STDS = _cut(_CUT_PLACES)
+_CUT_DISTANCES, _CUT_STDS = _truncated_moments(_CUT_PLACES)
 _WIDER, _CUT_MEANS = 1.0 / _CUT_STDS, _CUT_DISTANCES / _CUT_STDS
 _STEEPEST, _WHOLE = float(_CUT_MEANS[0]), float(_CUT_MEANS[-1])
 
@@ -210,7 +210,7 @@ def _moments_before(plane: _Plane) -> Floats:
     if not near.size:
         return _moments_of_shares(plane, inside)
     shift, scale, share = np.zeros(ahead.size), np.ones(ahead.size), np.ones(ahead.size)
-    shift[near], scale[near], share[near] = _before_cut(ahead[near])
+    shift[near], scale[near], share[near] = _untruncated_moments(ahead[near])
     m0, m1 = plane.m0 + plane.s0 * shift, plane.m1 + plane.k * shift
     wider = _Plane(m0, plane.s0 * scale, m1, plane.k * scale, plane.t)
     moments = _moments_of_shares(wider, inside)
@@ -276,7 +276,7 @@ def _moments_of_shares(plane: _Plane, inside: Booleans) -> Floats:
     # The smaller angle between the lines that bound the wedge and where both margins move as one, roughly.
     wedged = plane.t > _SINE * (np.abs(plane.k) + 2 * plane.s0)
     if np.count_nonzero(wedged) == wedged.size:
-        moments, sure = _closed(plane, inside)
+        moments, sure = _closed_form_moments(plane, inside)
         if np.count_nonzero(sure) == sure.size:
             return moments
         is_open = ~sure
@@ -287,7 +287,7 @@ def _moments_of_shares(plane: _Plane, inside: Booleans) -> Floats:
             moments[..., is_point] = _from_known_start(plane.where(is_point), inside[is_point])
             is_open &= ~is_point
         if wedged.any():
-            moments[..., wedged], sure = _closed(plane.where(wedged), inside[wedged])
+            moments[..., wedged], sure = _closed_form_moments(plane.where(wedged), inside[wedged])
             is_open[wedged] = ~sure
     if is_open.any():
         moments[..., is_open] = _integrate(plane.where(is_open), inside[is_open])
@@ -301,7 +301,7 @@ def _from_known_start(plane: _Plane, inside: Booleans) -> Floats:
     return half_planes(np.where(inside, -_SURELY, np.clip(offset, -_SURELY, _SURELY)))
 
 
-def _closed(plane: _Plane, inside: Booleans) -> tuple[Floats, Booleans]:
+def _closed_form_moments(plane: _Plane, inside: Booleans) -> tuple[Floats, Booleans]:
     """As `_moments_of_shares`, for margins that both move; and whether the closed forms are sure (p,).
 
     What crosses is the wedge of m0 < 0 and m1 > 0.
@@ -320,7 +320,7 @@ def _closed(plane: _Plane, inside: Booleans) -> tuple[Floats, Booleans]:
 
 def _integrate(plane: _Plane, inside: Booleans) -> Floats:
     """As `_moments_of_shares`, by quadrature over ζ0 and closed forms over ζ1."""
-    edges = _breaks(plane)
+    edges = _quadrature_limits(plane)
     # Only intervals that are not empty: (i, nodes) of them, each with the number of its Gaussian.
     owner, number = np.nonzero(np.diff(edges, axis=1) > 0.0)
     lower, right = edges[owner, number][:, None], edges[owner, number + 1][:, None]
@@ -336,12 +336,12 @@ def _integrate(plane: _Plane, inside: Booleans) -> Floats:
     limit = np.where(t > 0, spread, np.where(reach > 0, -_SURELY, _SURELY))
     above, density = ndtr(-limit), np.exp(-0.5 * limit**2) / np.sqrt(2 * np.pi)
     first = np.searchsorted(owner, np.arange(len(inside)))
-    crossing = _summed(first, mass, zeta, above, density, limit)
-    staying = _summed(first, mass, zeta, 1 - above, -density, limit)
+    crossing = _summed_moments(first, mass, zeta, above, density, limit)
+    staying = _summed_moments(first, mass, zeta, 1 - above, -density, limit)
     return np.stack([crossing, staying], axis=1)
 
 
-def _breaks(plane: _Plane) -> Floats:
+def _quadrature_limits(plane: _Plane) -> Floats:
     """(p, 13) sorted limits of the quadrature's intervals; unused ones are empty."""
     m0, s0, m1, k, t = plane.m0, plane.s0, plane.m1, plane.k, plane.t
     fixed = np.array([-REACH, -4.0, -1.5, 0.0, 1.5, 4.0, REACH])
@@ -353,7 +353,7 @@ def _breaks(plane: _Plane) -> Floats:
     return np.sort(np.clip(np.concatenate(columns, axis=1), -REACH, REACH), axis=1)
 
 
-def _summed(first: Ints, mass: Floats, zeta: Floats, zeroth: Floats, density: Floats, limit: Floats) -> Floats:
+def _summed_moments(first: Ints, mass: Floats, zeta: Floats, zeroth: Floats, density: Floats, limit: Floats) -> Floats:
     """(6, p) moments: sums over the intervals of each Gaussian, which begin at `first`."""
 
     def total(values: Floats, weights: Floats) -> Floats:
@@ -365,7 +365,7 @@ def _summed(first: Ints, mass: Floats, zeta: Floats, zeroth: Floats, density: Fl
     return np.stack([total(mass, zeroth), *firsts, *seconds])
 
 
-def _fitted(moments: Floats) -> tuple[Floats, Floats]:
+def _matched_gaussian(moments: Floats) -> tuple[Floats, Floats]:
     """Means (2, ...) and lower covariance factors (3, ...: 00, 10, 11) of Gaussians with given moments."""
     x, y, xx, xy, yy = center = moments[1:] / moments[MASS]
     root = np.empty((3, *x.shape))

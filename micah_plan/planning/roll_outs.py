@@ -17,7 +17,7 @@ from micah_plan.automaton.input_memory import InputChannel, towards
 from micah_plan.automaton.memo import sharing_motion
 from micah_plan.automaton.step_noise import drawn_gains
 from micah_plan.automaton.transition import TransitionBatch
-from micah_plan.belief.filter import initial_belief, predict_belief, repeated, update
+from micah_plan.belief.filter import initial_belief, predict_belief, repeated_belief, update
 from micah_plan.belief.hybrid_belief import BeliefBatch
 from micah_plan.planning.avoided_inputs import cut_off
 from micah_plan.planning.feedback import feedback_input, time_knots
@@ -102,7 +102,7 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
     )
     unseen, everyone = np.full((trials, whole.n - automaton.n), np.nan), np.arange(trials)
     modes, x = np.full(trials, automaton.mode_index(trajectory.modes[0])), chances.starts
-    beliefs = repeated(whole, initial_belief(whole, start.mean, start.std, trajectory.modes[0]), trials)
+    beliefs = repeated_belief(whole, initial_belief(whole, start.mean, start.std, trajectory.modes[0]), trials)
     knots, path, visited = time_knots(trajectory), PathRecord(problem, trials), list[Ints]()
     for step, knot in enumerate(knots):
         deadline.check("verification", f"roll-outs were at step {step} of {len(knots)}", "verification_trials")

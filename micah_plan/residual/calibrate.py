@@ -33,6 +33,7 @@ from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.faulty_runs import faulty_runs
 from micah_plan.residual.geometry import DirectFinding, systematic_transverse_error, transverse_rms
 from micah_plan.residual.likelihood import FEWEST_ROWS, TIE
+from micah_plan.residual.onsets import with_onset_digest
 from micah_plan.residual.prediction import predict_recording, refused
 from micah_plan.residual.range_exceeded import RangeExceeded, with_range_ends, with_shifts, without_old_ends
 from micah_plan.residual.separating_experiments import (
@@ -44,7 +45,6 @@ from micah_plan.residual.separating_experiments import (
 )
 from micah_plan.residual.trace import CoordinateFinding, CoordinateTrace, may_remember, trace
 from micah_plan.residual.verdict import Verdict, overall
-from micah_plan.residual.versions import dated
 from micah_plan.summaries import Progress
 
 # Poses this far beside the joints [m], and this share of the lever arm, are those of another object.
@@ -63,7 +63,7 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
             "expected actions, found no columns ax, ay, az",
             remedy="record the commanded displacements to calibrate a model",
         )
-    calibration = _revised(_calibrated(automaton, recording, progress), progress)
+    calibration = _with_revised_effects(_calibrated(automaton, recording, progress), progress)
     faulty = faulty_runs(calibration.traces)
     if faulty:
         usual = recording.rows(~np.isin(recording.run, [run.run for run in faulty]))
@@ -76,7 +76,7 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
     )
 
 
-def _revised(kept: Calibration, progress: Progress | None) -> Calibration:
+def _with_revised_effects(kept: Calibration, progress: Progress | None) -> Calibration:
     """The calibration in which effects of an earlier calibration are replaced, if other effects are jointly likelier.
 
     Fewer effects need not be likelier to be kept; as many must be ahead by as much as an effect more must be. Of two
@@ -118,11 +118,11 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
     effects = [_direct_effect(direct) for direct in examination.direct]
     effects += [effect for trace in traces for effect in _all_found(trace, exceeded)]
     effects.sort(key=lambda effect: -effect.evidence)
-    to_add = [dated(effect, recording) for effect in with_shifts(_to_add(traces), exceeded)]
-    improved, refusing, why = _written(corrected, exceeded, to_add, recording)
-    kept_out = [_identity(effect) for effect in refusing]
+    to_add = [with_onset_digest(effect, recording) for effect in with_shifts(_to_add(traces), exceeded)]
+    improved, refusing, why = _without_refused_effects(corrected, exceeded, to_add, recording)
+    kept_out = [_effect_key(effect) for effect in refusing]
     effects = [
-        replace(effect, is_added=False) if _identity(effect.effect) in kept_out else effect for effect in effects
+        replace(effect, is_added=False) if _effect_key(effect.effect) in kept_out else effect for effect in effects
     ]
     before, after = size_of(traces, is_final=False), size_of(traces, is_final=True)
     floors = [
@@ -164,13 +164,13 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
     )
 
 
-def _identity(effect: Effect) -> tuple[object, ...]:
+def _effect_key(effect: Effect) -> tuple[object, ...]:
     """Key of an effect that ignores its parameters: name, coordinate, modes and onset."""
     since = effect.since and (effect.since.run, effect.since.time)
     return effect.name, effect.coordinate, effect.modes, since
 
 
-def _written(
+def _without_refused_effects(
     corrected: HybridAutomaton, exceeded: Sequence[RangeExceeded], added: Sequence[Effect], recording: Recording
 ) -> tuple[HybridAutomaton, dict[Effect, str], str]:
     """(new automaton, effects that it rejects with the reason, remaining error) so that it loads its own recording.
@@ -323,9 +323,9 @@ def _since(data: CoordinateData, values: Floats) -> Since | None:
 def _to_add(traces: Sequence[CoordinateTrace]) -> list[Effect]:
     effects = []
     for traced in traces:
-        by_part = {_acting(finding.part): finding for finding in traced.findings}
+        by_part = {_term_key(finding.part): finding for finding in traced.findings}
         for part in traced.final.parts:
-            finding = by_part.get(_acting(part))
+            finding = by_part.get(_term_key(part))
             # With a correction on top the parameters are those that were fitted together with it.
             part_kept = finding.part if finding is not None and traced.final is traced.chosen else part
             interval, tied = (None, ()) if finding is None else (finding.interval, finding.tied)
@@ -333,7 +333,7 @@ def _to_add(traces: Sequence[CoordinateTrace]) -> list[Effect]:
     return [effect for effect in effects if not is_as_commanded(effect)]  # that the model has already
 
 
-def _acting(part: TermCandidate) -> tuple[object, ...]:
+def _term_key(part: TermCandidate) -> tuple[object, ...]:
     """Key of a term: name, modes and gates."""
     return part.name, part.term.modes, *part.starts[0, -GATES:].tolist()
 

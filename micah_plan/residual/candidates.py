@@ -1,8 +1,8 @@
 """Candidate terms for a coordinate's model: forms of effects with the initial values of their fits.
 
-Each form says itself where its parameters begin (`EffectForm.begun`). Commands that are places are one whole form
-(`follow`) in three sizes. Two corrections have no name: a smooth function of place and command, and one of earlier
-commands; they say how much is left that no effect of the library explains.
+Each form provides its own starting values (`EffectForm.initial_guess`). Position commands are one complete form
+(`follow`) in three sizes. Two unnamed corrections compete as well: a smooth function of configuration and command, and
+one of earlier commands. Their evidence measures the structure that no effect of the library explains.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from micah_plan.automaton.effects.memories import AS_COMMANDED
 from micah_plan.automaton.effects.registry import form, forms
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.residual.coordinate_data import CoordinateData
-from micah_plan.residual.versions import acts
+from micah_plan.residual.onsets import is_active
 
 FOLLOW, DRIVE = "follow", "drive"
 MEMORY = "earlier commands"
@@ -107,7 +107,7 @@ def gates_of(effect: Effect, data: CoordinateData) -> tuple[float, float]:
         return NEVER_GATED
     if since.run is None:
         return -np.inf, since.time
-    acting = np.stack([acts(since, run, time) for run, time in zip(data.run.tolist(), data.time, strict=True)])
+    acting = np.stack([is_active(since, run, time) for run, time in zip(data.run.tolist(), data.time, strict=True)])
     return float(data.order[acting & data.counted_starts].min(initial=np.inf)), -np.inf
 
 
@@ -115,16 +115,20 @@ def candidates(data: CoordinateData) -> tuple[TermCandidate, ...]:
     """Candidates of all forms that the data can show, without onset and in all modes."""
     possible = []
     for effect_form in forms():
-        made = effect_form.begun(data) if effect_form.is_sought and effect_form.same_as(data) is None else None
+        made = (
+            effect_form.initial_guess(data)
+            if effect_form.in_library and effect_form.equivalent_effect(data) is None
+            else None
+        )
         if made is not None:
             whole = _candidate(effect_form, made)
             possible += [*_without_options(whole), whole]
     return tuple(possible)
 
 
-def untried(name: str, data: CoordinateData) -> TermCandidate:
+def equivalent_candidate(name: str, data: CoordinateData) -> TermCandidate:
     """A form that was not fitted since it is indistinguishable from another in the data (`indistinguishable`)."""
-    return _candidate(form(name), form(name).from_neutral(data))
+    return _candidate(form(name), form(name).guess_from_neutral(data))
 
 
 def _candidate(effect_form: EffectForm, made: FitStart) -> TermCandidate:
@@ -137,7 +141,7 @@ def indistinguishable(part: TermCandidate, data: CoordinateData) -> tuple[str, .
     """Forms that are equivalent to another in these data and were not fitted; simplest first."""
     same = []
     for effect_form in sorted(forms(), key=lambda effect_form: effect_form.complexity_rank):
-        equivalent = effect_form.same_as(data) if effect_form.is_sought else None
+        equivalent = effect_form.equivalent_effect(data) if effect_form.in_library else None
         if equivalent is not None and equivalent.name == part.name and abs(part.starts[0, 0]) < equivalent.below:
             same.append(effect_form.name)
     return tuple(same)
@@ -157,7 +161,7 @@ class EarlierCommands(EffectForm):
         Parameter("side_after_rest", "coordinate", 0.0),
         Parameter("side_before", "coordinate", 0.0),
     )
-    is_sought = False
+    in_library = False
 
     def at_rest(self, p: Values) -> Memory:
         return (0.0 * p[0],) * 3

@@ -47,10 +47,10 @@ def read_tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[tuple
             for i, each in enumerate(automaton.coordinates)
         ]
     )
-    return tuple(_taken_back(track, late, is_of_places) for track in measured if len(track.time) > late), late
+    return tuple(_with_earlier_actions(track, late, is_of_places) for track in measured if len(track.time) > late), late
 
 
-def _taken_back(track: Track, late: int, led: Booleans) -> Track:
+def _with_earlier_actions(track: Track, late: int, led: Booleans) -> Track:
     """A run with each action moved `late` rows earlier, to the motion that it causes; the last rows then have none.
 
     Args:
@@ -90,10 +90,10 @@ def rows_of(track: Track, first: int, end: int) -> Track:
     """The rows `first` to `end` of a run."""
     steps = slice(first, end - 1)
     u, action = (None if commands is None else commands[steps] for commands in (track.u, track.action))
-    return _taken(track, slice(first, end), u, action)
+    return _selected_rows(track, slice(first, end), u, action)
 
 
-def _taken(track: Track, rows: slice | Ints, u: Floats | None, action: Floats | None) -> Track:
+def _selected_rows(track: Track, rows: slice | Ints, u: Floats | None, action: Floats | None) -> Track:
     """Selected rows of a run, with the commands between them."""
     return replace(
         track,
@@ -121,4 +121,4 @@ def at_measurements(track: Track) -> Track:
         so_far = np.concatenate([np.zeros_like(commands[:1]), np.cumsum(commands, axis=0)])
         return np.asarray(np.diff(so_far[rows], axis=0))
 
-    return _taken(track, rows, between(track.u), between(track.action))
+    return _selected_rows(track, rows, between(track.u), between(track.action))

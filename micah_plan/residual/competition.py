@@ -35,8 +35,8 @@ from micah_plan.residual.contenders import (
     Contender,
     Contenders,
     Option,
-    begins_later,
     best_first,
+    has_onset,
     on_top,
 )
 from micah_plan.residual.likelihood import TIE
@@ -96,7 +96,7 @@ class Competition(Contenders):
         singles = self._with_polished_responses(singles)
         singles += self._in_modes(singles)
         progress(f"{data.coordinate}: since when", 0.3)
-        later = self._later(singles, library)
+        later = self._with_onset(singles, library)
         loose = self.corrected([nominal])
         every = [*singles, *later]
         able = [model for model in every if self.is_worth(model, nominal) and self.is_within_bounds(model)]
@@ -108,13 +108,13 @@ class Competition(Contenders):
             if same_kind:
                 alone, near_alone = simplest(same_kind)
                 of_kind = [pair for pair in pairs if (FOLLOW in pair.names) == is_place]
-                best, near_best = self._with_a_second(alone, near_alone, every, of_kind)
+                best, near_best = self._with_second_effect(alone, near_alone, every, of_kind)
                 if best.evidence > chosen.evidence:
                     chosen, near, rivals = best, near_best, [best, alone]
                 elif best.evidence > chosen.evidence - self.least:
                     near = (*near, *near_best)
         progress(f"{data.coordinate}: what changes", 0.7)
-        chosen, passing = self._changed(chosen, every, library)
+        chosen, passing = self._with_changes(chosen, every, library)
         if chosen is nominal and not passing:
             least = nominal.evidence + _UNCONFIRMED * self.least
             likelier = [model for model in best_first(every) if model.evidence > least]
@@ -124,7 +124,7 @@ class Competition(Contenders):
         corrected = self.corrected(
             list({id(model): model for model in (chosen, *rivals) if model is not nominal}.values())
         )
-        remaining = (*passing, *self._worth([*loose, *corrected], chosen))
+        remaining = (*passing, *self._worthwhile([*loose, *corrected], chosen))
         return Standings(nominal, chosen, near, tuple(every), remaining, tuple(loose))
 
     def _with_polished_responses(self, singles: Sequence[Contender]) -> list[Contender]:
@@ -132,7 +132,7 @@ class Competition(Contenders):
         best = [model for model in best_first(singles) if FOLLOW in model.names][:_RESPONSES_POLISHED]
         return [self.polished(model) if model in best else model for model in singles]
 
-    def _with_a_second(
+    def _with_second_effect(
         self, alone: Contender, near: tuple[Contender, ...], every: Sequence[Contender], pairs: Sequence[Contender]
     ) -> tuple[Contender, tuple[Contender, ...]]:
         """(best model, its ties) of two effects, if likelier than the best of one."""
@@ -146,18 +146,20 @@ class Competition(Contenders):
             under = max(halves, key=_evidence, default=nominal)
             if self.is_worth(pair, under) and self.is_within_bounds(pair):
                 good.append(pair)
-        chosen, near = self._polished(alone, near)
+        chosen, near = self._simplest_polished(alone, near)
         if good:
-            best, near_best = self._polished(*simplest(good))
+            best, near_best = self._simplest_polished(*simplest(good))
             if best.evidence - chosen.evidence > self.least:
                 chosen, near = best, near_best
         return self._pruned(chosen), near
 
-    def _polished(self, simple: Contender, near: Sequence[Contender]) -> tuple[Contender, tuple[Contender, ...]]:
+    def _simplest_polished(
+        self, simple: Contender, near: Sequence[Contender]
+    ) -> tuple[Contender, tuple[Contender, ...]]:
         """(simplest, ties) of tied models after fitting them to convergence."""
         return simplest([self.polished(model) for model in dict.fromkeys((simple, *best_first(near)[:_POLISHED]))])
 
-    def _changed(
+    def _with_changes(
         self, chosen: Contender, every: Sequence[Contender], library: Sequence[TermCandidate]
     ) -> tuple[Contender, list[Contender]]:
         """(chosen model with effects that have an onset, likelier models that only one run supports)."""
@@ -167,7 +169,7 @@ class Competition(Contenders):
                 displaced = [model for model in best_first(every) if FOLLOW not in model.names][:_HEADS]
                 heads = [model for model in displaced if self.is_within_bounds(model)][:_RIVALS]
             least = chosen.evidence + self.least
-            again = [model for model in best_first(self._again(heads, library)) if model.evidence > least]
+            again = [model for model in best_first(self._with_further_onset(heads, library)) if model.evidence > least]
             if not again:
                 return chosen, []
             head = next(model for model in heads if model.names == again[0].names[:-1])
@@ -176,7 +178,7 @@ class Competition(Contenders):
             chosen = self._pruned(again[0])
         return chosen, []
 
-    def _worth(self, corrected: Sequence[Contender], base: Contender) -> tuple[Contender, ...]:
+    def _worthwhile(self, corrected: Sequence[Contender], base: Contender) -> tuple[Contender, ...]:
         """Corrections with enough evidence over a base, best first."""
         return tuple(best_first([model for model in corrected if self.is_worth(model, base, TIE)]))
 
@@ -222,31 +224,31 @@ class Competition(Contenders):
             most=3 * len(present),
         )
 
-    def _later(self, singles: Sequence[Contender], library: Sequence[TermCandidate]) -> list[Contender]:
+    def _with_onset(self, singles: Sequence[Contender], library: Sequence[TermCandidate]) -> list[Contender]:
         """The best effects and the simplest with an onset, where that is likelier than acting from the start."""
         ranked = best_first(singles)
         tried = [*ranked[:3], *(model for model in ranked if model.names[-1] in _LINE_LIKE)]
-        able = {model.names: model for model in reversed(tried) if _may_begin(model.parts[-1])}
+        able = {model.names: model for model in reversed(tried) if _may_have_onset(model.parts[-1])}
         always_there = list(able.values())
-        later = [*self._begins(always_there), *self._begins(always_there, in_each_run=True)]
-        later += self._again([self.nominal], library)
+        later = [*self._with_fitted_onsets(always_there), *self._with_fitted_onsets(always_there, in_each_run=True)]
+        later += self._with_further_onset([self.nominal], library)
         of_names = {model.names: max(self.nominal.evidence, model.evidence) for model in always_there}
         return [
             model for model in later if model.evidence > of_names.get(model.names, self.nominal.evidence) + self.least
         ]
 
-    def _again(self, heads: Sequence[Contender], library: Sequence[TermCandidate]) -> list[Contender]:
+    def _with_further_onset(self, heads: Sequence[Contender], library: Sequence[TermCandidate]) -> list[Contender]:
         """Models with an additional effect that sets in at some row."""
         order = np.quantile(self.data.order[self.data.counted_starts], _PLACES_OF_CHANGE)
         options = [
             on_top(head, gated(part, order.tolist(), []))
             for head in heads
             for part in library
-            if part.name in {*_LINE_LIKE, *_of_commands(head)} and _may_begin(part)
+            if part.name in {*_LINE_LIKE, *_of_commands(head)} and _may_have_onset(part)
         ]
-        return self._begins(self.fitted(options, first=2))
+        return self._with_fitted_onsets(self.fitted(options, first=2))
 
-    def _begins(self, contenders: Sequence[Contender], *, in_each_run: bool = False) -> list[Contender]:
+    def _with_fitted_onsets(self, contenders: Sequence[Contender], *, in_each_run: bool = False) -> list[Contender]:
         """The models with the last effect's onset and parameters fitted alternately.
 
         That something changed between two runs is as likely beforehand as that it did within one (Hinkley, "Inference
@@ -283,7 +285,9 @@ class Competition(Contenders):
             ]
             begun = [replace(fit, vector=tried[k]) for fit, tried, k in zip(fits, vectors, likeliest, strict=True)]
             fits = fitting.improved(begun, 3, within=self.within(fitting))
-            rows = [_near(float(places[k]), at, firsts, stride) for places, k in zip(rows, likeliest, strict=True)]
+            rows = [
+                _onsets_near(float(places[k]), at, firsts, stride) for places, k in zip(rows, likeliest, strict=True)
+            ]
             rows = [places[(places >= first) & (places <= last)] for places in rows]
             stride = max(stride // 4, 1)
         weighed = self.fitting.weighed(fits)
@@ -305,7 +309,7 @@ class Competition(Contenders):
             for head in heads
             for part in library
             if are_compatible(head, part)
-            for option in (on_top(head, part), *_before(head, part))
+            for option in (on_top(head, part), *_in_reverse_order(head, part))
         ]
         return self.fitted(options, most=_SECONDS, restarted=RESTARTED)
 
@@ -322,13 +326,13 @@ class Competition(Contenders):
         for k, part in enumerate(parts):
             before, after = parts[:k], parts[k + 1 :]
             rests = [(*before, *after)] if len(parts) > 1 else []
-            rests += [(*before, always(part), *after)] if begins_later(part) else []
-            rests += [(*before, plain, *after) for plain in (*self._special_cases(part), *_with_less(part))]
+            rests += [(*before, always(part), *after)] if has_onset(part) else []
+            rests += [(*before, plain, *after) for plain in (*self._special_cases(part), *_without_one_option(part))]
             options += [Option(rest, np.hstack([each.starts for each in rest])) for rest in rests]
         simpler = [
             model
             for model in map(self.polished, self.fitted(options, first=0))
-            if model.evidence > contender.evidence - self._odds(model, contender)
+            if model.evidence > contender.evidence - self._min_gain(model, contender)
         ]
         return self._pruned(best_first(simpler)[0]) if simpler else contender
 
@@ -341,7 +345,7 @@ class Competition(Contenders):
         starts[0, plain.free], starts[0, -GATES:] = part.starts[0, part.free].mean(), part.starts[0, -GATES:]
         return [replace(plain, term=replace(plain.term, modes=part.term.modes), starts=starts)]
 
-    def _odds(self, simpler: Contender, contender: Contender) -> float:
+    def _min_gain(self, simpler: Contender, contender: Contender) -> float:
         """Minimum log-evidence gain [nats] over a simpler model: for another effect, option or onset."""
         if len(simpler.parts) < len(contender.parts):
             return self.least
@@ -364,7 +368,7 @@ class Competition(Contenders):
         return self.fitted(options, first=2, keep=1, rounds=_ROUNDS_OF_CORRECTIONS)
 
 
-def _with_less(part: TermCandidate) -> list[TermCandidate]:
+def _without_one_option(part: TermCandidate) -> list[TermCandidate]:
     """An effect with one of its options off, for each option."""
     options, fewer = part.term.form.options(), []
     for k, parameter in enumerate(part.term.form.parameters):
@@ -386,12 +390,12 @@ def _of_commands(head: Contender) -> set[str]:
     return {part.name for part in head.parts if part.term.form.layer in ("memory", "command")}
 
 
-def _may_begin(part: TermCandidate) -> bool:
+def _may_have_onset(part: TermCandidate) -> bool:
     """Whether an effect may have an onset; guards, frames and effects at a place may not."""
     return part.term.form.layer not in ("guard", "place", "frame")
 
 
-def _near(row: float, order: Floats, firsts: Floats, stride: int) -> Floats:
+def _onsets_near(row: float, order: Floats, firsts: Floats, stride: int) -> Floats:
     """Candidate onsets: rows around one, and starts of runs nearby."""
     k = int(np.searchsorted(order, row))
     at = np.clip(k + np.linspace(-stride, stride, 9).astype(int), 1, max(len(order) - 10, 2) - 1)
@@ -399,7 +403,7 @@ def _near(row: float, order: Floats, firsts: Floats, stride: int) -> Floats:
     return np.unique([*order[at], row, *runs])
 
 
-def _before(head: Contender, part: TermCandidate) -> list[Option]:
+def _in_reverse_order(head: Contender, part: TermCandidate) -> list[Option]:
     """The two effects in reverse order if both act on the command: limit and gain do not commute."""
     last = head.parts[-1:]
     if not last or {last[0].term.form.layer, part.term.form.layer} != {"command"}:
@@ -414,7 +418,7 @@ def are_compatible(head: Contender, part: TermCandidate) -> bool:
     names = {*head.names, part.name}
     if part.name in CONTAINED or any(part.name in CONTAINED.get(name, ()) for name in head.names):
         return False
-    is_later = any(map(begins_later, head.parts))
+    is_later = any(map(has_onset, head.parts))
     if part.name in head.names or (is_later and part.term.form.layer == "guard"):
         return is_later and part.term.form.layer != "guard"  # what acts always, and again since some row
     both = [{"sensor_scale", "gain"}, {"spring", "gravity"}, {"gain", "direction_gain"}]

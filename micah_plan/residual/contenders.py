@@ -107,7 +107,7 @@ class Contender:
 
     @property
     def evidence(self) -> float:
-        return self.weighed.evidence - _BEGINS * sum(map(begins_later, self.parts))
+        return self.weighed.evidence - _BEGINS * sum(map(has_onset, self.parts))
 
     @property
     def rank(self) -> tuple[int, int, int, bool]:
@@ -138,7 +138,7 @@ def _is_gated(part: TermCandidate) -> bool:
     return form_of_part.layer not in ("place", "frame") and type(form_of_part).release is EffectForm.release
 
 
-def begins_later(part: TermCandidate) -> bool:
+def has_onset(part: TermCandidate) -> bool:
     """Whether an effect has an onset, in the recording or in every run."""
     return bool(np.isfinite(part.starts[0, -GATES:]).any())
 
@@ -174,22 +174,22 @@ class Contenders:
         self.odds_of_places = -float(heard)
         self._densities: dict[Contender, Floats] = {}
         self._fitted_to_the_end: dict[Contender, Contender] = {}
-        self.nominal = self._begun_with(data)
+        self.nominal = self._initialise(data)
         if np.ptp(data.noise[data.is_measured]):  # something else than the model's sensor may have measured
             as_modelled = self.nominal
-            self.nominal = self._begun_with(data.measured_alike())
+            self.nominal = self._initialise(data.measured_alike())
             if self.nominal.evidence <= as_modelled.evidence:
-                self.nominal = self._begun_with(data)
+                self.nominal = self._initialise(data)
 
     def within(self, searched: Fitting) -> float:
         """The distance [nats] behind the best at which a fit is abandoned; scaled for subsets of the rows."""
         share = searched.data.counted.sum() / self.data.counted.sum()
         return _LEFT_BEHIND * max(_LEAST, float(share) * self.least)
 
-    def _begun_with(self, data: CoordinateData) -> Contender:
+    def _initialise(self, data: CoordinateData) -> Contender:
         """Initialise the noise from these data and return the fitted nominal model."""
         self.data, self.fitting = data, Fitting(data)
-        few = _some(data, _SCREENED_ROWS)
+        few = _subset_of_segments(data, _SCREENED_ROWS)
         self.screening = self.fitting if few is None else Fitting(few)
         self._blur = float(np.log(max(data.blur, 1e-7)))
         finest = float(np.log(max(data.resolution, _FINEST * float(np.ptp(data.visited)), ROUND_OFF)))
@@ -225,7 +225,7 @@ class Contenders:
             first += part.term.size
             odds += self.odds_of_places if part.name == FOLLOW else 0.0
         count = len(at)
-        for k, centre_of, std_of, large in self._uncertain():
+        for k, centre_of, std_of, large in self._priors():
             far = _NOISE_FAR if k < len(STDS) else _ENDS_FAR * std_of
             at.append(first + k)
             scale.append(large)
@@ -245,7 +245,7 @@ class Contenders:
         )
         return Fit(model, np.concatenate([self._given, start, noise]), free, freedom)
 
-    def _uncertain(self) -> list[tuple[int, float, float, float]]:
+    def _priors(self) -> list[tuple[int, float, float, float]]:
         """(entry, centre, std, scale) of the priors of log noise, and of the ends that the recording reaches.
 
         Ends are as uncertain as a measurement: those of a model were measured once.
@@ -305,7 +305,7 @@ class Contenders:
         again = set(sorted(range(len(pairs)), key=lambda k: pairs[k][1].loss)[:restarted])
         if restarted:
             again |= {k for k, (option, _) in enumerate(pairs) if _is_first_of_places(option)}
-        ready = self._from_other_noise(searched, [fit for _, fit in pairs], rest, again, rounds)
+        ready = self._with_noise_restarts(searched, [fit for _, fit in pairs], rest, again, rounds)
         chosen = [
             (option, fit)
             for (option, _), fit in zip(pairs, ready, strict=True)
@@ -318,7 +318,7 @@ class Contenders:
         weighed = self.fitting.weighed([fit for _, fit in chosen])
         return [self._contender(option.parts, fit) for (option, _), fit in zip(chosen, weighed, strict=True)]
 
-    def _from_other_noise(
+    def _with_noise_restarts(
         self, searched: Fitting, fits: Sequence[Fit], rest: Sequence[Sequence[Fit]], again: Collection[int], rounds: int
     ) -> list[Fit]:
         """The fits at convergence; the best also restarted with other splits of the noise.
@@ -337,7 +337,7 @@ class Contenders:
             tried += others
         best = dict[int, Fit]()
         for k, fit in zip(owners, searched.improved(tried, rounds, within=self.within(searched)), strict=True):
-            best[k] = min(best.get(k, fit), fit, key=_tailed)
+            best[k] = min(best.get(k, fit), fit, key=_loss_with_tail_prior)
         return [best[k] for k in range(len(fits))]
 
     def polished(self, contender: Contender) -> Contender:
@@ -348,29 +348,33 @@ class Contenders:
         noise, until nothing is likelier.
         """
         if contender not in self._fitted_to_the_end:
-            better = self._fitted_further(contender)
+            better = self._refitted(contender)
             self._fitted_to_the_end |= {contender: better, better: better}
         return self._fitted_to_the_end[contender]
 
-    def _fitted_further(self, contender: Contender) -> Contender:
+    def _refitted(self, contender: Contender) -> Contender:
         tried = [replace(contender.fit, freedom=freedom) for freedom in _FREEDOMS]
-        best = min(self.screening.improved(tried, TO_THE_END), key=_tailed)
+        best = min(self.screening.improved(tried, TO_THE_END), key=_loss_with_tail_prior)
         for _ in range(_PROBED):
-            beside = [*self.screening.beside(best, _BESIDE_KEPT), *with_other_noise(best)]
-            further = min(self.screening.improved(beside, TO_THE_END), key=_tailed)
-            if _tailed(further) > _tailed(best) - NO_MENTION:
+            with_jumps = [*self.screening.with_jumps(best, _BESIDE_KEPT), *with_other_noise(best)]
+            further = min(self.screening.improved(with_jumps, TO_THE_END), key=_loss_with_tail_prior)
+            if _loss_with_tail_prior(further) > _loss_with_tail_prior(best) - NO_MENTION:
                 break
             best = further
         if self.screening is not self.fitting:
             (best,) = self.fitting.improved([best], TO_THE_END)
-            best = min(best, contender.fit, key=_tailed)  # what is best in some rows need not be so in all
+            best = min(
+                best, contender.fit, key=_loss_with_tail_prior
+            )  # what is best in some rows need not be so in all
         return self._contender(contender.parts, self.fitting.weighed([best])[0])
 
     def _nominal(self) -> Contender:
         start = np.hstack([np.zeros((1, 0)), *(part.starts for part in self.as_told)])[0]
         begun = self._fit(Option(self.as_told, start[None]), start)
         tried = [replace(fit, freedom=freedom) for fit in (begun, *with_other_noise(begun)) for freedom in _FREEDOMS]
-        best = min(self.screening.improved(tried, TO_THE_END, within=self.within(self.screening)), key=_tailed)
+        best = min(
+            self.screening.improved(tried, TO_THE_END, within=self.within(self.screening)), key=_loss_with_tail_prior
+        )
         if self.screening is not self.fitting:
             (best,) = self.fitting.improved([best], TO_THE_END)
         self.noise, self.freedom = best.noise, best.freedom
@@ -398,9 +402,9 @@ class Contenders:
             return False
         gains = self.held_out(better) - self.held_out(base)
         able = [k for k, part in enumerate(better.parts) if part.free and _is_gated(part)]
-        return is_borne_out(gains, [self.held_out(better) - self._without(better, k) for k in able])
+        return is_borne_out(gains, [self.held_out(better) - self._density_without_effect(better, k) for k in able])
 
-    def _without(self, contender: Contender, number: int) -> Floats:
+    def _density_without_effect(self, contender: Contender, number: int) -> Floats:
         """Held-out log density by run with effect `number` disabled and all else equal."""
         gate = columns(contender.fit.model[: len(self.given) + number + 1]) - GATES
         return self._by_run(self.fitting.held_out(contender.weighed, gate))
@@ -455,7 +459,7 @@ def with_other_noise(fit: Fit) -> list[Fit]:
     return [fit.with_noise(float(fit.noise[: len(STDS)].max()) + np.array(split)) for split in _SPLITS]
 
 
-def _tailed(fit: Fit) -> float:
+def _loss_with_tail_prior(fit: Fit) -> float:
     """Loss with a prior against heavy tails [nats]."""
     return fit.loss + _NORMAL * (fit.freedom < NORMAL)
 
@@ -483,7 +487,7 @@ def on_top(head: Contender, part: TermCandidate) -> Option:
     return Option((*head.parts, part), np.hstack([*before, part.starts]), head)
 
 
-def _some(data: CoordinateData, rows: int) -> CoordinateData | None:
+def _subset_of_segments(data: CoordinateData, rows: int) -> CoordinateData | None:
     """Segments with about `rows` rows, spread over the recording; None if that saves little."""
     per_segment = data.counted.sum(axis=1)
     total = int(per_segment.sum())

@@ -21,7 +21,7 @@ from micah_plan.automaton.link_motion import LinkMotion, link_motions
 from micah_plan.automaton.tracks import Track, in_base_frame, measuring_links
 from micah_plan.recording.commands import Meaning
 from micah_plan.residual.compared_runs import sections
-from micah_plan.residual.row_ends import RowsSeen, row_ends, rows_as_seen
+from micah_plan.residual.row_ends import RowsSeen, annotated_rows, row_ends
 
 # Commands before a segment that a delay may still have to carry out.
 _STILL_TO_COME = LONGEST_DELAY + 1
@@ -225,9 +225,9 @@ def coordinate_data_of(
     Args:
         reference: the model before its ranges were opened (`range_exceeded.with_extended_range`); None: they were not.
     """
-    segments, runs = _pieces(tracks, _cuts), _pieces(tracks, _uncut)
-    kept, result = _thinned(segments), []
-    rows_of_tracks = [rows_as_seen(automaton, track) for track in tracks]
+    segments, runs = _pieces(tracks, _cuts), _pieces(tracks, _whole_run)
+    kept, result = _thinned_run(segments), []
+    rows_of_tracks = [annotated_rows(automaton, track) for track in tracks]
     of_rows = [np.full(len(track.time), -1) for track in tracks]
     for s, piece in enumerate(kept):
         of_rows[piece.track][piece.start + 1 : piece.end] = s
@@ -307,12 +307,12 @@ def _coordinate_data(
         if ends is not None:
             at = row_ends(automaton, track.x[rows], mode[s, :count], i)
             ends[:, s, :count] = at.low, at.high
-            counted[s, 1:count] &= ~at.leaves_open(z[s, :count], u[s, :count])[:-1]
+            counted[s, 1:count] &= ~at.depends_on_noise(z[s, :count], u[s, :count])[:-1]
         if track.action is not None:
             recorded = track.action[rows, link]
             action[s, : len(recorded)] = recorded
             asked = in_base_frame(automaton, i, recorded)
-            counted[s, :count] &= ~_is_unclear(path, z[s, :count], asked, seen.stds[rows, i])
+            counted[s, :count] &= ~_depends_on_noise(path, z[s, :count], asked, seen.stds[rows, i])
     return CoordinateData(
         coordinate=automaton.coordinates[i].name,
         index=i,
@@ -320,7 +320,7 @@ def _coordinate_data(
         z=z,
         u=u,
         place=place,
-        **_before(automaton, tracks, measuring, kept, moving),
+        **_initial_conditions(automaton, tracks, measuring, kept, moving),
         counted=counted,
         time=time,
         order=order,
@@ -339,7 +339,7 @@ def _coordinate_data(
     )
 
 
-def _before(
+def _initial_conditions(
     automaton: HybridAutomaton, tracks: tuple[Track, ...], measuring: tuple[int, int], kept: list[_Piece], mode: Mode
 ) -> dict[str, Any]:
     """`earlier` commands and initial speeds `moving` of the segments, by field name."""
@@ -367,7 +367,7 @@ def _commanded(automaton: HybridAutomaton, track: Track, measuring: tuple[int, i
     if track.action is None:
         return np.stack([displacement, origin + displacement])
     asked = in_base_frame(automaton, i, track.action[rows, link])
-    return np.stack([displacement, origin + _aimed(link_motions(automaton)[link], origin, asked)])
+    return np.stack([displacement, origin + _displacements_to_positions(link_motions(automaton)[link], origin, asked)])
 
 
 def _speed_at(track: Track, piece: _Piece, i: int) -> float:
@@ -386,7 +386,7 @@ def _relative(variance: Floats, counted: Booleans) -> Floats:
     return np.where(np.isfinite(variance), relative, UNSEEN)
 
 
-def _is_unclear(path: LinkMotion, z: Floats, action: Floats, std: Floats) -> Booleans:
+def _depends_on_noise(path: LinkMotion, z: Floats, action: Floats, std: Floats) -> Booleans:
     """(T,) steps whose commanded displacement depends on noise of std (T,) in the configuration.
 
     Where a slide becomes an arc the displacements of actions (up to T, 3) from configurations (T,) are m before it, and
@@ -402,7 +402,7 @@ def _is_unclear(path: LinkMotion, z: Floats, action: Floats, std: Floats) -> Boo
     return is_unclear
 
 
-def _aimed(path: LinkMotion, z: Floats, action: Floats) -> Floats:
+def _displacements_to_positions(path: LinkMotion, z: Floats, action: Floats) -> Floats:
     """(T,) displacements to commanded positions (up to T, 3) from configurations (T,)."""
     displacement, k = np.zeros_like(z), len(action)
     displacement[:k] = path.aimed(z[:k], np.nan_to_num(action))
@@ -429,13 +429,13 @@ def _cuts(rows: int, runs: int) -> list[tuple[int, int, int]]:
     return [cut for cut in cuts if cut[2] - cut[1] >= 2]
 
 
-def _uncut(rows: int, _: int) -> list[tuple[int, int, int]]:
+def _whole_run(rows: int, _: int) -> list[tuple[int, int, int]]:
     """A whole run as one segment; long ones are cut."""
     edges = np.linspace(0, rows, math.ceil(rows / _LONGEST_ROLLOUT) + 1).astype(int).tolist()
     return [(start, start, end) for start, end in pairwise(edges) if end - start > 1]
 
 
-def _thinned(pieces: list[_Piece]) -> list[_Piece]:
+def _thinned_run(pieces: list[_Piece]) -> list[_Piece]:
     rows = sum(piece.end - piece.first for piece in pieces)
     if rows <= MOST_ROWS:
         return pieces

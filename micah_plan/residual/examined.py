@@ -24,10 +24,10 @@ from micah_plan.residual.compared_runs import at_measurements, read_tracks
 from micah_plan.residual.coordinate_data import CoordinateData, coordinate_data_of
 from micah_plan.residual.geometry import DirectFinding, OffJointError, geometry_findings, off_joint_errors
 from micah_plan.residual.held_out import HeldOut
+from micah_plan.residual.onsets import effects_with_onset
 from micah_plan.residual.range_exceeded import RangeExceeded, ranges_exceeded, with_extended_range
 from micah_plan.residual.residual_test import ResidualTest
 from micah_plan.residual.sensor_bias import estimator_bias_findings
-from micah_plan.residual.versions import beginning
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ def examined(automaton: HybridAutomaton, recording: Recording) -> Examined:
     Raises:
         InputError: if the recording has other parts than the model.
     """
-    gates, (every, late) = beginning(automaton, recording), read_tracks(automaton, recording)
+    gates, (every, late) = effects_with_onset(automaton, recording), read_tracks(automaton, recording)
     is_at = tuple(map(at_measurements, every))
     geometry, read = geometry_findings(automaton, is_at), estimator_bias_findings(automaton, is_at)
     corrected = with_effect(automaton, *(finding.effect for finding in (*geometry, *read)))

@@ -60,8 +60,8 @@ def faulty_runs(traces: Sequence[CoordinateTrace]) -> tuple[FaultyRun, ...]:
         data, runs = trace.data, np.unique(trace.data.run)
         others = () if trace.outcome.verdict == "explained" else trace.alternatives
         tried = [_errors_by_run(trace, model) for model in (trace.chosen, *others)]
-        by_run = min(tried, key=_usual)
-        for faulty in unlike_others(runs.tolist(), by_run, data.coordinate, data.unit):
+        by_run = min(tried, key=_median_error)
+        for faulty in outlying_runs(runs.tolist(), by_run, data.coordinate, data.unit):
             before = worst.get(faulty.run)
             if before is None or faulty.error / faulty.usual > before.error / before.usual:
                 worst[faulty.run] = faulty
@@ -74,7 +74,7 @@ def _errors_by_run(trace: CoordinateTrace, model: Contender) -> list[Floats]:
     return [errors[data.run == run][data.counted[data.run == run]] for run in np.unique(data.run)]
 
 
-def _usual(errors: Sequence[Floats]) -> float:
+def _median_error(errors: Sequence[Floats]) -> float:
     """Median over runs of the mean square error: robust against a minority of bad runs.
 
     Source: Rousseeuw, "Least median of squares regression", JASA 1984.
@@ -82,13 +82,13 @@ def _usual(errors: Sequence[Floats]) -> float:
     return float(np.median([float(np.mean(run**2)) for run in errors if len(run)] or [0.0]))
 
 
-def unlike_others(runs: Sequence[int], errors: Sequence[Floats], coordinate: str, unit: str) -> list[FaultyRun]:
+def outlying_runs(runs: Sequence[int], errors: Sequence[Floats], coordinate: str, unit: str) -> list[FaultyRun]:
     """Runs whose one-step errors (one array per run, [rad or m]) are far larger than the median run's."""
     if len(runs) < ENOUGH_INDEPENDENT:
         return []
     rows = np.array([len(run) for run in errors])
     squares = np.array([float(np.mean(run**2)) if len(run) else 0.0 for run in errors])
-    usual = _usual(errors)
+    usual = _median_error(errors)
     if usual <= 0.0:
         return []
     ratio = squares / usual

@@ -35,7 +35,7 @@ from micah_plan.residual.row_loop import (
     ROLLOUT,
     RowsGiven,
     Settings,
-    go_through,
+    run_rows,
 )
 from micah_plan.residual.step_program import model_program
 from micah_plan.symbolic.formula_lines import Neutral
@@ -145,7 +145,7 @@ def filtered(data: CoordinateData, batches: Sequence[ModelBatch], wanted: Sequen
         wanted: of how many of each batch, its first ones, errors are wanted as well; None: of all.
     """
     wanted = [len(batch) for batch in batches] if wanted is None else wanted
-    total, error, variance = _gone_through(data, batches, "filter", data.numbered, wanted)
+    total, error, variance = _run_batches(data, batches, "filter", data.numbered, wanted)
     freedom = np.concatenate([batch.freedom[:count] for batch, count in zip(batches, wanted, strict=True)])
     return Rows(total, error, variance, freedom, _anywhere(data))
 
@@ -163,12 +163,12 @@ def of_rows(data: CoordinateData, of_segment: Ints) -> Ints:
 def errors(data: CoordinateData, batches: Sequence[ModelBatch], kind: Kind) -> tuple[Floats, Floats]:
     """(B, S, T) measured minus predicted [rad or m], 0 in uncounted rows, and its variance."""
     every = np.arange(data.z.size).reshape(data.z.shape)
-    _, *found = _gone_through(data, batches, kind, every, [len(batch) for batch in batches])
+    _, *found = _run_batches(data, batches, kind, every, [len(batch) for batch in batches])
     error, variance = (rows.reshape(-1, *data.z.shape) for rows in found)
     return error * data.counted, variance
 
 
-def _gone_through(
+def _run_batches(
     data: CoordinateData, batches: Sequence[ModelBatch], kind: Kind, number: Ints, wanted: Sequence[int]
 ) -> tuple[Floats, Floats, Floats]:
     """(B,) log densities, and (K, N) errors and variances of rows with a non-negative number (S, T)."""
@@ -186,7 +186,7 @@ def _gone_through(
         batch, program = _joined([batches[k] for k in own]), model_program(*instructions)
         per_hypothesis = _per_hypothesis(data, batch)
         of = np.concatenate([np.arange(first[k], first[k] + sizes[k]) for k in own])
-        total[of] = go_through(
+        total[of] = run_rows(
             program.programs,
             _rows_for(data, rows, batch, program.mode_sets),
             _settings(data, batch, kind, per_hypothesis),
@@ -210,7 +210,7 @@ def _rows_for(
     given = data.ends_of_model if batch.terms("sensor") else (data.lower, data.upper)
     return rows._replace(
         moved=_commands(data, data.action, batch) if batch.terms("frame") and data.action is not None else rows.moved,
-        ends=np.reshape(given, (2, 1, 1)) if data.row_ends is None else _own(data.row_ends),
+        ends=np.reshape(given, (2, 1, 1)) if data.row_ends is None else _contiguous(data.row_ends),
         in_mode=in_mode,
     )
 
@@ -230,27 +230,27 @@ def _settings(data: CoordinateData, batch: ModelBatch, kind: Kind, per_hypothesi
 
 def _rows_given(data: CoordinateData, number: Ints) -> RowsGiven:
     return RowsGiven(
-        z=_own(data.z),
-        moved=_own(data.u[None]),
-        effort=_own((data.u / data.command_size) ** 2),
-        place=_own(data.place),
-        noise=_own(data.noise),
-        time=_own(data.time),
-        order=_own(data.order),
-        mode=_own(data.mode),
+        z=_contiguous(data.z),
+        moved=_contiguous(data.u[None]),
+        effort=_contiguous((data.u / data.command_size) ** 2),
+        place=_contiguous(data.place),
+        noise=_contiguous(data.noise),
+        time=_contiguous(data.time),
+        order=_contiguous(data.order),
+        mode=_contiguous(data.mode),
         ends=np.zeros((2, 1, 1)),
         # What moves on need not have begun here: the second row of a segment that goes on is taken as measured.
-        goes_on=_own(np.where(data.goes_on, data.command_size**2, 0.0)),
-        moving=_own(data.moving),
+        goes_on=_contiguous(np.where(data.goes_on, data.command_size**2, 0.0)),
+        moving=_contiguous(data.moving),
         # Those of hypotheses that read actions in another frame are a little different.
-        earlier=_own(data.earlier),
+        earlier=_contiguous(data.earlier),
         in_mode=np.zeros((0, len(data.modes)), dtype=bool),
         last=data.z.shape[1] - 1 - np.argmax((number >= 0)[:, ::-1], axis=1),
-        number=_own(number),
+        number=_contiguous(number),
     )
 
 
-def _own(rows: NDArray[Scalar]) -> NDArray[Scalar]:
+def _contiguous(rows: NDArray[Scalar]) -> NDArray[Scalar]:
     """The rows as a C-contiguous writable array, so that Numba compiles one signature."""
     return np.require(rows, requirements=("C", "W"))
 
@@ -283,7 +283,7 @@ def _commands(data: CoordinateData, action: Floats, batch: ModelBatch) -> Floats
     meant = np.stack([form.frame_command(np, parts, list(unit), wide) for unit in np.eye(3)], axis=-1)
     places = np.broadcast_to(data.z, meant.shape[:-1])
     u = data.path.commanded(places.ravel(), meant.reshape(-1, 3))
-    return _own(np.nan_to_num(u).reshape(meant.shape[:-1]))
+    return _contiguous(np.nan_to_num(u).reshape(meant.shape[:-1]))
 
 
 def noiseless_data(data: CoordinateData, hypothesis: ModelBatch, mode_at: Callable[[Floats], Ints]) -> CoordinateData:
@@ -299,7 +299,7 @@ def noiseless_data(data: CoordinateData, hypothesis: ModelBatch, mode_at: Callab
     for _ in range(data.z.shape[1]):
         before = made.z
         made = replace(made, place=before + data.u, mode=mode_at(before).reshape(before.shape))
-        _, error, _ = _gone_through(replace(made, z=z), [hypothesis], "rollout", every, [1])
+        _, error, _ = _run_batches(replace(made, z=z), [hypothesis], "rollout", every, [1])
         made = replace(made, z=z - error.reshape(z.shape))
         if np.array_equal(made.z, before):
             break

@@ -209,7 +209,7 @@ class Fitting:
         losses = self.losses(fits, [fit.vector[None] for fit in fits])
         return [replace(fit, loss=float(loss[0])) for fit, loss in zip(fits, losses, strict=True)]
 
-    def beside(self, fit: Fit, count: int) -> list[Fit]:
+    def with_jumps(self, fit: Fit, count: int) -> list[Fit]:
         """The `count` likeliest fits among those with one model parameter displaced by small or large jumps."""
         k = fit.free.of_model
         if not k:
@@ -237,7 +237,7 @@ class Fitting:
                 [climb.fit for climb in live], [climb.steps for climb in live], asked, [climb.line for climb in live]
             )
             live = [
-                climb for climb, slope, line in zip(live, slopes, losses, strict=True) if climb.goes_on(slope, line)
+                climb for climb, slope, line in zip(live, slopes, losses, strict=True) if climb.advance(slope, line)
             ]
             best = min(climb.fit.loss for climb in climbs)
             live = [climb for climb in live if climb.fit.loss - min(further, _FORESEEN) * climb.gain < best + within]
@@ -273,10 +273,10 @@ class Fitting:
     def without_each(self, weighed: Weighed) -> Floats:
         """(G, ...) vectors after one Newton step that removes each group, accepted as far as the other groups allow."""
         if weighed not in self._without_each:
-            self._without_each[weighed] = self._stepped(weighed)
+            self._without_each[weighed] = self._newton_step(weighed)
         return self._without_each[weighed]
 
-    def _stepped(self, weighed: Weighed) -> Floats:
+    def _newton_step(self, weighed: Weighed) -> Floats:
         fit, free = weighed.fit, weighed.fit.free
         if not len(free.at):
             return np.repeat(fit.vector[None], len(weighed.pull), axis=0)
@@ -325,11 +325,11 @@ class Fitting:
         batches = [fit.hypotheses(around) for fit, around in zip(fits, every, strict=True)]
         rows = filtered(self.data, batches, [len(around) for around in tried])
         slopes, losses, first, of_rows = [], [], 0, 0
-        for fit, around, beside, step in zip(fits, tried, more, steps, strict=True):
-            middle, last = first + len(around), first + len(around) + len(beside)
+        for fit, around, with_jumps, step in zip(fits, tried, more, steps, strict=True):
+            middle, last = first + len(around), first + len(around) + len(with_jumps)
             at_rows = slice(of_rows, of_rows + len(around))
             slopes.append(_quotients(fit, around, rows, at_rows, rows.total[first:middle], len(step)))
-            losses.append(fit.penalty(beside) - rows.total[middle:last])
+            losses.append(fit.penalty(with_jumps) - rows.total[middle:last])
             first, of_rows = last, of_rows + len(around)
         return slopes, losses
 
@@ -434,13 +434,13 @@ class _Climb:
         """The next vector for difference quotients: a full step ahead or, without one, the present one."""
         return self.fit.vector if self._full is None else self._full
 
-    def goes_on(self, slopes: _Slopes, losses: Floats) -> bool:
+    def advance(self, slopes: _Slopes, losses: Floats) -> bool:
         """Move to the best evaluated point; returns whether further iterations may help."""
         if self._slopes is None:
             self.fit = replace(self.fit, loss=float(slopes.losses[0]))
             if self._full is None and not len(losses):
                 self._slopes = slopes
-                self._step_from(slopes)
+                self._request_step(slopes)
                 return True
         before = self.fit.loss
         tried = np.concatenate([slopes.losses, losses, [] if self._slopes is None else self._slopes.losses[1:]])
@@ -462,13 +462,13 @@ class _Climb:
             return False
         if best == 0:
             self._damping, self._slopes = max(0.3 * self._damping, 1e-6), slopes
-            self._step_from(slopes)
+            self._request_step(slopes)
             return True
         self._damping = min(3.0 * self._damping, 1e3)
         self._slopes, self._full, self.line = None, None, self.line[:0]
         return True
 
-    def _step_from(self, slopes: _Slopes) -> None:
+    def _request_step(self, slopes: _Slopes) -> None:
         """Request derivatives at the full step and losses at shorter ones."""
         whole, *shorter = self._along(slopes)
         self._full, self.line = whole, np.array(shorter)

@@ -13,7 +13,7 @@ from scipy.special import chdtrc
 
 from micah_plan.arrays import INTERVAL, NEAR_STDS, Floats, earlier_rows
 from micah_plan.residual.competition import Competition
-from micah_plan.residual.contenders import Contender, begins_later
+from micah_plan.residual.contenders import Contender, has_onset
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.filtering import NOISE, Kind, ModelBatch, errors
 from micah_plan.residual.likelihood import independent_share
@@ -86,7 +86,7 @@ class HeldOut:
         """
         return _floor(model, self.data.whole or self.data, "rollout", self.as_written.whole or self.as_written)
 
-    def floors_without_what_follows(self) -> tuple[float, float]:
+    def floors_without_explained_part(self) -> tuple[float, float]:
         """Noise floors (one step, roll-out) of the nominal model without the explained part of its errors."""
         nominal, starts = self.nominal, self.data.counted_starts
         step, rolled = self.noise_floor(nominal), self.rollout_floor(nominal)
@@ -102,7 +102,7 @@ class HeldOut:
     def correlations_of(self, model: Contender) -> tuple[tuple[str, ...], Floats]:
         """(names of the fitted parameters (k), correlation (k, k) of their errors)."""
         count = model.fit.free.of_model
-        labels = [f"{part.name}, later" if begins_later(part) else part.name for part in model.parts]
+        labels = [f"{part.name}, later" if has_onset(part) else part.name for part in model.parts]
         names = [
             f"{part.term.form.parameters[j].name} of {label}"
             for part, label in zip(model.parts, labels, strict=True)
@@ -199,7 +199,7 @@ class HeldOut:
             command=lagged_commands(data.u)[starts],
             time=data.time[starts],
             order=data.order[starts],
-            away=_away(data, before)[starts],
+            away=_commands_away_from_ends(data, before)[starts],
         )
 
     def innovations(self, model: Contender) -> tuple[Floats, Floats]:
@@ -215,11 +215,11 @@ class HeldOut:
         """The less significant of two innovation tests: a drifting error is noise, and may mask a missing effect."""
         wandering = self.errors(model, "filter"), self.spread(model)
         size = float(np.sqrt(np.mean(self._predicted(model, "filter")[1][self.data.counted])))
-        tests = [self._tested(*innovations, size) for innovations in (self.innovations(model), wandering)]
+        tests = [self._tested_innovations(*innovations, size) for innovations in (self.innovations(model), wandering)]
         decided = [test for test in tests if test is not None]
         return max(decided, key=lambda test: min(test.probability, test.least), default=None)
 
-    def _tested(self, error: Floats, spread: Floats, size: float) -> ResidualTest | None:
+    def _tested_innovations(self, error: Floats, spread: Floats, size: float) -> ResidualTest | None:
         """Innovation test of errors (S, T); its share is reduced where they are smaller than the model's std `size`."""
         starts = self.data.counted_starts
         innovations = error / spread
@@ -245,7 +245,7 @@ def _floor(model: Contender, data: CoordinateData, kind: Kind, as_written: Coord
     return float(np.sqrt(square))
 
 
-def _away(data: CoordinateData, place: Floats) -> Floats:
+def _commands_away_from_ends(data: CoordinateData, place: Floats) -> Floats:
     """(S, T, 2) commands away from the lower and the upper end, where the part is close to it."""
     reach = NEAR_STDS * data.blur * np.sqrt(data.noise)
     at_low, at_high = place < data.lower + reach, place > data.upper - reach

@@ -13,7 +13,7 @@ from micah_plan.automaton.link_motion import link_motions
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibration_notes import note_on_late_actions
 from micah_plan.residual.examined import Examined, examined
-from micah_plan.residual.faulty_runs import FaultyRun, unlike_others
+from micah_plan.residual.faulty_runs import FaultyRun, outlying_runs
 from micah_plan.residual.held_out import HeldOut
 from micah_plan.residual.prediction import RunPrediction
 from micah_plan.residual.residual_test import FEWEST_ROWS, Circumstances, lagged_commands, whiteness_test
@@ -77,7 +77,7 @@ def judge(automaton: HybridAutomaton, recording: Recording, runs: Sequence[RunPr
         return Judgement(None, None, None, "too few rows to tell errors from noise", (), correlation, changes)
     examination = examined(automaton, recording)
     one_step, rollout = _floors(automaton, runs, examination.models)
-    sentence = _sentence(examination, () if examination.is_noise else _faulty(automaton, runs))
+    sentence = _sentence(examination, () if examination.is_noise else _outlying_runs_of(automaton, runs))
     sentence = f"{note_on_late_actions(examination.late)}. {sentence}" if examination.late else sentence
     follows = tuple(
         (model.data.coordinate, *follow)
@@ -88,13 +88,13 @@ def judge(automaton: HybridAutomaton, recording: Recording, runs: Sequence[RunPr
     return Judgement(one_step, rollout, examination.is_noise, sentence, follows, correlation, changes)
 
 
-def _faulty(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> list[FaultyRun]:
+def _outlying_runs_of(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> list[FaultyRun]:
     """Runs with outlying errors, one entry for each coordinate concerned."""
     numbers = list(dict.fromkeys(run.run for run in runs))
     faulty = []
     for i, coordinate in enumerate(automaton.coordinates):
         parts = [[run.one_step.configuration[:, i] for run in runs if run.run == number] for number in numbers]
-        faulty += unlike_others(numbers, [np.concatenate(part) for part in parts], coordinate.name, coordinate.unit)
+        faulty += outlying_runs(numbers, [np.concatenate(part) for part in parts], coordinate.name, coordinate.unit)
     return faulty
 
 
@@ -150,13 +150,13 @@ def _floors(
     if not all(coordinate.name in of_coordinate for coordinate in automaton.coordinates):
         return None, None
     ordered = [of_coordinate[coordinate.name] for coordinate in automaton.coordinates]
-    floors = [one.floors_without_what_follows() for one in ordered]
+    floors = [one.floors_without_explained_part() for one in ordered]
     steps, rolled = ([floor[k] for floor in floors] for k in (0, 1))
     along = np.array([steps, rolled])
-    position = _with_across(automaton, runs, along, 3, [run.one_step.offset for run in runs])
+    position = _with_transverse_errors(automaton, runs, along, 3, [run.one_step.offset for run in runs])
     turns = [run.one_step.turn for run in runs if run.one_step.turn is not None]
     is_turned = len(turns) == len(runs)
-    rotation = _with_across(automaton, runs, along, 0, turns).tolist() if is_turned else (None, None)
+    rotation = _with_transverse_errors(automaton, runs, along, 0, turns).tolist() if is_turned else (None, None)
     one_step, rollout = (
         Floor(float(place), turn, float(np.sqrt(np.mean(sizes**2))), tuple(sizes.tolist()))
         for place, turn, sizes in zip(position, rotation, along, strict=True)
@@ -164,7 +164,7 @@ def _floors(
     return one_step, rollout
 
 
-def _with_across(
+def _with_transverse_errors(
     automaton: HybridAutomaton, runs: Sequence[RunPrediction], along: Floats, first: int, errors: Sequence[Floats]
 ) -> Floats:
     """(2,) floors of a vector error over all links, given the floors along the joints (2, n).

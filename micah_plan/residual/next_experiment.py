@@ -20,7 +20,7 @@ from micah_plan.automaton.tracks import tracks
 from micah_plan.quantities import plain
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibration import Calibration
-from micah_plan.residual.candidates import candidates, untried
+from micah_plan.residual.candidates import candidates, equivalent_candidate
 from micah_plan.residual.contenders import Contender, best_first
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.filtering import errors, noiseless_data
@@ -31,9 +31,9 @@ from micah_plan.task.experiment import Experiment, Motion
 from micah_plan.task.start import Start, start_mode
 
 # Evidence [nats] that a whole experiment aims at for every pair: thrice what an effect needs, for held-out rows.
-_ENOUGH = 3.0 * LEAST_EVIDENCE
+_WANTED_NATS = 3.0 * LEAST_EVIDENCE
 # A pair that no motion tells apart by more than this per run [nats] is left to its sentence.
-_HOPELESS = 0.1
+_MIN_EXPECTED_NATS = 0.1
 _MOST_REPETITIONS = 10
 _MOST_RIVALS = 4
 # Motions are made of so many pieces of so many steps; so many of each length are gone on with.
@@ -98,7 +98,7 @@ def _rivals(trace: CoordinateTrace) -> list[Contender]:
     tied = {name for finding in trace.findings for name in finding.tied}
     if tied:
         chosen = [named[name] for name in tied if name in named]
-        unseen = [untried(name, trace.data) for name in sorted(tied - set(named))]
+        unseen = [equivalent_candidate(name, trace.data) for name in sorted(tied - set(named))]
         chosen += trace.held_out.competition.alone([part for part in unseen if part.term.form.layer != "frame"])
         return [best, *best_first(chosen)][:_MOST_RIVALS]
     if trace.outcome.verdict == "explained":
@@ -140,7 +140,7 @@ class _Rival:
         """The data with the motion that this model predicts."""
         return noiseless_data(data, self.fit.hypotheses(self.fit.vector[None]), mode_at)
 
-    def outdone(self, moved: CoordinateData) -> Floats:
+    def evidence_against(self, moved: CoordinateData) -> Floats:
         """(S,) evidence expected against this model if the data's motion occurs, after a refit [nats]."""
         error, slopes = self.errors(moved)
         against = np.einsum("kst,st->sk", slopes, error)
@@ -174,11 +174,11 @@ def _designed(
     if not motions:
         return None
     total = np.sum(evidence, axis=0)
-    is_hopeless = total > _HOPELESS * len(motions)
+    is_hopeless = total > _MIN_EXPECTED_NATS * len(motions)
     if not is_hopeless.any():
         return None
     # Few runs are asked each whether they contradict the others.
-    needed = int(np.ceil(_ENOUGH / total[is_hopeless].min()))
+    needed = int(np.ceil(_WANTED_NATS / total[is_hopeless].min()))
     repetitions = int(np.clip(needed, np.ceil(ENOUGH_INDEPENDENT / len(motions)), _MOST_REPETITIONS))
     names = list(combinations([rival.name for rival in rivals], 2))
     expected = tuple((*names[k], float(repetitions * total[k])) for k in np.flatnonzero(is_hopeless))
@@ -203,14 +203,14 @@ def _starts(automaton: HybridAutomaton, data: CoordinateData, measured: Floats) 
 
 def _best_commands(data: CoordinateData, rivals: Sequence[_Rival], start: float) -> tuple[Floats, Floats]:
     """(T,) commands of the coordinate [rad or m], and (pairs,) expected evidence of one run [nats]."""
-    menu = _menu(data)
+    menu = _command_patterns(data)
     kept = np.zeros((1, 0))
     for number in range(_PIECES):
         # Sizes that never repeat say more of what else might be: a fixed sequence that fills the interval evenly.
         sizes = _LEAST_SIZE + (1.0 - _LEAST_SIZE) * (((number * _STEPS + np.arange(_STEPS)) * _GOLDEN) % 1.0)
         pieces = [[float(f"{value:.3g}") for value in row] for row in menu * sizes + 0.0]
         tried = np.array([[*before, *piece] for before in kept for piece in pieces])
-        evidence, is_inside = _told_apart(data, rivals, start, tried)
+        evidence, is_inside = _expected_evidence(data, rivals, start, tried)
         # A pair that is told apart already is worth little more: what counts is that all pairs are.
         worth = np.log1p(evidence / LEAST_EVIDENCE).sum(axis=0) - np.where(is_inside, 0.0, np.inf)
         # A motion and its mirror image often tell as much: the first is taken, not whichever rounding makes larger.
@@ -219,7 +219,7 @@ def _best_commands(data: CoordinateData, rivals: Sequence[_Rival], start: float)
     return kept[0], evidence[:, order[0]]
 
 
-def _menu(data: CoordinateData) -> Floats:
+def _command_patterns(data: CoordinateData) -> Floats:
     """(P, _STEPS) command patterns: on and back, small and large, alternating, a single pulse, growing, rest."""
     sizes = np.abs(data.u[data.counted_starts])
     largest = float(sizes.max())
@@ -231,11 +231,11 @@ def _menu(data: CoordinateData) -> Floats:
     return largest * np.array(shapes)
 
 
-def _told_apart(
+def _expected_evidence(
     data: CoordinateData, rivals: Sequence[_Rival], start: float, commands: Floats
 ) -> tuple[Floats, Booleans]:
     """(pairs, S) expected evidence [nats], averaged over the true rival, and (S,) whether motions stay in range."""
-    imagined, mode_at = _imagined(data, start, commands), _ModeAt(data)
+    imagined, mode_at = _simulated_runs(data, start, commands), _ModeAt(data)
     moved = [rival.moved(imagined, mode_at) for rival in rivals]
     low, high = data.visited
     room = _BEYOND * (high - low)
@@ -244,11 +244,11 @@ def _told_apart(
     z = np.stack([motion.z for motion in moved])
     is_inside = ((z > lowest - room) & (z < highest + room)).all(axis=(0, 2))
     pairs = combinations(range(len(rivals)), 2)
-    evidence = [0.5 * (rivals[b].outdone(moved[a]) + rivals[a].outdone(moved[b])) for a, b in pairs]
+    evidence = [0.5 * (rivals[b].evidence_against(moved[a]) + rivals[a].evidence_against(moved[b])) for a, b in pairs]
     return np.array(evidence), np.asarray(is_inside)
 
 
-def _imagined(data: CoordinateData, start: float, commands: Floats) -> CoordinateData:
+def _simulated_runs(data: CoordinateData, start: float, commands: Floats) -> CoordinateData:
     """Data of S runs with commands (S, T) from one start, placed after the recorded rows."""
     count, steps = commands.shape
     shape = (count, steps + 1)

@@ -26,8 +26,8 @@ from micah_plan.quantities import interval, quantity
 from micah_plan.recording.value import Recording
 from micah_plan.residual.compared_runs import Place, at_measurements, white_noise_of
 from micah_plan.residual.geometry import off_joint_error
+from micah_plan.residual.onsets import model_per_run
 from micah_plan.residual.range_exceeded import ranges_exceeded, with_extended_range
-from micah_plan.residual.versions import versions
 from micah_plan.summaries import Progress
 
 _Path = tuple[Floats, tuple[str, ...]]
@@ -148,7 +148,7 @@ def _usable(
     """(model of each part of a recording, with its ranges extended as needed; these parts)."""
     return [
         (with_extended_range(model, ranges_exceeded(model, [at_measurements(track).x for _, track in parts])), parts)
-        for model, parts in versions(automaton, recording)
+        for model, parts in model_per_run(automaton, recording)
     ]
 
 
@@ -234,7 +234,7 @@ class _Ahead:
             x[is_measured] = self.x[is_measured, k]
             modes[is_measured] = [held[r].most_likely for r in np.flatnonzero(is_measured)]
             passed = channel.pass_on(towards(automaton, self.origin[:, k], x, self.u[:, k]), modes, x)
-            modes, x = self._stepped(modes, self._within(modes, x), passed)
+            modes, x = self._stepped(modes, self._clipped_to_modes(modes, x), passed)
             going = np.flatnonzero(self.steps > k)
             after = predict_each(automaton, [held[r] for r in going], passed[going])
             arrived = self.is_measured[going, k + 1]
@@ -248,7 +248,7 @@ class _Ahead:
         """Predict each measured row from the first one."""
         automaton, channel = self.automaton, InputChannel(self.automaton)
         modes = np.array([belief.most_likely for belief in beliefs])
-        x, collected = self._within(modes, self.x[:, 0]), _Collected(automaton, len(beliefs))
+        x, collected = self._clipped_to_modes(modes, self.x[:, 0]), _Collected(automaton, len(beliefs))
         for k in range(self.u.shape[1]):
             commanded = channel.pass_on(towards(automaton, self.origin[:, k], x, self.u[:, k]), modes, x)
             modes, x = self._stepped(modes, x, commanded)
@@ -258,7 +258,7 @@ class _Ahead:
     def _stepped(self, modes: Ints, x: Floats, u: Floats) -> tuple[Ints, Floats]:
         return self.transitions.step(modes, x, u, np.zeros_like(x))
 
-    def _within(self, modes: Ints, x: Floats) -> Floats:
+    def _clipped_to_modes(self, modes: Ints, x: Floats) -> Floats:
         """Measured configurations (R, n) clipped to the ranges of their modes.
 
         Beyond an end a step would begin with the end's reset, which stops the part: the whole command would be lost.

@@ -56,7 +56,7 @@ class RangeExceeded:
     def is_stopped_by(self, effect: Effect) -> bool:
         return effect.name == _STOP and self.is_at(effect)
 
-    def is_told_by(self, effect: Effect) -> bool:
+    def is_explained_by(self, effect: Effect) -> bool:
         """Whether an effect explains the rows beyond: a moved end, or a sensor error."""
         if form(effect.name).layer == "sensor":
             return effect.coordinate == self.name
@@ -128,7 +128,7 @@ def with_range_ends(
 ) -> HybridAutomaton:
     """The extended automaton with ranges that end a step beyond the recording, unless an effect explains the excess."""
     for excess in exceeded:
-        is_moved = any(excess.is_told_by(effect) for effect in effects)
+        is_moved = any(excess.is_explained_by(effect) for effect in effects)
         measured = excess.reached + (excess.step if excess.side else -excess.step)
         automaton = with_end_moved(automaton, excess.coordinate, excess.onward, excess.end if is_moved else measured)
     return automaton

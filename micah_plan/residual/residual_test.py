@@ -111,8 +111,8 @@ def whiteness_test(residual: Floats, under: Circumstances) -> ResidualTest | Non
     for k, name in enumerate(names):
         # Each group on top of those before it: the plainest that explains something is named.
         of_this_group = explained[of_group == k]
-        tests.append((name, _chance(of_this_group.sum(axis=0), remainder, len(of_this_group), freedom)))
-    chance = _chance(nothing - remainder, remainder, rows - freedom, freedom)
+        tests.append((name, _f_test_probability(of_this_group.sum(axis=0), remainder, len(of_this_group), freedom)))
+    chance = _f_test_probability(nothing - remainder, remainder, rows - freedom, freedom)
     kept = residual - directions @ (directions.T @ residual)
     floor = np.sqrt((kept**2).sum(axis=0) / freedom)
     sure = tuple(test for test in tests if test[1] < UNLIKELY)
@@ -136,7 +136,7 @@ def _groups(under: Circumstances, rows: int) -> Mapping[str, Floats]:
         "the command": v / speed,
         "the size or direction of the command": np.hstack([np.abs(v), v * np.abs(v) / speed]) / speed,
         "earlier commands": under.command[:, 1:] / speed,
-        **({} if under.errors is None else {_ERRORS: _unit(under.errors)}),
+        **({} if under.errors is None else {_ERRORS: _standardised(under.errors)}),
         **({} if under.away is None else {"the ends": under.away / speed}),
         "time": np.hstack([clocks, clocks * v / speed]),
         "the configuration": np.hstack([bumps[:, 1:], bumps[:, 1:] * v / speed]),
@@ -155,7 +155,7 @@ def _groups(under: Circumstances, rows: int) -> Mapping[str, Floats]:
     }
 
 
-def _unit(values: Floats) -> Floats:
+def _standardised(values: Floats) -> Floats:
     """Values (N, k) standardised and clipped."""
     return np.asarray(_without_outliers(values) / np.maximum(np.std(values, axis=0), ROUND_OFF))
 
@@ -191,7 +191,7 @@ def _without_outliers(residual: Floats) -> Floats:
     return np.asarray(np.clip(residual, -reach, reach))
 
 
-def _chance(explained: Floats, residual: Floats, functions: int, freedom: int) -> float:
+def _f_test_probability(explained: Floats, residual: Floats, functions: int, freedom: int) -> float:
     """Bonferroni-corrected F-test probability of the explained sums of squares under noise alone."""
     if functions < 1 or freedom < 1:
         return 1.0

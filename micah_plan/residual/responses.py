@@ -78,10 +78,10 @@ def follows(data: CoordinateData) -> list[TermCandidate]:
             [one | {SPEED: fastest, ACCELERATION: k * fastest} for one in at_once for k in (0.3, 0.1)],
         ),
     ]
-    return [_begun(free, starts, size, fastest) for free, starts in sizes]
+    return [_candidate_of(free, starts, size, fastest) for free, starts in sizes]
 
 
-def _begun(free: Sequence[int], starts: Sequence[_Start], size: float, fastest: float) -> TermCandidate:
+def _candidate_of(free: Sequence[int], starts: Sequence[_Start], size: float, fastest: float) -> TermCandidate:
     """Args: fitted columns; their values at each start; usual command and fast step [rad or m]."""
     values = np.repeat([[0.5, *(value for _, value in AS_COMMANDED[1:]), *NEVER_GATED]], len(starts), axis=0)
     for row, start in zip(values, starts, strict=True):

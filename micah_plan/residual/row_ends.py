@@ -37,7 +37,7 @@ class RowEnds:
     high: Floats
     narrow: Floats
 
-    def leaves_open(self, x: Floats, v: Floats) -> Booleans:
+    def depends_on_noise(self, x: Floats, v: Floats) -> Booleans:
         """(T,) whether the result of a motion v (T,) from x (T,) depends on noise."""
         aim = x + v
         return np.asarray(np.clip(aim, self.low, self.high) != np.clip(aim, *self._reached(x)))
@@ -72,7 +72,7 @@ class RowsSeen:
     stds: Floats
 
 
-def rows_as_seen(automaton: HybridAutomaton, track: Track) -> RowsSeen:
+def annotated_rows(automaton: HybridAutomaton, track: Track) -> RowsSeen:
     """Modes and noise of the rows of a run: from the configuration if one coordinate moves, else from a filter.
 
     Where several coordinates move, a place beside a guard may be in either mode, and what came before tells. How
@@ -101,7 +101,7 @@ def rows_as_seen(automaton: HybridAutomaton, track: Track) -> RowsSeen:
 def row_ends(automaton: HybridAutomaton, x: Floats, modes: Ints, i: int) -> RowEnds:
     """Ends of coordinate i in measured rows (T, n) with modes (T,)."""
     plain = replace(automaton, effects=())
-    every = [_pushed(plain, at, modes, i) for at in _alternatives(automaton, x, i)]
+    every = [_ends_of_push(plain, at, modes, i) for at in _alternatives(automaton, x, i)]
     lows, highs = np.stack([low for low, _ in every]), np.stack([high for _, high in every])
     return RowEnds(lows.min(axis=0), highs.max(axis=0), np.stack([lows.max(axis=0), highs.min(axis=0)]))
 
@@ -116,7 +116,7 @@ def _alternatives(automaton: HybridAutomaton, x: Floats, i: int) -> list[Floats]
     return configurations
 
 
-def _pushed(automaton: HybridAutomaton, x: Floats, modes: Ints, i: int) -> tuple[Floats, Floats]:
+def _ends_of_push(automaton: HybridAutomaton, x: Floats, modes: Ints, i: int) -> tuple[Floats, Floats]:
     """(low, high) that coordinate i reaches under a push far beyond the range; infinite where unbounded.
 
     What a mode holds only an input can move: where it does, what it takes is known (`CoordinateData.release`).

@@ -183,13 +183,13 @@ def evaluate(code: Ints, r: Floats, in_mode: Booleans, mode: Ints, t: int) -> No
         elif operation == Operation.KEEP:
             r[code[k, 1] + t % LINE] = a
         elif operation == Operation.EARLIER:
-            _look_back(r[code[k, 2] : code[k, 2] + LINE], b, t, o)
+            _delayed_values(r[code[k, 2] : code[k, 2] + LINE], b, t, o)
         else:
             _evaluate_rare(operation, o, a, b)
 
 
 @_compiled
-def _look_back(line: Floats, rows: Floats, t: int, o: Floats) -> None:
+def _delayed_values(line: Floats, rows: Floats, t: int, o: Floats) -> None:
     """Values of a delay line (LINE, lanes) at given ages in rows (lanes,)."""
     for j in range(len(o)):
         o[j] = line[(t - int(rows[j])) % LINE, j]
@@ -262,7 +262,7 @@ def _load(r: Floats, constants: Floats, parameters: Ints, values: Floats) -> Non
 
 
 @_compiled
-def _look_at(rows: RowsGiven, r: Floats, state: Floats, mode: Ints, first: int, hypotheses: int, t: int) -> None:
+def _load_row(rows: RowsGiven, r: Floats, state: Floats, mode: Ints, first: int, hypotheses: int, t: int) -> None:
     """Load a row of each segment; where a segment has ended, its last row."""
     for i in range(r.shape[1] // hypotheses):
         s = first + i
@@ -276,7 +276,7 @@ def _look_at(rows: RowsGiven, r: Floats, state: Floats, mode: Ints, first: int, 
 
 
 @_compiled
-def _take_ends(ends: Floats, last: Ints, r: Floats, per_hypothesis: Floats, first: int, t: int) -> None:
+def _load_ends(ends: Floats, last: Ints, r: Floats, per_hypothesis: Floats, first: int, t: int) -> None:
     """Load the ends of a row, with each hypothesis' offsets."""
     hypotheses, is_alike = per_hypothesis.shape[1], ends.shape[2] == 1
     for i in range(r.shape[1] // hypotheses):
@@ -288,7 +288,7 @@ def _take_ends(ends: Floats, last: Ints, r: Floats, per_hypothesis: Floats, firs
 
 
 @_compiled
-def _begin(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
+def _init_at_first_row(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
     """Initialise the state at the measured first row of a segment."""
     for j in range(r.shape[1]):
         low, high, steep = r[LOW, j], r[HIGH, j], r[STEEPNESS, j]
@@ -304,7 +304,7 @@ def _begin(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
 
 
 @_compiled
-def _remember(
+def _init_memories(
     programs: Programs, rows: RowsGiven, r: Floats, state: Floats, mode: Ints, hypotheses: int, first: int
 ) -> None:
     """Initialise memories at the first row, and delay lines with the earlier commands.
@@ -326,7 +326,7 @@ def _remember(
 
 
 @_compiled
-def _hold(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
+def _hold_at_ends(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
     """Hold the part at its lower or upper end until a command releases it or the end disappears."""
     for j in range(r.shape[1]):
         low, high, v = r[LOW, j], r[HIGH, j], r[COMMAND, j]
@@ -343,7 +343,7 @@ def _hold(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
 
 
 @_compiled
-def _move(
+def _move_part(
     r: Floats, state: Floats, per_hypothesis: Floats, is_bounded: bool, stays: float, held_variance: float
 ) -> None:
     """Move the part to its free position, clipped at the ends, with its variances."""
@@ -362,14 +362,14 @@ def _move(
 
 
 @_compiled
-def _go_on(state: Floats, variance: Floats, first: int, hypotheses: int) -> None:
+def _inflate_second_row(state: Floats, variance: Floats, first: int, hypotheses: int) -> None:
     """Inflate the variance of the second row of continued segments."""
     for j in range(state.shape[1]):
         state[_OF_PLACE, j] += variance[first + j // hypotheses]
 
 
 @_compiled
-def _compare(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
+def _compute_innovation(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
     """Compute the innovation of a row and its variance."""
     for j in range(r.shape[1]):
         steep, of_both = r[STEEPNESS, j], state[_OF_BOTH, j]
@@ -379,7 +379,7 @@ def _compare(r: Floats, state: Floats, per_hypothesis: Floats) -> None:
 
 
 @_compiled
-def _let_go(r: Floats, state: Floats, per_hypothesis: Floats, surely: float) -> None:
+def _correct_held_state(r: Floats, state: Floats, per_hypothesis: Floats, surely: float) -> None:
     """Correct the held state of parts measured away from a predicted end, or left behind at one.
 
     Whether a part arrived at an end, and whether a command was just enough to leave it, noise decides. What is
@@ -402,7 +402,7 @@ def _let_go(r: Floats, state: Floats, per_hypothesis: Floats, surely: float) -> 
 
 
 @_compiled
-def _take_in(r: Floats, state: Floats, per_hypothesis: Floats, is_bounded: bool, t: int) -> None:
+def _update_state(r: Floats, state: Floats, per_hypothesis: Floats, is_bounded: bool, t: int) -> None:
     """Kalman update, robust against far measurements.
 
     In the first steps it also leaves the state less certain, as Student's t has it: the part may still do what it was
@@ -430,7 +430,7 @@ def _take_in(r: Floats, state: Floats, per_hypothesis: Floats, is_bounded: bool,
 
 
 @_compiled
-def _take_as_measured(r: Floats, state: Floats, per_hypothesis: Floats, unseen: float) -> None:
+def _reset_to_measurement(r: Floats, state: Floats, per_hypothesis: Floats, unseen: float) -> None:
     """Reset the state to the measurement, if there is one."""
     for j in range(r.shape[1]):
         if state[_NOISE, j] < unseen:
@@ -440,7 +440,7 @@ def _take_as_measured(r: Floats, state: Floats, per_hypothesis: Floats, unseen: 
 
 
 @_compiled
-def _find_density(state: Floats, per_hypothesis: Floats, anywhere: float) -> None:
+def _compute_density(state: Floats, per_hypothesis: Floats, anywhere: float) -> None:
     """Density of a row: Student's t, with a half-integer power, or uniform over the range."""
     most = 0.0
     for j in range(state.shape[1]):
@@ -467,7 +467,7 @@ def _take_logarithm(state: Floats) -> None:
 
 
 @_compiled
-def _multiply(number: Ints, state: Floats, hypotheses: int, first: int, t: int) -> None:
+def _accumulate_density(number: Ints, state: Floats, hypotheses: int, first: int, t: int) -> None:
     """Accumulate the densities of a row by segment, taking the logarithm occasionally."""
     for i in range(state.shape[1] // hypotheses):
         if number[first + i, t] >= 0:
@@ -478,7 +478,7 @@ def _multiply(number: Ints, state: Floats, hypotheses: int, first: int, t: int) 
 
 
 @_compiled
-def _add_up(total: Floats, state: Floats) -> None:
+def _sum_by_hypothesis(total: Floats, state: Floats) -> None:
     """Accumulate the log densities of all segments per hypothesis."""
     _take_logarithm(state)
     for j in range(state.shape[1]):
@@ -486,14 +486,14 @@ def _add_up(total: Floats, state: Floats) -> None:
 
 
 @_compiled
-def _note(state: Floats, error: Floats, variance: Floats) -> None:
+def _store_error(state: Floats, error: Floats, variance: Floats) -> None:
     """Store error and variance (lanes,) of a row."""
     for j in range(state.shape[1]):
         error[j], variance[j] = state[_ERROR, j], state[_VARIANCE, j]
 
 
 @_compiled
-def _write(number: Ints, values: Floats, at: Ints, first: int, into: Floats) -> None:
+def _scatter_rows(number: Ints, values: Floats, at: Ints, first: int, into: Floats) -> None:
     """Write values (T, lanes) of all rows of segments into (..., N)."""
     hypotheses = at.shape[0]
     for i in range(values.shape[1] // hypotheses):
@@ -506,7 +506,7 @@ def _write(number: Ints, values: Floats, at: Ints, first: int, into: Floats) -> 
 
 
 @_compiled
-def _longest(last: Ints, first: int, count: int) -> int:
+def _longest_segment(last: Ints, first: int, count: int) -> int:
     """Length of the longest of some segments."""
     longest = 0
     for s in range(first, first + count):
@@ -525,7 +525,7 @@ def _in_all_segments(per_hypothesis: Floats, lanes: int) -> Floats:
 
 
 @_compiled
-def go_through(
+def run_rows(
     programs: Programs,
     rows: RowsGiven,
     settings: Settings,
@@ -547,41 +547,41 @@ def go_through(
     together = max(1, min(_LANES // hypotheses, segments))
     for first in range(0, segments, together):
         count = min(together, segments - first)
-        lanes, last = count * hypotheses, _longest(rows.last, first, count)
+        lanes, last = count * hypotheses, _longest_segment(rows.last, first, count)
         r, state, mode = np.zeros((programs.registers, lanes)), np.zeros((_STATES, lanes)), np.zeros(lanes, np.int64)
         errors, variances = np.zeros((last + 1, lanes)), np.ones((last + 1, lanes))
         own = _in_all_segments(per_hypothesis, lanes)
         _load(r, programs.constants, programs.parameters, values)
         evaluate(programs.once, r, rows.in_mode, mode, 0)
-        _look_at(rows, r, state, mode, first, hypotheses, 0)
-        _take_ends(rows.ends, rows.last, r, per_hypothesis, first, 0)
+        _load_row(rows, r, state, mode, first, hypotheses, 0)
+        _load_ends(rows.ends, rows.last, r, per_hypothesis, first, 0)
         evaluate(programs.ends, r, rows.in_mode, mode, 0)
         evaluate(programs.reading, r, rows.in_mode, mode, 0)
-        _begin(r, state, own)
-        _remember(programs, rows, r, state, mode, hypotheses, first)
+        _init_at_first_row(r, state, own)
+        _init_memories(programs, rows, r, state, mode, hypotheses, first)
         for t in range(last):
             evaluate(programs.step, r, rows.in_mode, mode, t)
             if rows.ends.shape[2] > 1 or programs.ends.shape[0] > 1:
-                _take_ends(rows.ends, rows.last, r, per_hypothesis, first, t)
+                _load_ends(rows.ends, rows.last, r, per_hypothesis, first, t)
                 evaluate(programs.ends, r, rows.in_mode, mode, t)
             if settings.is_held:
-                _hold(r, state, own)
-            _move(r, state, own, settings.is_bounded, settings.stays, settings.held_variance)
+                _hold_at_ends(r, state, own)
+            _move_part(r, state, own, settings.is_bounded, settings.stays, settings.held_variance)
             if t == 0 and settings.kind == FILTER:
-                _go_on(state, rows.goes_on, first, hypotheses)
-            _look_at(rows, r, state, mode, first, hypotheses, t + 1)
+                _inflate_second_row(state, rows.goes_on, first, hypotheses)
+            _load_row(rows, r, state, mode, first, hypotheses, t + 1)
             evaluate(programs.reading, r, rows.in_mode, mode, t + 1)
-            _compare(r, state, own)
-            _note(state, errors[t + 1], variances[t + 1])
+            _compute_innovation(r, state, own)
+            _store_error(state, errors[t + 1], variances[t + 1])
             if settings.is_held and settings.kind != ROLLOUT:
-                _let_go(r, state, own, settings.surely)
+                _correct_held_state(r, state, own, settings.surely)
             if settings.kind == FILTER:
-                _find_density(state, own, settings.anywhere)
-                _multiply(rows.number, state, hypotheses, first, t + 1)
-                _take_in(r, state, own, settings.is_bounded, t)
+                _compute_density(state, own, settings.anywhere)
+                _accumulate_density(rows.number, state, hypotheses, first, t + 1)
+                _update_state(r, state, own, settings.is_bounded, t)
             elif settings.kind == ONE_STEP:
-                _take_as_measured(r, state, own, settings.unseen)
-        _write(rows.number, errors, at, first, error)
-        _write(rows.number, variances, at, first, variance)
-        _add_up(total, state)
+                _reset_to_measurement(r, state, own, settings.unseen)
+        _scatter_rows(rows.number, errors, at, first, error)
+        _scatter_rows(rows.number, variances, at, first, variance)
+        _sum_by_hypothesis(total, state)
     return total

@@ -69,7 +69,7 @@ def model_program(model: Model, gated: tuple[bool, ...], neutral: tuple[Neutral,
     return _Assembly(model, gated, neutral).assembled()
 
 
-class _Acting(NamedTuple):
+class _TermRegisters(NamedTuple):
     """A term with its registers: parameters, gates, and which options are neutral."""
 
     term: Term
@@ -86,24 +86,24 @@ class _Assembly:
         self.once, self.constants = list[Instruction](), list[tuple[int, float]]()
         self.begun, self.ends, self.step, self.reading = (list[Instruction]() for _ in range(4))
         self.mode_sets, self.lines = list[tuple[str, ...]](), list[tuple[int, int, int]]()
-        self.parameters = self._own(columns(model))
-        self.one, self.zero = self._own(2)
+        self.parameters = self._allocate(columns(model))
+        self.one, self.zero = self._allocate(2)
         self.constants += [(self.one, 1.0), (self.zero, 0.0)]
         values = [self.parameters[entries] for entries in term_columns(model)]
-        self.terms = list(map(_Acting, model, values, gated, neutral))
+        self.terms = list(map(_TermRegisters, model, values, gated, neutral))
         self.follows_places = any(term.form.layer == "place" for term in model)
         # How much the command changes with the configuration, where places are told.
-        self.steepness = self._own(1)[0]
+        self.steepness = self._allocate(1)[0]
 
     def assembled(self) -> ModelProgram:
-        self._say_step()
-        for term, values, is_gated, neutral in self._of("guard"):
-            acts = self._acts(self.ends, term, values, is_gated)
-            low, high = self._called(self.ends, stops_line(term.form, neutral), (LOW, HIGH), values)
-            self._blend(self.ends, LOW, low, acts)
-            self._blend(self.ends, HIGH, high, acts)
+        self._emit_step()
+        for term, values, is_gated, neutral in self._registers_of("guard"):
+            is_active = self._activity_register(self.ends, term, values, is_gated)
+            low, high = self._append_formula(self.ends, stops_line(term.form, neutral), (LOW, HIGH), values)
+            self._blend(self.ends, LOW, low, is_active)
+            self._blend(self.ends, HIGH, high, is_active)
         self.ends.append((Operation.FMAX, HIGH, HIGH, LOW))
-        self._say_reading()
+        self._emit_reading()
         programs = Programs(
             once=as_code(self.once),
             begun=as_code(self.begun),
@@ -117,56 +117,58 @@ class _Assembly:
         )
         return ModelProgram(programs, tuple(self.mode_sets))
 
-    def _say_step(self) -> None:
+    def _emit_step(self) -> None:
         step, steep = self.step, self.steepness
         step.append(_move(steep, self.zero))
-        for term, values, _, neutral in self._of("place"):
+        for term, values, _, neutral in self._registers_of("place"):
             memory, earlier = self._memory_of(term.form, values, neutral)
-            sent, given, _ = self._in_force(COMMANDED_PLACE, earlier, term.form, values, neutral)
+            sent, given, _ = self._command_in_force(COMMANDED_PLACE, earlier, term.form, values, neutral)
             line = response_line(term.form, neutral)
-            out, slope, *after = self._called(step, line, (PLACE_OF_PART, *sent, *memory), given)
+            out, slope, *after = self._append_formula(step, line, (PLACE_OF_PART, *sent, *memory), given)
             step += [_move(COMMAND, out), _move(steep, slope), *map(_move, memory, after)]
-        for term, values, is_gated, neutral in self._of("memory"):
+        for term, values, is_gated, neutral in self._registers_of("memory"):
             memory, earlier = self._memory_of(term.form, values, neutral)
-            acts = self._acts(step, term, values, is_gated)
-            sent, given, is_now = self._in_force(COMMAND, earlier, term.form, values, neutral)
-            out, slope, *after = self._called(step, memory_line(term.form, neutral), (*sent, *memory), given)
+            is_active = self._activity_register(step, term, values, is_gated)
+            sent, given, is_now = self._command_in_force(COMMAND, earlier, term.form, values, neutral)
+            out, slope, *after = self._append_formula(step, memory_line(term.form, neutral), (*sent, *memory), given)
             if is_now is not None:
                 step.append((Operation.MUL, slope, slope, is_now))
-            self._pass_on(out, slope, acts)
+            self._replace_command(out, slope, is_active)
             step += map(_move, memory, after)
-        for term, values, is_gated, neutral in self._of("command"):
-            acts = self._acts(step, term, values, is_gated)
-            out, slope = self._called(step, command_line(term.form, neutral), (COMMAND,), values)
-            self._pass_on(out, slope, acts)
+        for term, values, is_gated, neutral in self._registers_of("command"):
+            is_active = self._activity_register(step, term, values, is_gated)
+            out, slope = self._append_formula(step, command_line(term.form, neutral), (COMMAND,), values)
+            self._replace_command(out, slope, is_active)
         step += [(Operation.ADD, FREE, PLACE_OF_PART, COMMAND), (Operation.ADD, SLOPE, self.one, steep)]
-        for term, values, is_gated, neutral in self._of("force"):
-            acts = self._acts(step, term, values, is_gated)
-            added, along, across = self._called(step, force_line(term.form, neutral), (PLACE_OF_PART, COMMAND), values)
+        for term, values, is_gated, neutral in self._registers_of("force"):
+            is_active = self._activity_register(step, term, values, is_gated)
+            added, along, across = self._append_formula(
+                step, force_line(term.form, neutral), (PLACE_OF_PART, COMMAND), values
+            )
             step += [(Operation.MUL, across, across, steep), (Operation.ADD, along, along, across)]
             for register, change in ((FREE, added), (SLOPE, along)):
-                gated_change = [] if acts is None else [(Operation.IF_ELSE_ZERO, change, acts, change)]
+                gated_change = [] if is_active is None else [(Operation.IF_ELSE_ZERO, change, is_active, change)]
                 step += [*gated_change, (Operation.ADD, register, register, change)]
 
-    def _say_reading(self) -> None:
+    def _emit_reading(self) -> None:
         reading = self.reading
-        if self._of("sensor"):
+        if self._registers_of("sensor"):
             reading += [_move(OFFSET, self.zero), _move(STEEPNESS, self.one)]
-        for term, values, is_gated, neutral in self._of("sensor"):
-            acts = self._acts(reading, term, values, is_gated)
-            offset, steepness = self._called(reading, reading_line(term.form, neutral), (OFFSET, TIME), values)
+        for term, values, is_gated, neutral in self._registers_of("sensor"):
+            is_active = self._activity_register(reading, term, values, is_gated)
+            offset, steepness = self._append_formula(reading, reading_line(term.form, neutral), (OFFSET, TIME), values)
             reading.append((Operation.MUL, steepness, steepness, STEEPNESS))
-            self._blend(reading, OFFSET, offset, acts)
-            self._blend(reading, STEEPNESS, steepness, acts)
+            self._blend(reading, OFFSET, offset, is_active)
+            self._blend(reading, STEEPNESS, steepness, is_active)
 
-    def _pass_on(self, out: int, slope: int, acts: int | None) -> None:
+    def _replace_command(self, out: int, slope: int, is_active: int | None) -> None:
         """Replace the command, and its derivative by the configuration."""
-        self._blend(self.step, COMMAND, out, acts)
+        self._blend(self.step, COMMAND, out, is_active)
         if self.follows_places:
             self.step.append((Operation.MUL, slope, slope, self.steepness))
-            self._blend(self.step, self.steepness, slope, acts)
+            self._blend(self.step, self.steepness, slope, is_active)
 
-    def _in_force(
+    def _command_in_force(
         self, sent: int, earlier: Sequence[int], form: EffectForm, values: Sequence[int], neutral: Neutral
     ) -> tuple[Sequence[int], Sequence[int], int | None]:
         """(registers of the command in force, parameters, register that says whether the newest command applies).
@@ -177,8 +179,8 @@ class _Assembly:
         if not is_late(form, neutral) or form.late_by is None:
             return (sent,), values, None
         delay, size = values[form.late_by], len(form.parameters)
-        whole, before, late, is_now, newer, older = self._own(6)
-        line = self._own(LINE)
+        whole, before, late, is_now, newer, older = self._allocate(6)
+        line = self._allocate(LINE)
         self.lines.append((line[0], int(form.layer == "place"), delay))
         self.once += [
             (Operation.FLOOR, whole, delay, delay),
@@ -196,49 +198,51 @@ class _Assembly:
 
     def _memory_of(self, form: EffectForm, values: Sequence[int], neutral: Neutral) -> tuple[list[int], list[int]]:
         """(registers of the memory at the first row, registers of the earlier command if commands are late)."""
-        begun = self._called(self.begun, begun_line(form, neutral), (PLACE_OF_PART, MOVED_ON), values)
+        begun = self._append_formula(self.begun, begun_line(form, neutral), (PLACE_OF_PART, MOVED_ON), values)
         size = len(begun) - is_late(form, neutral)
-        memory = self._own(size)
+        memory = self._allocate(size)
         self.begun += map(_move, memory, begun)
         return memory, begun[size:]
 
-    def _of(self, layer: Layer) -> list[_Acting]:
+    def _registers_of(self, layer: Layer) -> list[_TermRegisters]:
         return [acting for acting in self.terms if acting.term.form.layer == layer]
 
-    def _own(self, count: int) -> list[int]:
+    def _allocate(self, count: int) -> list[int]:
         first, self.registers = self.registers, self.registers + count
         return list(range(first, self.registers))
 
-    def _called(
+    def _append_formula(
         self, code: list[Instruction], line: StraightLine, inputs: Sequence[int], values: Sequence[int]
     ) -> list[int]:
         """Append the instructions of a formula and return its result registers."""
-        kept, results, passing = self._own(line.kept), self._own(line.results), self._own(line.passing)
+        kept, results, passing = self._allocate(line.kept), self._allocate(line.results), self._allocate(line.passing)
         at = [*inputs, *values[: line.parameters], *kept, *results, *passing]
         self.once += [(operation, at[o], at[a], at[b]) for operation, o, a, b in line.once.tolist()]
         code += [(operation, at[o], at[a], at[b]) for operation, o, a, b in line.each.tolist()]
         self.constants += [(at[int(register)], value) for register, value in line.constants.tolist()]
         return results
 
-    def _acts(self, code: list[Instruction], term: Term, values: Sequence[int], is_gated: bool) -> int | None:
+    def _activity_register(
+        self, code: list[Instruction], term: Term, values: Sequence[int], is_gated: bool
+    ) -> int | None:
         """Register that says whether a term acts in a row; None: always."""
         parts = []
         if is_gated:
             for gate, passed in zip(values[-GATES:], (ORDER, TIME), strict=True):
-                (since,) = self._own(1)
+                (since,) = self._allocate(1)
                 code.append((Operation.LE, since, gate, passed))
                 parts.append(since)
         if term.modes:
-            (inside,) = self._own(1)
+            (inside,) = self._allocate(1)
             code.append((Operation.IN_MODES, inside, len(self.mode_sets), 0))
             self.mode_sets.append(term.modes)
             parts.append(inside)
         code += [(Operation.AND, parts[0], parts[0], other) for other in parts[1:]]
         return parts[0] if parts else None
 
-    def _blend(self, code: list[Instruction], register: int, changed: int, acts: int | None) -> None:
+    def _blend(self, code: list[Instruction], register: int, changed: int, is_active: int | None) -> None:
         """Use a changed value where the term acts."""
-        code.append(_move(register, changed) if acts is None else (Operation.SELECT, register, acts, changed))
+        code.append(_move(register, changed) if is_active is None else (Operation.SELECT, register, is_active, changed))
 
 
 def _move(register: int, value: int) -> Instruction:

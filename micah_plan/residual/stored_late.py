@@ -42,14 +42,14 @@ def rows_late(runs: Sequence[Track]) -> int:
     means_places = [is_regular_in_places(runs, i) for i in coordinates]
 
     def is_later(i: int) -> bool:
-        return _is_foretold_later(runs, late, i) or (means_places[i] and _goes_to_a_later_place(runs, late, i))
+        return _is_predicted_later(runs, late, i) or (means_places[i] and _moves_to_later_position(runs, late, i))
 
     while late < _MOST_LATE and any(map(is_later, coordinates)):
         late += 1
     return late
 
 
-def _is_foretold_later(runs: Sequence[Track], late: int, i: int) -> bool:
+def _is_predicted_later(runs: Sequence[Track], late: int, i: int) -> bool:
     """Whether a coordinate's motion follows the command `late` + 1 rows later rather than those up to `late`."""
     designs, moved = [], []
     for track in runs:
@@ -87,7 +87,7 @@ def is_regular_in_places(runs: Sequence[Track], i: int) -> bool:
     return rough < _MORE_REGULAR * other
 
 
-def _goes_to_a_later_place(runs: Sequence[Track], late: int, i: int) -> bool:
+def _moves_to_later_position(runs: Sequence[Track], late: int, i: int) -> bool:
     """Whether a coordinate moves toward the position commanded `late` + 1 rows later, given the earlier ones."""
     designs, moved = [], []
     for track in runs:

@@ -12,7 +12,7 @@ from micah_plan.automaton.effects.registry import form
 from micah_plan.residual.averaged_commands import Average, likeliest_average, with_averages
 from micah_plan.residual.candidates import FOLLOW, GATES, MEMORY, UNNAMED, TermCandidate, indistinguishable
 from micah_plan.residual.competition import Standings
-from micah_plan.residual.contenders import NO_MENTION, TO_THE_END, Contender, begins_later, best_first
+from micah_plan.residual.contenders import NO_MENTION, TO_THE_END, Contender, best_first, has_onset
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.filtering import filtered
 from micah_plan.residual.fitting import ENOUGH_INDEPENDENT, Fitting
@@ -100,17 +100,21 @@ class CoordinateTrace:
 
 def trace(held_out: HeldOut, progress: Progress | None = None) -> CoordinateTrace:
     """Identify the effects that a coordinate's model lacks."""
-    standings = held_out.competition.search(progress or _silent)
+    standings = held_out.competition.search(progress or _no_progress)
     average = likeliest_average(held_out.competition, standings)
     if average is None:
         return _traced(held_out, standings)
     held_out = HeldOut(with_averages(held_out.data, average), held_out.data)
-    return _traced(held_out, held_out.competition.search(progress or _silent), average)
+    return _traced(held_out, held_out.competition.search(progress or _no_progress), average)
 
 
 def _traced(held_out: HeldOut, standings: Standings, average: Average | None = None) -> CoordinateTrace:
     data, nominal = held_out.data, held_out.nominal
-    standings = _without_trifles(held_out, standings) if average is not None else _goes_far(held_out, standings)
+    standings = (
+        _without_useless_effects(held_out, standings)
+        if average is not None
+        else _with_best_roll_out(held_out, standings)
+    )
     modes = _modes(held_out, standings) if standings.remaining else ()
     share = _share_left(standings)
     closest = standings.chosen.names if standings.chosen is not nominal and share > UNEXPLAINED and not modes else ()
@@ -157,7 +161,7 @@ def _traced(held_out: HeldOut, standings: Standings, average: Average | None = N
     )
 
 
-def _without_trifles(held_out: HeldOut, standings: Standings) -> Standings:
+def _without_useless_effects(held_out: HeldOut, standings: Standings) -> Standings:
     """The standings under averaged commands, without effects that do not improve roll-outs of the recorded ones.
 
     Averages leave something of their own in single steps, which no part does.
@@ -166,7 +170,7 @@ def _without_trifles(held_out: HeldOut, standings: Standings) -> Standings:
     return replace(standings, chosen=standings.chosen if is_shorter else standings.nominal, remaining=())
 
 
-def _goes_far(held_out: HeldOut, standings: Standings) -> Standings:
+def _with_best_roll_out(held_out: HeldOut, standings: Standings) -> Standings:
     """The standings, with a near rival chosen if the best lengthens held-out roll-outs and the rival does not."""
     longest = _LONGER * _rolled(held_out, standings.nominal)
     if standings.chosen is standings.nominal or _rolled(held_out, standings.chosen) <= longest:
@@ -284,7 +288,7 @@ def may_remember(data: CoordinateData, finding: CoordinateFinding) -> bool:
     return any((form(name).layer == "memory") != (layer == "memory") for name in finding.tied)
 
 
-def _silent(message: str, fraction: float) -> None:
+def _no_progress(message: str, fraction: float) -> None:
     """No-op progress callback."""
     del message, fraction
 
@@ -307,7 +311,7 @@ def _findings(held_out: HeldOut, standings: Standings) -> tuple[CoordinateFindin
         others = tuple(each for each in chosen.parts if each is not part)
         without = held_out.competition.of_parts(others)
         tied = _tied(standings, number)
-        is_always = not part.term.modes and not begins_later(part)
+        is_always = not part.term.modes and not has_onset(part)
         # What would do the same as a tied one was not tried, but is tied as well.
         alike = [name for model in standings.near for name in indistinguishable(model.parts[-1], data)] if tied else []
         same = indistinguishable(part, data) if is_always else ()

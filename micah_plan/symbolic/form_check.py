@@ -58,10 +58,10 @@ def _check_layer(form: EffectForm) -> None:
             f"effect {form.name}: it overrides hooks of the layers {' and '.join(form.layers)}, and only one is called",
             remedy="write one effect for each",
         )
-    if form.layer in ("geometry", "place") and form.is_sought:
+    if form.layer in ("geometry", "place") and form.in_library:
         raise InputError(
             f"effect {form.name}: calibrate tries no forms of the layer {form.layer} but its own",
-            remedy="set is_sought = False: it is then added by hand, with with_effect",
+            remedy="set in_library = False: it is then added by hand, with with_effect",
         )
 
 

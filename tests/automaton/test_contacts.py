@@ -14,7 +14,7 @@ from micah_plan.automaton.contacts.values import Face
 from micah_plan.automaton.drawn_thresholds import threshold_stds
 from micah_plan.automaton.hybrid import Part, Primitive
 from micah_plan.automaton.transition import TransitionBatch, simulate, step
-from micah_plan.belief.filter import initial_belief, predict_belief, repeated, update
+from micah_plan.belief.filter import initial_belief, predict_belief, repeated_belief, update
 from micah_plan.errors import InputError
 from micah_plan.symbolic.compiled import compiled_mode
 
@@ -148,7 +148,7 @@ def test_contact_is_information():
 
 def test_batched_filter_is_the_scalar_one_in_contact():
     belief = initial_belief(TASK, [-0.1, 0.0, 0.13, 0.2], [0.01, 0.01, 0.01, 0.1], "free")
-    many = repeated(TASK, belief, 2)
+    many = repeated_belief(TASK, belief, 2)
     for _ in range(8):
         belief = predict_belief(TASK, belief, [0.01, 0.0, -0.008])
         many = predict_belief(TASK, many, np.array([[0.01, 0.0, -0.008]] * 2))

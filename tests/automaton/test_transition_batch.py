@@ -35,7 +35,7 @@ def same_as_one_by_one(
     batch = TransitionBatch(automaton, shifts, gains)
     ends, states = batch.step(modes, x, u, pushed)
     happened = [list[tuple[str, float]]() for _ in modes]
-    for number, event in batch.travel(modes, x, u, pushed).events:
+    for number, event in batch.step_with_events(modes, x, u, pushed).events:
         happened[number].append((event.name, event.fraction))
     names, events = [mode.name for mode in automaton.modes], []
     for i, mode in enumerate(modes):

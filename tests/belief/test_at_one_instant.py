@@ -9,7 +9,7 @@ from reference.hybrid_step import step
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Link, Mode, Noise, Part
 from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.region import Region, above, below, box, input_below
-from micah_plan.belief.filter import initial_belief, predict_belief, repeated
+from micah_plan.belief.filter import initial_belief, predict_belief, repeated_belief
 
 SLIDE = (Joint("prismatic", (0.0, 0.0, 0.0), axis=(0.0, 0.0, 1.0)),)
 OPENS = input_below(1, -0.5, 1, 2, strict=True, name="input grip")
@@ -55,7 +55,7 @@ def test_the_filter_is_the_automatons_own_step(case: str, mean: float, way: floa
         assert after.weights[number] == pytest.approx(len(own) / len(ends), abs=0.03), name
         if len(own) > 200 and case != "a touch beside":  # the filter keeps that tail
             assert after.means[number, 0] == pytest.approx(own.mean(), abs=2e-4), name
-    both = predict_belief(automaton, repeated(automaton, belief, 2), np.array([u, u]))
+    both = predict_belief(automaton, repeated_belief(automaton, belief, 2), np.array([u, u]))
     assert both.weights[0] == pytest.approx(after.weights)
 
 

@@ -13,7 +13,7 @@ from reference.hybrid_step import step
 
 from micah_plan import load
 from micah_plan.automaton.hybrid import HybridAutomaton, Pin
-from micah_plan.belief.filter import initial_belief, predict_belief, repeated, update
+from micah_plan.belief.filter import initial_belief, predict_belief, repeated_belief, update
 
 
 def model(modes: dict, transitions: list, **noise: float) -> HybridAutomaton:
@@ -92,7 +92,7 @@ def test_a_mode_that_excludes_what_is_measured_is_lost() -> None:
         found = update(automaton, start, [place, 0.0])
         assert found.weights[mode] > 0.999
         assert abs(found.means[mode, 0] - place) < 0.08  # between what was believed and what is measured
-        together = update(automaton, repeated(automaton, start, 2), np.tile([place, 0.0], (2, 1)))
+        together = update(automaton, repeated_belief(automaton, start, 2), np.tile([place, 0.0], (2, 1)))
         np.testing.assert_allclose(together.weights, np.tile(found.weights, (2, 1)), atol=1e-9)
         np.testing.assert_allclose(together.means[:, mode], np.tile(found.means[mode], (2, 1)), atol=1e-9)
 

@@ -48,7 +48,7 @@ def test_leaving_a_wall_does_not_bump_into_it(
     assert after.weights[MODES.index(wanted)] > 1 - 1e-6
     at_wall = np.array([-20.0 if abs(value + 20.0) < 1 else 30.0 for value in belief.means[0]])
     assert step(walls, mode, at_wall, u).mode == wanted
-    together = batch.predict_belief(walls, batch.repeated(walls, belief, 3), np.tile(u, (3, 1)))
+    together = batch.predict_belief(walls, batch.repeated_belief(walls, belief, 3), np.tile(u, (3, 1)))
     np.testing.assert_allclose(together.weights, np.tile(after.weights, (3, 1)), atol=1e-12)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from micah_plan import load
 from micah_plan.automaton.hybrid import HybridAutomaton, Pin, Tie
-from micah_plan.belief.filter import initial_belief, predict_belief, repeated, update
+from micah_plan.belief.filter import initial_belief, predict_belief, repeated_belief, update
 from micah_plan.belief.hybrid_belief import batch_of
 from micah_plan.belief.layout import layout_of
 from micah_plan.belief.lost_belief import most_evidence, reinitialise
@@ -98,7 +98,7 @@ def test_a_likely_measurement_is_no_reason_to_begin_anew_and_the_bound_is_one() 
 def test_one_and_many_begin_anew_alike() -> None:
     belief = initial_belief(PINNED, [0.1, 0.1], [0.01, 0.01], "free")
     z = np.array([[0.1, 0.1], [0.4, 0.3], [0.45, 0.2]])
-    many = update(PINNED, repeated(PINNED, belief, 3), z)
+    many = update(PINNED, repeated_belief(PINNED, belief, 3), z)
     for number, own in enumerate(z):
         alone = update(PINNED, belief, own)
         assert alone.was_reinitialised == (number > 0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 from scipy.stats import norm, truncnorm
-from single_gaussian.one_at_a_time import mixed, split, truncate
+from single_gaussian.one_at_a_time import merged_moments, split, truncate
 
 from micah_plan.belief.truncation import NEGLIGIBLE, is_cut, onto_boundary, truncated, uncut
 
@@ -57,7 +57,9 @@ def test_parts_sum_up_to_the_whole(start: float, motion: float, noise: float) ->
     mean, factor = moving(start, 0.12, motion, noise)
     parts = [part for part in split(mean, factor, BEFORE, AFTER) if part.probability > 0]
     assert sum(part.probability for part in parts) == pytest.approx(1.0, abs=NEGLIGIBLE)  # what filters drop is 0
-    total, root = mixed([p.probability for p in parts], np.stack([p.mean for p in parts]), [p.factor for p in parts])
+    total, root = merged_moments(
+        [p.probability for p in parts], np.stack([p.mean for p in parts]), [p.factor for p in parts]
+    )
     assert np.allclose(total, mean, atol=1e-7)
     assert np.allclose(root @ root.T, factor @ factor.T, atol=1e-7)
 
@@ -169,7 +171,7 @@ def test_truncate_is_the_truncated_normal_far_into_the_tail(z: float) -> None:
 def test_mixed_is_moment_matching() -> None:
     means = np.array([[0.0, 1.0], [2.0, -1.0]])
     factors = [np.diag([1.0, 0.5]), np.array([[0.3, 0.0], [0.1, 0.2]])]
-    mean, factor = mixed([0.6, 0.2], means, factors)
+    mean, factor = merged_moments([0.6, 0.2], means, factors)
     weights = np.array([0.75, 0.25])
     spread = means - weights @ means
     expected = sum(w * (f @ f.T + np.outer(d, d)) for w, f, d in zip(weights, factors, spread, strict=True))

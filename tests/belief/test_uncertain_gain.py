@@ -43,14 +43,14 @@ def test_certain_levers_change_nothing() -> None:
 def test_many_beliefs_at_once_are_those_of_the_filter() -> None:
     automaton, rng = unsure_door(GAIN), np.random.default_rng(0)
     one = initial_belief(automaton, [0.3], [0.05], "swing")
-    alone, together = [one] * 6, batch.repeated(automaton, one, 6)
+    alone, together = [one] * 6, batch.repeated_belief(automaton, one, 6)
     for _ in range(6):
         u, z = rng.uniform(-0.1, 0.2, (6, 1)), rng.uniform(0.2, 0.7, (6, 1))
         alone = [update(automaton, predict_belief(automaton, b, u[i]), z[i]) for i, b in enumerate(alone)]
         together = batch.update(automaton, batch.predict_belief(automaton, together, u), z)
         assert together.weights == pytest.approx(np.array([b.weights for b in alone]), abs=1e-9)
-        mixed = np.einsum("tq,tqn->tn", together.weights, together.means)
-        assert mixed == pytest.approx(np.array([b.mean for b in alone]), abs=1e-9)
+        merged_moments = np.einsum("tq,tqn->tn", together.weights, together.means)
+        assert merged_moments == pytest.approx(np.array([b.mean for b in alone]), abs=1e-9)
         spread = np.einsum("tq,tqij->tij", together.weights, together.factors)
         assert spread == pytest.approx(
             np.array([np.einsum("q,qij->ij", b.weights, b.factors) for b in alone]), abs=1e-9
@@ -64,7 +64,7 @@ def normalised_errors(believed: float, true: float, steps: int, objects: int = 4
     shifts = np.zeros((objects, 1))
     truth = TransitionBatch(world, shifts, drawn_gains(world, rng, objects))
     modes, x = np.zeros(objects, dtype=int), 0.01 * rng.normal(size=(objects, 1)) - 2.0
-    beliefs = batch.repeated(model, initial_belief(model, [-2.0], [0.01], "swing"), objects)
+    beliefs = batch.repeated_belief(model, initial_belief(model, [-2.0], [0.01], "swing"), objects)
     found = []
     for _ in range(steps):
         u = np.full((objects, 1), 0.15)

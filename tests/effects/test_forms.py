@@ -341,12 +341,12 @@ def test_the_layer_of_a_form_is_that_of_its_hook() -> None:
     told = type("Told", (Stretching,), {"layer": "sensor"})
     assert told().layer == "command"
     check_form(told())
-    check_form(type("ByHand", (Twisting,), {"is_sought": False})())
+    check_form(type("ByHand", (Twisting,), {"in_library": False})())
 
 
 def test_forms_say_all_that_calibration_needs_of_them() -> None:
     """Places in the order of plainness differ, and experiments tell a form from others that there are."""
-    named = [own for own in forms() if own.is_sought]
+    named = [own for own in forms() if own.in_library]
     assert sorted(own.complexity_rank for own in named) == list(range(len(named)))
     for own in forms():
         assert {name for name, _ in own.experiments} <= {other.name for other in forms()} - {own.name}

@@ -139,7 +139,7 @@ def test_the_filter_knows_the_memory_exactly(door, name) -> None:
     inputs = np.concatenate([np.full(5, 0.09), rng.uniform(-0.1, 0.1, 12)])[:, None]
     run = simulate(whole, "revolute", [0.7, *memory_at_rest(whole)], inputs)
     belief = initial_belief(whole, [0.7, *memory_at_rest(whole)], [0.01] + [0.0] * (whole.n - 1), "revolute")
-    many = batch_filter.repeated(whole, belief, 3)
+    many = batch_filter.repeated_belief(whole, belief, 3)
     for u, x in zip(inputs, run.states[1:], strict=True):
         z = np.array([x[0] + 0.003 * rng.standard_normal(), *[np.nan] * (whole.n - 1)])
         belief = update(whole, predict_belief(whole, belief, u), z)

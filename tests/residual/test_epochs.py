@@ -13,8 +13,8 @@ from micah_plan.automaton.effects.value import Effect, Since
 from micah_plan.documents.model import load_model, model_text
 from micah_plan.errors import InputError
 from micah_plan.residual.calibrate import calibrate
+from micah_plan.residual.onsets import effects_with_onset, with_onset_digest
 from micah_plan.residual.prediction import predict_recording, rmse
-from micah_plan.residual.versions import beginning, dated
 
 
 def weaker(since_run: int, factor: float = 0.85):
@@ -183,19 +183,19 @@ def test_nothing_is_left_to_find_with_the_written_model(found, dropped) -> None:
 
 def test_later_recordings_have_it_from_the_start(door, found) -> None:
     later = plants.door_recording(plants.runs_of(weaker(0), 6, 50, 1))
-    assert beginning(found.automaton, later) == ()
+    assert effects_with_onset(found.automaton, later) == ()
     assert rolled(found.automaton, later) < 0.3 * rolled(door, later)
 
 
 def test_runs_that_were_set_aside_change_nothing(found, dropped) -> None:
     fewer = dropped.rows(~np.isin(dropped.run, [2, 8]))
-    assert len(beginning(found.automaton, fewer)) == 1
+    assert len(effects_with_onset(found.automaton, fewer)) == 1
     assert rolled(found.automaton, fewer) == pytest.approx(rolled(found.automaton, dropped), rel=0.3)
 
 
 def test_a_run_in_the_middle_of_which_it_began_is_predicted_in_two_parts(door, dropped) -> None:
     at = float(dropped.select(run=5).time[20] - dropped.select(run=5).time[0])
-    effect = dated(Effect("gain", "door", (("gain", 0.85),), since=Since(at, 5)), dropped)
+    effect = with_onset_digest(Effect("gain", "door", (("gain", 0.85),), since=Since(at, 5)), dropped)
     runs = predict_recording(with_effect(door, effect), dropped)
     assert [run.run for run in runs] == [1, 2, 3, 4, 5, 5, 6, 7, 8, 9, 10]
     assert [len(run.time) for run in runs][4:6] == [21, len(dropped.select(run=5).time) - 20]

@@ -16,7 +16,7 @@ from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.examined import examined
 from micah_plan.residual.prediction import first_belief
-from micah_plan.residual.row_ends import rows_as_seen
+from micah_plan.residual.row_ends import annotated_rows
 
 LENGTH, AT, GROWTH, STD, MOVED = 1.0, 0.2, 0.1, 0.002, 0.001
 
@@ -63,7 +63,7 @@ def test_the_noise_of_a_row_is_that_of_its_place_and_not_of_what_was_read() -> N
     away, naive = [], []
     for own, read in zip(true, seen, strict=True):
         truth = sensing.std_at(own.x)
-        away.append(np.abs(np.log(rows_as_seen(model, read).stds / truth))[10:])
+        away.append(np.abs(np.log(annotated_rows(model, read).stds / truth))[10:])
         naive.append(np.abs(np.log(sensing.std_at(read.x) / truth))[10:])
     assert np.median(np.concatenate(away)) < 0.7 * np.median(np.concatenate(naive))
 

@@ -37,8 +37,8 @@ def test_what_noise_leaves_open_is_told(cupboard) -> None:
     ends = row_ends(cupboard, x, np.full(3, 2), 0)
     assert ends.low[[0, 2]] == pytest.approx([0.0, 0.0])
     assert ends.narrow[0][[0, 2]] == pytest.approx([1.3, 1.3])
-    assert ends.leaves_open(x[:, 0], np.full(3, -0.3)).tolist() == [True, False, True]
-    assert ends.leaves_open(x[:, 0], np.full(3, -0.1)).tolist() == [False] * 3
+    assert ends.depends_on_noise(x[:, 0], np.full(3, -0.3)).tolist() == [True, False, True]
+    assert ends.depends_on_noise(x[:, 0], np.full(3, -0.1)).tolist() == [False] * 3
 
 
 @pytest.mark.slow

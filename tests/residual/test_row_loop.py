@@ -48,7 +48,7 @@ class Reference:
     def of(self, layer):
         return [(k, *entry) for k, entry in enumerate(self.terms) if entry[0].form.layer == layer]
 
-    def acts(self, term, gates, t):
+    def is_active(self, term, gates, t):
         data, s = self.data, self.s
         inside = not term.modes or data.modes[data.mode[s, t]] in term.modes
         return inside and data.order[s, t] >= gates[0] and data.time[s, t] >= gates[1]
@@ -58,13 +58,13 @@ class Reference:
         given = given if self.data.row_ends is None else self.data.row_ends[:, self.s, t]
         low, high = given[0] + self.beside[0], given[1] + self.beside[1]
         for _, term, p, gates in self.of("guard"):
-            if self.acts(term, gates, t):
+            if self.is_active(term, gates, t):
                 low, high = term.form.stops(np, low, high, p)
         return float(low), float(max(high, low))
 
     def read(self, c, t):
         for _, term, p, gates in self.of("sensor"):
-            if self.acts(term, gates, t):
+            if self.is_active(term, gates, t):
                 c = term.form.measured(np, c, self.data.time[self.s, t], p)
         return c
 
@@ -76,12 +76,12 @@ class Reference:
             v, after[k] = term.form.respond(np, c, data.place[s, t] - c, self.memory[k], p)
         for k, term, p, gates in self.of("memory"):
             out, after[k] = term.form.remember(np, v, self.memory[k], p)
-            v = out if self.acts(term, gates, t) else v
+            v = out if self.is_active(term, gates, t) else v
         for _, term, p, gates in self.of("command"):
-            v = term.form.command(np, v, p) if self.acts(term, gates, t) else v
+            v = term.form.command(np, v, p) if self.is_active(term, gates, t) else v
         there = c + v
         for _, term, p, gates in self.of("force"):
-            there += term.form.force(np, c, v, p) if self.acts(term, gates, t) else 0.0
+            there += term.form.force(np, c, v, p) if self.is_active(term, gates, t) else 0.0
         return float(there), float(v), after
 
     def begun(self, term, c, moved, p):

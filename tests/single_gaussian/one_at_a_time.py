@@ -10,7 +10,7 @@ import numpy as np
 from micah_plan.automaton.hybrid import Pin
 from micah_plan.belief import gaussian, truncation
 from micah_plan.belief.gaussian import lower_factors
-from micah_plan.belief.moment_matching import mixed as mixed_moments
+from micah_plan.belief.moment_matching import merged_moments as mixed_moments
 
 
 def lower_factor(matrix: np.ndarray) -> np.ndarray:
@@ -74,7 +74,9 @@ def truncate(
     return float(score[0]), means[:, 0], lower_factors(factors)[..., 0]
 
 
-def mixed(weights: Sequence[float], means: np.ndarray, factors: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def merged_moments(
+    weights: Sequence[float], means: np.ndarray, factors: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
     """Mean and lower factor of a mixture; weights need not sum to 1."""
     widest = max(factor.shape[1] for factor in factors)
     padded = [np.pad(factor, ((0, 0), (0, widest - factor.shape[1])))[..., None] for factor in factors]

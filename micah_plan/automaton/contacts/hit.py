@@ -57,7 +57,7 @@ def _overlap(solid: Solid, part: str, grid: Floats, boxes: Floats, surroundings:
         if most + float(np.max(front)) < near:
             return None
         if least + float(np.min(front)) < near:
-            offset, slope = _bound(grid, front)
+            offset, slope = _affine_upper_bound(grid, front)
             a = [0.0, 0.0, 0.0, slope]
             a[axis] = float(sign)
             name = f"{part} at {solid.name}: from {'-' if sign > 0 else '+'}{AXES[axis]}"
@@ -65,7 +65,7 @@ def _overlap(solid: Solid, part: str, grid: Floats, boxes: Floats, surroundings:
     return Region(tuple(rows)) if rows else None
 
 
-def _bound(grid: Floats, values: Floats) -> tuple[float, float]:
+def _affine_upper_bound(grid: Floats, values: Floats) -> tuple[float, float]:
     """(offset, slope) of an affine upper bound of the values (s,) on the grid (s,)."""
     width = float(grid[-1] - grid[0])
     slope = float(values[-1] - values[0]) / width if width > 0 else 0.0

@@ -196,20 +196,23 @@ class _Product:
     def _free(self) -> Mode:
         rows = [c.above for c in self.contacts if c.is_line and self._lines_on(c.face) == 1]
         joints = mode_joints(self.grip, self.joint)
-        return Mode(FREE, joints, _HAND_FREE, self._within(self.joint.low, self.joint.high, rows))
+        return Mode(FREE, joints, _HAND_FREE, self._hand_region(self.joint.low, self.joint.high, rows))
 
     def _contact(self, contact: Contact) -> Mode:
         tie, piece = contact.tie, contact.piece
         low, high = sorted((piece.begin, piece.end))
         joints = mode_joints(self.grip, self.joint, turned_from=None if contact.is_line else piece.begin)
         flow = (*_HAND_FREE[:3], tie.weights[:3])
-        return Mode(contact.name, joints, flow, self._within(low, high), ties=(tie,))
+        return Mode(contact.name, joints, flow, self._hand_region(low, high), ties=(tie,))
 
     def _latched(self, latch: LatchedMode) -> Mode:
         at = latch.pin.value
-        rows = [_beyond(f.axis, self._lowest(latch, f), f.sign, AXES[f.axis]) for f in self.surroundings.faces]
+        rows = [
+            _half_space_beyond(f.axis, self._lowest_hand_position(latch, f), f.sign, AXES[f.axis])
+            for f in self.surroundings.faces
+        ]
         joints, pin = mode_joints(self.grip, self.joint, rigid_at=at), Pin(_JOINT, at, latch.pin.std)
-        return Mode(latch.mode, joints, _HAND_FREE, self._within(-np.inf, np.inf, rows), pins=(pin,))
+        return Mode(latch.mode, joints, _HAND_FREE, self._hand_region(-np.inf, np.inf, rows), pins=(pin,))
 
     def _contact_edges(self) -> Iterator[Edge]:
         """Edges into contact, between pieces, out of contact, and at the end of the last piece."""
@@ -218,14 +221,14 @@ class _Product:
             on_face = [contact for contact in self.contacts if contact.face == face]
             follower = next((following for following in on_face if following.piece.begin == piece.end), None)
             if contact.is_line:
-                yield Edge(FREE, contact.name, self._begins(contact), contact.entry)
+                yield Edge(FREE, contact.name, self._contact_guard(contact), contact.entry)
                 if not any(before.piece.end == piece.begin for before in on_face):
-                    yield Edge(contact.name, FREE, Region((self._withdrawing(face),)))
+                    yield Edge(contact.name, FREE, Region((self._withdrawal_guard(face),)))
             if follower is not None:
                 onward = Region((self._past(piece.end, piece.direction),))
                 yield Edge(contact.name, follower.name, onward, follower.entry)
                 # Only a hand that withdraws leads back: a belief that spreads over the boundary does not.
-                back = Region((self._withdrawing(face), self._past(piece.end, -piece.direction, strict=True)))
+                back = Region((self._withdrawal_guard(face), self._past(piece.end, -piece.direction, strict=True)))
                 yield Edge(follower.name, contact.name, back, contact.entry)
             elif self._latch_after(contact) is None:
                 # Pressing does not get any further: the hand is stopped.
@@ -234,7 +237,7 @@ class _Product:
 
     def _latch_edges(self) -> Iterator[Edge]:
         for latch in self.joint.latches:
-            guard = Region((_beyond(_JOINT, latch.threshold, latch.direction, "latch"),))
+            guard = Region((_half_space_beyond(_JOINT, latch.threshold, latch.direction, "latch"),))
             for contact in self.contacts:
                 if self._latch_after(contact) is latch:
                     yield Edge(contact.name, latch.mode, guard, Reset.to(contact.end_of_hand, _N), latch.threshold_std)
@@ -252,11 +255,11 @@ class _Product:
         """Edges of a latched object on a face, below which the hand cannot go."""
         for latch in self.joint.latches:
             for face in self.surroundings.faces:
-                value = self._lowest(latch, face)
-                guard = _beyond(face.axis, value, -face.sign, AXES[face.axis], strict=True)
+                value = self._lowest_hand_position(latch, face)
+                guard = _half_space_beyond(face.axis, value, -face.sign, AXES[face.axis], strict=True)
                 yield Edge(latch.mode, latch.mode, Region((guard,)), Reset.to({face.axis: value}, _N))
 
-    def _begins(self, contact: Contact) -> Region:
+    def _contact_guard(self, contact: Contact) -> Region:
         """The guard of contact: below the touching height, in the range of its edge if several edges may touch."""
         rows, piece = [contact.touching], contact.piece
         if self._lines_on(contact.face) > 1:
@@ -268,32 +271,32 @@ class _Product:
         return sum(contact.face == face and contact.is_line for contact in self.contacts)
 
     def _past(self, value: float, direction: int, *, strict: bool = False) -> HalfSpace:
-        return _beyond(_JOINT, value, direction, self.grip.coordinate, strict=strict)
+        return _half_space_beyond(_JOINT, value, direction, self.grip.coordinate, strict=strict)
 
     def _latch_after(self, contact: Contact) -> LatchedMode | None:
         """The latch at the end of a contact's piece."""
         end = contact.piece.direction, contact.piece.end
         return next((latch for latch in self.joint.latches if (latch.direction, latch.threshold) == end), None)
 
-    def _withdrawing(self, face: Face) -> HalfSpace:
+    def _withdrawal_guard(self, face: Face) -> HalfSpace:
         """The guard of a hand that moves away from a face."""
         b = [0.0] * _M
         b[face.axis] = float(face.sign)
         return HalfSpace((0.0,) * _N, tuple(b), self.noise.release, strict=True, name=f"withdrawing from {face.solid}")
 
-    def _lowest(self, latch: LatchedMode, face: Face) -> float:
+    def _lowest_hand_position(self, latch: LatchedMode, face: Face) -> float:
         """Lowest hand position of a latched object at a face: as it latched, or as it rests [m]."""
         heights = [c.piece.end_height for c in self.contacts if c.face == face and self._latch_after(c) is latch]
         heights.append(resting_height(self.grip, face, self.joint.datum, latch.threshold, self.joint.turns))
         return face.position + face.sign * min(heights)
 
-    def _within(self, low: float, high: float, rows: Sequence[HalfSpace] = ()) -> Region:
+    def _hand_region(self, low: float, high: float, rows: Sequence[HalfSpace] = ()) -> Region:
         """The hand within its limits, the joint between two values, and further half-spaces."""
         lower, upper = (*self.surroundings.lower, low), (*self.surroundings.upper, high)
         return box(lower, upper, _M, (*AXES, "theta")).intersection(Region(tuple(rows)))
 
 
-def _beyond(coordinate: int, value: float, direction: int, name: str, *, strict: bool = False) -> HalfSpace:
+def _half_space_beyond(coordinate: int, value: float, direction: int, name: str, *, strict: bool = False) -> HalfSpace:
     """The half-space of a coordinate at or beyond a value in a direction."""
     return (above if direction > 0 else below)(coordinate, value, _N, _M, strict=strict, name=name)
 

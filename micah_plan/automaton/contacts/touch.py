@@ -157,17 +157,17 @@ class _Geometry:
 def _line_pieces(geometry: _Geometry, low: float, high: float) -> list[TouchPiece]:
     """Intervals with a single lowest edge whose lever moves the joint, without those where the held part touches."""
     grid = np.linspace(low, high, _SAMPLES)
-    states = [_state(geometry, c) for c in grid]
+    states = [_lowest_corner_and_slope(geometry, c) for c in grid]
     breaks = [low]
     for (a, at_a), (b, at_b) in pairwise(zip(grid, states, strict=True)):
         if at_a != at_b:
-            breaks.append(_change(geometry, float(a), float(b), at_a))
+            breaks.append(_state_change(geometry, float(a), float(b), at_a))
     # Where a part lies flush exactly at an end of the range two edges touch at once; that is the end of one piece.
     breaks = [at for at in breaks if at == low or min(at - low, high - at) > ROUND_OFF]
     breaks.append(high)
     pieces = []
     for a, b in pairwise(breaks):
-        middle = _state(geometry, (a + b) / 2)
+        middle = _lowest_corner_and_slope(geometry, (a + b) / 2)
         if middle is None or b - a < ROUND_OFF:
             continue
         begin, end = (a, b) if middle[1] < 0 else (b, a)
@@ -175,7 +175,7 @@ def _line_pieces(geometry: _Geometry, low: float, high: float) -> list[TouchPiec
     return pieces
 
 
-def _state(geometry: _Geometry, c: float) -> tuple[int, int] | None:
+def _lowest_corner_and_slope(geometry: _Geometry, c: float) -> tuple[int, int] | None:
     """(lowest corner, sign of the height's slope); None where the joint jams or the held part touches."""
     lowest = geometry.lowest(c)
     slope = geometry.lever(lowest, c)
@@ -184,13 +184,13 @@ def _state(geometry: _Geometry, c: float) -> tuple[int, int] | None:
     return lowest, int(np.sign(slope))
 
 
-def _change(geometry: _Geometry, a: float, b: float, at_a: tuple[int, int] | None) -> float:
+def _state_change(geometry: _Geometry, a: float, b: float, at_a: tuple[int, int] | None) -> float:
     """The point between a and b where the state of a ends, up to round-off."""
     while b - a > 1e-13:
         middle = (a + b) / 2
         if middle in (a, b):
             break
-        a, b = (middle, b) if _state(geometry, middle) == at_a else (a, middle)
+        a, b = (middle, b) if _lowest_corner_and_slope(geometry, middle) == at_a else (a, middle)
     return b
 
 

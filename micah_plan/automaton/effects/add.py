@@ -108,7 +108,7 @@ def with_learned_channel(automaton: HybridAutomaton, period: float) -> HybridAut
         turn = tuple((f"rotation_{k + 1}", value) for k, value in enumerate(channel.frame_rotation))
         steps = min(max(channel.delay, 0.0) / period, float(LONGEST_DELAY))  # motion before its action: no effect
         if channel.commands == "position":
-            automaton = _late(automaton, name, steps)
+            automaton = _with_delay(automaton, name, steps)
             continue
         effects += [Effect("frame_rotation", name, turn), Effect("gain", name, (("gain", channel.gain),))]
         effects += [Effect("delay", name, (("steps", steps),))]
@@ -117,7 +117,7 @@ def with_learned_channel(automaton: HybridAutomaton, period: float) -> HybridAut
     return with_effect(automaton, *effects)
 
 
-def _late(automaton: HybridAutomaton, coordinate: str, steps: float) -> HybridAutomaton:
+def _with_delay(automaton: HybridAutomaton, coordinate: str, steps: float) -> HybridAutomaton:
     """The automaton with a delay of commanded positions on a coordinate, unless its servo is known."""
     own = [effect for effect in automaton.effects if effect.coordinate == coordinate and effect.name == Follow.name]
     if not all(map(is_as_commanded, own)):

@@ -7,7 +7,7 @@ from typing import final
 import numpy as np
 
 from micah_plan.arrays import ROUND_OFF
-from micah_plan.automaton.effects.fit_start import FitStart, Shown, command_sizes, step_sizes
+from micah_plan.automaton.effects.fit_start import CoordinateSeries, FitStart, command_sizes, step_sizes
 from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
 
 # Smaller commands, as a share of the usual one, go neither way; fewer than that share of the rows show no direction.
@@ -27,7 +27,7 @@ class Gain(EffectForm):
     def command(self, ops: Operations, v: Value, p: Values) -> Value:
         return p[0] * v
 
-    def begun(self, data: Shown) -> FitStart | None:
+    def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         """Start at 0.9 and at the regression of steps on commands: commands may be in millimetres."""
         starts = data.counted_starts[:, :-1]
         u, moved = data.u[:, :-1][starts], np.diff(data.z, axis=1)[starts]
@@ -49,7 +49,7 @@ class DirectionGain(EffectForm):
     def command(self, ops: Operations, v: Value, p: Values) -> Value:
         return p[0] * ops.maximum(v, 0.0) + p[1] * ops.minimum(v, 0.0)
 
-    def begun(self, data: Shown) -> FitStart | None:
+    def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         u = data.u[data.counted_starts]
         ways = [float((sign * u > _TO_REST * data.command_size).mean()) for sign in (1.0, -1.0)]
         if min(ways) < _FEW:
@@ -85,7 +85,7 @@ class Saturation(EffectForm):
     def command(self, ops: Operations, v: Value, p: Values) -> Value:
         return ops.maximum(ops.minimum(v, p[0]), -p[0])
 
-    def begun(self, data: Shown) -> FitStart | None:
+    def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         # Of commands that are places, or far larger than the limit, what was moved tells it.
         at = [*command_sizes(data, 0.3, 0.6, 0.85), *step_sizes(data, 0.9, 0.98)]
         return FitStart([[q] for q in at], (0,), [0.3 * data.command_size]) if at else None
@@ -105,6 +105,6 @@ class DeadZone(EffectForm):
     def command(self, ops: Operations, v: Value, p: Values) -> Value:
         return ops.where(ops.abs(v) <= p[0], 0.0 * v, v - ops.sign(v) * p[0] * p[1])
 
-    def begun(self, data: Shown) -> FitStart | None:
+    def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         at = command_sizes(data, 0.03, 0.1, 0.25, 0.45, 0.7)
         return FitStart([[q, lost] for q in at for lost in (0.0, 1.0)], (0,), [0.2 * data.command_size]) if at else None

@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from micah_plan.arrays import ROUND_OFF, Booleans, Floats
-from micah_plan.automaton.effects.fit_start import FitStart, Shown, command_sizes, step_sizes
+from micah_plan.automaton.effects.fit_start import CoordinateSeries, FitStart, command_sizes, step_sizes
 from micah_plan.automaton.effects.form import EffectForm, InForce, Memory, Operations, Parameter, Value, Values
 from micah_plan.automaton.effects.memories import (
     LONGEST_DELAY,
@@ -94,9 +94,9 @@ class Drive(EffectForm):
         second, speed = driven(speed, set_speed(sent.newer), 1.0 - sent.late)
         return first + second, (speed,)
 
-    def begun(self, data: Shown) -> FitStart | None:
+    def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         """Gain and delay from a regression of steps, combined with several lags, dead zones and limits."""
-        gain, delay = _regressed(data)
+        gain, delay = _regressed_gain_and_delay(data)
         size, fastest = data.command_size, max(step_sizes(data, _FASTEST), default=data.command_size)
         tried = product(_LAGS, sorted({0.0, delay}), (0.0, *command_sizes(data, *_WIDTHS)), _LIMITS)
         values = [[gain, lag, late, 0.0, width, 1.0, 0.0, limit * fastest] for lag, late, width, limit in tried]
@@ -104,17 +104,17 @@ class Drive(EffectForm):
         return FitStart(values, tuple(range(len(large))), large)
 
 
-def _regressed(data: Shown) -> tuple[float, float]:
+def _regressed_gain_and_delay(data: CoordinateSeries) -> tuple[float, float]:
     """Gain and whole delay [steps] by regression of steps on earlier commands, earlier steps, and a constant."""
     steps = np.diff(data.z, axis=1)
     counts = data.counted_starts[:, :-1]
     longest = max(min(LONGEST_DELAY, steps.shape[1] - 3), 0)
-    found = [_of_delay(steps, data.u, counts, late) for late in range(longest + 1)]
+    found = [_regressed_gain(steps, data.u, counts, late) for late in range(longest + 1)]
     _, gain, late = min(found)
     return gain, float(late)
 
 
-def _of_delay(steps: Floats, u: Floats, counts: Booleans, late: int) -> tuple[float, float, int]:
+def _regressed_gain(steps: Floats, u: Floats, counts: Booleans, late: int) -> tuple[float, float, int]:
     """(mean squared error, gain, late) of a delay."""
     used = counts[:, late + 1 :] & counts[:, late:-1]
     moved, before = steps[:, late + 1 :][used], steps[:, late:-1][used]

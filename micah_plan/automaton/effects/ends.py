@@ -11,7 +11,7 @@ import numpy as np
 
 from micah_plan.arrays import EQUAL, NEAR_STDS
 from micah_plan.automaton.augmented import mapped
-from micah_plan.automaton.effects.fit_start import FitStart, Shown, command_sizes
+from micah_plan.automaton.effects.fit_start import CoordinateSeries, FitStart, command_sizes
 from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
 from micah_plan.automaton.effects.geometry import rigid_at
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode, Pin, Reset
@@ -51,7 +51,7 @@ class Limit(EffectForm):
             return with_end_moved(automaton, coordinate, end, p[0])
         return _with_clamps(automaton, coordinate, p[0], p[1] > 0)
 
-    def begun(self, data: Shown) -> FitStart | None:
+    def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         low, high = data.visited
         starts = [[low + share * (high - low), 1.0] for share in (0.4, 0.6, 0.8, 0.95, 1.0)]
         starts += [[low + share * (high - low), -1.0] for share in (0.0, 0.05, 0.2, 0.4, 0.6)]
@@ -78,7 +78,7 @@ class GuardShift(EffectForm):
             raise InputError(f"the range of {name} has no {side} end to shift")
         return with_end_moved(automaton, coordinate, end, end + p[0])
 
-    def begun(self, data: Shown) -> FitStart | None:
+    def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         low, high = data.visited
         width, starts = high - low + 1e-6, []
         for end, side, reached in ((data.lower, -1.0, low), (data.upper, 1.0, high)):
@@ -119,7 +119,7 @@ class GuardHysteresis(EffectForm):
 
         return mapped(automaton, edge=edge)
 
-    def begun(self, data: Shown) -> FitStart | None:
+    def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         """Starts only where the part may be held at an end that the recording reaches."""
         low, high = data.visited
         reach = 0.05 * (high - low)

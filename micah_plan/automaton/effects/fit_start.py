@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _AT_REST = 1e-3
 
 
-class Shown(Protocol):
+class CoordinateSeries(Protocol):
     """One coordinate over S segments of up to T rows; calibration's `coordinate_data.CoordinateData` is one.
 
     Attributes:
@@ -80,20 +80,20 @@ class FitStart:
 
 
 @dataclass(frozen=True)
-class Same:
+class EquivalentEffect:
     """An equivalent effect on a recording, if its first parameter is below a bound."""
 
     name: str
     below: float = float("inf")
 
 
-def step_sizes(data: Shown, *shares: float) -> list[float]:
+def step_sizes(data: CoordinateSeries, *shares: float) -> list[float]:
     """Quantiles of the sizes of measured steps [rad or m]; empty if there was no motion."""
     sizes = np.abs(np.diff(data.z, axis=1)[data.counted_starts[:, :-1]])
     return [float(q) for q in np.quantile(sizes, shares) if q > ROUND_OFF] if sizes.size else []
 
 
-def command_sizes(data: Shown, *shares: float) -> list[float]:
+def command_sizes(data: CoordinateSeries, *shares: float) -> list[float]:
     """Quantiles of the sizes of nonzero commands [rad or m]; empty if there are none."""
     sizes = np.abs(data.u[data.counted_starts])
     sizes = sizes[sizes > _AT_REST * data.command_size]

@@ -6,7 +6,7 @@ from typing import final
 
 import numpy as np
 
-from micah_plan.automaton.effects.fit_start import FitStart, Same, Shown
+from micah_plan.automaton.effects.fit_start import CoordinateSeries, EquivalentEffect, FitStart
 from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
 
 SMOOTH_BUMPS = 12
@@ -34,7 +34,7 @@ class Spring(EffectForm):
     def force(self, ops: Operations, c: Value, v: Value, p: Values) -> Value:
         return -p[0] * (c + p[2] * v - p[1])
 
-    def begun(self, data: Shown) -> FitStart | None:
+    def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         low, high = data.visited
         width = high - low + 1e-6
         rests = (low, 0.5 * (low + high), high)
@@ -59,12 +59,12 @@ class Gravity(EffectForm):
     def force(self, ops: Operations, c: Value, v: Value, p: Values) -> Value:
         return p[0] * ops.sin(c) + p[1] * ops.cos(c)
 
-    def begun(self, data: Shown) -> FitStart | None:
+    def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         return FitStart([[0.0, 0.0]], (0, 1), [0.3 * data.command_size] * 2)
 
-    def same_as(self, data: Shown) -> Same | None:
+    def equivalent_effect(self, data: CoordinateSeries) -> EquivalentEffect | None:
         """A bias, for slides."""
-        return None if data.unit == "rad" else Same("bias")
+        return None if data.unit == "rad" else EquivalentEffect("bias")
 
 
 @final
@@ -86,7 +86,7 @@ class Latch(EffectForm):
         x = (c - p[1]) / p[2]
         return -p[0] * x * ops.exp(0.5 - 0.5 * x * x)
 
-    def begun(self, data: Shown) -> FitStart | None:
+    def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         low, high = data.visited
         width, reach, size = high - low + 1e-6, 0.08 * (high - low) + 1e-6, data.command_size
         starts = [[0.3 * size, at, reach] for at in np.linspace(low, high, 7)]
@@ -116,7 +116,7 @@ class Unexplained(EffectForm):
         *(Parameter(f"push_{k + 1}", "coordinate", 0.0) for k in range(SMOOTH_BUMPS)),
         *(Parameter(f"gain_{k + 1}", "1", 0.0) for k in range(SMOOTH_BUMPS)),
     )
-    is_sought = False
+    in_library = False
 
     def force(self, ops: Operations, c: Value, v: Value, p: Values) -> Value:
         low, width, scale = p[0], p[1], p[2]

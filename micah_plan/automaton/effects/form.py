@@ -20,7 +20,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 
 if TYPE_CHECKING:
     pass
-from micah_plan.automaton.effects.fit_start import FitStart, Same, Shown
+from micah_plan.automaton.effects.fit_start import CoordinateSeries, EquivalentEffect, FitStart
 
 Layer = Literal["frame", "place", "memory", "command", "force", "guard", "sensor", "geometry"]
 REMEMBERING: tuple[Layer, ...] = ("place", "memory")
@@ -128,7 +128,7 @@ class EffectForm:
     layer: ClassVar[Layer]
     complexity_rank: ClassVar[int] = _HIGHEST_RANK
     experiments: ClassVar[tuple[tuple[str, str], ...]] = ()
-    is_sought: ClassVar[bool] = True
+    in_library: ClassVar[bool] = True
     late_by: ClassVar[int | None] = None
 
     def __init_subclass__(cls) -> None:
@@ -149,11 +149,11 @@ class EffectForm:
         options = cls.options()
         return [name for name, value in values if name not in options or value != options[name]]
 
-    def begun(self, data: Shown) -> FitStart | None:
+    def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         """Starting values of a fit to a recording; None if it cannot show the effect."""
-        return self.from_neutral(data)
+        return self.guess_from_neutral(data)
 
-    def from_neutral(self, data: Shown) -> FitStart:
+    def guess_from_neutral(self, data: CoordinateSeries) -> FitStart:
         """Start at the neutral values or the middle of the bounds, with scales from the commands, else 0.3."""
         values, scale = [], []
         for parameter in self.parameters:
@@ -163,7 +163,7 @@ class EffectForm:
             scale.append(large)
         return FitStart([values], tuple(range(len(values))), scale)
 
-    def same_as(self, data: Shown) -> Same | None:
+    def equivalent_effect(self, data: CoordinateSeries) -> EquivalentEffect | None:
         """An equivalent effect on such a recording, which is fitted instead; None if there is none."""
         return None
 

@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from micah_plan.automaton.augmented import mapped
-from micah_plan.automaton.effects.fit_start import FitStart, Same, Shown
+from micah_plan.automaton.effects.fit_start import CoordinateSeries, EquivalentEffect, FitStart
 from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint, axis_basis, rigid, twisting
@@ -45,7 +45,7 @@ class FrameRotation(EffectForm):
         turned = [a + along * b + bent * c for a, b, c in zip(action, once, twice, strict=True)]
         return turned[0] * direction[0] + turned[1] * direction[1] + turned[2] * direction[2]
 
-    def begun(self, data: Shown) -> FitStart | None:
+    def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         """Starts only where actions across the joint vary independently.
 
         A small turn adds to each command a share of the action across the joint. Where that follows the command along
@@ -63,15 +63,15 @@ class FrameRotation(EffectForm):
             return None
         return FitStart(np.vstack([0.4 * np.eye(3), -0.4 * np.eye(3)]), (0, 1, 2), [0.3] * 3)
 
-    def same_as(self, data: Shown) -> Same | None:
+    def equivalent_effect(self, data: CoordinateSeries) -> EquivalentEffect | None:
         """A gain, unless commands across the joint are informative: a rotation along the joint only scales commands."""
-        if data.action is None or self.begun(data) is not None:
+        if data.action is None or self.initial_guess(data) is not None:
             return None
         rows = data.counted_starts
         arm2 = (data.path.tangents(data.z[rows])[:, 3:] ** 2).sum(axis=1)
         longest2 = float((data.action[rows] ** 2).sum(axis=1) @ (1.0 / np.maximum(arm2, 1e-12)))
         told2 = max(float((data.u[rows] ** 2).sum()), 1e-300)
-        return Same("gain", _AS_LONG * float(np.sqrt(longest2 / told2)))
+        return EquivalentEffect("gain", _AS_LONG * float(np.sqrt(longest2 / told2)))
 
 
 @final
@@ -82,7 +82,7 @@ class ScrewPitch(EffectForm):
     sentence = "The part moves along its axis of rotation while it turns."
     source = "Murray, Li and Sastry, ch. 2: screws"
     parameters = (Parameter("pitch", "m/rad", 0.0),)
-    is_sought = False
+    in_library = False
 
     def rebuilt(self, automaton: HybridAutomaton, coordinate: int, p: Sequence[float]) -> HybridAutomaton:
         return _with_joints(automaton, coordinate, lambda joint: _turned_about(joint, pitch=p[0]))
@@ -96,7 +96,7 @@ class AxisOffset(EffectForm):
     sentence = "The axis of rotation lies beside the one of the model."
     source = "Sturm et al., JAIR 2011: parameters of articulated objects"
     parameters = (Parameter("offset_1", "m", 0.0), Parameter("offset_2", "m", 0.0))
-    is_sought = False
+    in_library = False
 
     def rebuilt(self, automaton: HybridAutomaton, coordinate: int, p: Sequence[float]) -> HybridAutomaton:
         return _with_joints(automaton, coordinate, lambda joint: _turned_about(joint, p))

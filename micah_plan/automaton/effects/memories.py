@@ -7,7 +7,7 @@ from typing import final
 
 import numpy as np
 
-from micah_plan.automaton.effects.fit_start import FitStart, Shown, step_sizes
+from micah_plan.automaton.effects.fit_start import CoordinateSeries, FitStart, step_sizes
 from micah_plan.automaton.effects.form import EffectForm, InForce, Memory, Operations, Parameter, Value, Values
 from micah_plan.automaton.effects.value import Effect
 
@@ -59,7 +59,7 @@ class Delay(EffectForm):
     def remember_late(self, ops: Operations, sent: InForce, memory: Memory, p: Values) -> tuple[Value, Memory]:
         return (1.0 - sent.late) * sent.newer + sent.late * sent.older, ()
 
-    def begun(self, data: Shown) -> FitStart | None:
+    def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         return FitStart([[steps] for steps in (0.4, 1.0, 2.0, 3.5, 6.0, 9.0, 13.0, 18.0, 25.0)], (0,), [1.0])
 
 
@@ -87,7 +87,7 @@ class Lag(EffectForm):
         out = memory[0] + (1.0 - left_after(ops, 1.0, p[0])) * (v - memory[0])
         return out, (out,)
 
-    def begun(self, data: Shown) -> FitStart | None:
+    def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         return FitStart([[0.3], [0.8], [2.0], [5.0]], (0,), [1.0])
 
 
@@ -118,7 +118,7 @@ class Ramp(EffectForm):
         out = memory[0] + limited(ops, v - memory[0], p[0])
         return out, (out,)
 
-    def begun(self, data: Shown) -> FitStart | None:
+    def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         fastest = max(step_sizes(data, 0.98), default=0.0)
         return FitStart([[k * fastest] for k in (0.03, 0.1, 0.3, 0.6)], (0,), [0.1 * fastest]) if fastest else None
 
@@ -149,7 +149,7 @@ class Backlash(EffectForm):
         kept = ops.maximum(ops.minimum(ahead, 0.5 * p[0]), -0.5 * p[0])
         return ahead - kept, (kept,)
 
-    def begun(self, data: Shown) -> FitStart | None:
+    def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         size = data.command_size
         return FitStart([[width * size, side] for width in (0.5, 2.0) for side in (-1.0, 0.0, 1.0)], (0,), [0.5 * size])
 
@@ -175,7 +175,7 @@ class StickSlip(EffectForm):
         gone = ops.where(ops.abs(wound) < p[0], 0.0 * wound, wound)
         return gone, (wound - gone,)
 
-    def begun(self, data: Shown) -> FitStart | None:
+    def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         """The best of many grips: the loss has many local minima, since the part slips in other rows."""
         grip = np.geomspace(0.2, 10.0, 200)[:, None] * data.command_size
         memory, missed = self.at_rest((grip,)), np.zeros(len(grip))
@@ -222,7 +222,7 @@ class Follow(EffectForm):
         Parameter("friction", "coordinate", 0.0, 0.0, is_optional=True),
     )
     experiments = (("gain", "command places that stay where they are for many rows, and not displacements"),)
-    is_sought = False
+    in_library = False
     late_by = 3
 
     def at_rest_in(self, c: Value, p: Values) -> Memory:
@@ -245,7 +245,7 @@ class Follow(EffectForm):
             beyond = beyond_zone(ops, away, width)
             asked = share * beyond
             if is_limited(acceleration):
-                asked = limited(ops, asked, _in_time(ops, ops.abs(beyond), acceleration))
+                asked = limited(ops, asked, _braking_step(ops, ops.abs(beyond), acceleration))
             return limited(ops, asked, most)
 
         is_whole = is_constant(sent.late) and not sent.late
@@ -267,7 +267,7 @@ def limited(ops: Operations, value: Value, most: Value) -> Value:
     return ops.maximum(ops.minimum(value, most), -most) if is_limited(most) else value
 
 
-def _in_time(ops: Operations, way: Value, acceleration: Value) -> Value:
+def _braking_step(ops: Operations, way: Value, acceleration: Value) -> Value:
     """The largest first step from which steps that shrink by `acceleration` each cover at most a distance."""
     half = 0.5 * acceleration
     return ops.sqrt(half * half + 2.0 * acceleration * way) - half

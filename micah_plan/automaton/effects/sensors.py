@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import final
 
-from micah_plan.automaton.effects.fit_start import FitStart, Same, Shown
+from micah_plan.automaton.effects.fit_start import CoordinateSeries, EquivalentEffect, FitStart
 from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
 
 
@@ -29,13 +29,13 @@ class SensorScale(EffectForm):
     def measured(self, ops: Operations, c: Value, time: Value, p: Values) -> Value:
         return p[0] * c
 
-    def begun(self, data: Shown) -> FitStart | None:
+    def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         """Start on both sides of 1: with a wrong scale, rows at an end of the range are far off under any noise."""
         return FitStart([[0.9], [1.0], [1.1]], (0,), [0.3])
 
-    def same_as(self, data: Shown) -> Same | None:
+    def equivalent_effect(self, data: CoordinateSeries) -> EquivalentEffect | None:
         """A gain, unless an end of the range is visited, where sensor and motion errors differ."""
-        return None if data.visits_end() else Same("gain")
+        return None if data.visits_end() else EquivalentEffect("gain")
 
 
 @final
@@ -46,7 +46,7 @@ class SensorOffset(EffectForm):
     sentence = "The sensor reads the same amount too much everywhere."
     source = "Siciliano et al., Robotics, ch. 5: sensor calibration"
     parameters = (Parameter("offset", "coordinate", 0.0),)
-    is_sought = False
+    in_library = False
 
     def measured(self, ops: Operations, c: Value, time: Value, p: Values) -> Value:
         return c + p[0]
@@ -69,9 +69,9 @@ class Drift(EffectForm):
     def measured(self, ops: Operations, c: Value, time: Value, p: Values) -> Value:
         return c + p[0] * time
 
-    def begun(self, data: Shown) -> FitStart | None:
+    def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         return FitStart([[0.0]], (0,), [0.3 * data.command_size / data.period])
 
-    def same_as(self, data: Shown) -> Same | None:
+    def equivalent_effect(self, data: CoordinateSeries) -> EquivalentEffect | None:
         """A bias, unless an end of the range is visited, where sensor and motion errors differ."""
-        return None if data.visits_end() else Same("bias")
+        return None if data.visits_end() else EquivalentEffect("bias")

@@ -21,7 +21,7 @@ from micah_plan.recording.value import Recording
 from micah_plan.residual.compared_runs import Place, consecutive_parts, read_tracks, rows_of
 
 
-def dated(effect: Effect, recording: Recording) -> Effect:
+def with_onset_digest(effect: Effect, recording: Recording) -> Effect:
     """The effect with a digest of the run in which it set in, by which that recording is recognised."""
     since = effect.since
     if since is None or since.run is None:
@@ -29,7 +29,7 @@ def dated(effect: Effect, recording: Recording) -> Effect:
     return replace(effect, since=replace(since, digest=recording.select(run=since.run).digest()))
 
 
-def beginning(automaton: HybridAutomaton, recording: Recording) -> tuple[Effect, ...]:
+def effects_with_onset(automaton: HybridAutomaton, recording: Recording) -> tuple[Effect, ...]:
     """The effects of a model with an onset in a recording."""
     began = [effect for effect in automaton.effects if effect.since is not None]
     return tuple(effect for effect in began if _is_of(effect.since, recording))
@@ -41,21 +41,21 @@ def _is_of(since: Since | None, recording: Recording) -> bool:
     return since.run in recording.runs and recording.select(run=since.run).digest() == since.digest
 
 
-def acts(since: Since, run: int, time: Floats) -> Booleans:
+def is_active(since: Since, run: int, time: Floats) -> Booleans:
     """(T,) whether an onset lies before times (T,) of a run [s since its start]."""
     if since.run is None or run == since.run:
         return np.asarray(time >= since.time - ROUND_OFF)
     return np.full(time.shape, run > since.run)
 
 
-def versions(
+def model_per_run(
     automaton: HybridAutomaton, recording: Recording
 ) -> list[tuple[HybridAutomaton, list[tuple[Place, Track]]]]:
     """(model of each part of a recording, these parts: contiguous rows with the same effects).
 
     In the order of their places all parts follow each other.
     """
-    gates = beginning(automaton, recording)
+    gates = effects_with_onset(automaton, recording)
     every = _parts(automaton, recording, gates)
     result = []
     for active in dict.fromkeys(active for _, active, _ in every):
@@ -74,7 +74,7 @@ def _parts(
     for number, track in enumerate(read_tracks(automaton, recording)[0]):
         for piece in consecutive_parts(track):
             time = piece.time - track.time[0]
-            acting = [acts(effect.since, track.run, time) for effect in gates if effect.since is not None]
+            acting = [is_active(effect.since, track.run, time) for effect in gates if effect.since is not None]
             changes = [row for acts_at in acting for row in np.flatnonzero(np.diff(acts_at)) + 1]
             edges = sorted({0, len(time) - 1, *map(int, changes)})
             for first, last in pairwise(edges):
