@@ -30,7 +30,7 @@ from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.automaton.transition import step
 from micah_plan.belief.filter import initial_belief, predict_belief, update
-from micah_plan.planning.attempt import Attempt, attempted
+from micah_plan.planning.attempt import Attempt, attempt_plan
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.limits import Limits, limited_input
 from micah_plan.planning.nlp import Programme, Solution, Solver
@@ -68,7 +68,7 @@ _TAIL, _LEVELS = -5.0, 24
 
 def plan(problem: Problem, seed: int = 0, progress: Progress | None = None, deadline: Deadline | None = None) -> Plan:
     """The cheapest local optimum of the mixture's programme over a few starts, or the reason why there is none."""
-    return attempted(partial(plan_along, _optimised), "optimisation", problem, seed, progress, deadline)
+    return attempt_plan(partial(plan_along, _optimised), "optimisation", problem, seed, progress, deadline)
 
 
 def _optimised(attempt: Attempt) -> tuple[Floats, str]:

@@ -17,7 +17,7 @@ from ompl import util as ou
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.transition import step
-from micah_plan.planning.attempt import Attempt, attempted
+from micah_plan.planning.attempt import Attempt, attempt_plan
 from micah_plan.planning.limits import Limits, limited_input
 from micah_plan.planning.no_way import NoWayError
 from micah_plan.planning.search.polytope import nominal_start
@@ -41,7 +41,7 @@ _TOLERANCE = 1e-9
 
 def plan(problem: Problem, seed: int = 0, progress: Progress | None = None, deadline: Deadline | None = None) -> Plan:
     """Inputs that bring the mean of the start into the goal, or the reason why none were found."""
-    return attempted(partial(plan_along, _grow), "search", problem, seed, progress, deadline)
+    return attempt_plan(partial(plan_along, _grow), "search", problem, seed, progress, deadline)
 
 
 def _grow(attempt: Attempt) -> tuple[Floats, str]:

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
-from micah_plan.api.experiments import ExperimentResult, carried_out, refuse_options_of_plans
+from micah_plan.api.experiments import ExperimentResult, carry_out_experiment, refuse_options_of_plans
 from micah_plan.api.inputs import Source
 from micah_plan.api.result import Result
 from micah_plan.automaton.hybrid import HybridAutomaton
@@ -221,7 +221,7 @@ def execute(
     if isinstance(plan, Experiment) or (isinstance(plan, Source) and kind_of(plan) == "experiment"):
         of_plans = {"replan_every": replan_every, "plant_parameters": plant_parameters, "start": start}
         refuse_options_of_plans({**of_plans, "anyway": anyway or None})
-        return carried_out(plan, plant=plant, repetitions=trials, seed=seed, progress=progress, keep=keep)
+        return carry_out_experiment(plan, plant=plant, repetitions=trials, seed=seed, progress=progress, keep=keep)
     chosen, begin = plan_of(plan), time.perf_counter()
     problem = replace(chosen.problem, plant={**chosen.problem.plant, **(plant_parameters or {})})
     true = {problem.automaton.index(name): value for name, value in (start or {}).items()}

@@ -79,7 +79,7 @@ class ExperimentResult(RecordedResult):
         }
 
 
-def carried_out(
+def carry_out_experiment(
     experiment: Experiment | Source,
     *,
     plant: str | PlantMaker | Plant,

@@ -72,7 +72,7 @@ class Folder:
         return tuple(each for each in self.files if each.group == group)
 
 
-def look_into(folder: Path, without: Sequence[Path] = ()) -> Folder:
+def read_folder(folder: Path, without: Sequence[Path] = ()) -> Folder:
     """The contents of a folder, without subfolders.
 
     Args:
@@ -92,12 +92,12 @@ def look_into(folder: Path, without: Sequence[Path] = ()) -> Folder:
     if len(wanted) > _MOST_FILES:
         problem = f"expected at most {_MOST_FILES} files, found {len(wanted)}"
         raise InputError(problem, source=folder, remedy="show a folder of one piece of work")
-    files = tuple(_looked_at(path, [page for page in pages if page.stem == path.stem]) for path in wanted)
+    files = tuple(_file_in_folder(path, [page for page in pages if page.stem == path.stem]) for path in wanted)
     known = {page for each in files for page in each.pages}
     return Folder(folder, files, tuple(page for page in pages if page not in known), _next_step(files))
 
 
-def _looked_at(path: Path, pages: Sequence[Path]) -> FileInFolder:
+def _file_in_folder(path: Path, pages: Sequence[Path]) -> FileInFolder:
     if path.stat().st_size > _MOST_BYTES:
         words = f"{path.stat().st_size / 1e6:,.0f} MB, not read here"
         return FileInFolder(path, "others", words, None, tuple(pages))

@@ -83,7 +83,7 @@ def recording_of(source: Measured, *, minimum_rows: int = 1, conventions: Conven
     if isinstance(source, list | tuple) and source:
         return joined_recordings([recording_of(recording, minimum_rows=minimum_rows) for recording in source])
     if not isinstance(source, Recording):
-        raise _other("a recording", source, "give the path of one, or a micah_plan.Recording")
+        raise _wrong_type_error("a recording", source, "give the path of one, or a micah_plan.Recording")
     return checked_recording(source, minimum_rows=minimum_rows)
 
 
@@ -167,7 +167,9 @@ def automaton_of(source: Modelled) -> HybridAutomaton:
             raise InputError(f"nothing was learned: {getattr(source, 'reason', '')}")
         return source.automaton
     if not isinstance(source, HybridAutomaton):
-        raise _other("a model", source, "give the path of one, what learn returns, or data with a model file's keys")
+        raise _wrong_type_error(
+            "a model", source, "give the path of one, what learn returns, or data with a model file's keys"
+        )
     check_automaton(source)
     return source
 
@@ -206,7 +208,7 @@ def problem_and_notes(source: Problematic, model: Modelled | None = None) -> tup
 
         return problem_for(automaton_of(problem)), ()
     if not isinstance(problem, Problem):
-        raise _other("a problem", source, "give the path of one, or what load returns for it")
+        raise _wrong_type_error("a problem", source, "give the path of one, or what load returns for it")
     if automaton is None:
         return problem, ()
     nominal = problem.automaton
@@ -306,5 +308,5 @@ def planner_settings(problem: Problem, changes: Mapping[str, Any]) -> PlannerSet
     return settings_with(problem.settings, changes, problem.automaton.input_names)
 
 
-def _other(expected: str, value: object, remedy: str) -> InputError:
+def _wrong_type_error(expected: str, value: object, remedy: str) -> InputError:
     return InputError(f"expected {expected}, found {shown(type(value).__name__)}", remedy=remedy)

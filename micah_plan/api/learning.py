@@ -314,12 +314,12 @@ def segment_row(segment: Segment) -> tuple[str, ...]:
     if joint.covariance is not None:
         axis += f"\n± {in_degrees(axis_std(joint), digits=2)}" if axis else ""
         arm += f"\n± {quantity(radius_std(joint), 'm', digits=2)}" if arm else ""
-    passed = _passed(segment) if joint.moves else plain(segment.configuration_end)
+    passed = _endpoints_text(segment) if joint.moves else plain(segment.configuration_end)
     probability = segment.probability if sure is None else dict(sure.kinds).get(joint.kind, 0.0)
     return (joint.kind, rows, passed, axis, arm, percent(min(probability, SUREST), 0), start)
 
 
-def _passed(segment: Segment) -> str:
+def _endpoints_text(segment: Segment) -> str:
     """The start and end of a moving segment, with the turning point if it comes back."""
     ends = [segment.configuration_start, segment.configuration_end]
     low, high = segment.configuration_range

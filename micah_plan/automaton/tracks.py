@@ -15,7 +15,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton, Link
 from micah_plan.automaton.link_motion import link_motions
 from micah_plan.errors import InputError, shown
 from micah_plan.recording.continuity import continuity
-from micah_plan.recording.symmetry import settled
+from micah_plan.recording.symmetry import with_unified_orientations
 from micah_plan.recording.value import DEFAULT_PART, Recording
 
 
@@ -87,7 +87,7 @@ def tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[Track, ...
         InputError: if parts and links do not match, or the parts of a run were not measured at the same times.
     """
     names = _part_of_link(automaton, recording)
-    seen = _RowsByLink.of(automaton, settled(recording), names)
+    seen = _RowsByLink.of(automaton, with_unified_orientations(recording), names)
     inside = _tracks(automaton, seen, is_outside=False)
     if inside[0].believed is None or not any(form(effect.name).layer == "sensor" for effect in automaton.effects):
         return inside

@@ -86,20 +86,20 @@ def main() -> None:
         code = INTERRUPTED
     except OSError as error:
         if error.errno not in _OF_THE_SYSTEM:
-            code = _bug(error)
+            code = _report_bug(error)
         else:
             problem = (error.strerror or str(error)).lower()
             _fail(InputError(problem, source=str(error.filename)[:80], remedy=_OF_THE_SYSTEM[error.errno]), BAD_INPUT)
     except Exception as error:
-        code = INTERRUPTED if is_of_an_interruption(error) else _bug(error)
+        code = INTERRUPTED if is_of_an_interruption(error) else _report_bug(error)
     if code == INTERRUPTED:  # what typer makes of a KeyboardInterrupt within a command
         _fail(SENTENCE, INTERRUPTED)
     sys.exit(code)
 
 
-def _bug(error: Exception) -> int:
+def _report_bug(error: Exception) -> int:
     """Print a request to report an internal error."""
-    _say(f"{type(error).__name__}: {error}; this is a bug in micah-plan, please report it with the lines below")
+    _print_error(f"{type(error).__name__}: {error}; this is a bug in micah-plan, please report it with the lines below")
     traceback.print_exception(error)
     return OUR_BUG
 
@@ -126,11 +126,11 @@ def _usage_line(error: Any) -> InputError:
 
 
 def _fail(error: MicahError | str, code: int) -> NoReturn:
-    _say(error)
+    _print_error(error)
     sys.exit(code)
 
 
-def _say(error: MicahError | str) -> None:
+def _print_error(error: MicahError | str) -> None:
     text = " ".join(str(error).split())
     if asks_for_json():
         faults = (

@@ -87,7 +87,7 @@ def calibrate(
     if experiment is not None and designed is not None:
         contents[experiment] = experiment_text(designed.experiment, model, experiment, str(designed)).encode()
     contents |= drawn(result, recordings[0].stem, html)
-    more = {} if experiment is None else {"experiment": None if designed is None else _designed(designed)}
+    more = {} if experiment is None else {"experiment": None if designed is None else _experiment_json(designed)}
     write_and_print(result, contents, as_json, more)
     if experiment is not None and not as_json:
         out.print(f"experiment {designed or 'not written: no commands along a joint would tell more'}")
@@ -95,7 +95,7 @@ def calibrate(
         raise typer.Exit(NO_RESULT)
 
 
-def _designed(designed: Designed) -> dict[str, Any]:
+def _experiment_json(designed: Designed) -> dict[str, Any]:
     """JSON of an experiment: the separated pairs with their expected evidence [nats]."""
     pairs = [{"between": [first, second], "expected_nats": nats} for first, second, nats in designed.expected]
     return {"coordinate": designed.coordinate, "pairs": pairs, "sentence": str(designed)}

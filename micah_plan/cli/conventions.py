@@ -55,7 +55,7 @@ PartName = Annotated[str | None, typer.Option("--name", metavar="NAME", help="Na
 
 
 @dataclass(frozen=True)
-class Said:
+class ConventionOptions:
     """Values of the options; None where omitted."""
 
     columns: str | None = None
@@ -78,7 +78,7 @@ class Said:
         Raises:
             InputError: for a unit or a column that there is not.
         """
-        if self == Said():
+        if self == ConventionOptions():
             return None
         from micah_plan.recording.conventions import Conventions
 

@@ -19,6 +19,7 @@ from micah_plan.cli.console import (
 from micah_plan.cli.conventions import (
     Columns,
     Commands,
+    ConventionOptions,
     Frame,
     JointRanges,
     Order,
@@ -26,7 +27,6 @@ from micah_plan.cli.conventions import (
     PositionsOnly,
     Rate,
     Robot,
-    Said,
     Tool,
     Topics,
     Units,
@@ -87,7 +87,9 @@ def convert(
     from micah_plan.exchange.convert import targets
 
     check_outputs((source,), (Output("the target", target, targets(source)),))
-    said = Said(columns, units, rate, up, quaternion, name, topic, frame, robot, tool, joint_ranges, commands)
+    said = ConventionOptions(
+        columns, units, rate, up, quaternion, name, topic, frame, robot, tool, joint_ranges, commands
+    )
     kind, notes = converted(
         source,
         target,

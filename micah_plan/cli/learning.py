@@ -24,6 +24,7 @@ from micah_plan.cli.console import (
 from micah_plan.cli.conventions import (
     Columns,
     Commands,
+    ConventionOptions,
     Frame,
     JointRanges,
     Order,
@@ -31,7 +32,6 @@ from micah_plan.cli.conventions import (
     PositionsOnly,
     Rate,
     Robot,
-    Said,
     Tool,
     Topics,
     Units,
@@ -87,7 +87,7 @@ def learn(
         raise typer.Exit
     if output is None:
         raise InputError("missing option '-o' / '--output'", remedy="see micah-plan learn --help")
-    said = Said(
+    said = ConventionOptions(
         columns, units, rate, up, quaternion, name, topic, frame, robot, tool, joint_ranges, commands, positions_only
     )
     from micah_plan.api.learning import learn as learned

@@ -113,11 +113,11 @@ def _serve(
 
 
 def _show_folder(folder: Path, files: Mapping[str, Path], live: bool, as_json: bool) -> None:
-    from micah_plan.api.folder import look_into, page_of
+    from micah_plan.api.folder import page_of, read_folder
 
     if live or list(files) != ["-o"]:
         raise InputError("of a folder there is a page only", source=folder, remedy="name it with -o, and nothing else")
-    found = look_into(folder, [files["-o"]])
+    found = read_folder(folder, [files["-o"]])
     page = page_of(found).encode()
     replace_files({files["-o"]: page})
     command, why = found.step

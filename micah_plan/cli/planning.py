@@ -145,11 +145,11 @@ def execute(
 
 def _carry_out(file: Path, output: Path, plant: str, repetitions: int | None, seed: int, as_json: bool) -> None:
     """The runs of an experiment as a recording."""
-    from micah_plan.api.experiments import carried_out
+    from micah_plan.api.experiments import carry_out_experiment
 
     machine = named_plant(plant)
     with _kept_logs(output) as logs, progress_bar(as_json) as progress:
-        run = partial(carried_out, file, plant=machine, repetitions=repetitions, seed=seed)
+        run = partial(carry_out_experiment, file, plant=machine, repetitions=repetitions, seed=seed)
         result = run(progress=progress, keep=logs.append)
     result.save(output)
     lines = (*map(str, result.report()), f"wrote {output}")
@@ -184,13 +184,13 @@ def _kept_logs(output: Path) -> Iterator[list[Recording]]:
     try:
         yield logs
     except BaseException as error:
-        stopped = _broken_off(error, logs, output)
+        stopped = _aborted_with_logs(error, logs, output)
         if stopped is error:
             raise
         raise stopped from error
 
 
-def _broken_off(error: BaseException, logs: Sequence[Recording], output: Path) -> BaseException:
+def _aborted_with_logs(error: BaseException, logs: Sequence[Recording], output: Path) -> BaseException:
     """The error of an aborted execution with the path of its logs, which are written now."""
     if not logs:
         return error

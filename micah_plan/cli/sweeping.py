@@ -47,7 +47,7 @@ def sweep(
         if output is not None:
             check_sweep_outputs(asked, output)
         if output is None or dry_run:
-            counts = _counted(asked, output)
+            counts = _dry_run_json(asked, output)
             print_summary(as_json, counts, lambda: _print_counted(counts))
             return
         begin = time.perf_counter()
@@ -55,10 +55,10 @@ def sweep(
             with _workers(workers, scheduler) as chosen:
                 done = run_on(asked, output, chosen, progress)
         except KeyboardInterrupt:
-            counts = _counted(asked, output)
+            counts = _dry_run_json(asked, output)
             state = f"{counts['finished']} of {counts['cases']} cases are finished and kept in {journal_path(output)}"
             raise Interrupted(f"interrupted; {state}; give the same command again to go on") from None
-    summary = _swept(done, time.perf_counter() - begin)
+    summary = _sweep_json(done, time.perf_counter() - begin)
     print_summary(as_json, summary, lambda: _print_swept(summary, done.files))
 
 
@@ -68,7 +68,7 @@ def _workers(count: int | None, scheduler: str | None) -> AbstractContextManager
     return process_workers(count) if scheduler is None else dask_workers(scheduler)
 
 
-def _counted(sweep: Sweep, output: Path | None) -> dict[str, Any]:
+def _dry_run_json(sweep: Sweep, output: Path | None) -> dict[str, Any]:
     """JSON of `sweep --dry-run`: problems, grid, seeds, number of cases, and those in the journal."""
     from micah_plan.sweep.journal import journal_path, read_journal
 
@@ -83,7 +83,7 @@ def _counted(sweep: Sweep, output: Path | None) -> dict[str, Any]:
     }
 
 
-def _swept(done: SweepResults, seconds: float) -> dict[str, Any]:
+def _sweep_json(done: SweepResults, seconds: float) -> dict[str, Any]:
     """JSON of `sweep`: cases, resumed cases, and outcomes."""
     pairs = zip(done.cases, done.results, strict=True)
     executed = [(case.trials, result.successes) for case, result in pairs if result.successes is not None]

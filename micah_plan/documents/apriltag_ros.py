@@ -15,7 +15,7 @@ _IDENTITY = {"qx": 0.0, "qy": 0.0, "qz": 0.0, "qw": 1.0}
 _FAMILIES = {"36h11": "tag36h11", "25h9": "tag25h9", "16h5": "tag16h5"}
 
 
-def ours_of_apriltag_ros(data: Any) -> dict[str, Any] | None:
+def layout_of_apriltag_ros(data: Any) -> dict[str, Any] | None:
     """The equivalent tag layout; None if the data has another format.
 
     Raises:

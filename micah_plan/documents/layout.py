@@ -59,7 +59,7 @@ class Document(BaseModel):
     def meanings(self, at: Located, scope: Scope) -> dict[str, Any]:
         """The entry as attributes, without the format: marks applied, inner entries as values."""
         self.check(at)
-        meant = {key: kind for key, kind in _kinds(type(self)).items() if kind.says_more}
+        meant = {key: kind for key, kind in _kinds(type(self)).items() if kind.is_converted}
         entries = {key: value for key, value in self if key != "format"}
         entries |= {key: _read(kind, entries[key], at.at(key), scope) for key, kind in meant.items()}
         return {self.renamed.get(key, key): value for key, value in entries.items()}
@@ -115,9 +115,9 @@ class _Kind:
     entries: _Kind | None = None
 
     @cached_property
-    def says_more(self) -> bool:
+    def is_converted(self) -> bool:
         """Whether the value of such an entry differs from its text in the file."""
-        inner = any(kind is not None and kind.says_more for kind in (self.keys, self.entries))
+        inner = any(kind is not None and kind.is_converted for kind in (self.keys, self.entries))
         return inner or bool(self.marks) or is_document(self.type)
 
 
@@ -188,7 +188,7 @@ def _plain(kind: _Kind, value: Any, scope: Scope) -> Any:
 
 def _read(kind: _Kind, value: Any, at: Located, scope: Scope) -> Any:
     """The value of an entry of one kind; the entry itself where they are the same."""
-    if value is None or not kind.says_more:
+    if value is None or not kind.is_converted:
         return value
     if isinstance(value, Document):
         value = value.read(at, scope)

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from micah_plan.documents.apriltag_ros import ours_of_apriltag_ros
+from micah_plan.documents.apriltag_ros import layout_of_apriltag_ros
 from micah_plan.documents.fields import Distance, PartName, Quaternion, Vector3
 from micah_plan.documents.layout import Document, Scope, doc
 from micah_plan.documents.located import Located
@@ -74,7 +74,7 @@ def load_tags(path: str | Path) -> TagLayout:
     """
     located = read_yaml_file(path)
     with located_in(path):
-        document = ours_of_apriltag_ros(located.data)
+        document = layout_of_apriltag_ros(located.data)
     if document is not None:
         located = Located(document, located.source)
     return validated(located, TagsDocument).read(located, {})

@@ -207,13 +207,13 @@ class _Reader:
             if event.anchor not in self._anchors:
                 problem = f"the alias {shown('*' + event.anchor)} stands for nothing that was written before it"
                 raise self._error(event, problem, f"write '&{event.anchor}' before the value that it means")
-            return self._meant(event, *self._anchors[event.anchor], path)
-        value = self._own(event, path)
+            return self._resolved_alias(event, *self._anchors[event.anchor], path)
+        value = self._parsed(event, path)
         if isinstance(event, events.NodeEvent) and event.anchor is not None:
             self._anchors[event.anchor] = path, value
         return value
 
-    def _meant(self, event: events.Event, origin: KeyPath, value: Any, path: KeyPath) -> Any:
+    def _resolved_alias(self, event: events.Event, origin: KeyPath, value: Any, path: KeyPath) -> Any:
         """A copy of the value that an alias at a path refers to, with the places of the original."""
         self._check_depth(event, path)
         self._expanded += 1
@@ -221,16 +221,16 @@ class _Reader:
             raise self._error(event, f"aliases stand for more than {MOST_VALUES} values", "write out what is needed")
         self._places.setdefault(path, self._places[origin])
         if isinstance(value, dict):
-            return {key: self._meant(event, (*origin, key), item, (*path, key)) for key, item in value.items()}
+            return {key: self._resolved_alias(event, (*origin, key), item, (*path, key)) for key, item in value.items()}
         if isinstance(value, list):
-            return [self._meant(event, (*origin, i), item, (*path, i)) for i, item in enumerate(value)]
+            return [self._resolved_alias(event, (*origin, i), item, (*path, i)) for i, item in enumerate(value)]
         return value
 
     def _check_depth(self, event: events.Event, path: KeyPath) -> None:
         if len(path) > DEEPEST:
             raise self._error(event, f"expected at most {DEEPEST} levels", "nothing needs to be nested so deep")
 
-    def _own(self, event: events.Event, path: KeyPath) -> Any:
+    def _parsed(self, event: events.Event, path: KeyPath) -> Any:
         """The value that starts at an event."""
         self._check_depth(event, path)
         if isinstance(event, events.ScalarEvent):

@@ -50,7 +50,7 @@ def _of_points(path: str | Path, meant: Conventions) -> Recording:
     """Poses of the bodies that points belong to; the command `track` reports more."""
     tracks = load_points(path, unit=meant.length)
     with located_in(path):
-        meant.require_open(
+        meant.refuse_stated(
             ("columns", "topics", "frame", "robot", "tool", "joint_ranges"), "tracks of points have no such thing"
         )
         found = track_points(tracks, tracks.rate_or(meant.rate))

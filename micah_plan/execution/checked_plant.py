@@ -43,17 +43,17 @@ def make_plant(problem: Problem, kind: str | PlantMaker) -> Plant:
         PlantError: if the machine does not answer.
     """
     if not isinstance(kind, str):
-        return made(kind, problem, "problem")
+        return plant_of(kind, problem, "problem")
     if kind in BUILT_IN:
-        return made(resolve_name(BUILT_IN[kind].maker), problem, "problem")
+        return plant_of(resolve_name(BUILT_IN[kind].maker), problem, "problem")
     raise InputError(f"unknown plant {shown(kind)}", remedy=f"choose {' or '.join(BUILT_IN)}")
 
 
-def made(maker: Callable[[Any], Plant], argument: object, what: str) -> Plant:
+def plant_of(maker: Callable[[Any], Plant], argument: object, what: str) -> Plant:
     """The plant that a class or function returns for a problem or a scene."""
     if isinstance(maker, type):  # before any machine moves
         check_methods(maker, maker.__name__)
-    plant: Plant = _called(maker, f"{getattr(maker, '__name__', 'the plant')}({what})", maker, argument)
+    plant: Plant = _call_user_code(maker, f"{getattr(maker, '__name__', 'the plant')}({what})", maker, argument)
     check_methods(plant, type(plant).__name__)
     return plant
 
@@ -112,19 +112,19 @@ class CheckedPlant:
         if patience is not None and not (isinstance(patience, int | float) and 0.0 < patience < np.inf):
             problem = f"{kind.__name__}.patience must be seconds > 0, or None. Got {shown(patience)}"
             raise InputError(problem, remedy="leave it out for a minute")
-        with _watched(what, patience):
-            return _called(kind, what, getattr(self._plant, method), *arguments)
+        with _aborted_after(what, patience):
+            return _call_user_code(kind, what, getattr(self._plant, method), *arguments)
 
     def _measured(self, method: str, argument: object) -> Measurement:
         answer = self.ask(method, argument)
         if method == "apply" and self._last is not None:
-            answer = _filled(answer, self._last)
+            answer = _with_last_poses(answer, self._last)
         self._last = checked_measurement(answer, self._parts, self._time)
         self._time = self._last.time
         return self._last
 
 
-def _filled(answer: object, last: Measurement) -> object:
+def _with_last_poses(answer: object, last: Measurement) -> object:
     """An answer with NaN poses replaced by the last ones and marked `unseen`."""
     if not isinstance(answer, Measurement):
         return answer
@@ -138,7 +138,7 @@ def _filled(answer: object, last: Measurement) -> object:
 
 
 @contextmanager
-def _watched(what: str, patience: float | None) -> Iterator[None]:
+def _aborted_after(what: str, patience: float | None) -> Iterator[None]:
     """Abort calls that take longer than `patience` [s], where possible: in the main thread, on systems with alarms."""
     in_main = threading.current_thread() is threading.main_thread()
     if patience is None or not in_main or not hasattr(signal, "setitimer"):
@@ -248,7 +248,7 @@ def error_in_user_code(error: BaseException, file: str | None, what: str) -> Inp
     return InputError(f"{what} raised {said}", source=file, where=None if line is None else f"line {line}")
 
 
-def _called(culprit: object, what: str, call: Callable[..., Any], *arguments: object) -> Any:
+def _call_user_code(culprit: object, what: str, call: Callable[..., Any], *arguments: object) -> Any:
     """The result of a call to user code; exceptions become one line about that code."""
     try:
         return call(*arguments)

@@ -24,7 +24,7 @@ from micah_plan.execution.plant import Command, Measurement, Plant, PlantError, 
 from micah_plan.execution.pose import chain, command, configuration, moving_joints, reading
 from micah_plan.execution.release import ReleaseController
 from micah_plan.execution.watch import Watch
-from micah_plan.planning.input_memories import coasted, with_input_memory
+from micah_plan.planning.input_memories import after_memories_run_out, with_input_memory
 from micah_plan.planning.path_constraints import PathRecord
 from micah_plan.quantities import percent, quantity
 from micah_plan.recording.value import Recording
@@ -162,14 +162,14 @@ class Episode:
     def observed(self, belief: HybridBelief, measurement: Measurement) -> Floats:
         """The `reading` of a measurement given the belief before it; the watch records the difference."""
         z = self.reading(belief, measurement)
-        self._watch.expected(belief, z)
+        self._watch.record_innovation(belief, z)
         plain, mode = self._problem.automaton, belief.most_likely
         x = np.where(np.isfinite(z), z, belief.means[mode, : len(z)])[: plain.n]
         places = chain(plain, moving_joints(plain, plain.modes[mode].name), x)[:, :3, 3]
         shown = ~measurement.unseen if measurement.unseen is not None else np.ones(len(places), dtype=bool)
         off = np.linalg.norm(places - measurement.position, axis=1)[shown]
         if off.size and not self._is_away:
-            self._watch.placed(belief, float(off.max()))
+            self._watch.record_pose_error(belief, float(off.max()))
         return z
 
     def decide(self, belief: HybridBelief, measurement: Measurement, truth: Truth | None = None) -> Command | None:
@@ -405,7 +405,10 @@ def lasting_probability(automaton: HybridAutomaton, goal: Goal, belief: HybridBe
     now = goal_probability(automaton, goal, belief)
     if not automaton.input_memories:
         return now
-    ends = [coasted(automaton, mode.name, mean) for mode, mean in zip(automaton.modes, belief.means, strict=True)]
+    ends = [
+        after_memories_run_out(automaton, mode.name, mean)
+        for mode, mean in zip(automaton.modes, belief.means, strict=True)
+    ]
     return min(now, goal_probability(automaton, goal, replace(belief, means=np.array(ends))))
 
 

@@ -86,18 +86,18 @@ class _Trial:
         first = self._plant.reset(np.random.default_rng(self._seed))
         if abs(first.time) > _FIRST_SECONDS:
             yield f"time must count from the reset. Got {first.time:.9g} s in the first measurement"
-        misplaced = list(self._misplaced(first))
+        misplaced = list(self._pose_faults(first))
         yield from misplaced
         if misplaced:
             return  # motions would show nothing
-        yield from self._off_start(first)
+        yield from self._start_faults(first)
         truth = self._plant.truth()
         if truth is not None:
-            yield from self._hides_truth(first, truth)
+            yield from self._truth_faults(first, truth)
         self._x[: self._plain.n] = self._measured(first)
         for j in range(self._plain.m):
-            yield from self._goes_elsewhere(j)
-        yield from self._moves_by_itself()
+            yield from self._direction_faults(j)
+        yield from self._drift_faults()
         for part, hidden in zip(self._parts, self._hidden, strict=True):
             if hidden:
                 after = f"after {hidden} of {count(self._steps, 'command')}"
@@ -106,14 +106,14 @@ class _Trial:
         if truth is not None and not np.array_equal(first.position, again.position):
             yield "a simulation must start alike for the same seed; draw all chances from the rng of reset"
 
-    def _misplaced(self, measurement: Measurement) -> Iterator[str]:
+    def _pose_faults(self, measurement: Measurement) -> Iterator[str]:
         """Faults: parts at poses that no configuration of their joints allows."""
         joints, x = moving_joints(self._plain, self._mode), self._measured(measurement)
         allowed = [placements(j, x[link.coordinate])[0] for j, link in zip(joints, self._plain.links, strict=True)]
         rolled = replace(measurement, quaternion=np.roll(measurement.quaternion, -1, axis=1))
-        scalar_last = self._off(rolled, allowed, self._x)
+        scalar_last = self._pose_deviations(rolled, allowed, self._x)
         for (part, away, angle), (*_, rolled_angle) in zip(
-            self._off(measurement, allowed, self._x), scalar_last, strict=True
+            self._pose_deviations(measurement, allowed, self._x), scalar_last, strict=True
         ):
             if away:
                 hint = "give the place of the part's origin in m, in the base frame of the model"
@@ -124,7 +124,7 @@ class _Trial:
                     hint = "the quaternion has its scalar first; give it last"
                 yield f"part '{part}' is measured turned by {quantity(angle, 'rad')} against its joint; {hint}"
 
-    def _off(
+    def _pose_deviations(
         self, measurement: Measurement, expected: Sequence[Floats], x: Floats
     ) -> Iterator[tuple[str, float, float]]:
         """(part, distance [m], angle [rad]) of each part off an expected relative pose (4, 4); 0 within noise at x."""
@@ -139,14 +139,14 @@ class _Trial:
             is_away, is_turned = away > place + _PLACE + turn * lever, angle > turn + _TURN
             yield part, away if is_away else 0.0, angle if is_turned else 0.0
 
-    def _off_start(self, measurement: Measurement) -> Iterator[str]:
+    def _start_faults(self, measurement: Measurement) -> Iterator[str]:
         start, noise, x = self._problem.start, self._noise(self._x), self._measured(measurement)
         for i, coordinate in enumerate(self._plain.coordinates):
             if abs(x[i] - start.mean[i]) > SURE_STDS * float(np.hypot(start.std[i], noise[i])) + _START:
                 stated = f"the problem starts at {with_spread(start.mean[i], start.std[i], coordinate.unit)}"
                 yield f"{coordinate.name} is measured at {quantity(x[i], coordinate.unit)} after a reset, but {stated}"
 
-    def _hides_truth(self, measurement: Measurement, truth: Truth) -> Iterator[str]:
+    def _truth_faults(self, measurement: Measurement, truth: Truth) -> Iterator[str]:
         """Faults of a referee whose truth contradicts the tracker."""
         rows, n = len(self._parts), self._plain.n
         shapes = {"position": (rows, 3), "quaternion": (rows, 4), "x": (n,), "latched": (n,)}
@@ -155,19 +155,19 @@ class _Trial:
             if shapes_given[name] != shape:
                 yield f"Truth.{name} must have shape {shape}. Got {shapes_given[name]}"
         if shapes_given == shapes:
-            for part, away, _ in self._off(
+            for part, away, _ in self._pose_deviations(
                 measurement, relative(self._plain, truth.position, truth.quaternion), truth.x
             ):
                 if away:
                     yield f"part '{part}' is measured {quantity(away, 'm')} from its true place"
 
-    def _goes_elsewhere(self, j: int) -> Iterator[str]:
+    def _direction_faults(self, j: int) -> Iterator[str]:
         """Faults along one input, in the direction that keeps the mode: motion other than commanded."""
         name = self._plain.inputs[j].name
         for sign in (1.0, -1.0):
             u = np.zeros(self._plain.m)
             u[j] = sign * self._limits.max_step[j]
-            steps = self._telling_steps(u)
+            steps = self._visible_steps(u)
             if not steps:
                 continue
             before = self._x[: self._plain.n].copy()
@@ -183,7 +183,7 @@ class _Trial:
             f"input '{name}' was not tried: in mode {self._mode} nothing that it does shows above noise"
         )
 
-    def _telling_steps(self, u: Floats) -> int:
+    def _visible_steps(self, u: Floats) -> int:
         """The fewest steps of an input that exceed the noise within the mode; 0 if there are none."""
         x = self._x
         for steps in range(1, _MOST_STEPS + 1):
@@ -195,7 +195,7 @@ class _Trial:
                 return steps
         return 0
 
-    def _moves_by_itself(self) -> Iterator[str]:
+    def _drift_faults(self) -> Iterator[str]:
         n, expected = self._plain.n, self._commanded(np.zeros(self._plain.m), 1)
         room = SURE_STDS * self._std(1) + _SHARE * self._limits.speed[:n]
         for i in np.flatnonzero(np.abs(self._x[:n] - expected) > room):

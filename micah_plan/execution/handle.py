@@ -19,7 +19,7 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.kinematics import jacobian
 from micah_plan.automaton.transition import step
 from micah_plan.errors import InputError
-from micah_plan.execution.checked_plant import CheckedPlant, check_methods, checked_measurement, made
+from micah_plan.execution.checked_plant import CheckedPlant, check_methods, checked_measurement, plant_of
 from micah_plan.execution.mujoco.parameters import parameters_of
 from micah_plan.execution.plant import Command, Measurement, Plant, PlantError
 from micah_plan.execution.pose import chain, components, moving_joints
@@ -45,7 +45,7 @@ def make_handle_plant(scene: Scene, kind: str | Callable[[Any], Plant]) -> Plant
         MissingDependencyError: if it needs a library that is not installed.
     """
     if not isinstance(kind, str):
-        return made(kind, scene, "scene")
+        return plant_of(kind, scene, "scene")
     if scene.simulated is None:
         problem = f"the plant '{kind}' needs an object to put into the hand, and the scene names none"
         raise InputError(problem, remedy="add the key 'simulated' with a problem file, or give --plant FILE.py:CLASS")
@@ -82,7 +82,7 @@ class HandlePlant:
             InputError: for an answer that is no measurement, or without a force.
         """
         try:
-            return usable(self._plant.ask("apply", command))
+            return checked_handle_measurement(self._plant.ask("apply", command))
         except InputError as error:
             if isinstance(error.__cause__, OSError | EOFError):  # the line to the machine, not its code
                 raise PlantError(error.problem) from error
@@ -95,7 +95,7 @@ class HandlePlant:
         self._plant.__exit__(kind, error, _)
 
 
-def usable(answer: object) -> Measurement:
+def checked_handle_measurement(answer: object) -> Measurement:
     """A validated answer; poses or forces with a NaN become NaN throughout.
 
     Raises:

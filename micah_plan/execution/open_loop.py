@@ -53,7 +53,7 @@ def carry_out(
                 run, log = len(logs), RunLog(problem.automaton)
                 rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(run,)))
                 try:
-                    _make(problem, motion.commands, machine, rng, log)
+                    _run_motion(problem, motion.commands, machine, rng, log)
                 except PlantError as failure:
                     if not len(log):
                         raise  # it cannot be reset
@@ -67,7 +67,7 @@ def carry_out(
     return concatenated_recordings(logs), tuple(failures)
 
 
-def _make(
+def _run_motion(
     problem: Problem,
     commands: tuple[tuple[float, ...], ...],
     machine: CheckedPlant,

@@ -15,7 +15,7 @@ from micah_plan.automaton.transition import step
 from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.planning.avoided_inputs import cut_off
 from micah_plan.planning.feedback import feedback_input
-from micah_plan.planning.input_memories import coasted
+from micah_plan.planning.input_memories import after_memories_run_out
 from micah_plan.planning.limits import limited_input, limits_of
 from micah_plan.task.plan import ArmTrajectory, Trajectory
 from micah_plan.task.problem import Problem
@@ -74,16 +74,20 @@ class PlanFollower:
         knot, agrees = self._knot, mode == plan.modes[self._knot]
         if knot == len(plan.inputs):
             if self._has_arrived(belief):
-                return Advice(self._without_unplanned(belief, self._settle(belief, knot), knot - 1), "finished")
-        elif agrees or self._still_arrives(mode, estimate):
+                return Advice(
+                    self._without_unplanned_transitions(belief, self._input_at_end(belief, knot), knot - 1), "finished"
+                )
+        elif agrees or self._reaches_goal(mode, estimate):
             self._knot += 1
-            strayed = agrees and self._strayed(belief, knot)
-            u = self._without_unplanned(belief, self._planned(mode, estimate, knot), knot)
+            strayed = agrees and self._is_off_plan(belief, knot)
+            u = self._without_unplanned_transitions(belief, self._planned(mode, estimate, knot), knot)
             return Advice(u, "strayed" if strayed else "on_plan")
         earlier = [k for k in range(knot) if plan.modes[k] == mode]
         aim = earlier[-1] if earlier else knot
         fit: Fit = "lagging" if earlier else "off_plan"
-        return Advice(self._without_unplanned(belief, self._towards(mode, estimate, aim), aim - 1), fit)
+        return Advice(
+            self._without_unplanned_transitions(belief, self._input_towards(mode, estimate, aim), aim - 1), fit
+        )
 
     @property
     def place(self) -> tuple[Trajectory, int]:
@@ -106,7 +110,7 @@ class PlanFollower:
         while self._knot < len(self._trajectory.inputs) and self._trajectory.is_transition[self._knot]:
             self._knot += 1
 
-    def _still_arrives(self, mode: str, estimate: Floats) -> bool:
+    def _reaches_goal(self, mode: str, estimate: Floats) -> bool:
         """Whether the remaining plan with feedback leads a state to the goal without noise."""
         plan, x = self._trajectory, estimate
         for knot in range(self._knot, len(plan.inputs)):
@@ -118,7 +122,7 @@ class PlanFollower:
     def _planned(self, mode: str, estimate: Floats, knot: int) -> Floats:
         return self._limited(mode, estimate, feedback_input(self._trajectory, knot, estimate))
 
-    def _strayed(self, belief: HybridBelief, knot: int) -> bool:
+    def _is_off_plan(self, belief: HybridBelief, knot: int) -> bool:
         """Whether the estimate is farther from the knot than plan and belief allow (Mahalanobis distance)."""
         number = belief.most_likely
         n = self._size  # a memory of inputs is known exactly
@@ -129,7 +133,7 @@ class PlanFollower:
         distance = float(away @ np.linalg.pinv(covariance) @ away)
         return distance > float(chdtri(away.size, _OFF_PLAN_PROBABILITY))
 
-    def _settle(self, belief: HybridBelief, knot: int) -> Floats:
+    def _input_at_end(self, belief: HybridBelief, knot: int) -> Floats:
         """The input at the end of the plan: repeat the last transition while it may not have occurred, else hold.
 
         A door that is believed shut is pressed once more: if it was, nothing changes, and else it now is. Where the
@@ -142,22 +146,24 @@ class PlanFollower:
             rival = self._automaton.modes[doubted].name
             earlier = [k for k in range(knot) if plan.modes[k] == rival]
             if earlier:
-                again = self._towards(rival, belief.means[doubted], earlier[-1])
+                again = self._input_towards(rival, belief.means[doubted], earlier[-1])
                 after = step(self._automaton, mode, estimate, again, np.zeros_like(estimate))
                 moved = np.abs(after.x - estimate)[: self._size].max(initial=0.0)
                 if after.mode == mode and moved <= ROUND_OFF:
                     return again
-        return self._towards(mode, estimate, knot)
+        return self._input_towards(mode, estimate, knot)
 
-    def _towards(self, mode: str, estimate: Floats, knot: int) -> Floats:
+    def _input_towards(self, mode: str, estimate: Floats, knot: int) -> Floats:
         """The smallest input that moves the driven coordinates closest to a knot."""
         effect, away = np.array(self._automaton.mode(mode).B), np.zeros_like(estimate)
-        ahead = coasted(self._automaton, mode, estimate)  # what is on its way need not be commanded again
+        ahead = after_memories_run_out(
+            self._automaton, mode, estimate
+        )  # what is on its way need not be commanded again
         away[: self._size] = self._trajectory.means[knot][: self._size] - ahead[: self._size]
         u = np.linalg.pinv(effect) @ np.where(effect.any(axis=1), away, 0.0)
         return self._limited(mode, estimate, np.asarray(u, dtype=float))
 
-    def _without_unplanned(self, belief: HybridBelief, u: Floats, knot: int) -> Floats:
+    def _without_unplanned_transitions(self, belief: HybridBelief, u: Floats, knot: int) -> Floats:
         """An input outside the guards that the planned input of a knot is outside of; knot -1: at rest."""
         planned = self._trajectory.inputs[knot] if knot >= 0 else np.zeros_like(u)
         return np.asarray(cut_off(self._automaton, belief.weights[None], u[None], self._max_step, planned)[0])

@@ -51,7 +51,7 @@ class Watch:
         off = np.abs(self._sums[enough]) > _BIASED * np.sqrt(self._numbers[enough])
         return self._was_surprised or bool(off.any())
 
-    def expected(self, belief: HybridBelief, z: Floats) -> None:
+    def record_innovation(self, belief: HybridBelief, z: Floats) -> None:
         """Record a measurement z (n,) [rad or m] and the belief before it; only steps with a command count for bias.
 
         Nor does what is measured with a noise that depends on the place: in the dark, another look tells nothing.
@@ -68,7 +68,7 @@ class Watch:
             self._sums[measured] += np.clip(stds[measured], -_BIASED, _BIASED)
             self._numbers[measured] += 1
 
-    def placed(self, belief: HybridBelief, off: float) -> None:
+    def record_pose_error(self, belief: HybridBelief, off: float) -> None:
         """Record by how much parts were measured off their joints [m].
 
         Where noise depends on the place, which is not known, this says nothing.

@@ -153,7 +153,7 @@ def _normal_to(direction: Floats) -> tuple[Floats, Floats]:
     return first, np.cross(direction, first)
 
 
-def _series(rate: Floats, s: Floats) -> tuple[Floats, Floats, Floats]:
+def _trigonometric_series(rate: Floats, s: Floats) -> tuple[Floats, Floats, Floats]:
     """cos(a), s sin(a) / a and s² (1 - cos a) / a², (..., k, 1) each, for angles a = |w| s; smooth at w = 0."""
     angle = np.linalg.norm(rate, axis=-1)[..., None] * s / np.pi
     values = np.cos(np.pi * angle), s * np.sinc(angle), 0.5 * s**2 * np.sinc(0.5 * angle) ** 2
@@ -165,18 +165,18 @@ def _rotations(rate: Floats, s: Floats) -> Floats:
     x, y, z = rate[..., 0], rate[..., 1], rate[..., 2]
     zero = np.zeros_like(x)
     hat = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 1, 3, 3)
-    _, first, second = _series(rate, s)
+    _, first, second = _trigonometric_series(rate, s)
     return np.asarray(np.eye(3) + first[..., None] * hat + second[..., None] * (hat @ hat))
 
 
 def _carried(direction: Floats, rate: Floats, s: Floats) -> tuple[Floats, Floats, Floats]:
     """Displacements, rotations and tangents at distances s (..., k) along a joint."""
-    cosine, first, second = _series(rate, s)
+    cosine, first, second = _trigonometric_series(rate, s)
     side, straight = np.cross(rate, direction)[..., None, :], direction[..., None, :]
     return first * straight + second * side, _rotations(rate, s), cosine * straight + first * side
 
 
-def _placed(chain: Chain, rows: StepRows) -> Chain:
+def _with_placed_rows(chain: Chain, rows: StepRows) -> Chain:
     """The chain with each row at its most probable distance given tracker and odometer: a tridiagonal system."""
     places, _, tangents = chain.poses(chain.way)
     is_seen = rows.seen
@@ -229,13 +229,13 @@ def fitted(chain: Chain, rows: StepRows, rounds: int = 1) -> Chain:
     if missing > 0:
         tangent = chain.poses(chain.way[-1:])[2][0]
         chain = replace(chain, way=np.append(chain.way, chain.way[-1] + np.cumsum(rows.moved[-missing:] @ tangent)))
-    chain = _placed(chain, rows)
+    chain = _with_placed_rows(chain, rows)
     for _ in range(rounds):
         chain, change = _improved(chain, rows)
-        chain = _heard(_placed(chain, rows), rows)
+        chain = _with_estimated_noise(_with_placed_rows(chain, rows), rows)
         if change < 1e-4:
             break
-    return _judged(chain, rows)
+    return _with_evidence(chain, rows)
 
 
 def _improved(chain: Chain, rows: StepRows) -> tuple[Chain, float]:
@@ -284,7 +284,7 @@ def _vectors(matrices: Floats) -> Floats:
     )
 
 
-def _heard(chain: Chain, rows: StepRows) -> Chain:
+def _with_estimated_noise(chain: Chain, rows: StepRows) -> Chain:
     """The chain with noise scales of tracker and odometer from its residuals, and its likelihood."""
     rows_seen = int(rows.seen.sum())
     parts = _residuals(chain, rows)
@@ -298,7 +298,7 @@ def _heard(chain: Chain, rows: StepRows) -> Chain:
     return replace(chain, place_std=place_std, turn_std=turn_std, moved_share=moved_share, loss=loss)
 
 
-def _judged(chain: Chain, rows: StepRows) -> Chain:
+def _with_evidence(chain: Chain, rows: StepRows) -> Chain:
     """The chain with covariance and log evidence; a joint shorter than its play gets none."""
     steps, free = chain.numbers()
     slope = _slope(chain, rows, steps)  # of the rates' prior too
@@ -310,7 +310,7 @@ def _judged(chain: Chain, rows: StepRows) -> Chain:
     return replace(chain, covariance=np.linalg.inv(precision), evidence=evidence)
 
 
-def opening(chain: Chain) -> Chain:
+def oriented_outwards(chain: Chain) -> Chain:
     """The chain oriented so that its distance grows toward the farthest point."""
     if chain.way.max() >= -chain.way.min() or len(chain.hinges) > 1:
         return chain

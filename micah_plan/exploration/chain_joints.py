@@ -32,7 +32,7 @@ def with_joint(
         guess = Chain((False,), *pose, np.zeros(1), direction[None], np.zeros((1, 3)), way)
     else:
         way = np.append(before.way, before.way[-1] + np.cumsum(rows.moved[row:] @ direction))
-        guess = _followed(replace(before, way=way), float(before.way[-1]), False, direction, np.zeros(3))
+        guess = _with_next_joint(replace(before, way=way), float(before.way[-1]), False, direction, np.zeros(3))
     slide = fitted(guess, rows, _FIRST)
     return slide, _of_kind(slide, -1, rows, _FIRST)
 
@@ -45,7 +45,7 @@ def refitted(chains: tuple[Chain, Chain], rows: StepRows) -> tuple[Chain, Chain]
     return slide, hinge
 
 
-def judged(chains: Sequence[Chain], rows: StepRows) -> tuple[Chain, float]:
+def most_probable_chain(chains: Sequence[Chain], rows: StepRows) -> tuple[Chain, float]:
     """(most probable chain, probability of its kinds) among all that differ from the best in one joint."""
     compared, best = list(chains), max(chains, key=_log)
     while True:
@@ -86,7 +86,7 @@ def _without(chain: Chain, number: int, rows: StepRows) -> Chain:
     return fitted(replace(chain, hinges=hinges, begin=begin, direction=direction, rate=rate), rows, _WELL)
 
 
-def _followed(chain: Chain, begin: float, hinge: bool, direction: Floats, rate: Floats) -> Chain:
+def _with_next_joint(chain: Chain, begin: float, hinge: bool, direction: Floats, rate: Floats) -> Chain:
     """The chain continued by another joint from a distance on."""
     return replace(
         chain,
@@ -104,7 +104,7 @@ def _split(chain: Chain, rows: StepRows) -> list[Chain]:
     for share in _SPLITS:
         begin = float(chain.begin[-1] + share * (chain.way.max() - chain.begin[-1]))
         tangent = chain.poses(np.array([begin]))[2][0]
-        chains.append(fitted(_followed(straight, begin, True, tangent, last), rows, _WELL))
+        chains.append(fitted(_with_next_joint(straight, begin, True, tangent, last), rows, _WELL))
         if chain.hinges[-1]:
-            chains.append(fitted(_followed(chain, begin, False, tangent, np.zeros(3)), rows, _WELL))
+            chains.append(fitted(_with_next_joint(chain, begin, False, tangent, np.zeros(3)), rows, _WELL))
     return chains

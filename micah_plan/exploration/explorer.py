@@ -15,10 +15,10 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.execution.plant import Measurement
-from micah_plan.exploration.chain import Chain, opening
-from micah_plan.exploration.chain_joints import judged, refitted, with_joint
+from micah_plan.exploration.chain import Chain, oriented_outwards
+from micah_plan.exploration.chain_joints import most_probable_chain, refitted, with_joint
 from micah_plan.exploration.hand import UNKNOWN, stiffest
-from micah_plan.exploration.moves import Moves, anywhere, compass, onwards
+from micah_plan.exploration.moves import Moves, compass, moves_after_motion, prior_moves
 from micah_plan.exploration.next_push import SEEN, best_push, largest_lead
 from micah_plan.exploration.record import Record
 from micah_plan.quantities import count
@@ -85,8 +85,8 @@ class Explorer:
         self.moments: list[Moment] = []
         self.moves: Moves | None = None
         self.chains: tuple[Chain, ...] = ()
-        self.friction, self.tried, self.can = 3.0, 0.0, 1.0
-        self.sense, self.farthest, self.widest, self.travel = 1.0, 0.0, 0.0, 0.0
+        self.friction, self.tried, self.p_movable = 3.0, 0.0, 1.0
+        self.direction, self.farthest, self.range_seen, self.travel = 1.0, 0.0, 0.0, 0.0
         self._frame = self.record.turns[0]
         self._axes = np.concatenate([np.eye(3), -np.eye(3)]) @ self._frame.T
         self._compass = compass() @ self._frame.T
@@ -122,7 +122,7 @@ class Explorer:
 
     def stopped(self, reason: str) -> None:
         """Record a failure of the machine during the last command."""
-        self.record.withdrawn()
+        self.record.remove_last_command()
         self._end("gave_up", reason)
 
     def _end(self, outcome: Outcome, reason: str) -> None:
@@ -143,18 +143,18 @@ class Explorer:
                 self._end("gave_up", "the workspace ends here")
                 return still
             far = min(record.hand.compliance * self.friction + _AHEAD, most)
-            needed = self.moves.needed(ahead[None], record.hand.compliance)[0]
+            needed = self.moves.leads_to_move(ahead[None], record.hand.compliance)[0]
             if float(self.moves.weight[needed + SEEN <= far].sum()) > _SURE:
                 return far * ahead, True
             directions = np.concatenate([ahead[None], directions[directions @ ahead > -0.3]])
         else:
-            directions = np.concatenate([directions, self.moves.likely()])
+            directions = np.concatenate([directions, self.moves.likely_directions()])
         push = best_push(self.moves, directions, record.hand, most)
-        self.can = push.can
+        self.p_movable = push.p_movable
         size = float(np.linalg.norm(push.lead))
         too_strong = self._is_gentle and size > record.hand.compliance * (_GENTLE * self.friction + 3.0)
-        if self.can < _HELD or (chain is not None and too_strong):
-            return self._other_end(chain)
+        if self.p_movable < _HELD or (chain is not None and too_strong):
+            return self._turn_around(chain)
         bent = float(record.forces[-1] @ push.lead) / size
         if size > 2.0 * _BENT * most and bent > _BENT * self.scene.largest_force:
             return still
@@ -179,39 +179,39 @@ class Explorer:
     def _ahead(self, chain: Chain) -> Floats:
         """(3,) direction to the position one step further along the chain."""
         here = chain.way[-1]
-        places, _, _ = chain.poses(np.array([here, here + self.sense * _AHEAD]))
+        places, _, _ = chain.poses(np.array([here, here + self.direction * _AHEAD]))
         chord = places[1] - places[0]
         return np.asarray(chord / np.linalg.norm(chord))
 
-    def _other_end(self, chain: Chain | None) -> tuple[Floats, bool]:
+    def _turn_around(self, chain: Chain | None) -> tuple[Floats, bool]:
         """Turn to the other end: this one is reached, or needs more force. The search ends after both."""
-        opposite = self._left.get(-self.sense)
-        if chain is None or (self.can < _HELD and opposite is not None and opposite[1] is None):
-            self._nothing_moves()
+        opposite = self._left.get(-self.direction)
+        if chain is None or (self.p_movable < _HELD and opposite is not None and opposite[1] is None):
+            self._end_held()
             return np.zeros(3), False
         self._is_gentle = self._is_gentle and not self._left
-        self._left[self.sense] = (self.farthest, None if self.can < _HELD else self.moves)
-        self.sense = -self.sense
+        self._left[self.direction] = (self.farthest, None if self.p_movable < _HELD else self.moves)
+        self.direction = -self.direction
         self._is_returning = opposite is not None
-        self.farthest = self.sense * float(chain.way[-1]) if opposite is None else opposite[0]
-        self.moves = self._onwards(chain)
+        self.farthest = self.direction * float(chain.way[-1]) if opposite is None else opposite[0]
+        self.moves = self._moves_ahead(chain)
         return self._lead()
 
-    def _nothing_moves(self) -> None:
+    def _end_held(self) -> None:
         force = self._most() / self.record.hand.compliance
         if force < _NO_FORCE:
             self._end("gave_up", "too little is known of the hand to push safely; perhaps it does not hold the handle")
-        elif self.widest < _MOVED:
+        elif self.range_seen < _MOVED:
             self._end("held", f"nothing moved it within {force:.3g} N; a latch of more than that is not excluded")
         else:
-            self._end("gave_up", f"after {self.widest:.2g} m nothing within {force:.3g} N moved it on")
+            self._end("gave_up", f"after {self.range_seen:.2g} m nothing within {force:.3g} N moved it on")
 
     def take(self, measurement: Measurement) -> None:
         """Process a measurement: update the belief, and record the step."""
         record = self.record
         slip = record.take(measurement)
         if slip is not None:
-            self._hold_at(slip)
+            self._shift_by_slip(slip)
         if record.blind >= _BLIND:
             self._end("gave_up", f"the tracker has not seen the handle for {record.blind} steps")
         elif record.lost:
@@ -220,17 +220,17 @@ class Explorer:
             limit = f"{self.scene.largest_force:.3g} N that are allowed"
             changed = "the hand, its force sensor or the tracker is not what it was"
             self._end("gave_up", f"the hand met {met:.3g} N, more than the {limit}: {changed}")
-        elif (pull := self._pull()) > self.scene.largest_force:
+        elif (pull := self._pull_of_rest()) > self.scene.largest_force:
             problem = "the tracker sees the handle elsewhere than its force tells, and commands count from there"
             self._end("gave_up", f"{problem}: even to stay would pull with {pull:.3g} N")
         elif self.moves is not None or (self.steps >= _PUSHES and not record.blind):
             self._learn()
-        fan = np.zeros((0, 3)) if self.moves is None else self.moves.likely(40)
-        way = 0.0 if self.chain is None else self.sense * float(self.chain.way[-1])
+        fan = np.zeros((0, 3)) if self.moves is None else self.moves.likely_directions(40)
+        way = 0.0 if self.chain is None else self.direction * float(self.chain.way[-1])
         lead, force = record.leads[-1], record.forces[-1]
         self.moments.append(Moment(record.place.copy(), force, lead, self.probabilities(), fan, way))
 
-    def _pull(self) -> float:
+    def _pull_of_rest(self) -> float:
         """The force [N] of a command to stay, which counts from the measured position."""
         record = self.record
         if record.blind:
@@ -242,7 +242,7 @@ class Explorer:
         counts = record.hand.from_measured or record.hand.perhaps_measured
         return float(np.linalg.norm(away)) * record.hand.stiffness if counts else 0.0
 
-    def _hold_at(self, slip: Floats) -> None:
+    def _shift_by_slip(self, slip: Floats) -> None:
         """Shift all stored positions by a slip of the grip (3,) in the handle's frame [m]."""
         moved = [replace(chain, place=chain.place + chain.turn @ slip) for chain in self.chains]
         self.chains = tuple(moved)
@@ -255,35 +255,37 @@ class Explorer:
     def _learn(self) -> None:
         record = self.record
         if not self.chains and not record.blind:
-            record.know_hand()
+            record.estimate_hand()
             self._anchor = record.place - np.sum(record.moved, axis=0)
             if record.hand.complaint:
                 self._end("gave_up", record.hand.complaint)
                 return
         if self.moves is None:
-            self.moves = anywhere(self._frame)
+            self.moves = prior_moves(self._frame)
             for k in range(self.steps):
-                self._rule_out(k)
-        elif not (record.blind or record.odd):
-            self._rule_out(self.steps - 1)
+                self._update_moves(k)
+        elif not (record.blind or record.is_contradictory):
+            self._update_moves(self.steps - 1)
         if not self.chains:
-            net = record.place - self._anchor - record.bending() @ record.forces[-1]
-            if not record.odd and float(np.linalg.norm(net)) > _SURELY + 3.0 * np.sqrt(record.variance):
+            net = record.place - self._anchor - record.support_compliance() @ record.forces[-1]
+            if not record.is_contradictory and float(np.linalg.norm(net)) > _SURELY + 3.0 * np.sqrt(record.variance):
                 pose = (self._anchor, self._frame)
                 self.chains = with_joint(None, pose, net, record.rows(), 0)
                 self._rest = _Rest(self.steps, self.chains[0], record.place, record.variance)
-        elif not (record.blind or record.odd) and self._leaves_chain():
+        elif not (record.blind or record.is_contradictory) and self._leaves_chain():
             self._next_joint()
         else:
             self.chains = refitted((self.chains[0], self.chains[1]), record.rows())
         if self.chain is not None:
             self._follow(self.chain)
 
-    def _rule_out(self, k: int) -> None:
+    def _update_moves(self, k: int) -> None:
         """Update the belief over motions by the response to step k."""
         record, lead = self.record, self.record.leads[k]
         if self.moves is not None and lead.any():
-            self.moves = self.moves.updated(lead, record.lasting(k), record.step_std(k), record.hand.compliance)
+            self.moves = self.moves.updated(
+                lead, record.permanent_displacement(k), record.step_std(k), record.hand.compliance
+            )
 
     def _leaves_chain(self) -> bool:
         """Whether the handle has left its chain sideways: evidence of another joint."""
@@ -299,35 +301,35 @@ class Explorer:
         if self._rest is None:
             return
         row, before, place, _ = self._rest
-        before = opening(before)
+        before = oriented_outwards(before)
         self.chains = with_joint(before, (place, self._frame), self.record.place - place, self.record.rows(), row)
-        self.sense, self.farthest, self._left = 1.0, float(before.way[-1]), {}
+        self.direction, self.farthest, self._left = 1.0, float(before.way[-1]), {}
         self._is_gentle, self._is_returning = True, False
 
     def _follow(self, chain: Chain) -> None:
         """Update the belief of a handle that follows its chain."""
         record = self.record
         record.fitted(chain)
-        way = self.sense * float(chain.way[-1])
-        self.widest = float(np.ptp(chain.way))
+        way = self.direction * float(chain.way[-1])
+        self.range_seen = float(np.ptp(chain.way))
         along, gone = chain.poses(chain.way[-1:])[2][0], record.moved[-1]
         if self._is_returning:
-            travel = self._left[self.sense][1]
+            travel = self._left[self.direction][1]
             self._is_returning = way <= self.farthest - 0.006
             if not self._is_returning and travel is not None:
                 self.moves = travel
             elif not self._is_returning or abs(gone @ along) > _PROGRESS:  # else something stands in its way
-                self.moves = self._onwards(chain)
+                self.moves = self._moves_ahead(chain)
         if abs(gone @ along) > max(_PROGRESS, 0.8 * float(np.linalg.norm(gone))):
             self._rest = _Rest(self.steps, chain, record.place, record.variance)
         if way > self.farthest + _PROGRESS:
             self.farthest = way
-            pull = max(self.sense * float(record.forces[-1] @ along), 0.3)
+            pull = max(self.direction * float(record.forces[-1] @ along), 0.3)
             led = float(np.linalg.norm(record.leads[-1])) > record.hand.compliance * self.friction + 0.5 * _AHEAD
             if not led or pull < 2.0 * self.friction:  # more than that is no friction: something stopped it
                 self.friction = pull
-            self.moves = self._onwards(chain)
-        if record.blind or record.odd or record.doubtful:
+            self.moves = self._moves_ahead(chain)
+        if record.blind or record.is_contradictory or record.doubtful:
             return  # force alone shows no motion
         expected, moved = self._moved(chain)
         if moved >= _AGREED * expected:
@@ -347,26 +349,28 @@ class Explorer:
         size = float(np.linalg.norm(net))
         return size, float((self.record.last_seen - self.record.first_seen) @ net) / max(size, 1e-9)
 
-    def _onwards(self, chain: Chain) -> Moves:
+    def _moves_ahead(self, chain: Chain) -> Moves:
         """The belief over the continued motion: along the tangent, as uncertain as the chain."""
         _, slope = chain.ahead(float(chain.way[-1]))
         values, axes = np.linalg.eigh(slope.T @ chain.covariance @ slope)
         spread = (axes * np.sqrt(np.clip(values, _LEAST_SPREAD**2, _LARGEST_SPREAD**2))) @ axes.T
         drawn = np.random.default_rng(0).standard_normal((_TANGENTS, 3)) @ self._frame.T
         made = self._ahead(chain) + drawn @ spread
-        return onwards(made / np.linalg.norm(made, axis=1)[:, None], self.friction, self._frame, _CHANGE)
+        return moves_after_motion(made / np.linalg.norm(made, axis=1)[:, None], self.friction, self._frame, _CHANGE)
 
     def judged(self) -> tuple[Chain | None, float]:
         """(most probable chain, probability of its kinds); (None, probability of a stuck handle) if nothing moved."""
-        if not self.chains or self.widest < _MOVED or self.travel < _MOVED:
-            return None, (1.0 - self.can if self.outcome == "held" else self.probabilities().get("fast", 0.0))
+        if not self.chains or self.range_seen < _MOVED or self.travel < _MOVED:
+            return None, (1.0 - self.p_movable if self.outcome == "held" else self.probabilities().get("fast", 0.0))
         rows = self.record.rows()
-        return judged([opening(chain) for chain in refitted((self.chains[0], self.chains[1]), rows)], rows)
+        return most_probable_chain(
+            [oriented_outwards(chain) for chain in refitted((self.chains[0], self.chains[1]), rows)], rows
+        )
 
     def probabilities(self) -> dict[str, float]:
         """Probabilities by name: fast (stuck), unknown, or the kind of the last joint."""
         if not self.chains:
-            fast = self.moves.fast if self.moves is not None else 0.1
+            fast = self.moves.p_stuck if self.moves is not None else 0.1
             return {"fast": fast, "unknown": 1.0 - fast}
         logs = np.array([chain.evidence for chain in self.chains])
         share = np.exp(logs - logs.max())

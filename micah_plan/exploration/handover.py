@@ -45,7 +45,7 @@ def explored_model(explorer: Explorer, chain: Chain) -> HybridAutomaton:
     latched = latch > _LATCHED * friction and starts[0] > -0.01
     if latched:
         turn = Rotation.from_matrix(chain.turn).as_quat()
-        held = replace(rigid(chain.place, turn), covariance=_at_rest(chain))
+        held = replace(rigid(chain.place, turn), covariance=_rigid_joint(chain))
         segments.append(_segment(held, chain, (0, moves), (0.0, 0.0), rates[0], process))
     rows = [moves, *(int(np.argmax(chain.way >= begin)) for begin in chain.begin[1:]), count - 1]
     for number, (first, last) in enumerate(pairwise(rows)):
@@ -62,13 +62,13 @@ def explored_model(explorer: Explorer, chain: Chain) -> HybridAutomaton:
         release=0.7 * compliance * latch * rates[0] if latched else 0.0,
         provenance=provenance,
     )
-    automaton = replace(automaton, edges=tuple(_known(edge, chain.place_std) for edge in automaton.edges))
+    automaton = replace(automaton, edges=tuple(_with_threshold_std(edge, chain.place_std) for edge in automaton.edges))
     width = compliance * friction * rates[0]
     lost = Effect("dead_zone", HANDLE, (("width", width), ("lost", 1.0)), (compliance * spread * rates[0], 0.1))
     return with_effect(automaton, replace(lost, note="dry friction against the spring of the hand"))
 
 
-def _known(edge: Edge, place_std: float) -> Edge:
+def _with_threshold_std(edge: Edge, place_std: float) -> Edge:
     """An edge between two joints with the std of its threshold."""
     if edge.is_self_transition or not any(half.on_state for half in edge.guard.half_spaces):
         return edge
@@ -113,7 +113,7 @@ def _latch(explorer: Explorer, chain: Chain) -> float:
     return max(float(pulls.max()), 0.0)
 
 
-def _numbers(chain: Chain, number: int) -> Floats:
+def _axis_centre_pose(chain: Chain, number: int) -> Floats:
     """(axis, centre and position (..., 9), orientation (..., 9)) of a joint of the chain at its start."""
     direction, rate, begin = (a[..., number, :] for a in (chain.direction, chain.rate, chain.begin[..., None]))
     places, turns, _ = chain.poses(begin)
@@ -127,12 +127,12 @@ def _numbers(chain: Chain, number: int) -> Floats:
 
 def _joint(chain: Chain, number: int) -> Joint:
     """A joint of the chain, counted from its beginning, with the covariance of its parameters."""
-    here = _numbers(chain, number)
+    here = _axis_centre_pose(chain, number)
     axis, centre, place, turn = here[:3], here[3:6], here[6:9], here[9:].reshape(3, 3)
     quaternion, turns = Rotation.from_matrix(turn).as_quat(), chain.hinges[number]
     joint = revolute(axis, centre, place, quaternion) if turns else prismatic(axis, place, quaternion)
     basis, small = axis_basis(axis), 1e-6
-    change = (_numbers(chain.changed(small * chain.numbers()[0]), number) - here) / small
+    change = (_axis_centre_pose(chain.changed(small * chain.numbers()[0]), number) - here) / small
     rotated = change[:, 9:].reshape(-1, 3, 3) @ turn.T
     rotation = np.stack([rotated[:, 2, 1], rotated[:, 0, 2], rotated[:, 1, 0]], axis=1)
     # Tilts are rotations of the axis about the basis: d axis = tilt x axis.
@@ -144,7 +144,7 @@ def _joint(chain: Chain, number: int) -> Joint:
     return replace(joint, covariance=ParameterCovariance(names, tuple(map(tuple, matrix.tolist()))))
 
 
-def _at_rest(chain: Chain) -> ParameterCovariance:
+def _rigid_joint(chain: Chain) -> ParameterCovariance:
     """The rigid joint at the pose where the handle was found."""
     place, turn = np.full(3, chain.place_std**2 / 4), np.full(3, chain.turn_std**2 / 4)
     matrix = np.diag(np.concatenate([turn, place]))

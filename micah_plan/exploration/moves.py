@@ -45,11 +45,11 @@ class Moves:
     weight: Floats
 
     @property
-    def fast(self) -> float:
+    def p_stuck(self) -> float:
         """Probability that the handle is stuck."""
         return float(self.weight[np.isinf(self.threshold)].sum())
 
-    def needed(self, directions: Floats, compliance: float) -> Floats:
+    def leads_to_move(self, directions: Floats, compliance: float) -> Floats:
         """(k, n) smallest lead [m] along k unit directions that moves each hypothesis; infinite if none."""
         along = directions @ self.direction.T
         across = np.sqrt(np.maximum(1.0 - along**2, 0.0))
@@ -72,7 +72,7 @@ class Moves:
         weight = self.weight * likelihood
         return replace(self, weight=weight / weight.sum())
 
-    def likely(self, count: int = 4) -> Floats:
+    def likely_directions(self, count: int = 4) -> Floats:
         """((k, 3) directions of the most probable hypotheses), preceded by their mean if they agree."""
         mean = self.weight @ self.direction
         size = float(np.linalg.norm(mean))
@@ -108,7 +108,7 @@ def compass() -> Floats:
     return np.asarray(grid / np.linalg.norm(grid, axis=1)[:, None])
 
 
-def anywhere(turn: Floats, mass: float = 1.0, friction: float = _FRICTION, count: int = 240) -> Moves:
+def prior_moves(turn: Floats, mass: float = 1.0, friction: float = _FRICTION, count: int = 240) -> Moves:
     """The prior: uniform directions; friction or a latch holds the handle, or it is stuck.
 
     Args:
@@ -129,7 +129,7 @@ def anywhere(turn: Floats, mass: float = 1.0, friction: float = _FRICTION, count
     return Moves((sphere(count) @ turn.T)[number], thresholds[level], _SIDE_FRICTION[side], weight)
 
 
-def onwards(tangents: Floats, friction: float, turn: Floats, change: float) -> Moves:
+def moves_after_motion(tangents: Floats, friction: float, turn: Floats, change: float) -> Moves:
     """The belief after a motion: it continues along the path against similar friction, or all is new.
 
     Args:
@@ -143,7 +143,7 @@ def onwards(tangents: Floats, friction: float, turn: Floats, change: float) -> M
         a.ravel() for a in np.meshgrid(np.arange(len(tangents)), np.arange(len(ratio)), np.arange(2), indexing="ij")
     )
     weight = (1.0 - change) * (prior / prior.sum())[level] / (len(tangents) * 2)
-    new = anywhere(turn, change, max(friction, 1.0))
+    new = prior_moves(turn, change, max(friction, 1.0))
     back = new.direction @ tangents.mean(axis=0) < -0.5  # whence it came
     new = replace(new, weight=np.where(back, 0.0, new.weight))
     return Moves(

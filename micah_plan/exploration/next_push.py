@@ -31,20 +31,20 @@ class Push:
     """
 
     lead: Floats
-    can: float
+    p_movable: float
 
 
 def best_push(moves: Moves, directions: Floats, hand: Hand, most: float) -> Push:
     """The push along one of the directions (k, 3), with a lead of at most `most` [m]."""
-    needed = moves.needed(directions, hand.compliance)
-    can = float(moves.weight[needed.min(axis=0) <= most].sum())
+    leads_to_move = moves.leads_to_move(directions, hand.compliance)
+    p_movable = float(moves.weight[leads_to_move.min(axis=0) <= most].sum())
     forces = np.geomspace(_LEAST_FORCE, max(most / hand.compliance, 1.01 * _LEAST_FORCE), _LEVELS)
     leads = np.unique(np.minimum(hand.compliance * forces, most))
-    number = np.searchsorted(leads, needed + max(2.0 * hand.std(np.zeros(3)), SEEN))
+    number = np.searchsorted(leads, leads_to_move + max(2.0 * hand.std(np.zeros(3)), SEEN))
     chances = np.stack([np.bincount(row, moves.weight, len(leads) + 1)[:-1] for row in number]).cumsum(axis=1)
     worth = chances / (leads / hand.compliance + _EFFORT)
     best, level = np.unravel_index(int(np.argmax(worth)), worth.shape)
-    return Push(np.asarray(leads[level] * directions[best]), can)
+    return Push(np.asarray(leads[level] * directions[best]), p_movable)
 
 
 def largest_lead(scene: Scene, hand: Hand, leads: Floats, forces: Floats, doubt: float) -> float:

@@ -67,14 +67,14 @@ class Record:
         self._late, self._leapt = list[bool](), [False]
 
     @property
-    def odd(self) -> bool:
+    def is_contradictory(self) -> bool:
         """Whether recent readings contradict the odometer for an unknown reason."""
         return self._leapt[-1] or self.slips.doubt > _DOUBT
 
     @property
     def looks_again(self) -> bool:
         """Whether further readings will resolve the contradiction."""
-        return self._leapt[-1] or (self.odd and self._rests < _LOOKS)
+        return self._leapt[-1] or (self.is_contradictory and self._rests < _LOOKS)
 
     @property
     def lost(self) -> bool:
@@ -101,7 +101,7 @@ class Record:
         self.led.append(led)
         return lead_now
 
-    def withdrawn(self) -> None:
+    def remove_last_command(self) -> None:
         """Remove the last command, which was not carried out."""
         for column in (self.leads, self.commands, self.led):
             column.pop()
@@ -124,8 +124,8 @@ class Record:
         self.moved_std.append(0.0)
         self.shifted.append(np.zeros(3))
         self._leapt.append(False)
-        self._tested(len(self.forces) - 1)
-        self._passed(len(self.forces) - 1)
+        self._test_for_slip(len(self.forces) - 1)
+        self._process_step(len(self.forces) - 1)
         if unseen:
             self.blind += 1
             return None
@@ -136,38 +136,38 @@ class Record:
         self._doubt_hand(place)
         return None if self.doubtful else self._slip()
 
-    def _passed(self, k: int) -> None:
+    def _process_step(self, k: int) -> None:
         """Process step k by odometer and tracker."""
         before = self.place
         self.moved[k], self.moved_std[k] = self._odometer(k)
         self.place = before + self.moved[k]
-        self.variance = self.moved_std[k] ** 2 + (0.0 if self._counted(k) else self.variance)
-        if self._saw(k + 1) and not self._leapt[k + 1]:
+        self.variance = self.moved_std[k] ** 2 + (0.0 if self._counts_from_seen_position(k) else self.variance)
+        if self._was_seen(k + 1) and not self._leapt[k + 1]:
             gain = self.variance / (self.variance + self.place_std**2)
             self.place = self.place + gain * (self.places[k + 1] - self.place)
             self.variance *= 1.0 - gain
         self.shifted[k] = self.place - before
 
-    def _tested(self, k: int) -> None:
+    def _test_for_slip(self, k: int) -> None:
         """Process step k in the test for slips."""
         is_certain = not self._late[k] and self.hand is not UNKNOWN
-        if self._counted(k):
+        if self._counts_from_seen_position(k):
             size = float(np.linalg.norm(self.leads[k]))
             along = self.leads[k] / size if self.led[k] and size > 0 else None
-            self.slips.came(self.commands[k] + self.places[k], self.forces[k], along)
+            self.slips.update_contact(self.commands[k] + self.places[k], self.forces[k], along)
         elif is_certain and not self.hand.from_measured:
-            self.slips.went(self.commands[k], self.forces[k])
+            self.slips.update_displacement(self.commands[k], self.forces[k])
         else:
-            self.slips.went_unseen(float(np.linalg.norm(self.leads[k])) + self.place_std)
-        if self._saw(k + 1):
-            self.slips.look(self.places[k + 1], k + 1)
-        self._leapt[k + 1] = self._saw(k + 1) and self.slips.leapt
+            self.slips.update_unseen_step(float(np.linalg.norm(self.leads[k])) + self.place_std)
+        if self._was_seen(k + 1):
+            self.slips.update_reading(self.places[k + 1], k + 1)
+        self._leapt[k + 1] = self._was_seen(k + 1) and self.slips.leapt
 
-    def _counted(self, k: int) -> bool:
+    def _counts_from_seen_position(self, k: int) -> bool:
         """Whether command k counted from a place that the tracker saw."""
-        return self.hand.from_measured and not self._late[k] and self._saw(k)
+        return self.hand.from_measured and not self._late[k] and self._was_seen(k)
 
-    def _saw(self, row: int) -> bool:
+    def _was_seen(self, row: int) -> bool:
         return bool(np.isfinite(self.places[row]).all())
 
     def _repeats(self, place: Floats) -> bool:
@@ -179,7 +179,7 @@ class Record:
 
     def _odometer(self, k: int) -> tuple[Floats, float]:
         """(displacement in step k by its force, std) [m]; a late answer carries an old force."""
-        unknown = self.hand.from_measured and not self._saw(k)  # what the command counted from
+        unknown = self.hand.from_measured and not self._was_seen(k)  # what the command counted from
         if self._late[k] or unknown:
             return np.zeros(3), float(np.linalg.norm(self.leads[k])) + self.place_std
         return self.leads[k] - self.hand.compliance * self.forces[k], self.hand.std(self.forces[k])
@@ -195,7 +195,7 @@ class Record:
 
     def _slip(self) -> Floats | None:
         """Detect a slip and move earlier positions to the point that is now held."""
-        slip = self.slips.found()
+        slip = self.slips.detected_slip()
         if slip is None:
             return None
         row, off = slip
@@ -203,13 +203,13 @@ class Record:
         self.notes.append(f"step {row}: the handle is seen {size:.0f} mm from where the force says it is")
         shift = np.asarray(self.turns[row].T @ off)
         for i in range(row):
-            if self._saw(i):
+            if self._was_seen(i):
                 self.places[i] = self.places[i] + self.turns[i] @ shift
-        self._again()
-        self._test_again()
+        self._recompute_positions()
+        self._repeat_slip_test()
         return shift
 
-    def know_hand(self) -> None:
+    def estimate_hand(self) -> None:
         """Re-estimate the hand from all pushes, and with it all displacements."""
         usable = ~np.array(self._late)
         commands, places = np.array(self.commands), np.array(self.places[:-1])
@@ -217,36 +217,36 @@ class Record:
         hand = self.slips.hand
         differs = abs(self.hand.compliance / hand.compliance - 1.0) > _SAME * self.hand.spread
         if differs or self.hand.from_measured != hand.from_measured:
-            self._test_again()
-        self._again()
+            self._repeat_slip_test()
+        self._recompute_positions()
 
-    def _again(self) -> None:
+    def _recompute_positions(self) -> None:
         """Recompute the handle's positions from the start."""
         self.place, self.variance = self.places[0].copy(), self.place_std**2
         if self.hand.from_measured:  # the force says where it is, the first place only as well as the tracker
             self.place = self.place + self.commands[0] - self.hand.compliance * self.forces[0]
         for k, command in enumerate(self.commands):
-            is_measured = self.hand.from_measured and self._saw(k)
+            is_measured = self.hand.from_measured and self._was_seen(k)
             self.leads[k] = command + self.places[k] - self.place if is_measured else command
-            self._passed(k)
+            self._process_step(k)
 
-    def _test_again(self) -> None:
+    def _repeat_slip_test(self) -> None:
         """Repeat the test for slips from the start."""
         self.slips = Slips(self.places[0], self.hand)
         for k in range(len(self.commands)):
-            self._tested(k)
+            self._test_for_slip(k)
 
     def step_std(self, k: int) -> float:
         """Std of the displacement in step k per axis [m]: the odometer's, and the nonlinearity of the hand."""
         away = _NOT_LINEAR * float(np.linalg.norm(self.leads[k]))
         return float(np.sqrt(self.moved_std[k] ** 2 + _LEAST_STD**2 + away**2))
 
-    def lasting(self, k: int) -> Floats:
+    def permanent_displacement(self, k: int) -> Floats:
         """(3,) displacement in step k without elastic bending [m]."""
         before = self.forces[k - 1] if k else np.zeros(3)
-        return np.asarray(self.shifted[k] - self.bending() @ (self.forces[k] - before))
+        return np.asarray(self.shifted[k] - self.support_compliance() @ (self.forces[k] - before))
 
-    def bending(self) -> Floats:
+    def support_compliance(self) -> Floats:
         """(3, 3) compliance of the handle's support [m/N], from how far it springs back.
 
         Bayesian regression; before, it is isotropic, by how much most pushes displace the handle per change of force:

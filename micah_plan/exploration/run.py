@@ -107,14 +107,14 @@ def explore(
         explorer.take(measurement)
         thinking = max(thinking, thought + time.process_time() - started)
         if progress is not None:
-            progress(_told(explorer), min(1.0, explorer.steps / scene.steps))
+            progress(_progress_message(explorer), min(1.0, explorer.steps / scene.steps))
     return _result(explorer, time.perf_counter() - begin, thinking)
 
 
-def _told(explorer: Explorer) -> str:
+def _progress_message(explorer: Explorer) -> str:
     if explorer.chain is None:
         return f"step {explorer.steps}: what moves it?"
-    return f"step {explorer.steps}: {explorer.chain.kinds[-1]}, {quantity(explorer.widest, 'm')} so far"
+    return f"step {explorer.steps}: {explorer.chain.kinds[-1]}, {quantity(explorer.range_seen, 'm')} so far"
 
 
 def _result(explorer: Explorer, seconds: float, thinking: float) -> Exploration:

@@ -68,11 +68,11 @@ class Slips:
         held = self.state @ _SEEN.T
         return np.asarray(self._share @ held - held[0])
 
-    def went(self, command: Floats, force: Floats) -> None:
+    def update_displacement(self, command: Floats, force: Floats) -> None:
         """Process a displacement of the equilibrium (3,) [m] that met a force [N]."""
-        self._went(command, force, np.eye(3, 7))
+        self._propagate(command, force, np.eye(3, 7))
 
-    def came(self, equilibrium: Floats, force: Floats, along: Floats | None) -> None:
+    def update_contact(self, equilibrium: Floats, force: Floats, along: Floats | None) -> None:
         """Process an equilibrium position (3,) [m] in the tracker's frame: it relates all hypotheses to one position.
 
         So the next looks tell no more of them; how the handle must have moved does.
@@ -80,16 +80,16 @@ class Slips:
         Args:
             along: (3,) unit vector in which it was led; None if it was pushed to see whether it moves.
         """
-        moved = self._moved_so(equilibrium, force, along)
+        moved = self._displacement_log_likelihoods(equilibrium, force, along)
         self.odds = self.odds + moved - moved[0]
         self.state[:, :3] = 0.0
-        self._went(equilibrium, force, np.eye(3, 7, k=4) * -1.0)
+        self._propagate(equilibrium, force, np.eye(3, 7, k=4) * -1.0)
 
-    def went_unseen(self, std: float) -> None:
+    def update_unseen_step(self, std: float) -> None:
         """Process an unobserved step of at most `std` per axis [m]."""
         self.covariance = self.covariance + np.diag([*[std**2] * 3, 0.0, 0.0, 0.0, 0.0])
 
-    def _moved_so(self, equilibrium: Floats, force: Floats, along: Floats | None) -> Floats:
+    def _displacement_log_likelihoods(self, equilibrium: Floats, force: Floats, along: Floats | None) -> Floats:
         """(n,) log likelihoods of a displacement: at rest, or within the range of the lead."""
         lead = equilibrium - self.state @ _SEEN.T
         gone, covariance = lead - self.hand.compliance * force, _SEEN @ self.covariance @ _SEEN.T
@@ -103,7 +103,7 @@ class Slips:
             goes = _normal(gone - half, covariance + length**2 / 12.0 * np.outer(along, along) + _ASIDE**2 * round_)
         return np.asarray(np.logaddexp(rests, goes))
 
-    def _went(self, shift: Floats, force: Floats, carry: Floats) -> None:
+    def _propagate(self, shift: Floats, force: Floats, carry: Floats) -> None:
         """Propagate the state: the position becomes `carry` of it, plus a shift minus the hand's extension."""
         stretch = self.hand.compliance * force
         whole = np.concatenate([carry, np.eye(7)[3:]])
@@ -112,9 +112,9 @@ class Slips:
         self.state[:, :3] += shift - stretch
         noise = (self.hand.compliance * self.hand.force_std) ** 2 + _NOT_LINEAR_STRETCH**2 * float(stretch @ stretch)
         self.covariance = whole @ self.covariance @ whole.T
-        self.went_unseen(float(np.sqrt(noise)))
+        self.update_unseen_step(float(np.sqrt(noise)))
 
-    def look(self, measured: Floats, row: int) -> None:
+    def update_reading(self, measured: Floats, row: int) -> None:
         """Process a reading of the handle at (3,) [m]."""
         self._branch(row)
         off, noise = measured - self.state @ _SEEN.T, self._noise
@@ -146,7 +146,7 @@ class Slips:
         self.covariance[-1, 4:, 4:] += _SLIP_STD**2 * np.eye(3)
         self.row, self.odds = np.append(self.row[kept], row), np.append(self.odds[kept], np.log(_SLIPS))
 
-    def found(self) -> tuple[int, Floats] | None:
+    def detected_slip(self) -> tuple[int, Floats] | None:
         """(row, slip (3,) [m]) of the most probable slip; None if it is not certain."""
         if self.doubt < _SURE:
             return None

@@ -54,7 +54,7 @@ def without_dead_band(position: Floats, quaternion: Floats | None, action: Float
     return np.where(np.append(asked <= widest, False)[:, None], 0.0, action)
 
 
-def without_arrived(position: Floats, action: Floats) -> Floats:
+def without_actions_at_goal(position: Floats, action: Floats) -> Floats:
     """Actions (n, 3) to commanded places, set to 0 in rows in which the part has arrived.
 
     Args:

@@ -32,7 +32,7 @@ _RARE = 10.0  # nats: parts that no joint holds are rare among what is recorded 
 # Times what rows scatter by: answers of joints that are as far from ideal as is expected miss by one of it, and
 # handheld cameras bend a single hinge by up to nearly two. Joints in turn, which follow many a curve, are asked sooner:
 # those of true chains miss by up to 0.56, two that follow a curve by 0.81 and more.
-_DOUBTED, _DOUBTED_IN_TURN, _CURVED = 1.2, 0.7, 2.0
+_DOUBTED, _MAX_RMS_CHAIN, _CURVED = 1.2, 0.7, 2.0
 # More of them follow a curve as closely as true chains do, as arc and line and arc again. And the cosine of a corner:
 # in a real chain there mostly is one where a joint takes over.
 _CHAIN, _NO_CORNER = 3, 0.95
@@ -76,17 +76,17 @@ def assess_joints(
     """
     if inlier.sum() < _FEWEST_TO_DOUBT:
         return None
-    scatter, missed = _scatter(track, inlier, noise, settings), _missed(fitted, track, inlier)
+    scatter, missed = _scatter(track, inlier, noise, settings), _misfit(fitted, track, inlier)
     is_in_turn = len({piece.joint for piece in fitted if piece.joint.moves}) > 1
-    is_near = not (missed > (_DOUBTED_IN_TURN if is_in_turn else _DOUBTED) * scatter).any()
+    is_near = not (missed > (_MAX_RMS_CHAIN if is_in_turn else _DOUBTED) * scatter).any()
     if is_near and not _follows_a_curve(fitted, track, inlier, noise):
         return None
     single = best_single(segmented, settings)
-    missed_by_one, answer = _missed_by(single), segmented.log_probability
+    missed_by_one, answer = _misfit_of_answer(single), segmented.log_probability
     if not (missed_by_one > np.sqrt(3) * finest_stds(3 * len(missed_by_one))).any():
         # One joint meets all rows to within the finest noise. So that is the tracker's, and no curve is closer.
         likelier = max(single, under_noise(segmented, single.noise, settings), key=lambda found: found.log_probability)
-        return _instead(likelier) if likelier.log_probability > answer else None
+        return _replaced_by(likelier) if likelier.log_probability > answer else None
     if not (np.maximum(missed, missed_by_one) > _CURVED * scatter).any():
         return None
     steps, likelihood_power = segmented.track, segmented.table.likelihood_power
@@ -97,7 +97,7 @@ def assess_joints(
         path = None
     if path is None and not (missed_by_one > _CURVED * scatter).any():
         # Rows that come by once lie on a smooth curve whatever holds them, and one joint is as near as joints are.
-        return _instead(single) if single.log_probability > answer else None
+        return _replaced_by(single) if single.log_probability > answer else None
     log_alternative = (free if path is None else path.log_probability) - _RARE
     if log_alternative <= answer:
         return GoodnessOfFit(log_alternative - answer, answer)
@@ -111,7 +111,7 @@ def assess_joints(
     return GoodnessOfFit(log_odds, log_alternative, single, principal_path(rows, std, path.curve) or path.curve)
 
 
-def _instead(answer: Segmented) -> GoodnessOfFit:
+def _replaced_by(answer: Segmented) -> GoodnessOfFit:
     return GoodnessOfFit(-np.inf, answer.log_probability, answer)
 
 
@@ -124,7 +124,7 @@ def no_single_joint_of(
     log_odds: float,
 ) -> NoSingleJoint:
     """The error of joints on rows of free motion."""
-    missed, scatter = _missed(fitted, track, inlier), _scatter(track, inlier, noise, settings)
+    missed, scatter = _misfit(fitted, track, inlier), _scatter(track, inlier, noise, settings)
     turned = track.quaternion is not None
     return NoSingleJoint(
         position=float(missed[-1]),
@@ -153,15 +153,15 @@ def _follows_a_curve(
     return min(cosines) > _NO_CORNER
 
 
-def _missed(fitted: Sequence[FittedPiece], track: PartTrack, inlier: Booleans) -> Floats:
+def _misfit(fitted: Sequence[FittedPiece], track: PartTrack, inlier: Booleans) -> Floats:
     """(2,) or (1,) root mean square distance of rows from their joints: rotation [rad], if measured, position [m]."""
     errors = [left_by(piece.joint, piece.index(inlier), track, ROTATION_LENGTH) for piece in fitted]
     error = np.concatenate(errors)
     return np.asarray(np.sqrt((error.reshape(len(error), -1, 3) ** 2).sum(axis=2).mean(axis=0)))
 
 
-def _missed_by(answer: Segmented) -> Floats:
-    """As `_missed`, for the steps and joints of an answer."""
+def _misfit_of_answer(answer: Segmented) -> Floats:
+    """As `_misfit`, for the steps and joints of an answer."""
     error, _ = misses(answer.table.pool, answer.segmentation.which)
     return np.asarray(np.sqrt((error.reshape(len(error), -1, 3) ** 2).sum(axis=2).mean(axis=0)))
 

@@ -31,7 +31,7 @@ from micah_plan.learning.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.learning.short_runs import cut_into_runs, one_after_another
 from micah_plan.learning.track import PartTrack, find_inliers, part_track
 from micah_plan.recording.shared_error import shared_error_of
-from micah_plan.recording.symmetry import settled
+from micah_plan.recording.symmetry import with_unified_orientations
 from micah_plan.recording.value import Recording
 from micah_plan.summaries import Progress
 
@@ -66,17 +66,17 @@ def learn_graph(
     if len(recording) == 0:
         raise InputError("recording has no rows", remedy="record the motion of at least one part")
     chosen = settings or LearnSettings()
-    recording = settled(recording)
+    recording = with_unified_orientations(recording)
     counted: Counted = {}
     if len(recording.parts) > 1:
-        chosen, counted = _in_common(recording, chosen)
+        chosen, counted = _common_settings(recording, chosen)
     if method == "champ":
         recording = replace(recording, action=None)
     graph = learn_tree(recording, lambda pair: learn_edge(pair, chosen, counted), progress)
-    return _widened(graph, recording)
+    return _with_shared_errors(graph, recording)
 
 
-def _widened(graph: KinematicGraph, recording: Recording) -> KinematicGraph:
+def _with_shared_errors(graph: KinematicGraph, recording: Recording) -> KinematicGraph:
     """The graph with joints' covariances enlarged by shared errors; errors of the base frame affect edges to the base
     only.
     """
@@ -95,7 +95,7 @@ def _widened(graph: KinematicGraph, recording: Recording) -> KinematicGraph:
     return replace(graph, edges=tuple(edges))
 
 
-def _in_common(recording: Recording, settings: LearnSettings) -> tuple[LearnSettings, Counted]:
+def _common_settings(recording: Recording, settings: LearnSettings) -> tuple[LearnSettings, Counted]:
     """Common number of steps, likelihood power and rows of a part, for all its pairs.
 
     A tree compares their evidence.
@@ -152,7 +152,7 @@ def learn_edge(recording: Recording, settings: LearnSettings, counted: Counted |
             reference = mover.joint
         segments += of_run
         edges.append(sure_of_edge)
-    return KinematicEdge(BASE, part, tuple(segments), _together([edge for edge in edges if edge is not None]))
+    return KinematicEdge(BASE, part, tuple(segments), _joint_certainty([edge for edge in edges if edge is not None]))
 
 
 def _learned(
@@ -193,7 +193,7 @@ def _edge_of_short_runs(recording: Recording, tracks: list[PartTrack], settings:
     return KinematicEdge(BASE, recording.parts[0], tuple(segments), replace(sure_of_edge, changepoint_counts=()))
 
 
-def _together(runs: Sequence[EdgeCertainty]) -> EdgeCertainty:
+def _joint_certainty(runs: Sequence[EdgeCertainty]) -> EdgeCertainty:
     """The certainty of all runs; the number of changepoints only if each run has one."""
     channels = [run.channel for run in runs if run.channel is not None]
     counts = [run.changepoint_counts for run in runs]
@@ -245,12 +245,12 @@ def _alignment(
     joint: Joint, reference: Joint, rows: Ints, track: PartTrack, noise: MeasurementNoise
 ) -> tuple[bool, float]:
     """(whether a joint's configurations decrease along a reference, offset between the two)."""
-    along_joint, common = (
+    joint_trace, common = (
         segment_configurations(joint, rows, track, noise),
         segment_configurations(reference, rows, track, noise),
     )
-    backwards = float((along_joint - along_joint.mean()) @ (common - common.mean())) < 0
-    return backwards, float(np.median(common - (-along_joint if backwards else along_joint)))
+    backwards = float((joint_trace - joint_trace.mean()) @ (common - common.mean())) < 0
+    return backwards, float(np.median(common - (-joint_trace if backwards else joint_trace)))
 
 
 def _counted_along(joint: Joint, backwards: bool, offset: float) -> Joint:

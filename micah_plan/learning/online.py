@@ -140,7 +140,7 @@ class OnlineLearner:
             self._rows += count
             at += count
             if self._rows == self._next_look:
-                self._look()
+                self._check_window()
 
     def segments(self) -> tuple[Segment, ...]:
         """All segments as presently most probable: the committed ones, and the open ones, which may still change."""
@@ -217,9 +217,9 @@ class OnlineLearner:
         self._latest = self._rows, window
         return window
 
-    def _look(self) -> None:
+    def _check_window(self) -> None:
         """Check whether the window is full."""
-        rows = self._window.settle()
+        rows = self._window.close_open_row()
         if rows is None:
             return
         full = is_long(rows.track, find_inliers(rows.track))
@@ -299,7 +299,7 @@ class Entry:
         for hypothesis in dict.fromkeys(run.hypotheses):
             pieces_of_joint = [piece for piece, of in zip(run.pieces, run.hypotheses, strict=True) if of == hypothesis]
             rows = np.concatenate([piece.index(run.inlier) for piece in pieces_of_joint])
-            same[hypothesis] = self._known(pieces_of_joint[0].joint, rows, run, settings)
+            same[hypothesis] = self._matching_known_joint(pieces_of_joint[0].joint, rows, run, settings)
         pieces = []
         for piece, hypothesis in zip(run.pieces, run.hypotheses, strict=True):
             joint = same[hypothesis]
@@ -308,7 +308,7 @@ class Entry:
         certainties = (replace(run.certainties[0], start=self.start), *run.certainties[1:])
         return LearnedWindow(replace(run, certainties=certainties), tuple(on_edge), self.before, last)
 
-    def _known(self, joint: Joint, rows: Ints, run: LearnedRun, settings: LearnSettings) -> Joint | None:
+    def _matching_known_joint(self, joint: Joint, rows: Ints, run: LearnedRun, settings: LearnSettings) -> Joint | None:
         """The known joint closest to the rows, if within the usual deviation of joints of one kind."""
         deviation = np.array([settings.rotation_misfit, settings.position_misfit])
         deviation = deviation[-1:] if run.track.quaternion is None else deviation
@@ -450,20 +450,20 @@ class RowWindow:
             new = new.coarsened(self.stride)
         return new if self._rows is None else self._rows.followed_by(new)
 
-    def settle(self) -> WindowRows | None:
+    def close_open_row(self) -> WindowRows | None:
         """Return the rows; later measured rows start a new row of the window."""
         self._rows, self._new = self.rows(), []
         return self._rows
 
     def coarsen(self) -> None:
         """Average pairs of rows."""
-        rows = self.settle()
+        rows = self.close_open_row()
         self._rows = None if rows is None else rows.coarsened(2)
         self.stride *= 2
 
     def drop(self, count: int) -> None:
         """Remove the first rows."""
-        rows = self.settle()
+        rows = self.close_open_row()
         if rows is not None:
             kept = rows.take(slice(count, None))
             # Copies, so that what was dropped is not held by a view of it.

@@ -30,7 +30,7 @@ from micah_plan.learning.segmenting.free import (
     density,
     likeliest_scale,
     price,
-    rough,
+    roughness_stds,
     trend_of,
 )
 from micah_plan.learning.segmenting.noise import NoiseModel
@@ -92,7 +92,7 @@ def likeliest_path(track: PartTrack, noise: NoiseModel, likelihood_power: float)
         noise, likelihood_power: as for free motion.
     """
     curves = [principal_path(track, std) for std in length_std(noise) * _SCATTER]
-    candidates = [told_along(curve, track, noise, likelihood_power) for curve in curves if curve is not None]
+    candidates = [path_evidence(curve, track, noise, likelihood_power) for curve in curves if curve is not None]
     return max(
         (candidate for candidate in candidates if candidate is not None),
         key=lambda candidate: candidate.log_probability,
@@ -102,10 +102,10 @@ def likeliest_path(track: PartTrack, noise: NoiseModel, likelihood_power: float)
 
 def length_std(noise: NoiseModel) -> float:
     """Std of white noise of a row [m], with rotations converted to lengths."""
-    return _length(rough(noise))
+    return _length(roughness_stds(noise))
 
 
-def told_along(curve: Joint, track: PartTrack, noise: NoiseModel, likelihood_power: float) -> FoundPath | None:
+def path_evidence(curve: Joint, track: PartTrack, noise: NoiseModel, likelihood_power: float) -> FoundPath | None:
     """The evidence of a path against free motion; None where it is passed only once.
 
     Whatever moves follows some curve once. That it agrees with itself is seen where it was passed again.
@@ -118,8 +118,10 @@ def told_along(curve: Joint, track: PartTrack, noise: NoiseModel, likelihood_pow
         return None
     order = np.argsort(c, kind="stable")
     vectors = _vectors(track, int(order[len(order) // 2]))
-    stds = rough(noise)
-    across = [_beside(vector[order], std, c[order], order) for vector, std in zip(vectors, stds, strict=True)]
+    stds = roughness_stds(noise)
+    across = [
+        _trend_along_curve(vector[order], std, c[order], order) for vector, std in zip(vectors, stds, strict=True)
+    ]
     squares = np.sum([trend.squares for trend, _ in across], axis=0)
     sizes = np.sum([trend.sizes for trend, _ in across], axis=0)
     # One direction is told by the row before in time, how far the part came, and not by its neighbours on the curve.
@@ -134,7 +136,7 @@ def told_along(curve: Joint, track: PartTrack, noise: NoiseModel, likelihood_pow
     return FoundPath(curve, _length([std for _, std in across]), float(likelihood_power * log_probability - priced))
 
 
-def _beside(vector: Floats, std: float, c: Floats, row: Ints) -> tuple[Trend, float]:
+def _trend_along_curve(vector: Floats, std: float, c: Floats, row: Ints) -> tuple[Trend, float]:
     """The likeliest trend along a curve of rows (n, 3) ordered by their configurations c (n,), and their std.
 
     As for free motion, but in the order of the curve, and beside it the tracker wanders in time: one Gaussian process

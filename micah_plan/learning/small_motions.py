@@ -27,11 +27,11 @@ def small_motions(recording: Recording, settings: LearnSettings) -> tuple[str, .
             continue
         moved, turned = (max(values) for values in zip(*reaches, strict=True))
         if moved < _TELLING * settings.position_wander and turned < _TELLING * settings.rotation_wander:
-            warnings.append(_told(part, moved, turned, recording.quaternion is not None, settings))
+            warnings.append(_warning_of(part, moved, turned, recording.quaternion is not None, settings))
     return tuple(warnings)
 
 
-def _told(part: str, moved: float, turned: float, has_orientation: bool, settings: LearnSettings) -> str:
+def _warning_of(part: str, moved: float, turned: float, has_orientation: bool, settings: LearnSettings) -> str:
     sentence = f"moves over {quantity(moved, 'm', digits=2)}"
     wander = f"LearnSettings.position_wander ({settings.position_wander:g} m)"
     if has_orientation:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.graph import BASE
 from micah_plan.errors import InputError, shown
-from micah_plan.learning.dead_band import without_arrived, without_dead_band
+from micah_plan.learning.dead_band import without_actions_at_goal, without_dead_band
 from micah_plan.learning.settings import FEWEST_ROWS
 from micah_plan.recording.commands import Meaning, command_meaning
 from micah_plan.recording.continuity import continuity
@@ -123,12 +123,12 @@ def part_track(recording: Recording, run: int, part: str) -> PartTrack:
     track = measured_track(recording, rows, rows, where)
     if track.action is None:
         return track
-    if tells_places(track):
-        return replace(track, action=without_arrived(track.position, track.action))
+    if has_position_actions(track):
+        return replace(track, action=without_actions_at_goal(track.position, track.action))
     return replace(track, action=without_dead_band(track.position, track.quaternion, track.action))
 
 
-def tells_places(track: PartTrack) -> bool:
+def has_position_actions(track: PartTrack) -> bool:
     """Whether a run's actions are goal positions: as stated by the recording, or as its data show."""
     if track.action is None or track.meaning is not None:
         return track.action is not None and track.meaning == "position"

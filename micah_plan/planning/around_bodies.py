@@ -3,7 +3,7 @@
 Of a part that only slides, whatever the others do, the states in which the box around it meets the box around a body
 are an intersection of half-spaces, like any guard: p(c) = p₀ + J c is affine, and two boxes along the axes of one of
 them meet where they overlap along each of these. So search, programme and roll-outs see a body as they see a guard
-that ends everything. Parts that turn are not kept clear of anything here; `unchecked` names them.
+that ends everything. Parts that turn are not kept clear of anything here; `unchecked_parts_warning` names them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from micah_plan.arrays import ROUND_OFF, Floats
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.kinematics import poses_of_states
 from micah_plan.automaton.region import Region
-from micah_plan.planning.cuts import Cut, half_space, without
+from micah_plan.planning.cuts import Cut, half_space, with_cuts_as_bodies
 from micah_plan.task.body import Body, Shape, corners, transform
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import is_final
@@ -34,12 +34,12 @@ def with_scene(problem: Problem) -> Problem:
     """
     if not problem.scene or problem.hold is not None:
         return problem
-    cuts = [cut for mode in _moving(problem.automaton) for cut in _cuts(problem, mode)]
+    cuts = [cut for mode in _moving(problem.automaton) for cut in _collision_cuts(problem, mode)]
     bare = replace(problem, scene=())
-    return without(bare, cuts) if cuts else bare
+    return with_cuts_as_bodies(bare, cuts) if cuts else bare
 
 
-def unchecked(problem: Problem) -> tuple[str, ...]:
+def unchecked_parts_warning(problem: Problem) -> tuple[str, ...]:
     """A warning on rotating parts, for which plans do not avoid the scene."""
     if not problem.scene or problem.hold is not None or problem.robot is not None:
         return ()
@@ -87,7 +87,7 @@ def _parts(automaton: HybridAutomaton, mode: Mode) -> dict[str, tuple[Floats, Fl
     return bounds
 
 
-def _cuts(problem: Problem, mode: Mode) -> Iterator[Cut]:
+def _collision_cuts(problem: Problem, mode: Mode) -> Iterator[Cut]:
     """The regions of a mode in which a part overlaps a body, except for overlaps at the start."""
     start = np.array(problem.start.mean)[: problem.automaton.n]
     for name, (points, slides) in _parts(problem.automaton, mode).items():

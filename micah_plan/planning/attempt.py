@@ -47,7 +47,7 @@ class Attempt:
         """Limits of the problem."""
         return limits_of(self.problem)
 
-    def made_by(self, planner: Callable[[Attempt], Plan], level: Level) -> Plan:
+    def planned_by(self, planner: Callable[[Attempt], Plan], level: Level) -> Plan:
         """The plan of a planner; no plan with the reason at a level if it fails or runs out of time."""
         try:
             return planner(self)
@@ -90,7 +90,7 @@ class Attempt:
         return Plan(outcome, reason, candidates=candidates, seed=self.seed, timings=timings, findings=findings)
 
 
-def attempted(
+def attempt_plan(
     planner: Callable[[Attempt], Plan],
     level: Level,
     problem: Problem,
@@ -117,4 +117,4 @@ def attempted(
     if mode is None:
         return attempt.refused(str(reason), ())
     attempt = replace(attempt, problem=replace(problem, start=replace(problem.start, mode=mode)))
-    return (replace(attempt, progress=progress) if progress else attempt).made_by(planner, level)
+    return (replace(attempt, progress=progress) if progress else attempt).planned_by(planner, level)

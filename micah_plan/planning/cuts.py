@@ -26,7 +26,7 @@ Cut = tuple[str | None, Region]
 """The mode in which states are cut out, None: all modes that do not end everything; and the states."""
 
 
-def without(problem: Problem, cuts: Sequence[Cut]) -> Problem:
+def with_cuts_as_bodies(problem: Problem, cuts: Sequence[Cut]) -> Problem:
     """The problem with a body in the place of each cut; its first edges are those of the original."""
     automaton = problem.automaton
     modes = automaton.modes
@@ -75,7 +75,7 @@ def tight_places(problem: Problem, limits: Limits, path: BeliefPath, size_of_sta
     return cuts
 
 
-def with_room(problem: Problem) -> Problem:
+def with_enlarged_obstacles(problem: Problem) -> Problem:
     """The problem with obstacles enlarged on all sides by the space that a belief needs, for another search.
 
     A shortest path goes along faces and around corners as if the state were known. What ends everything is enlarged by
@@ -85,7 +85,7 @@ def with_room(problem: Problem) -> Problem:
     traps = {mode.name for mode in automaton.modes if is_final(automaton, mode)}
     if problem.goal.modes:
         traps -= set(problem.goal.modes)
-    reach = problem.settings.sigmas * np.sqrt(2.0) * _settled(automaton)
+    reach = problem.settings.sigmas * np.sqrt(2.0) * _steady_state_std(automaton)
     nothing = np.zeros((1, automaton.m))
 
     def wider(edge: Edge) -> Edge:
@@ -100,13 +100,15 @@ def with_room(problem: Problem) -> Problem:
     return replace(problem, automaton=sharing_motion(changed, automaton))
 
 
-def _settled(automaton: HybridAutomaton) -> Floats:
+def _steady_state_std(automaton: HybridAutomaton) -> Floats:
     """(n,) steady-state std of each coordinate under its Kalman filter."""
-    process, observed = (np.array(stds, dtype=float) for stds in (automaton.noise.process_std, _seen(automaton)))
+    process, observed = (
+        np.array(stds, dtype=float) for stds in (automaton.noise.process_std, _measurement_std(automaton))
+    )
     return np.asarray(np.sqrt(0.5 * process * (process + np.sqrt(process**2 + 4.0 * observed**2))))
 
 
-def _seen(automaton: HybridAutomaton) -> Floats:
+def _measurement_std(automaton: HybridAutomaton) -> Floats:
     """(n,) std of a measurement; 0 where not measured, since a margin cannot help there."""
     stds = np.array(automaton.noise.observation_std, dtype=float)
     return np.where(np.isfinite(stds), stds, 0.0)

@@ -90,7 +90,7 @@ def belief_lqr(
         A = linear_step(automaton, modes[-1], last, limits.max_step, limits.max_step)[0]
         rest = np.linalg.matrix_power(A, steps_of_memory(automaton, limits.max_step)[1])
         value += rest.T @ goal @ rest
-    gains, nearby = np.zeros((len(is_transition), m, n)), tracking
+    gains, restricted_to_nearby_modes = np.zeros((len(is_transition), m, n)), tracking
     free, linear = {mode: automaton.mode(mode).free for mode in set(modes)}, dict[str, tuple[Floats, Floats]]()
     for k in reversed(range(len(is_transition))):
         value = value * (free[modes[k + 1]][:, None] & free[modes[k + 1]])
@@ -98,8 +98,8 @@ def belief_lqr(
             # Cheapest-to-go through the reset; of several edges between two modes the first stands for all.
             edge = next(e for e in automaton.edges if (e.source, e.target) == (modes[k], modes[k + 1]))
             A = matrix_after(automaton, edge)
-            nearby, at_guard = _relative(problem, edge, tracking)
-            value = nearby + A.T @ value @ A + at_guard
+            restricted_to_nearby_modes, at_guard = _relative(problem, edge, tracking)
+            value = restricted_to_nearby_modes + A.T @ value @ A + at_guard
             continue
         if automaton.input_memories or modes[k] not in linear:  # else it is the same wherever the mode is
             x, u = (np.array(problem.start.mean), limits.max_step) if around is None else (around[0][k], around[1][k])
@@ -109,5 +109,5 @@ def belief_lqr(
         gain = -np.linalg.solve(effort + carried @ B, carried @ A)
         gains[k] = gain * free[modes[k]]
         closed = A + B @ gain
-        value = nearby + gain.T @ effort @ gain + closed.T @ value @ closed
+        value = restricted_to_nearby_modes + gain.T @ effort @ gain + closed.T @ value @ closed
     return gains

@@ -323,7 +323,7 @@ def findings_of(problem: Problem, modes: tuple[str, ...], shortfalls: Sequence[S
 def finding_of(problem: Problem, modes: tuple[str, ...], shortfall: Shortfall) -> Finding:
     """Finding on a violated constraint of the optimisation, in the user's terms."""
     row, amount = shortfall.row, float(shortfall.amount)
-    ways = _plain_ways(shortfall)
+    ways = _mean_remedies(shortfall)
     finding = Finding(
         "optimisation",
         "constraint_missed",
@@ -344,10 +344,10 @@ def finding_of(problem: Problem, modes: tuple[str, ...], shortfall: Shortfall) -
     is_narrow = shortfall.width is not None and shortfall.width < 2.0 * need
     if is_narrow:
         room, need = shortfall.width or 0.0, 2.0 * need
-    sentence = _sentence(problem, row, room, need, is_narrow)
+    sentence = _space_sentence(problem, row, room, need, is_narrow)
     # The confidence at which the room suffices, rounded down.
     possible = int(100 * ndtr(problem.settings.sigmas * room / need)) / 100 if need > 0 else 0.0
-    ways = _ways(problem, row, room, need, possible)
+    ways = _space_remedies(problem, row, room, need, possible)
     return replace(
         finding, code="too_little_room", sentence=sentence, remedy=one_of(ways), room=room, need=need, ways=ways
     )
@@ -359,12 +359,12 @@ def _missed(shortfall: Shortfall) -> str:
     return f"{shortfall.row.label} is missed by {quantity(shortfall.amount, shortfall.row.unit)}"
 
 
-def _sentence(problem: Problem, row: Row, room: float, need: float, is_narrow: bool) -> str:
+def _space_sentence(problem: Problem, row: Row, room: float, need: float, is_narrow: bool) -> str:
     """The available space, and the space that the belief needs."""
     name = row.name if row.half_space is None else f"'{row.half_space.name}'"
     has, behind = quantity(room, row.unit), quantity(-room, row.unit)
     needs = f"the belief needs {quantity(need, row.unit)} at {percent(problem.settings.confidence)}"
-    if (turned := _turned_by(problem, row)) is not None:
+    if (turned := _reversing_mode(problem, row)) is not None:
         return (
             f"behind {name} the same input moves the other way ('{row.mode}' against '{turned}'), so one step must "
             f"surely lead across: it starts {f'{has} before it' if room >= 0 else f'{behind} behind it'}, {needs}"
@@ -379,14 +379,14 @@ def _sentence(problem: Problem, row: Row, room: float, need: float, is_narrow: b
     return f"the path has {has} to {name}, {needs}"
 
 
-def _ways(problem: Problem, row: Row, room: float, need: float, possible: float) -> tuple[str | Offer, ...]:
+def _space_remedies(problem: Problem, row: Row, room: float, need: float, possible: float) -> tuple[str | Offer, ...]:
     """Remedies where a belief lacks space.
 
     Args:
         room, need: what there is and what the belief needs [unit].
         possible: the confidence at which the room suffices.
     """
-    if _turned_by(problem, row) is not None:
+    if _reversing_mode(problem, row) is not None:
         return LARGER_STEPS, SURER_START, LESS_NOISE
     edges = problem.automaton.edges_from(row.mode)
     contact = [
@@ -406,7 +406,7 @@ def _ways(problem: Problem, row: Row, room: float, need: float, possible: float)
     return *ways, lower_confidence(possible) if is_enough else "make more room (no confidence above 0.5 suffices)"
 
 
-def _turned_by(problem: Problem, row: Row) -> str | None:
+def _reversing_mode(problem: Problem, row: Row) -> str | None:
     """The mode behind a boundary that a single step must cross, since motion reverses there; None elsewhere."""
     for edge in problem.automaton.edges_from(row.mode) if row.kind == "boundary" and row.sign < 0 else ():
         turn = input_reversal_of(problem.automaton, edge)
@@ -415,7 +415,7 @@ def _turned_by(problem: Problem, row: Row) -> str | None:
     return None
 
 
-def _plain_ways(shortfall: Shortfall) -> tuple[str | Offer, ...]:
+def _mean_remedies(shortfall: Shortfall) -> tuple[str | Offer, ...]:
     """Remedies for a constraint that is violated by the mean."""
     row, amount = shortfall.row, float(shortfall.amount)
     steps = MORE_KNOTS, LARGER_STEPS

@@ -49,7 +49,7 @@ def without_input_memory(problem: Problem) -> Problem:
     return replace(problem, automaton=plain, start=start)
 
 
-def coasted(automaton: HybridAutomaton, mode: str, x: Floats) -> Floats:
+def after_memories_run_out(automaton: HybridAutomaton, mode: str, x: Floats) -> Floats:
     """(..., n) states after the memories have run out: no further command, and no guard in the way."""
     nothing = np.zeros((*x.shape[:-1], automaton.m))
     for _ in range(_LONGEST if automaton.input_memories else 0):

@@ -84,7 +84,7 @@ def _setting(problem: Problem, offer: Offer) -> tuple[str, Any]:
     """(name, new value) of the setting that an offer changes."""
     kind, value = offer.kind, offer.values[0][1]
     if kind == "surer":
-        return "confidence", _surer(problem, value)
+        return "confidence", _with_fewer_failures(problem, value)
     if kind == "max_step":
         return kind, tuple((value * limits_of(problem).max_step).tolist())
     if kind in ("confidence", "revisits"):
@@ -92,12 +92,12 @@ def _setting(problem: Problem, offer: Offer) -> tuple[str, Any]:
     return kind, round(value * getattr(problem.settings, kind))
 
 
-def _surer(problem: Problem, factor: float) -> float:
+def _with_fewer_failures(problem: Problem, factor: float) -> float:
     """The confidence whose failure probability is divided by the square of a factor, to four digits."""
     return round(1.0 - (1.0 - problem.settings.confidence) / (factor * factor), 4)
 
 
-def as_written(offer: Offer) -> Offer:
+def with_printable_numbers(offer: Offer) -> Offer:
     """The offer with printable numbers: tolerances rounded up, confidences down."""
     if offer.kind == "confidence":
         return replace(offer, values=((0, math.floor(100.0 * offer.values[0][1] + 1e-9) / 100.0),))

@@ -19,8 +19,8 @@ import numpy as np
 
 from micah_plan.arrays import EQUAL, Floats
 from micah_plan.automaton.input_memory import own_size
-from micah_plan.planning.attempt import Attempt, attempted
-from micah_plan.planning.cuts import Cut, tight_places, with_room, without
+from micah_plan.planning.attempt import Attempt, attempt_plan
+from micah_plan.planning.cuts import Cut, tight_places, with_cuts_as_bodies, with_enlarged_obstacles
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.findings import finding_of_status, findings_of, sentence_of
 from micah_plan.planning.input_memories import with_input_memory, without_input_memory
@@ -32,7 +32,7 @@ from micah_plan.planning.search.mode_search import ModeSequence, SearchResult, s
 from micah_plan.planning.search.passing_time import with_passing_time
 from micah_plan.planning.transcription.guess import PhaseGuess, guess, guess_at
 from micah_plan.planning.transcription.programme import transcribe
-from micah_plan.planning.transcription.solve import BeliefPath, solve_transcription, unmet
+from micah_plan.planning.transcription.solve import BeliefPath, solve_transcription, violated_constraints
 from micah_plan.planning.zero_time_transitions import with_zero_time_transitions
 from micah_plan.summaries import Progress
 from micah_plan.task.deadline import Deadline, TimeLimitError
@@ -60,7 +60,7 @@ def plan(problem: Problem, seed: int = 0, progress: Progress | None = None, dead
     Returns:
         A plan with outcome ``"solved"`` (to be confirmed by `verification.verify`) or ``"no_plan"`` with the reason.
     """
-    return attempted(planned, "search", problem, seed, progress, deadline)
+    return attempt_plan(planned, "search", problem, seed, progress, deadline)
 
 
 def with_memory(problem: Problem, sequence: ModeSequence) -> ModeSequence:
@@ -80,19 +80,19 @@ def planned(attempt: Attempt, search_result: SearchResult | None = None) -> Plan
     whole = with_input_memory(asked)
     attempt = replace(attempt, problem=with_zero_time_transitions(whole))
     if search_result is not None:
-        return _chosen(attempt, asked, _optimised_each(attempt, search_result))
-    plan = _chosen(attempt, asked, _with_detours(attempt))
+        return _cheapest_plan(attempt, asked, _optimised_each(attempt, search_result))
+    plan = _cheapest_plan(attempt, asked, _with_detours(attempt))
     if plan.trajectory is None or departure(asked, plan.trajectory) is None:
         return plan
     divided = with_zero_time_transitions(whole, in_parts=True)
     with suppress(NoWayError, TimeLimitError):
         again = replace(attempt, problem=divided)
-        better = _chosen(again, asked, _with_detours(again))
+        better = _cheapest_plan(again, asked, _with_detours(again))
         return plan if better.trajectory is None else replace(better, alternatives=(*better.alternatives, plan))
     return plan
 
 
-def _with_detours(attempt: Attempt) -> list[_Tried]:
+def _with_detours(attempt: Attempt) -> list[_CandidatePlan]:
     """Belief paths along the mode sequences of a search, and around their narrow places.
 
     Raises:
@@ -105,7 +105,9 @@ def _with_detours(attempt: Attempt) -> list[_Tried]:
     tried = _optimised_each(attempt, search_result)
     if not any(attempt_result.is_whole for attempt_result in tried):
         with suppress(TimeLimitError):
-            tried += _optimised_each(attempt, _untried(attempt, _searched(attempt, with_room(plain), cuts), tried))
+            tried += _optimised_each(
+                attempt, _without_optimised(attempt, _searched(attempt, with_enlarged_obstacles(plain), cuts), tried)
+            )
     for _ in range(_MOST_DETOURS):
         tight = [
             cut
@@ -117,7 +119,7 @@ def _with_detours(attempt: Attempt) -> list[_Tried]:
             break
         cuts = tight
         with suppress(TimeLimitError):
-            tried += _optimised_each(attempt, _untried(attempt, _searched(attempt, plain, cuts), tried))
+            tried += _optimised_each(attempt, _without_optimised(attempt, _searched(attempt, plain, cuts), tried))
     return tried
 
 
@@ -125,11 +127,11 @@ def _searched(attempt: Attempt, plain: Problem, cuts: Sequence[Cut]) -> SearchRe
     """Mode sequences of a problem over x, with some states cut out."""
     attempt.deadline.check("search", "no detour was looked for", "candidates")
     with attempt.clock.stage("search"):
-        task = with_passing_time(without(plain, cuts) if cuts else plain)
+        task = with_passing_time(with_cuts_as_bodies(plain, cuts) if cuts else plain)
         return search_modes(task, limits_of(task), attempt.mode, attempt.seed, deadline=attempt.deadline)
 
 
-def _untried(attempt: Attempt, found: SearchResult, tried: Sequence[_Tried]) -> SearchResult:
+def _without_optimised(attempt: Attempt, found: SearchResult, tried: Sequence[_CandidatePlan]) -> SearchResult:
     """Sequences without an optimisation so far, through modes of the problem; none is not an error.
 
     A state that is cut out may be in the goal, but to be stuck there is no plan.
@@ -139,7 +141,7 @@ def _untried(attempt: Attempt, found: SearchResult, tried: Sequence[_Tried]) -> 
     return SearchResult(tuple(way for way in ways if not _is_known(way, tried)))
 
 
-def _is_known(sequence: ModeSequence, tried: Sequence[_Tried]) -> bool:
+def _is_known(sequence: ModeSequence, tried: Sequence[_CandidatePlan]) -> bool:
     """Whether a path with the same transitions and corners was optimised already."""
     return any(
         attempt_result.sequence.edges == sequence.edges
@@ -151,7 +153,7 @@ def _is_known(sequence: ModeSequence, tried: Sequence[_Tried]) -> bool:
     )
 
 
-def _optimised_each(attempt: Attempt, found: SearchResult) -> list[_Tried]:
+def _optimised_each(attempt: Attempt, found: SearchResult) -> list[_CandidatePlan]:
     """The belief paths through the mode sequences of a search.
 
     Raises:
@@ -167,7 +169,7 @@ def _optimised_each(attempt: Attempt, found: SearchResult) -> list[_Tried]:
     return tried
 
 
-def _chosen(attempt: Attempt, asked: Problem, tried: Sequence[_Tried]) -> Plan:
+def _cheapest_plan(attempt: Attempt, asked: Problem, tried: Sequence[_CandidatePlan]) -> Plan:
     """The cheapest plan whose mean keeps to its mode sequence, with the others as alternatives."""
     candidates = tuple(attempt_result.candidate(asked) for attempt_result in tried)
     paths = [
@@ -198,7 +200,7 @@ def _chosen(attempt: Attempt, asked: Problem, tried: Sequence[_Tried]) -> Plan:
 
 
 @dataclass(frozen=True, eq=False)
-class _Tried:
+class _CandidatePlan:
     """A mode sequence after optimisation: its belief path if there is one, and its shortfalls.
 
     Attributes:
@@ -228,16 +230,16 @@ class _Tried:
         return Candidate(self.sequence.modes, self.sequence.total, price if np.isfinite(price) else None, self.message)
 
 
-def _low_level(attempt: Attempt, sequence: ModeSequence) -> _Tried:
+def _low_level(attempt: Attempt, sequence: ModeSequence) -> _CandidatePlan:
     """The belief path along a mode sequence in the fewest feasible steps."""
     try:
         return _optimised(attempt, sequence)
     except (NoWayError, TimeLimitError) as failed:
         finding = Finding.of("optimisation", failed.reason, sequence.modes)
-        return _Tried(sequence, None, str(failed.reason), (finding,))
+        return _CandidatePlan(sequence, None, str(failed.reason), (finding,))
 
 
-def _optimised(attempt: Attempt, sequence: ModeSequence) -> _Tried:
+def _optimised(attempt: Attempt, sequence: ModeSequence) -> _CandidatePlan:
     problem, deadline, clock, steps = attempt.problem, attempt.deadline, attempt.clock, -1
     name, state = " -> ".join(sequence.modes), "was not tried"
     for stretch in (1.0, problem.settings.pace, *_STRETCHES[1:]) if drifts(problem) else _STRETCHES:
@@ -253,16 +255,16 @@ def _optimised(attempt: Attempt, sequence: ModeSequence) -> _Tried:
             path = solve_transcription(nlp, _time_limit(attempt))
         if path.feasible:
             path = _with_other_sides(attempt, phases, path)
-            return _Tried(sequence, path, path.message)
+            return _CandidatePlan(sequence, path, path.message)
         deadline.check("optimisation", f"{name} was at {steps} steps", "candidates")
     if path.is_out_of_time:  # its state then does not say what is possible
         finding = finding_of_status(sequence.modes, path.message, is_out_of_time=True)
-        return _Tried(sequence, path, path.message, (finding,))
+        return _CandidatePlan(sequence, path, path.message, (finding,))
     with clock.stage("optimise"):
-        missed = unmet(nlp, _time_limit(attempt))
+        missed = violated_constraints(nlp, _time_limit(attempt))
     message = "; ".join([path.message, *map(sentence_of, missed)])
     findings = findings_of(problem, sequence.modes, missed) or [finding_of_status(sequence.modes, path.message)]
-    return _Tried(sequence, path, message, tuple(findings))
+    return _CandidatePlan(sequence, path, message, tuple(findings))
 
 
 def _with_other_sides(attempt: Attempt, phases: tuple[PhaseGuess, ...], path: BeliefPath) -> BeliefPath:

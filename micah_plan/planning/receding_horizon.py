@@ -64,18 +64,18 @@ class RecedingHorizon:
         here = with_zero_time_transitions(believed_problem(self._problem, belief))
         if here.start.mode != trajectory.modes[knot] or trajectory.means.shape[1] != here.automaton.n:
             return None
-        if self._is_rest(trajectory, knot) and not self._has_learned(belief, trajectory, knot):
+        if self._is_end_of_plan(trajectory, knot) and not self._has_new_threshold(belief, trajectory, knot):
             path = self.from_plan(here.start, trajectory, knot)
             if path.feasible:
                 self.reused += 1
                 return trajectory_of(here, self._limits, path)
-        path = from_new(here, trajectory, knot)
+        path = remainder_by_new_programme(here, trajectory, knot)
         self.built += path.feasible
         return trajectory_of(here, limits_of(here), path) if path.feasible else None
 
     def from_plan(self, start: Start, trajectory: Trajectory, knot: int) -> BeliefPath:
         """The remainder of the plan from a belief, by the reused programme; it may be infeasible."""
-        return self._programme.rest(np.array(start.mean), np.diag(np.array(start.std)), trajectory, knot)
+        return self._programme.remainder(np.array(start.mean), np.diag(np.array(start.std)), trajectory, knot)
 
     @cached_property
     def _programme(self) -> WarmStartedProgramme:
@@ -85,17 +85,17 @@ class RecedingHorizon:
         whole = replace(self._problem, start=start)
         return WarmStartedProgramme(_programme(whole, self._limits, plan, 0), whole.settings.time_limit_s)
 
-    def _is_rest(self, trajectory: Trajectory, knot: int) -> bool:
+    def _is_end_of_plan(self, trajectory: Trajectory, knot: int) -> bool:
         """Whether a trajectory from a knot equals the end of the plan in modes, edges and steps."""
-        (plan, steps), (rest, remaining) = (
+        (plan, steps), (remainder, remaining) = (
             self._whole,
             rest_of(with_zero_time_transitions(self._problem).automaton, trajectory, knot),
         )
         first = len(steps) - len(remaining)
-        same = first >= 0 and (plan.modes[first:], plan.edges[first:]) == (rest.modes, rest.edges)
+        same = first >= 0 and (plan.modes[first:], plan.edges[first:]) == (remainder.modes, remainder.edges)
         return same and steps[first + 1 :] == remaining[1:] and steps[first] >= remaining[0]
 
-    def _has_learned(self, belief: HybridBelief, trajectory: Trajectory, knot: int) -> bool:
+    def _has_new_threshold(self, belief: HybridBelief, trajectory: Trajectory, knot: int) -> bool:
         """Whether the filter has changed the estimate of a threshold ahead, or its std."""
         automaton, number = self._problem.automaton, belief.most_likely
         if belief.shifts is None or belief.shift_stds is None:
@@ -114,7 +114,7 @@ class RecedingHorizon:
         return bool(learned & ahead)
 
 
-def from_new(here: Problem, trajectory: Trajectory, knot: int) -> BeliefPath:
+def remainder_by_new_programme(here: Problem, trajectory: Trajectory, knot: int) -> BeliefPath:
     """The remainder of a trajectory from a knot and a problem's start, by a programme built for it."""
     return solve_transcription(_programme(here, limits_of(here), trajectory, knot), here.settings.time_limit_s)
 
@@ -144,7 +144,7 @@ class WarmStartedProgramme:
         self._first = self._solver.solve()
         self.path = self._path(self._first)
 
-    def rest(self, mean: Floats, factor: Floats, trajectory: Trajectory, knot: int) -> BeliefPath:
+    def remainder(self, mean: Floats, factor: Floats, trajectory: Trajectory, knot: int) -> BeliefPath:
         """The remainder of the plan from a belief; infeasible if the solver did not converge to a feasible one.
 
         Args:

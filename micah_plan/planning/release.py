@@ -80,7 +80,7 @@ def with_release(problem: Problem, plan: Plan, deadline: Deadline) -> tuple[Plan
         if isinstance(answer, Finding):
             return _refused(plan, answer), None
         release_plan = answer
-    return _judged(problem, replace(plan, release=release_plan)), None
+    return _with_support_probability(problem, replace(plan, release=release_plan)), None
 
 
 def _withdrawal(direction: Floats, release: Release) -> Floats:
@@ -134,7 +134,7 @@ def _refused(plan: Plan, finding: Finding) -> Plan:
     return plan.refused_for(finding)
 
 
-def _judged(problem: Problem, plan: Plan) -> Plan:
+def _with_support_probability(problem: Problem, plan: Plan) -> Plan:
     """The plan with the probability that the support's height suits the goal included in its success."""
     release, release_plan, share = problem.release, plan.release, plan.success_probability
     heights = [(value, tol) for index, value, tol in problem.goal.target if index == 2]

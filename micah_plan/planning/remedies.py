@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Protocol
 
 from micah_plan.planning.findings import LEAST_CONFIDENCE
-from micah_plan.planning.offers import as_written, changed, in_words
+from micah_plan.planning.offers import changed, in_words, with_printable_numbers
 from micah_plan.summaries import Progress
 from micah_plan.task.plan import Finding, Plan
 from micah_plan.task.problem import Problem
@@ -40,7 +40,9 @@ class PlanSolver(Protocol):
         """The verified plan, with the arm's trajectory if there is an arm."""
 
 
-def advised(problem: Problem, plan: Plan, solver: PlanSolver, seed: int = 0, progress: Progress | None = None) -> Plan:
+def with_tested_remedies(
+    problem: Problem, plan: Plan, solver: PlanSolver, seed: int = 0, progress: Progress | None = None
+) -> Plan:
     """A failed plan with remedies that were tested; the first of each kind.
 
     Args:
@@ -50,7 +52,7 @@ def advised(problem: Problem, plan: Plan, solver: PlanSolver, seed: int = 0, pro
         return plan
     trials, said = _Trials(problem, solver, seed, progress), plan.before_remedy
     findings = tuple(
-        replace(finding, remedy=trials.tried(finding) if finding.ways else finding.remedy, ways=())
+        replace(finding, remedy=trials.tested_remedy(finding) if finding.ways else finding.remedy, ways=())
         for finding in plan.findings
     )
     # What was added to a reason since stands behind its remedy.
@@ -58,7 +60,7 @@ def advised(problem: Problem, plan: Plan, solver: PlanSolver, seed: int = 0, pro
     return replace(plan, reason=f"{said}{findings[0].remedy}" if is_of_first else plan.reason, findings=findings)
 
 
-class _NoneLeftError(Exception):
+class _BudgetExhaustedError(Exception):
     """The budget of test problems is exhausted."""
 
 
@@ -70,11 +72,11 @@ class _Trials:
         self._left = _MOST_SOLVED
         self._words = dict[OfferKind, str]()
 
-    def tried(self, finding: Finding) -> str:
+    def tested_remedy(self, finding: Finding) -> str:
         """The remedy of a finding without the ways that failed in trials."""
         ways, failed = list[str](), list[str]()
         for way in finding.ways:
-            words = way if isinstance(way, str) else self._of(way)
+            words = way if isinstance(way, str) else self._tested_words(way)
             if isinstance(way, Offer) and way.kind in _NECESSARY:
                 words = words or way.words
             if words:
@@ -83,33 +85,33 @@ class _Trials:
                 failed.append(way.words)
         return one_of(ways) if ways else f"change the task or the model (tried in vain: {', '.join(failed)})"
 
-    def _of(self, offer: Offer) -> str:
+    def _tested_words(self, offer: Offer) -> str:
         """Words of an offer; empty if it does not help."""
         if offer.kind in self._words:
             # Of another coordinate or number than the one that was tried, nothing is known.
             is_of_all = offer.kind in (*_FACTORS, "confidence", "revisits")
             return self._words[offer.kind] if is_of_all else offer.words
         try:
-            helping = self._that_helps(offer)
-        except _NoneLeftError:
+            helping = self._helpful_offer(offer)
+        except _BudgetExhaustedError:
             return f"{offer.words} (not tried)"
         self._words[offer.kind] = "" if helping is None else in_words(self._problem, helping)
         return self._words[offer.kind]
 
-    def _that_helps(self, offer: Offer) -> Offer | None:
+    def _helpful_offer(self, offer: Offer) -> Offer | None:
         """The offer, or a larger change of its kind, with which planning succeeds for two seeds.
 
         Raises:
             _NoneLeftError: if all that may be solved was solved before that is known.
         """
         for _ in range(_MOST_FACTORS if offer.kind in _FACTORS else _MOST_NUMBERS):
-            offer = as_written(offer)
+            offer = with_printable_numbers(offer)
             if (offer.kind == "confidence" and offer.values[0][1] <= LEAST_CONFIDENCE) or not offer.values:
                 return None
             answers = list[Plan]()
             for seed in (self._seed, self._seed + 1):
                 if not self._left:
-                    raise _NoneLeftError
+                    raise _BudgetExhaustedError
                 if self._progress is not None:
                     self._progress(f"no plan; whether it helps to {offer.words}", 1.0 - self._left / _MOST_SOLVED)
                 self._left -= 1
@@ -121,11 +123,11 @@ class _Trials:
             if offer.kind in ("start", "target", "revisits"):  # there is only one nearest
                 return None
             proposed = [way for finding in answers[-1].findings for way in finding.ways if isinstance(way, Offer)]
-            offer = _further(self._problem, offer, proposed, answers[-1])
+            offer = _larger_change(self._problem, offer, proposed, answers[-1])
         return None
 
 
-def _further(problem: Problem, offer: Offer, next_offers: Sequence[Offer], answer: Plan) -> Offer:
+def _larger_change(problem: Problem, offer: Offer, next_offers: Sequence[Offer], answer: Plan) -> Offer:
     """A larger change of the same kind, as the failure of a smaller one proposes."""
     if offer.kind in _FACTORS:
         value = offer.values[0][1]

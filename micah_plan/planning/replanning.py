@@ -50,7 +50,7 @@ def replan(
     confirmed = partial(verified_plan, here, seed=seed, deadline=deadline, verifier=confirm)
 
     def planner(task: Problem, *, deadline: Deadline, search_result: SearchResult | None = None) -> Plan:
-        return Attempt(task, seed, deadline).made_by(partial(planned, search_result=search_result), "search")
+        return Attempt(task, seed, deadline).planned_by(partial(planned, search_result=search_result), "search")
 
     rest = None if followed is None else rest_through(here, *followed)
     if rest is not None:

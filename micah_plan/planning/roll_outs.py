@@ -128,7 +128,7 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
     return RollOuts(modes, x, beliefs, path, np.array(visited).reshape(len(knots), trials))
 
 
-def nearby(problem: Problem, trajectory: Trajectory) -> tuple[Problem, frozenset[str]]:
+def restricted_to_nearby_modes(problem: Problem, trajectory: Trajectory) -> tuple[Problem, frozenset[str]]:
     """The problem restricted to modes near those of a plan, and the names of the outermost; unrestricted if few.
 
     A belief moves to a neighbour at most at every event, so of hundreds of modes roll-outs see a handful. What reaches
@@ -173,7 +173,7 @@ def departure(problem: Problem, trajectory: Trajectory) -> Departure | None:
 
     The pilot knows that, so its estimates are the true states.
     """
-    problem, _ = nearby(problem, trajectory)
+    problem, _ = restricted_to_nearby_modes(problem, trajectory)
     noise = problem.automaton.noise
     still = replace(noise, process_std=tuple(_HARDLY * std for std in noise.process_std))
     sharp = replace(problem.start, std=tuple(_HARDLY * std for std in problem.start.std))

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from micah_plan.automaton.certainty import low_probability_warnings
 from micah_plan.automaton.input_memory import effects_left_out
 from micah_plan.automaton.plausible import never_taken
-from micah_plan.planning.around_bodies import unchecked
+from micah_plan.planning.around_bodies import unchecked_parts_warning
 from micah_plan.planning.pomdp_hd import plan as pomdp_hd
-from micah_plan.planning.remedies import advised
+from micah_plan.planning.remedies import with_tested_remedies
 from micah_plan.planning.tightening import verified_plan
 from micah_plan.summaries import Progress
 from micah_plan.task.deadline import Deadline
@@ -60,8 +60,8 @@ def solve(
         *low_probability_warnings(problem.automaton.learned),
         *effects_left_out(problem.automaton, planner is not None),
     )
-    warnings += (*never_taken(problem.automaton), *unchecked(problem))
+    warnings += (*never_taken(problem.automaton), *unchecked_parts_warning(problem))
     answer = replace(with_arm, warnings=warnings)
     if not advise or answer.outcome == "solved":
         return answer
-    return advised(problem, answer, partial(solve, advise=False, planner=planner), seed, progress)
+    return with_tested_remedies(problem, answer, partial(solve, advise=False, planner=planner), seed, progress)

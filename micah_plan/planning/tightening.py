@@ -90,9 +90,9 @@ def verified_plan(
         answer = check(plan, own_seed)
         if answer.outcome == "solved":  # these roll-outs have chosen the plan: its share is that of others
             answer = check(replace(plan, timings=answer.timings), own_seed + 1)
-        timings = _added(timings, answer.timings)
+        timings = _summed_timings(timings, answer.timings)
         if answer.outcome == "solved":
-            best = _told(answer, best, confidence, number)
+            best = _with_tightening_note(answer, best, confidence, number)
         elif (answer.success_probability or 0.0) > share:
             best = answer
         elif pace < _FASTER:  # more room does not help: fewer steps have less noise
@@ -100,7 +100,7 @@ def verified_plan(
         else:
             break
     is_cut = most > 0 and best.outcome == "not_verified" and deadline.is_over()
-    return replace(_cut_short(best, deadline) if is_cut else best, timings=timings)
+    return replace(_with_deadline_finding(best, deadline) if is_cut else best, timings=timings)
 
 
 def _best_verified(plan: Plan, verified: Callable[[Plan], Plan], deadline: Deadline) -> Plan:
@@ -115,10 +115,10 @@ def _best_verified(plan: Plan, verified: Callable[[Plan], Plan], deadline: Deadl
         if answer.outcome == "solved" or deadline.is_over():
             break
     spent = perf_counter() - begin
-    return replace(best or plan, timings=_added(plan.timings, {"verify": spent, "total": spent}))
+    return replace(best or plan, timings=_summed_timings(plan.timings, {"verify": spent, "total": spent}))
 
 
-def _cut_short(plan: Plan, deadline: Deadline) -> Plan:
+def _with_deadline_finding(plan: Plan, deadline: Deadline) -> Plan:
     """A plan whose replanning was cut off by the deadline, with that as the first finding."""
     if plan.success_probability is None:  # the roll-outs were cut short, and it says so
         return plan
@@ -129,7 +129,7 @@ def _cut_short(plan: Plan, deadline: Deadline) -> Plan:
     return plan.refused_for(finding, f"{plan.reason}; ", outcome=plan.outcome)
 
 
-def _added(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
+def _summed_timings(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
     """Sums of seconds by stage."""
     return {stage: first.get(stage, 0.0) + second.get(stage, 0.0) for stage in {**first, **second}}
 
@@ -146,7 +146,7 @@ def tightened(planned: float, asked: float, failing: float) -> float:
     return max(planned, 1.0 - max(_FEWEST_FAILURES, (1.0 - planned) * fewer))
 
 
-def _told(answer: Plan, before: Plan, confidence: float, rounds: int) -> Plan:
+def _with_tightening_note(answer: Plan, before: Plan, confidence: float, rounds: int) -> Plan:
     """A verified plan whose reason mentions that and why it was planned again."""
     sentences = [finding.sentence for finding in before.findings if finding.level == "verification"]
     why = f": {sentences[0]}" if sentences else ""

@@ -21,7 +21,14 @@ from micah_plan.planning.offers import (
     moved_target,
 )
 from micah_plan.planning.path_constraints import PathRecord, joined_records
-from micah_plan.planning.roll_outs import RollOuts, are_in_goal, departure, draw_chances, nearby, roll_out
+from micah_plan.planning.roll_outs import (
+    RollOuts,
+    are_in_goal,
+    departure,
+    draw_chances,
+    restricted_to_nearby_modes,
+    roll_out,
+)
 from micah_plan.quantities import percent, quantity
 from micah_plan.task.acceptance import least_share, least_trials
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
@@ -56,8 +63,8 @@ def verify(
             (`task.acceptance.least_trials`). 0 verifies nothing.
         seed: of the roll-outs.
         deadline: if it passes before they end, the plan is not verified.
-        sequential: end early where some roll-outs suffice (`plain_answer`, `looks_of`): for decisions during an
-            execution, where only the outcome counts, not how large the share is.
+        sequential: stop at the first of the `decision_points` with a decision, as during an execution, where
+            only the outcome counts and not the success rate.
     """
     count = problem.settings.verification_trials if trials is None else trials
     if plan.trajectory is None or count <= 0:
@@ -78,7 +85,7 @@ def verify(
     successes, done = int(ends.in_goal.sum()), len(ends.in_goal)
     share, interval = successes / done, wilson_interval(successes, done)
     answer = replace(plan, success_probability=share, success_interval=interval, verification_trials=done)
-    clear = plain_answer(successes, done, confidence) if done < count else None
+    clear = sequential_decision(successes, done, confidence) if done < count else None
     if share >= least_share(confidence, count) if clear is None else clear:
         return answer
     if (leaves := departure(problem, plan.trajectory)) is not None:
@@ -110,27 +117,27 @@ def _ends(
     problem: Problem, trajectory: Trajectory, count: int, seed: int, deadline: Deadline, sequential: bool
 ) -> _Ends:
     """Final states of `count` roll-outs, at once or sequentially until decided, among reachable modes."""
-    near, outermost = nearby(problem, trajectory)
-    ends, visited = _rolled(near, trajectory, count, seed, deadline, sequential)
+    near, outermost = restricted_to_nearby_modes(problem, trajectory)
+    ends, visited = _run_roll_outs(near, trajectory, count, seed, deadline, sequential)
     if visited & outermost:
-        return _rolled(problem, trajectory, count, seed, deadline, sequential)[0]
+        return _run_roll_outs(problem, trajectory, count, seed, deadline, sequential)[0]
     numbers = np.array([problem.automaton.mode_index(name) for name in near.automaton.mode_names])
     return replace(ends, modes=numbers[ends.modes])
 
 
-def _rolled(
+def _run_roll_outs(
     problem: Problem, trajectory: Trajectory, count: int, seed: int, deadline: Deadline, sequential: bool
 ) -> tuple[_Ends, set[str]]:
     """(final states, names of visited modes)."""
     turns: list[RollOuts] = []
     in_goal, confidence = np.zeros(0, dtype=bool), problem.settings.confidence
-    looks = looks_of(count, confidence) if sequential else (*range(_AT_ONCE, count, _AT_ONCE), count)
+    looks = decision_points(count, confidence) if sequential else (*range(_AT_ONCE, count, _AT_ONCE), count)
     for number, look in enumerate(looks):
         own_seed = seed if len(looks) == 1 else (seed, number)
         chances = draw_chances(problem, trajectory, look - len(in_goal), own_seed)
         turns.append(roll_out(problem, trajectory, chances, deadline))
         in_goal = np.append(in_goal, are_in_goal(problem, turns[-1]))
-        if plain_answer(int(in_goal.sum()), len(in_goal), confidence) is not None:
+        if sequential_decision(int(in_goal.sum()), len(in_goal), confidence) is not None:
             break
     modes, states = (np.concatenate([getattr(turn, name) for turn in turns]) for name in ("modes", "states"))
     reached = {int(mode) for turn in turns for mode in (*np.unique(turn.visited), *np.unique(turn.modes))}
@@ -138,7 +145,7 @@ def _rolled(
     return _Ends(modes, states, in_goal, joined_records([turn.path for turn in turns])), visited
 
 
-def plain_answer(successes: int, trials: int, confidence: float) -> bool | None:
+def sequential_decision(successes: int, trials: int, confidence: float) -> bool | None:
     """Whether the successes establish the confidence (True) or twice its failure rate (False); None: undecided.
 
     None where more roll-outs are needed to tell. The sequential probability ratio test between these two, with errors
@@ -149,7 +156,7 @@ def plain_answer(successes: int, trials: int, confidence: float) -> bool | None:
     return ratio > 0.0 if abs(ratio) >= _ENOUGH else None
 
 
-def looks_of(trials: int, confidence: float) -> tuple[int, ...]:
+def decision_points(trials: int, confidence: float) -> tuple[int, ...]:
     """Numbers of roll-outs at which a sequential verification tests for a decision.
 
     A step of few roll-outs takes nearly as long as one of some more, so it tests once before the end: when a plan that
@@ -191,7 +198,7 @@ def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Fin
         coordinate, need = automaton.coordinates[index], float(np.quantile(distance, confidence))
         if need <= tolerance:
             continue
-        elsewhere = _elsewhere(names, missed, modes)
+        elsewhere = _other_final_mode(names, missed, modes)
         share, unit = float(missed.mean()), coordinate.unit
         sentence = (
             f"{percent(share, 0)} of the roll-outs end outside of the goal for '{coordinate.name}'{elsewhere}: "
@@ -231,7 +238,7 @@ def _joint_offer(problem: Problem, ends: _Ends) -> tuple[tuple[int, float], ...]
     return tuple((index, share * tol) for (index, _, tol), over in zip(goal.target, wide, strict=True) if over)
 
 
-def _elsewhere(names: list[str], missed: Booleans, modes: tuple[str, ...]) -> str:
+def _other_final_mode(names: list[str], missed: Booleans, modes: tuple[str, ...]) -> str:
     """The most frequent final mode of the failed roll-outs, if it is not the plan's last mode."""
     ends = [name for name, out in zip(names, missed, strict=True) if out]
     commonest = max(sorted(set(ends)), key=ends.count, default=modes[-1])

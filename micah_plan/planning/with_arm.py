@@ -21,7 +21,7 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.planning.around_bodies import slides_of
-from micah_plan.planning.cuts import half_space, without
+from micah_plan.planning.cuts import half_space, with_cuts_as_bodies
 from micah_plan.planning.release import with_release
 from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.plan import ArmTrajectory, Finding, Plan, Trajectory
@@ -74,11 +74,13 @@ def planned_with_arm(problem: Problem, planned: Callable[[Problem], Plan], seed:
     first = answer.findings[0] if stop is not None else None
     while stop is not None and answer.trajectory is not None and plans < _MOST_PLANS and not deadline.is_over():
         if stop.arm.overlaps and _in_all_of_the_goal(problem, stop):
-            return _impossible(answer, stop)
+            return _refused_in_whole_goal(answer, stop)
         if not (found := _cuts(problem, stop, _AROUND * _GROWTH**plans)):
             break
         cuts, plans = cuts + found, plans + 1
-        plan, stop = _with_arm(problem, planned(without(problem, [(None, cut) for cut in cuts])), seed, deadline)
+        plan, stop = _with_arm(
+            problem, planned(with_cuts_as_bodies(problem, [(None, cut) for cut in cuts])), seed, deadline
+        )
         if plan.trajectory is None:
             break
         if plan.arm is not None or stop is not None:
@@ -95,7 +97,7 @@ def _with_arm(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> tu
     if (trajectory := plan.trajectory) is None:
         return plan, None
     if problem.robot is not None:
-        plan, arm = _followed(problem, plan, trajectory, seed, deadline)
+        plan, arm = _with_arm_trajectory(problem, plan, trajectory, seed, deadline)
         if arm is not None:
             return plan, _Stop(arm, trajectory.means[arm.knot], trajectory.modes[arm.knot])
         if plan.arm is None:
@@ -106,7 +108,7 @@ def _with_arm(problem: Problem, plan: Plan, seed: int, deadline: Deadline) -> tu
     return plan, _Stop(blocked.arm, blocked.contact, trajectory.modes[-1], blocked.lowest)
 
 
-def _followed(
+def _with_arm_trajectory(
     problem: Problem, plan: Plan, trajectory: Trajectory, seed: int, deadline: Deadline
 ) -> tuple[Plan, ArmFailure | None]:
     """The plan with the arm's trajectory, or refused with the arm's failure."""
@@ -140,7 +142,7 @@ def _finding(problem: Problem, plan: Plan, arm: ArmFailure, mode: str) -> Findin
     return Finding("arm", "arm_cannot_follow", arm.sentence, remedy, *where, amount=arm.amount, ways=ways)
 
 
-def _impossible(plan: Plan, stop: _Stop) -> Plan:
+def _refused_in_whole_goal(plan: Plan, stop: _Stop) -> Plan:
     """No plan: with this grasp the tool or object collides for every hand pose in the goal."""
     where = "the hand is" if stop.lowest is None else "the hand puts the object down"
     meets = f"{stop.arm.names[0]} meets {stop.arm.names[1]}"
@@ -183,7 +185,7 @@ def _cuts(problem: Problem, stop: _Stop, around: float) -> list[Region]:
     Args:
         around: half the width of what is cut out where the arm ends [m].
     """
-    carried = None if problem.grasp is None else _carried(problem, stop.mode)
+    carried = None if problem.grasp is None else _tool_jacobian(problem, stop.mode)
     if carried is None or problem.grasp is None:
         return []
     from micah_plan.robot.along_plan import tool_path
@@ -202,7 +204,7 @@ def _cuts(problem: Problem, stop: _Stop, around: float) -> list[Region]:
     return [region for region in overlaps if region is not None]
 
 
-def _carried(problem: Problem, mode: str) -> Floats | None:
+def _tool_jacobian(problem: Problem, mode: str) -> Floats | None:
     """(3, n) Jacobian of the tool if it only slides with the state; None if it rotates."""
     n = problem.automaton.n
     if problem.hold is not None:

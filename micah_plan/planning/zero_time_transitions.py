@@ -95,11 +95,11 @@ def _with_zero_time_edges(automaton: HybridAutomaton, asked: str) -> HybridAutom
     taken = tuple(part for of_part, never in zip(parts, covered, strict=True) if not never for part in of_part)
     if taken != automaton.edges:
         automaton = sharing_motion(replace(automaton, edges=taken), automaton)
-    after = {mode.name: _leading_on(automaton, mode.name, goal_modes) for mode in automaton.modes}
+    after = {mode.name: _continuing_edges(automaton, mode.name, goal_modes) for mode in automaton.modes}
     edges: list[ZeroTimeEdge] = []
     begun: list[Edge] = [edge for edge in automaton.edges if not edge.is_self_transition and after[edge.target]]
     for _ in range(_LONGEST - 1):
-        begun = [sequence for edge in begun for sequence in _continued(automaton, edge, after[edge.target])]
+        begun = [sequence for edge in begun for sequence in _extended_sequences(automaton, edge, after[edge.target])]
         edges += [sequence for sequence in begun if isinstance(sequence, ZeroTimeEdge)]
     if not edges:
         return automaton
@@ -148,7 +148,7 @@ def _overlap(first: Sequence[HalfSpace], second: Sequence[HalfSpace]) -> bool:
     return not is_empty(Region(tuple(replace(h, strict=True) for h in (*first, *second))))
 
 
-def _leading_on(automaton: HybridAutomaton, name: str, goal_modes: list[str]) -> list[Edge]:
+def _continuing_edges(automaton: HybridAutomaton, name: str, goal_modes: list[str]) -> list[Edge]:
     """Edges from a mode that can continue a zero-time sequence: on the state alone, and not into a final mode."""
     ends = {mode.name for mode in automaton.modes if is_final(automaton, mode)}
     return [
@@ -161,12 +161,12 @@ def _leading_on(automaton: HybridAutomaton, name: str, goal_modes: list[str]) ->
     ]
 
 
-def _continued(automaton: HybridAutomaton, first: Edge, following: list[Edge]) -> list[ZeroTimeEdge]:
+def _extended_sequences(automaton: HybridAutomaton, first: Edge, following: list[Edge]) -> list[ZeroTimeEdge]:
     """Sequences of an edge, which may be a sequence itself, with each edge that can follow it."""
-    following = [edge for edge in following if edge.target not in (first.source, *_through(first))]
+    following = [edge for edge in following if edge.target not in (first.source, *_modes_passed(first))]
     if not following:
         return []
-    A, B, c = _arrival(automaton, first)
+    A, B, c = _reset_of_edge(automaton, first)
     low, high = _image(*_box(automaton, first), A, c)
     sequences = []
     for edge in following:
@@ -200,15 +200,15 @@ def _joined(automaton: HybridAutomaton, first: Edge, second: Edge, arrival: tupl
         reset or Reset(),
         entered=len(front_of(first)),
         stds=tuple(stds),
-        through=(*_through(first), first.target),
+        through=(*_modes_passed(first), first.target),
     )
 
 
-def _through(edge: Edge) -> tuple[str, ...]:
+def _modes_passed(edge: Edge) -> tuple[str, ...]:
     return edge.through if isinstance(edge, ZeroTimeEdge) else ()
 
 
-def _arrival(automaton: HybridAutomaton, edge: Edge) -> tuple[Floats, Floats, Floats]:
+def _reset_of_edge(automaton: HybridAutomaton, edge: Edge) -> tuple[Floats, Floats, Floats]:
     """A, B and c of the state A x + B u + c after an edge, with the target's pins and ties."""
     A, B, c = edge.reset.matrices(automaton.n, automaton.m)
     target: Mode = automaton.mode(edge.target)

@@ -37,13 +37,13 @@ class _Track:
     rows: Recording
     continuity: Continuity
 
-    def says(self, first: int, last: int) -> str:
+    def row_range_text(self, first: int, last: int) -> str:
         """The row numbers and times of a range, in words."""
         number = f"rows {self.index[first]} to {self.index[last]}" if last > first else f"row {self.index[first]}"
         begin, end = self.rows.time[[first, last]].tolist()
         return f"{number} (t = {begin:.4g}" + (f" to {end:.4g} s)" if last > first else " s)")
 
-    def beside(self, first: int, last: int) -> int:
+    def adjacent_row(self, first: int, last: int) -> int:
         """The nearest measured row before a range or, at the start, behind it."""
         measured = np.flatnonzero(self.continuity.is_measured)
         before = measured[measured < first]
@@ -119,10 +119,10 @@ def _repeat_lines(track: _Track) -> list[str]:
         return []
     first, last = max(pieces, key=lambda piece: piece[1] - piece[0])
     total = sum(b - a + 1 for a, b in pieces)
-    longest = "" if len(pieces) == 1 else f", most of them {track.says(first, last)}"
+    longest = "" if len(pieces) == 1 else f", most of them {track.row_range_text(first, last)}"
     where = f"{count(total, 'row')} of {track.name} " + ("repeats" if total == 1 else "repeat")
     pose = f"the pose of row {track.index[first - 1]}" if len(pieces) == 1 else "the pose of the row before"
-    at = f", {track.says(first, last)}" if len(pieces) == 1 else longest
+    at = f", {track.row_range_text(first, last)}" if len(pieces) == 1 else longest
     if track.continuity.rests.any():
         return [f"{where} {pose} to the last digit{at}: others lie on a joint exactly, so learn takes these for rests"]
     return [f"{where} {pose} to the last digit{at}: was it out of sight? Repeated rows are no measurements"]
@@ -135,9 +135,9 @@ def _jump_lines(track: _Track) -> list[str]:
     others = len(track.continuity.jumps) - 1
     more = f" (and at {count(others, 'more row')})" if others else ""
     return [
-        f"{track.name} jumps by {_size(jump.distance, jump.angle)} at {track.says(jump.row, jump.row)}{more}, faster "
-        "than it moves anywhere else: are rows missing, or was the tracker started anew? In the latter case leave out "
-        "the rows before or after it"
+        f"{track.name} jumps by {_size(jump.distance, jump.angle)} at "
+        f"{track.row_range_text(jump.row, jump.row)}{more}, faster than it moves anywhere else: are rows missing, or "
+        "was the tracker started anew? In the latter case leave out the rows before or after it"
     ]
 
 
@@ -151,7 +151,8 @@ def _stray_lines(tracks: Sequence[_Track]) -> list[str]:
         if _is_taken_for(a, b) and _is_taken_for(b, a)
     ]
     lines = [
-        f"{a[0].name} and {b[0].name} are exchanged in {a[0].says(*a[1:])}: these rows are not used" for a, b in pairs
+        f"{a[0].name} and {b[0].name} are exchanged in {a[0].row_range_text(*a[1:])}: these rows are not used"
+        for a, b in pairs
     ]
     named = [stray for pair in pairs for stray in pair]
     for track in tracks:
@@ -164,11 +165,11 @@ def _stray_lines(tracks: Sequence[_Track]) -> list[str]:
 def _stray_line(track: _Track, strays: Sequence[tuple[int, int]]) -> str:
     """The warning of a track's longest stray, with their number."""
     first, last = max(strays, key=lambda stray: stray[1] - stray[0])
-    size = _size(*apart(track.rows.position, track.rows.quaternion, track.beside(first, last), first).tolist())
+    size = _size(*apart(track.rows.position, track.rows.quaternion, track.adjacent_row(first, last), first).tolist())
     is_at_end = first == 0 or last == len(track.rows) - 1
     more = f" (and in {count(len(strays) - 1, 'more piece')})" if len(strays) > 1 else ""
     return (
-        f"{track.name} is {size} away in {track.says(first, last)}{more}, "
+        f"{track.name} is {size} away in {track.row_range_text(first, last)}{more}, "
         f"{'where it cannot get' if is_at_end else 'and comes back'}: was it lost by the tracker, or mistaken? "
         "These rows are not used"
     )
@@ -198,6 +199,6 @@ def _is_taken_for(stray: _Stray, another: _Stray) -> bool:
     """Whether a stray of one part lies where another part was before."""
     (track, first, last), (place, begin, end) = stray, another
     here = track.rows.position[first]
-    from_own = np.linalg.norm(here - track.rows.position[track.beside(first, last)])
-    from_other = np.linalg.norm(here - place.rows.position[place.beside(begin, end)])
+    from_own = np.linalg.norm(here - track.rows.position[track.adjacent_row(first, last)])
+    from_other = np.linalg.norm(here - place.rows.position[place.adjacent_row(begin, end)])
     return bool(from_other < _CLOSER * from_own)

@@ -54,7 +54,7 @@ def recording_of_columns(columns: Columns, conventions: Conventions | None = Non
         problem = f"expected columns of one length, found {lengths[shortest]} rows of {shown(shortest)} and"
         raise InputError(f"{problem} {lengths[longest]} of {shown(longest)}", remedy="give every row of every column")
     if meant.rate is not None and "t" not in table:
-        table = {"t": counted(table, len(next(iter(table.values()), ()))), **table}
+        table = {"t": row_numbers(table, len(next(iter(table.values()), ()))), **table}
     check_header(list(table), where="")
     further = meant.columns.keys() & {*ROTATION_VECTOR, *FIXED_ANGLES, *TARGETS}
     for name in (*NUMERIC, *sorted(further), "run"):
@@ -62,11 +62,13 @@ def recording_of_columns(columns: Columns, conventions: Conventions | None = Non
             _check_numbers(name, table[name], "iu" if name == "run" else "iuf")
     values = {name: np.asarray(table[name]) for name in (*NUMERIC, *further, "run") if name in table}
     values |= {name: sources[name].values(values[name]) for name in sources.keys() & values.keys()}
-    columns_of_values = gathered(values, {name: column for name, column in table.items() if name not in values}, meant)
+    columns_of_values = recording_from(
+        values, {name: column for name, column in table.items() if name not in values}, meant
+    )
     return without_gaps(as_recorded(columns_of_values, meant))[0]
 
 
-def gathered(values: Mapping[str, NDArray[Any]], others: Columns, meant: Conventions) -> Recording:
+def recording_from(values: Mapping[str, NDArray[Any]], others: Columns, meant: Conventions) -> Recording:
     """The recording of some columns.
 
     Args:
@@ -129,7 +131,7 @@ def columns_by_name(
     return names, sources
 
 
-def counted(columns: Columns, rows: int) -> NDArray[np.float64]:
+def row_numbers(columns: Columns, rows: int) -> NDArray[np.float64]:
     """(n,) index of each row within its run and part, from 0."""
     numbers: Counter[tuple[Any, ...]] = Counter()
     values = np.empty(rows)

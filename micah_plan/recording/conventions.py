@@ -121,7 +121,7 @@ class Conventions:
         texts |= {name: ",".join(each) or None for name, each in lists.items()}
         return {name: str(text) for name, text in texts.items() if text is not None}
 
-    def require_open(self, names: Sequence[str], problem: str) -> None:
+    def refuse_stated(self, names: Sequence[str], problem: str) -> None:
         """Refuse conventions that do not apply to a format.
 
         Raises:
@@ -130,7 +130,7 @@ class Conventions:
         if self.stated().keys() & set(names):
             raise InputError(problem, remedy=f"leave out {' and '.join(names)}")
 
-    def or_else(self, default: Conventions) -> Conventions:
+    def completed_by(self, default: Conventions) -> Conventions:
         """These conventions, completed by the defaults of the file's format."""
         open_ones = {
             field.name: getattr(default, field.name) for field in fields(self) if getattr(self, field.name) is None

@@ -29,7 +29,7 @@ from micah_plan.recording.checks import (
     checked_recording,
     numeric_columns,
 )
-from micah_plan.recording.columns import columns_by_name, counted, gathered
+from micah_plan.recording.columns import columns_by_name, recording_from, row_numbers
 from micah_plan.recording.commands import TARGETS
 from micah_plan.recording.conventions import (
     FIXED_ANGLES,
@@ -57,9 +57,9 @@ def read_csv(path: str | Path, *, minimum_rows: int = 1, conventions: Convention
         lines, meant = read_lines(path), conventions or Conventions()
         exported = motion_capture_table(lines, is_upright=meant.up is not None)
         if exported is not None:
-            meant.require_open(("columns", "rate"), "an export of Motive or Vicon names its own columns and times")
+            meant.refuse_stated(("columns", "rate"), "an export of Motive or Vicon names its own columns and times")
         table = exported or _table(lines, meant)
-        meant, line_numbers = meant.or_else(table.conventions), table.line_numbers
+        meant, line_numbers = meant.completed_by(table.conventions), table.line_numbers
 
         def place(row: int, column: str) -> str:
             return f"line {line_numbers[row]}, column {shown(table.called.get(column, column))}"
@@ -123,7 +123,7 @@ def _table(lines: list[str], meant: Conventions) -> CaptureTable:
         raise InputError("the header is followed by no rows", where=where, remedy="record at least one row")
     columns = dict(zip(own, zip(*rows, strict=True), strict=True))
     if without_time:
-        columns = {"t": tuple(map(repr, counted(columns, len(rows)).tolist())), **columns}
+        columns = {"t": tuple(map(repr, row_numbers(columns, len(rows)).tolist())), **columns}
     called = {ours: source.name for ours, source in sources.items()}
     further = meant.columns.keys() & {*ROTATION_VECTOR, *FIXED_ANGLES, *TARGETS}
     return CaptureTable(columns, numbers[1:], sources=sources, called=called, numbers=frozenset(further))
@@ -210,7 +210,7 @@ def _recording(table: CaptureTable, place: Place, meant: Conventions) -> Recordi
             raise InputError("a second header line", where=place(row, name), remedy=remedy)
         raise InputError(cell.problem, where=place(row, name), remedy=cell.remedy)
 
-    return gathered(values, {name: texts for name, texts in columns.items() if name not in values}, meant)
+    return recording_from(values, {name: texts for name, texts in columns.items() if name not in values}, meant)
 
 
 def _texts(recording: Recording) -> dict[str, list[str]]:

@@ -150,7 +150,7 @@ def moves(edges: Sequence[FrameEdge]) -> bool:
     return any(not edge.static and np.ptp(edge.once()[1], axis=0).max(initial=0.0) > EQUAL for edge in edges)
 
 
-def acting(stamps: Ints, vectors: Floats, at: Ints) -> Floats:
+def displacements_between(stamps: Ints, vectors: Floats, at: Ints) -> Floats:
     """(n, 3) displacement commanded between consecutive times, NaN at the last.
 
     Each command acts evenly from its stamp to the next one, at most for as long as it usually takes, so that all that
@@ -171,7 +171,7 @@ def acting(stamps: Ints, vectors: Floats, at: Ints) -> Floats:
     return np.concatenate([np.diff(reached, axis=0), np.full((1, 3), np.nan)])
 
 
-def between(stamps: Ints, vectors: Floats, at: Ints) -> Floats:
+def interpolated(stamps: Ints, vectors: Floats, at: Ints) -> Floats:
     """(n, 3) values interpolated linearly at times [ns]; NaN in gaps and outside."""
     begin = min(stamps[0], at[0])
     found = np.stack([np.interp(at - begin, stamps - begin, vectors[:, i]) for i in range(3)], axis=1)

@@ -47,7 +47,7 @@ def read_parquet(path: str | Path, *, minimum_rows: int = 1, conventions: Conven
         if "episode_index" not in table:
             return checked_recording(recording_of_columns(table, conventions), minimum_rows=minimum_rows)
         meant = conventions or Conventions()
-        meant.require_open(("columns", "rate"), "the episodes of LeRobot name their columns and times")
+        meant.refuse_stated(("columns", "rate"), "the episodes of LeRobot name their columns and times")
         return checked_recording(as_recorded(_episodes(table, _names(Path(path))), meant), minimum_rows=minimum_rows)
 
 

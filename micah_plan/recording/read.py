@@ -48,12 +48,12 @@ def read_recording(path: str | Path, *, minimum_rows: int = 1, conventions: Conv
         suffix = ".csv" if _has_commas(path) else ".tum"
     with located_in(path):
         if suffix not in _TABLES:
-            meant.require_open(("columns",), "only tables (.csv, .parquet) have columns to name")
+            meant.refuse_stated(("columns",), "only tables (.csv, .parquet) have columns to name")
             if suffix != ".tum":
-                meant.require_open(("rate",), "only tables (.csv, .parquet) and trajectories (.tum, .txt) count rows")
+                meant.refuse_stated(("rate",), "only tables (.csv, .parquet) and trajectories (.tum, .txt) count rows")
         if is_log(path):
             return read_ros_log(path, minimum_rows=minimum_rows, conventions=meant)
-        meant.require_open(("topics", "frame"), "only ROS logs (.mcap, .bag, .db3) have topics and frames")
+        meant.refuse_stated(("topics", "frame"), "only ROS logs (.mcap, .bag, .db3) have topics and frames")
         if suffix in _TABLES:
             return _TABLES[suffix](path, minimum_rows=minimum_rows, conventions=meant)
         if suffix not in _READERS:

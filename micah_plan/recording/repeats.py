@@ -59,7 +59,7 @@ def repeated_readings(position: Floats, quaternion: Floats | None, action: Float
     chance = float(np.prod([_chance_of_equal(vector[~same]) for vector in vectors]))
     waits = _Waits.of(same)
     if waits.are_long:
-        odds = waits.log_odds_of_clock() if action is None or waits.ask_all_along(action) else -np.inf
+        odds = waits.log_odds_of_clock() if action is None or waits.actions_in_all_waits(action) else -np.inf
     elif chance > _MIRACLE:
         return none
     else:
@@ -92,7 +92,7 @@ class _Waits:
         """Whether consecutive rows are hardly ever both new."""
         return self.usual > 1
 
-    def ask_all_along(self, action: Floats) -> bool:
+    def actions_in_all_waits(self, action: Floats) -> bool:
         """Whether actions (n, 3) ask for motion in several rows of each wait.
 
         A part that is told to go now and then, and is there at once, rests by a clock as well.

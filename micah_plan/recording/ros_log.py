@@ -25,7 +25,7 @@ from micah_plan.errors import InputError, choices, located_in, shown
 from micah_plan.quantities import count, quantity
 from micah_plan.recording.checks import checked_recording
 from micah_plan.recording.conventions import OF_JOINTS, Conventions, as_recorded
-from micah_plan.recording.frames import FrameEdge, Frames, acting, between, moves
+from micah_plan.recording.frames import FrameEdge, Frames, displacements_between, interpolated, moves
 from micah_plan.recording.ros_bags import messages_of, topics_of
 from micah_plan.recording.ros_mcap import NANOSECONDS, Logged, stamp_ns
 from micah_plan.recording.value import DEFAULT_PART, Recording
@@ -126,7 +126,7 @@ def joint_columns(path: str | Path, topics: Collection[str] = ()) -> tuple[dict[
     kinds = [*((JOINT, joints[topic]) for topic in measured), (JOINT, most), *((TARGET, of) for of in targets.values())]
     for kind, samples_of in kinds:
         for name, samples in samples_of.items():
-            columns[f"{kind}{name}"] = np.array([float(text or "nan") for text in _held(samples, stamps)])
+            columns[f"{kind}{name}"] = np.array([float(text or "nan") for text in _latest_values(samples, stamps)])
     if len(joints) == 1:
         return columns, tuple(notes)
     note = f"joints are those measured on {', '.join(measured)}"
@@ -150,7 +150,7 @@ def _named_targets(
         return {}, f"commands on {topic} are not read: {listed} numbers without names, {count(len(measured), 'joint')}"
     times = np.array([time for time, _ in samples])
     commands, names = np.array([values for _, values in samples]), list(measured)
-    places = np.array([[float(text or "nan") for text in _held(measured[name], times)] for name in names])
+    places = np.array([[float(text or "nan") for text in _latest_values(measured[name], times)] for name in names])
     order = [names[k] for k in linear_sum_assignment(_log_distances(commands.T, places))[1]]
     named: dict[str, list[Sample]] = {joint: [] for joint in order}
     for time, values in samples:
@@ -288,7 +288,7 @@ class _Log:
         """Columns of joints at the rows of each run."""
         columns = {f"{JOINT}{name}": [""] * len(times) for name in sorted({name for _, name in self.joints})}
         for (run, name), samples in sorted(self.joints.items()):
-            for i, text in enumerate(_held(samples, times)):
+            for i, text in enumerate(_latest_values(samples, times)):
                 if parts[i].startswith(run):
                     columns[f"{JOINT}{name}"][i] = text
         return {name: tuple(texts) for name, texts in columns.items()}
@@ -369,11 +369,11 @@ class _Log:
                 vectors = frames.placed(frame, target, times)[1].apply(vectors)
             elif frame not in ("", target):
                 notes.append(f"nothing says where the frame {shown(frame)} of {part}/{kind} is; it is read as {target}")
-            pieces.append(_at_poses(kind, part, (times, vectors), stamps, notes))
+            pieces.append(_at_pose_stamps(kind, part, (times, vectors), stamps, notes))
         return np.concatenate(pieces)
 
 
-def _at_poses(kind: str, part: str, samples: tuple[Ints, Floats], stamps: Ints, notes: list[str]) -> Floats:
+def _at_pose_stamps(kind: str, part: str, samples: tuple[Ints, Floats], stamps: Ints, notes: list[str]) -> Floats:
     """(n, 3) actions or forces at the stamps of poses; interpolated with a note where stamps differ."""
     times, vectors = samples
     aligned = np.isin(times, stamps).all()
@@ -388,7 +388,7 @@ def _at_poses(kind: str, part: str, samples: tuple[Ints, Floats], stamps: Ints, 
         f"{count(len(times), kind)} of {shown(part)} at {rates[0]:.3g} Hz are joined to poses at {rates[1]:.3g} Hz "
         f"({joined}); the nearest stamps are {quantity(float(apart), 's')} apart"
     )
-    return acting(times, vectors, stamps) if kind == "action" else between(times, vectors, stamps)
+    return displacements_between(times, vectors, stamps) if kind == "action" else interpolated(times, vectors, stamps)
 
 
 def _neighbours(stamps: Ints, times: Ints) -> Ints:
@@ -441,7 +441,7 @@ def _poses(logged: Logged) -> Iterator[tuple[str, Any, Any, Any]]:
             yield item.child_frame_id.strip("/"), item.header, item.transform.translation, item.transform.rotation
 
 
-def _held(samples: list[Sample], times: Ints) -> tuple[str, ...]:
+def _latest_values(samples: list[Sample], times: Ints) -> tuple[str, ...]:
     """The latest value before each time as a string; empty before the first."""
     samples = sorted(samples)
     last = np.searchsorted([time for time, _ in samples], times, side="right") - 1

@@ -78,7 +78,7 @@ _FAR_LESS = 1000.0
 
 def suspicions_of_recording(recording: Recording) -> tuple[str, ...]:
     """Suspicious properties of a recording, one line each; empty if there are none."""
-    lines = [str(misreading) for misreading in misread(recording)]
+    lines = [str(misreading) for misreading in suspected_misreadings(recording)]
     for part in recording.parts:
         rows = recording.select(part=part)
         lines += [_actions(rows, part), _forces(rows, part)]
@@ -104,7 +104,7 @@ class Misreading:
         return f"{self.sentence}; {self.remedy}"
 
 
-def misread(recording: Recording) -> tuple[Misreading, ...]:
+def suspected_misreadings(recording: Recording) -> tuple[Misreading, ...]:
     """Suspected units other than those of a recording, where no convention states them."""
     stated = recording.conventions.keys()
     parts = () if "length" in stated else recording.parts
@@ -117,9 +117,9 @@ def require_conventions(recording: Recording) -> None:
     """Refuse a recording that looks misread.
 
     Raises:
-        InputError: for the first of `misread`, with the options that say how it is meant.
+        InputError: for the first of `suspected_misreadings`, with the options that say how it is meant.
     """
-    for misreading in misread(recording):
+    for misreading in suspected_misreadings(recording):
         remedy = f"{misreading.remedy}; if they are right as read, say that: {_AS_READ}"
         raise InputError(misreading.sentence, remedy=remedy)
 

@@ -64,13 +64,13 @@ class ReadTurned:
     rows: Ints
 
 
-def settled(recording: Recording) -> Recording:
+def with_unified_orientations(recording: Recording) -> Recording:
     """A recording in which each part keeps the orientation of most rows of its first run."""
     return turned_back(recording)[0]
 
 
 def turned_back(recording: Recording) -> tuple[Recording, tuple[ReadTurned, ...]]:
-    """(recording as of `settled`, corrected rows)."""
+    """(recording as of `with_unified_orientations`, corrected rows)."""
     if recording.quaternion is None or not np.isfinite(recording.quaternion).all():
         return recording, ()
     quaternion, found = recording.quaternion.copy(), list[ReadTurned]()
@@ -78,7 +78,7 @@ def turned_back(recording: Recording) -> tuple[Recording, tuple[ReadTurned, ...]
         before = np.zeros(0, dtype=np.int64)
         for run in recording.runs:
             rows = recording.index(run=run, part=part)
-            within = likenesses(recording.position[rows], quaternion[rows])
+            within = detect_symmetry(recording.position[rows], quaternion[rows])
             if within is not None:
                 quaternion[rows] = within[0].taken_back(quaternion[rows], within[1])
             between = _between(recording.position, quaternion, before, rows)
@@ -94,7 +94,7 @@ def turned_back(recording: Recording) -> tuple[Recording, tuple[ReadTurned, ...]
     return (replace(recording, quaternion=quaternion), tuple(found)) if found else (recording, ())
 
 
-def likenesses(position: Floats, quaternion: Floats) -> tuple[Symmetry, Ints] | None:
+def detect_symmetry(position: Floats, quaternion: Floats) -> tuple[Symmetry, Ints] | None:
     """(symmetry, (n,) multiples of its turn by which rows differ from most); None if all rows agree.
 
     Args:

@@ -81,12 +81,12 @@ def run_on(sweep: Sweep, output: Path, workers: Workers, progress: Progress | No
         unfinished = [case for key, case in distinct.items() if key not in journal.finished]
         resumed = len(distinct) - len(unfinished)
         outcomes: Counter[str] = Counter({"from before": resumed} if resumed else {})
-        _tell(progress, outcomes, len(distinct))
+        _report_progress(progress, outcomes, len(distinct))
         with closing(finished_cases(unfinished, workers)) as ended:
             for case, run in ended:
                 journal.append(case.key, run)
                 outcomes[run.result.outcome] += 1
-                _tell(progress, outcomes, len(distinct))
+                _report_progress(progress, outcomes, len(distinct))
         runs = [journal.finished[case.key] for case in cases]
     results = tuple(run.result for run in runs)
     table, timings = results_table(sweep, cases, results, output.suffix), timings_table(runs, output.suffix)
@@ -108,7 +108,7 @@ def check_sweep_outputs(sweep: Sweep, output: Path) -> None:
     results_table(sweep, (), (), output.suffix)
 
 
-def _tell(progress: Progress | None, outcomes: Counter[str], total: int) -> None:
+def _report_progress(progress: Progress | None, outcomes: Counter[str], total: int) -> None:
     """Report the number of finished cases by outcome."""
     if progress is not None:
         parts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()) or "starting workers"

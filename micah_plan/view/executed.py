@@ -98,7 +98,7 @@ def executed_runs(
                 poses=poses_of_run(problem.automaton, rows, x, modes),
                 reached=not ending,
                 ending=ending or "reached the goal",
-                leaving=_leaving(problem, trajectory, x, modes, is_true),
+                leaving=_departure_step(problem, trajectory, x, modes, is_true),
             )
         )
     return tuple(values)
@@ -187,7 +187,7 @@ def _spread(problem: Problem, trajectory: Trajectory) -> Floats:
     return np.asarray(np.sqrt(np.diagonal(np.array(covariances_on), axis1=1, axis2=2)))
 
 
-def _leaving(problem: Problem, trajectory: Trajectory, x: Floats, modes: tuple[str, ...], is_true: bool) -> str:
+def _departure_step(problem: Problem, trajectory: Trajectory, x: Floats, modes: tuple[str, ...], is_true: bool) -> str:
     """The first step after which a run stays off the plan's belief for two steps, or in another mode."""
     steps, coordinates = step_times(trajectory), problem.automaton.coordinates
     knots = np.searchsorted(steps, np.arange(steps[-1] + 1), side="right") - 1  # after the transitions of that step

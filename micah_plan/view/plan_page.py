@@ -83,7 +83,7 @@ def plan_page(
     runs = _executed(plan, problem, executed, failures)
     badge, found = _BADGES[plan.outcome], plan.ranked_findings
     reason = f"{found[0].sentence}; {found[0].remedy}" if found and plan.outcome != "solved" else plan.reason
-    said = _Said(
+    said = _Panels(
         title=title,
         kind="plan and its execution" if runs else "plan",
         badge=_badge_of_runs(plan, runs) if runs else badge,
@@ -97,7 +97,7 @@ def plan_page(
 def problem_page(problem: Problem, *, title: str = "Problem") -> str:
     """The page of an unsolved problem as HTML text: the object at the start and in the goal, and its surroundings."""
     message = "from the start, where the object is believed to be, to the goal"
-    said = _Said(title, "problem", ("NOT SOLVED YET", "fair"), message, [], task_sentence(problem))
+    said = _Panels(title, "problem", ("NOT SOLVED YET", "fair"), message, [], task_sentence(problem))
     return _drawn(Plan("no_plan", "not solved yet"), with_shown_points(problem), (), said)
 
 
@@ -111,7 +111,7 @@ def _badge_of_runs(plan: Plan, runs: tuple[ExecutedRun, ...]) -> tuple[str, Stat
 
 
 @dataclass(frozen=True)
-class _Said:
+class _Panels:
     """The panels beside the scene: see `ScenePage`."""
 
     title: str
@@ -122,7 +122,7 @@ class _Said:
     task: str
 
 
-def _drawn(plan: Plan, problem: Problem, runs: tuple[ExecutedRun, ...], said: _Said) -> str:
+def _drawn(plan: Plan, problem: Problem, runs: tuple[ExecutedRun, ...], said: _Panels) -> str:
     """The page of a plan and its runs, or of start and goal where there is no trajectory."""
     automaton = problem.automaton
     scene, size = DrawnScene(), object_size(automaton)

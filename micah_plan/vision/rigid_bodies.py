@@ -152,7 +152,7 @@ def _weights(squared: Floats, noise: float) -> Floats:
 
 def _fitted(tracks: Floats, seen: Booleans, group: Ints, noise: float) -> RigidBody:
     places, there = np.nan_to_num(tracks[group]).transpose(1, 0, 2), seen[group].T
-    shape, turns, shifts = _outwards(places, there, noise)
+    shape, turns, shifts = _grown_shape(places, there, noise)
     for _ in range(_ROUNDS):
         good = np.isfinite(turns[:, 0, 0])
         back = np.einsum(
@@ -168,7 +168,7 @@ def _fitted(tracks: Floats, seen: Booleans, group: Ints, noise: float) -> RigidB
     return RigidBody(group, shape - middle, turns, shifts + turns @ middle, weights, noise)
 
 
-def _outwards(places: Floats, there: Booleans, noise: float) -> tuple[Floats, Floats, Floats]:
+def _grown_shape(places: Floats, there: Booleans, noise: float) -> tuple[Floats, Floats, Floats]:
     """Initial shape and poses, propagated from the frame with most points; new points are placed by the poses."""
     frames, count = there.shape
     first = int(there.sum(axis=1).argmax())

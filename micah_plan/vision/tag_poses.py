@@ -97,14 +97,14 @@ def placed_corners(layout: TagLayout, frames: Sequence[Corners], camera: Camera)
         for _ in tags:
             for number, tag in tags.items():
                 if number not in corners:
-                    pose = _between(corners, number, tag, frames, camera)
+                    pose = _relative_tag_pose(corners, number, tag, frames, camera)
                     if pose is not None:
                         corners[number] = corners_of(tag, pose)
         placed[part] = corners
     return placed
 
 
-def _between(
+def _relative_tag_pose(
     placed: Mapping[int, Floats], number: int, tag: PlacedTag, frames: Sequence[Corners], camera: Camera
 ) -> Pose | None:
     """The pose of a tag relative to placed ones; None if no frame shows both."""

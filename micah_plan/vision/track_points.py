@@ -75,7 +75,7 @@ def track_points(tracks: PointTracks, rate: float) -> TrackedPoints:
     bodies = rigid_bodies(places)
     if not bodies:
         raise InputError("no four points keep their distances", remedy="check the unit, --axes, and the tracks")
-    standing = [_stands(body) for body in bodies]
+    standing = [_is_static(body) for body in bodies]
     # What stands before a camera that stands is the base, however many points are on what moves.
     bodies = tuple(bodies[k] for k in sorted(range(len(bodies)), key=lambda k: not standing[k]))
     base, others = bodies[0], bodies[1:]
@@ -114,7 +114,7 @@ def _largest_way(body: RigidBody) -> float:
     return float(np.linalg.norm(np.ptp(at, axis=0))) if len(at) else 0.0
 
 
-def _stands(base: RigidBody) -> bool:
+def _is_static(base: RigidBody) -> bool:
     """Whether a body is static before the camera: its pose is constant within noise.
 
     Means over parts of the frames differ by no more than noise, a single one's divided by how many there are; poses by

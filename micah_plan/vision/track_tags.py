@@ -145,7 +145,7 @@ def track_tags(
     still = pooled(poses[base], sightings[base], used)
     as_seen: list[Pose | None] = list(poses[base]) if still is None else [still] * len(frames)
     of_base = poses[base] = [None if pose is None else _upright(pose, layout.up) for pose in as_seen]
-    relative = {part: _beside(poses[part], of_base) for part in layout.parts if part != base}
+    relative = {part: _pose_relative_to_base(poses[part], of_base) for part in layout.parts if part != base}
     together = {part: sum(pose is not None for pose in of_part) for part, of_part in relative.items()}
     if not any(together.values()):
         remedy = f"keep the tags of {shown(base)} and of the part in the picture, or name another --base"
@@ -176,7 +176,7 @@ def _upright(pose: Pose, up: Up) -> Pose:
     return replace(pose, turn=pose.turn @ turn)
 
 
-def _beside(poses: Sequence[Pose | None], base: Sequence[Pose | None]) -> list[Pose | None]:
+def _pose_relative_to_base(poses: Sequence[Pose | None], base: Sequence[Pose | None]) -> list[Pose | None]:
     return [
         None if pose is None or beside is None else pose.seen_from(beside)
         for pose, beside in zip(poses, base, strict=True)
@@ -344,7 +344,7 @@ def _with_lens(
     both = [frame for frame in frames if not placed[part].keys().isdisjoint(frame)]
     both = [frame for frame in both if not placed[base].keys().isdisjoint(frame)]
     for k in np.unique(np.linspace(0, len(both) - 1, _FOCAL_FRAMES).astype(int)) if both else ():
-        plain, bent = (_seen_beside(placed[part], placed[base], both[k], camera, up) for camera in cameras)
+        plain, bent = (_relative_pose(placed[part], placed[base], both[k], camera, up) for camera in cameras)
         if plain is None or bent is None:
             continue
         turn = Rotation.from_matrix(bent.turn @ plain.turn.T).as_rotvec()
@@ -360,7 +360,7 @@ def _with_lens(
     return replace(error, frame=error.frame + np.outer(middle, middle), pose=error.pose + left.T @ left / len(left))
 
 
-def _seen_beside(
+def _relative_pose(
     tags: Mapping[int, Floats], of_base: Mapping[int, Floats], frame: Corners, camera: Camera, up: Up
 ) -> Pose | None:
     """The likeliest pose of a part in the base frame from one image."""

@@ -10,7 +10,7 @@ from shell import exit_code
 from typer.testing import CliRunner
 
 from micah_plan.api.files import load
-from micah_plan.api.folder import look_into, page_of
+from micah_plan.api.folder import page_of, read_folder
 from micah_plan.cli.application import app
 from micah_plan.errors import InputError, MissingDependencyError
 
@@ -33,7 +33,7 @@ def run(*words: object) -> str:
 
 def test_the_next_command_at_each_stage_of_the_work(tmp_path) -> None:
     def step() -> str:
-        return look_into(tmp_path).step[0]
+        return read_folder(tmp_path).step[0]
 
     shutil.copy(RECORDING, tmp_path / "drawer.csv")
     assert step() == "micah-plan learn drawer.csv -o model.yaml --html model.html"
@@ -45,7 +45,7 @@ def test_the_next_command_at_each_stage_of_the_work(tmp_path) -> None:
     assert step() == "micah-plan execute plan.json -o runs.csv"
     run("execute", tmp_path / "plan.json", "--trials", 2, "-o", tmp_path / "runs.csv")
     assert step() == "micah-plan calibrate drawer.yaml runs.csv -o better.yaml"
-    found = look_into(tmp_path)
+    found = read_folder(tmp_path)
     groups = {
         group: [each.file.name for each in found.of(group)] for group in ("recordings", "models", "plans", "runs")
     }
@@ -61,7 +61,7 @@ def test_a_plan_that_failed_is_to_be_explained(tmp_path) -> None:
     shutil.copy(MODEL, tmp_path / "drawer.yaml")
     (tmp_path / "task.yaml").write_text(PROBLEM.replace("trials: 200", "trials: 200, max_knots: 4"))
     assert exit_code("solve", str(tmp_path / "task.yaml"), "-o", str(tmp_path / "plan.json")) == 1
-    found = look_into(tmp_path)
+    found = read_folder(tmp_path)
     assert found.step[0] == "micah-plan explain plan.json"
     assert '<p class="badge bad">no plan</p>' in page_of(found)
 
@@ -70,7 +70,7 @@ def test_pages_are_linked_from_their_files_and_names_are_escaped(tmp_path) -> No
     shutil.copy(MODEL, tmp_path / 'my "<b>" drawer.yaml')
     (tmp_path / 'my "<b>" drawer.html').write_text("page")
     (tmp_path / "talk.html").write_text("page")
-    found = look_into(tmp_path)
+    found = read_folder(tmp_path)
     assert [page.name for page in found.files[0].pages] == ['my "<b>" drawer.html']
     assert [page.name for page in found.pages] == ["talk.html"]
     page = page_of(found)
@@ -84,7 +84,7 @@ def test_what_cannot_be_read_says_why_and_does_not_end_it(tmp_path) -> None:
     (tmp_path / "broken.yaml").write_text("format: micah-plan/model/1\nmodes: [\n")
     (tmp_path / "mine.csv").write_text("a,b\n1,2\n")
     (tmp_path / "notes.txt").write_text("not read")
-    found = look_into(tmp_path)
+    found = read_folder(tmp_path)
     assert [each.file.name for each in found.of("others")] == ["broken.yaml", "mine.csv"]
     assert all(each.value is None and str(each.file) in each.words for each in found.of("others"))
     assert found.step[0].endswith("--model drawer.yaml")
@@ -100,7 +100,7 @@ def test_a_library_that_is_missing_is_said_of_its_file_alone(tmp_path, monkeypat
         return load(path)
 
     monkeypatch.setattr("micah_plan.api.folder.load", without_library)
-    found = look_into(tmp_path)
+    found = read_folder(tmp_path)
     assert [each.words for each in found.of("others")] == ["reading .bag needs the extra 'ros'"]
     assert len(found.of("models")) == 1
 
@@ -132,4 +132,4 @@ def test_too_many_files_are_refused(tmp_path) -> None:
     for number in range(201):
         (tmp_path / f"{number}.csv").write_text("")
     with pytest.raises(InputError, match="at most 200 files, found 201"):
-        look_into(tmp_path)
+        read_folder(tmp_path)

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from micah_plan.cli.application import app
 from micah_plan.errors import InputError
 from micah_plan.recording.conventions import Conventions
-from micah_plan.recording.frames import acting, between
+from micah_plan.recording.frames import displacements_between, interpolated
 from micah_plan.recording.read import read_columns, read_recording
 from micah_plan.recording.ros_mcap import Logged, MessageType, header_at, write_log
 
@@ -354,7 +354,7 @@ def test_what_is_commanded_is_conserved(seed: int) -> None:
     at = np.concatenate([[-1], at, [stamps[-1] + 400, max(at[-1], stamps[-1] + 400) + 1]])
     at = np.unique(at)
     vectors = rng.normal(size=(len(stamps), 3))
-    found = acting(stamps, vectors, at)
+    found = displacements_between(stamps, vectors, at)
     assert_allclose(found[:-1].sum(axis=0), vectors.sum(axis=0), atol=1e-9)
     for row in np.flatnonzero((np.searchsorted(stamps, at[1:]) - np.searchsorted(stamps, at[:-1])) == 0):
         assert np.abs(found[row]).max() <= np.abs(vectors).max() + 1e-12  # no command begins here: a part of one
@@ -362,7 +362,9 @@ def test_what_is_commanded_is_conserved(seed: int) -> None:
 
 def test_values_between_samples_need_both() -> None:
     stamps = np.array([0, 10, 20, 60, 70], dtype=np.int64)
-    found = between(stamps, np.tile(stamps[:, None], (1, 3)).astype(float), np.array([-5, 0, 5, 20, 40, 65, 71]))[:, 0]
+    found = interpolated(stamps, np.tile(stamps[:, None], (1, 3)).astype(float), np.array([-5, 0, 5, 20, 40, 65, 71]))[
+        :, 0
+    ]
     assert_allclose(found, [np.nan, 0, 5, 20, np.nan, 65, np.nan])
 
 

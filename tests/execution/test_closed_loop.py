@@ -281,7 +281,7 @@ def test_a_goal_that_is_reached_in_another_mode_is_reached():
     """Noise may leave a door, or a foot on a table, in the mode before the plan's last one: the goal asks for none."""
     problem = replace(CLOSE, goal=Goal(((0, SHUT, 0.03),)))
 
-    def advised(x, mode):
+    def with_tested_remedies(x, mode):
         follower, factors = PlanFollower(problem, closing()), np.full((2, 1, 1), 0.001)
         shut = HybridBelief(np.array([0.0, 1.0]), np.array([[1.19], [SHUT]]), factors)
         for _ in range(int((~closing().is_transition).sum())):
@@ -290,6 +290,6 @@ def test_a_goal_that_is_reached_in_another_mode_is_reached():
         belief = HybridBelief(weights, np.array([[x], [SHUT]]), factors)
         return follower.is_finished(belief), follower.advise(belief).fit
 
-    assert advised(1.19, "swinging") == (True, "finished")
-    assert advised(1.0, "swinging") == (False, "lagging")
-    assert advised(1.0, "shut") == (True, "finished")
+    assert with_tested_remedies(1.19, "swinging") == (True, "finished")
+    assert with_tested_remedies(1.0, "swinging") == (False, "lagging")
+    assert with_tested_remedies(1.0, "shut") == (True, "finished")

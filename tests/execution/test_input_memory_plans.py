@@ -19,7 +19,7 @@ from micah_plan.execution.pilot import Replanning
 from micah_plan.execution.plant import Command
 from micah_plan.execution.pose import command
 from micah_plan.execution.trials import run_trials
-from micah_plan.planning.input_memories import coasted, linear_step, steps_of_memory, with_input_memory
+from micah_plan.planning.input_memories import after_memories_run_out, linear_step, steps_of_memory, with_input_memory
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.receding_horizon import RecedingHorizon
 from micah_plan.planning.replanning import replan
@@ -56,7 +56,7 @@ def test_plans_are_solved_and_come_to_rest_in_the_goal(drawer, plans, name) -> N
     assert plan.outcome == "solved"
     assert plan.warnings == ()
     whole = with_input_memory(problem_with(drawer, EFFECTS[name])).automaton
-    end = coasted(whole, plan.trajectory.modes[-1], plan.trajectory.means[-1])
+    end = after_memories_run_out(whole, plan.trajectory.modes[-1], plan.trajectory.means[-1])
     assert abs(end[index] - target) < 0.5 * tolerance
     assert abs(plan.trajectory.means[-1, index] - target) < 0.5 * tolerance
 

@@ -33,7 +33,7 @@ def problem():
     return load_problem(STAPLER)
 
 
-def with_leaps_and_without(run, monkeypatch):
+def with_event_stepping_and_without(run, monkeypatch):
     """What `run` returns either way, and how many steps were taken alone."""
     alone = [0]
     free_steps = PhysicalPlant._free_steps
@@ -50,7 +50,7 @@ def with_leaps_and_without(run, monkeypatch):
         patch.setattr(PhysicalPlant, "_free_steps", counted)
         leaping = run()
     with monkeypatch.context() as patch:
-        patch.setattr(PhysicalPlant, "_leap", careful)
+        patch.setattr(PhysicalPlant, "_step_to_event", careful)
         return leaping, run(), alone[0]
 
 
@@ -88,7 +88,7 @@ def test_standing_objects(automaton, start, inputs, change, monkeypatch):
         plant.close()
         return found
 
-    leaping, careful, alone = with_leaps_and_without(run, monkeypatch)
+    leaping, careful, alone = with_event_stepping_and_without(run, monkeypatch)
     assert_same(leaping, careful)
     for (measured, _), (expected, _) in zip(leaping, careful, strict=True):
         np.testing.assert_array_equal(measured.force, expected.force)
@@ -114,7 +114,7 @@ def test_a_held_object_on_slides(name, inputs, incident, problem, monkeypatch):
         plant.close()
         return found
 
-    leaping, careful, alone = with_leaps_and_without(run, monkeypatch)
+    leaping, careful, alone = with_event_stepping_and_without(run, monkeypatch)
     assert_same(leaping, careful)
     assert incident in leaping[-1][1].incident, name
     assert bool(leaping[-1][1].incident) == bool(incident)
@@ -142,7 +142,7 @@ def test_a_held_object_on_an_arm(place, inputs, incident, problem, monkeypatch):
         plant.close()
         return found
 
-    leaping, careful, _ = with_leaps_and_without(run, monkeypatch)
+    leaping, careful, _ = with_event_stepping_and_without(run, monkeypatch)
     assert_same(leaping, careful)
     assert incident in leaping[-1][1].incident
     assert bool(leaping[-1][1].incident) == bool(incident)
@@ -160,7 +160,7 @@ def test_held_objects_of_other_structure(make, inputs, monkeypatch):
         plant.close()
         return found
 
-    assert_same(*with_leaps_and_without(run, monkeypatch)[:2])
+    assert_same(*with_event_stepping_and_without(run, monkeypatch)[:2])
 
 
 def test_a_touch_that_is_too_deep_is_noticed_though_the_body_may_be_touched():

@@ -138,11 +138,11 @@ def test_a_filter_that_was_behind_is_believed_after_calm_looks(drawer, plan, std
     scale = 0.1 / innovations(automaton, belief, belief.mean + 0.1)[0]
     watch, asked = Watch(automaton), 0
     watch.looks_again(belief, is_lost=False, unseen=None, ends=False)
-    watch.expected(belief, belief.mean + 4.0 * scale)
+    watch.record_innovation(belief, belief.mean + 4.0 * scale)
     assert watch.is_biased
     while watch.looks_again(belief, is_lost=False, unseen=None, ends=True):
         asked += 1
-        watch.expected(belief, belief.mean + stds * scale)
+        watch.record_innovation(belief, belief.mean + stds * scale)
     assert asked == looks
     assert not watch.failure
 

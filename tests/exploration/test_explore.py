@@ -16,7 +16,7 @@ from micah_plan.automaton.check import check_automaton
 from micah_plan.documents.exploration_scene import load_scene
 from micah_plan.documents.model import load_model, model_text
 from micah_plan.errors import InputError
-from micah_plan.execution.handle import HandlePlant, usable
+from micah_plan.execution.handle import HandlePlant, checked_handle_measurement
 from micah_plan.execution.plant import Command, Measurement, PlantError
 from micah_plan.exploration.hand import Hand
 from micah_plan.exploration.run import Exploration, explore
@@ -142,9 +142,9 @@ def test_looks_at_a_noisy_tracker_tell_a_slip_from_noise(slip: float) -> None:
     told = None
     for k in range(40):
         pull = rng.uniform(-0.03, 0.03, 3)  # against a handle that rests
-        slips.went(pull, pull / 1.05e-3 + 0.2 * rng.standard_normal(3))
-        slips.look(0.003 * rng.standard_normal(3) + (np.array([slip, 0.0, 0.0]) if k >= 15 else 0.0), k + 1)
-        told = told or slips.found()
+        slips.update_displacement(pull, pull / 1.05e-3 + 0.2 * rng.standard_normal(3))
+        slips.update_reading(0.003 * rng.standard_normal(3) + (np.array([slip, 0.0, 0.0]) if k >= 15 else 0.0), k + 1)
+        told = told or slips.detected_slip()
     assert (told is None) == (slip == 0.0)
     if told is not None:
         assert told[0] == pytest.approx(16, abs=1)
@@ -251,11 +251,11 @@ def test_the_model_is_an_automaton_that_a_file_keeps(thing: Thing, tmp_path: Pat
 
 def test_answers_without_a_pose_become_nan_and_without_a_force_are_refused() -> None:
     seen = Measurement(1.0, np.full((1, 3), np.nan), np.array([[0.0, 0.0, 0.0, 1.0]]), np.zeros((1, 3)))
-    assert np.isnan(usable(seen).quaternion).all()
+    assert np.isnan(checked_handle_measurement(seen).quaternion).all()
     with pytest.raises(InputError, match="needs measured forces"):
-        usable(replace(seen, force=None))
+        checked_handle_measurement(replace(seen, force=None))
     with pytest.raises(InputError, match="shape"):
-        usable(replace(seen, position=np.zeros((2, 3))))
+        checked_handle_measurement(replace(seen, position=np.zeros((2, 3))))
 
 
 def test_a_broken_line_is_a_failure_of_the_machine() -> None:

@@ -74,7 +74,7 @@ def test_the_planted_segments_are_the_most_probable(positions_only: bool) -> Non
     assert [names[piece.hypothesis] for piece in segmentation.pieces] == ["revolute", "rigid"]
     assert abs(segmentation.pieces[1].start - 40) <= 2
     for piece in segmentation.pieces:
-        every = [table.charged(i)[piece.start, piece.end] for i in range(len(names))]
+        every = [table.charged_sums(i)[piece.start, piece.end] for i in range(len(names))]
         assert piece.log_evidence == pytest.approx(max(every))
         assert piece.hypothesis == int(np.argmax(every))
 

@@ -10,13 +10,13 @@ import pytest
 
 from micah_plan.automaton.build import build_automaton
 from micah_plan.learning.learn import learn_graph
-from micah_plan.learning.segmenting.held import Along, held_rows, held_steps
+from micah_plan.learning.segmenting.held import JointTrace, held_rows, held_steps
 from micah_plan.recording.value import Recording
 
 STD = 0.002
 
 
-def along(steps: list[float], held: list[tuple[int, int]], seed: int = 0) -> Along:
+def along(steps: list[float], held: list[tuple[int, int]], seed: int = 0) -> JointTrace:
     """Steps that are asked, of which those of some stretches [first, last) are not done."""
     rng = np.random.default_rng(seed)
     asked, done = np.array(steps), np.array(steps)
@@ -25,7 +25,7 @@ def along(steps: list[float], held: list[tuple[int, int]], seed: int = 0) -> Alo
     configuration = np.concatenate([[0.0], np.cumsum(done)]) + STD * rng.standard_normal(len(steps) + 1)
     action = np.zeros((len(steps) + 1, 3))
     action[:-1, 1] = 2.0 * asked
-    return Along(configuration, action, STD**2, 0.0)
+    return JointTrace(configuration, action, STD**2, 0.0)
 
 
 @pytest.mark.parametrize("held", [[], [(40, 60)], [(0, 20)], [(20, 40), (60, 80)], [(20, 40), (60, 80), (100, 120)]])

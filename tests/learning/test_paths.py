@@ -15,7 +15,7 @@ from micah_plan.automaton.graph import Segment
 from micah_plan.automaton.kinematics import forward, inverse
 from micah_plan.documents.model import dump_model, load_model
 from micah_plan.learning.learn import learn_graph
-from micah_plan.learning.paths import length_std, principal_path, told_along
+from micah_plan.learning.paths import length_std, path_evidence, principal_path
 from micah_plan.learning.segmenting.free import free_log_probability
 from micah_plan.learning.segmenting.noise_fit import initial_noise
 from micah_plan.learning.settings import LearnSettings
@@ -121,7 +121,7 @@ def test_a_path_by_positions_alone_is_likelier_than_free_motion_only_if_it_is_pa
         track = part_track(recording, 0, "lid")
         noise = initial_noise(track, LearnSettings())
         curve = principal_path(track, length_std(noise))
-        told = told_along(curve, track, noise, 1.0)
+        told = path_evidence(curve, track, noise, 1.0)
         free = free_log_probability(track, noise, 1.0)
         assert (told is not None and told.log_probability > free + 50.0) == again
 

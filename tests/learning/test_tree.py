@@ -36,7 +36,7 @@ from micah_plan.learning.learn import learn_graph
 from micah_plan.learning.parts.carriers import carriers, moves_far
 from micah_plan.learning.parts.refined_poses import branch_poses
 from micah_plan.learning.parts.relative import relative_rows
-from micah_plan.learning.parts.tree import _share, learn_tree
+from micah_plan.learning.parts.tree import _tree_probability, learn_tree
 from micah_plan.learning.segmenting.report import LOG_ODDS_OVERSTATED
 from micah_plan.recording.csv_file import read_csv
 from micah_plan.recording.value import Recording
@@ -392,7 +392,7 @@ def test_the_probability_of_a_tree_is_its_share_among_all() -> None:
     weights = np.exp([sum(evidence[p, c] for c, p in tree.items()) / LOG_ODDS_OVERSTATED for tree in trees])
     assert len(trees) == 16
     for tree, weight in zip(trees, weights / weights.sum(), strict=True):
-        assert _share(evidence, tree) == pytest.approx(weight)
+        assert _tree_probability(evidence, tree) == pytest.approx(weight)
 
 
 @pytest.mark.slow

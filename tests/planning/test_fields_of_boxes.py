@@ -10,7 +10,7 @@ from scipy.ndimage import label
 
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.trials import run_trials
-from micah_plan.planning.cuts import with_room
+from micah_plan.planning.cuts import with_enlarged_obstacles
 from micah_plan.planning.solver import solve
 from micah_plan.task.problem import Problem
 
@@ -116,7 +116,7 @@ def test_a_trap_of_boxes_that_share_corners_is_gone_around(tmp_path) -> None:
 def test_room_is_added_to_what_ends_everything_but_never_around_the_start(tmp_path) -> None:
     boxes = np.array([[0.053, 0.2, 0.0, 0.3], [0.5, 0.6, 0.5, 0.6]])
     problem = _field(tmp_path, boxes)
-    larger = with_room(problem).automaton
+    larger = with_enlarged_obstacles(problem).automaton
     near, far = (edge.guard for edge in larger.edges)
     given = problem.automaton.edges[1].guard
     assert near == problem.automaton.edges[0].guard  # grown, the start would lie in it

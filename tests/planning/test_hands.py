@@ -132,7 +132,7 @@ def test_leaves_keep_what_no_input_moves(
     x, moved = rng.normal(size=(2, len(matrix)))
     onward = x + mode.B * mode.free[:, None] @ rng.normal(size=limits.max_step.size)
     np.testing.assert_array_equal(leaves.numbers(np.array([x, onward, moved])), [0, 0, int(kept > 0)])
-    np.testing.assert_allclose(leaves.put_on(x, onward[None])[0], onward, atol=1e-12)
+    np.testing.assert_allclose(leaves.projected_on_leaf(x, onward[None])[0], onward, atol=1e-12)
     np.testing.assert_allclose(leaves.kept @ leaves.along, 0.0, atol=1e-12)
 
 

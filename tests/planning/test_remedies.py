@@ -27,7 +27,7 @@ from micah_plan.planning.offers import (
     more_revisits,
 )
 from micah_plan.planning.pomdp_hd import plan
-from micah_plan.planning.remedies import advised
+from micah_plan.planning.remedies import with_tested_remedies
 from micah_plan.planning.solver import solve
 from micah_plan.planning.tightening import verified_plan
 from micah_plan.planning.verification import verify
@@ -135,7 +135,7 @@ def _refused(*ways: str | Offer) -> Plan:
 def test_what_was_added_behind_a_remedy_stays() -> None:
     plan = _refused(MORE_KNOTS)
     longer = replace(plan, reason=f"{plan.reason}; planned again once")
-    answer = advised(door_problem(0.2, 0.6), longer, _solver(lambda p: p.settings.max_knots >= 100, []))
+    answer = with_tested_remedies(door_problem(0.2, 0.6), longer, _solver(lambda p: p.settings.max_knots >= 100, []))
     assert answer.findings[0].remedy == "raise max_knots to 120"
     assert answer.reason == longer.reason
 
@@ -150,7 +150,7 @@ def _solver(helps: Callable[[Problem], bool], asked: list[Problem]) -> Callable[
 
 def _after(plan: Plan, helps: Callable[[Problem], bool]) -> tuple[str, list[Problem]]:
     asked: list[Problem] = []
-    answer = advised(door_problem(0.2, 0.6), plan, _solver(helps, asked))
+    answer = with_tested_remedies(door_problem(0.2, 0.6), plan, _solver(helps, asked))
     assert answer.reason == f"it is too far; {answer.findings[0].remedy}"
     return answer.findings[0].remedy, asked
 
@@ -188,7 +188,7 @@ def test_what_could_not_be_tried_says_so() -> None:
 
 def test_what_is_tried_is_told_while_it_is(capsys) -> None:
     told: list[tuple[str, float]] = []
-    advised(
+    with_tested_remedies(
         door_problem(0.2, 0.6), _refused(MORE_KNOTS), _solver(lambda _: False, []), progress=lambda *a: told.append(a)
     )
     assert [text for text, _ in told] == ["no plan; whether it helps to raise max_knots"] * 2
@@ -200,7 +200,7 @@ def test_what_helps_only_with_one_seed_does_not_help() -> None:
     def lucky(_: Problem, *, seed: int) -> Plan:
         return Plan("solved" if seed == 0 else "no_plan", "")
 
-    answer = advised(door_problem(0.2, 0.6), _refused(MORE_KNOTS), lucky)
+    answer = with_tested_remedies(door_problem(0.2, 0.6), _refused(MORE_KNOTS), lucky)
     assert answer.findings[0].remedy == "change the task or the model (tried in vain: raise max_knots)"
 
 

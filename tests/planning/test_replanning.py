@@ -16,7 +16,7 @@ from micah_plan.planning.feedback import time_knots
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.plan_cost import cost_of
 from micah_plan.planning.pomdp_hd import plan, trajectory_of
-from micah_plan.planning.receding_horizon import RecedingHorizon, from_new
+from micah_plan.planning.receding_horizon import RecedingHorizon, remainder_by_new_programme
 from micah_plan.planning.replanning import believed_problem, replan, rest_of
 from micah_plan.task.problem import Problem
 
@@ -88,7 +88,7 @@ def test_the_programme_reused_answers_as_a_new_one(problem: Problem, knots: tupl
         moves = problem.automaton.mode(mode).B.any(axis=1)
         belief = initial_belief(problem.automaton, trajectory.means[knot] + 0.5 * std * moves, std, mode)
         here = believed_problem(problem, belief)
-        new = trajectory_of(here, limits, from_new(here, followed, knot - at))
+        new = trajectory_of(here, limits, remainder_by_new_programme(here, followed, knot - at))
         followed, at = horizon(belief, followed, knot - at), knot
         assert followed is not None
         assert followed.modes == new.modes == trajectory.modes[knot:]

@@ -24,7 +24,7 @@ from micah_plan.planning.transcription.guess import guess
 from micah_plan.planning.transcription.packed_belief import factor_pattern, pack, unpack
 from micah_plan.planning.transcription.programme import Transcription, transcribe
 from micah_plan.planning.transcription.rows import ConstraintRows, Row, Shortfall
-from micah_plan.planning.transcription.solve import BeliefPath, solve_transcription, unmet
+from micah_plan.planning.transcription.solve import BeliefPath, solve_transcription, violated_constraints
 from micah_plan.task.problem import Problem
 
 LIMIT_S = 20.0
@@ -186,7 +186,9 @@ def test_a_gate_too_narrow_for_the_belief_is_named_with_the_amount() -> None:
     # Both boundaries ask for k-sigma, together they leave 0.01 m: the sum of what is missed is known.
     k, phase = norm.ppf(0.95), nlp.guess[0]
     std = np.sqrt((phase.factors[-1] @ phase.factors[-1].T + phase.spreads[-1])[1, 1])
-    missed = [re.fullmatch(GUARD_MESSAGE, sentence) for sentence in map(sentence_of, unmet(nlp, LIMIT_S))]
+    missed = [
+        re.fullmatch(GUARD_MESSAGE, sentence) for sentence in map(sentence_of, violated_constraints(nlp, LIMIT_S))
+    ]
     assert all(missed)
     assert sum(float(m.group(1)) for m in missed if m) == pytest.approx(1e3 * (2 * k * std - 0.01), rel=2e-2)
 

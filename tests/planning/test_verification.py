@@ -12,8 +12,8 @@ from scipy.stats import binom, binomtest, norm
 
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.planning.pomdp_hd import plan
-from micah_plan.planning.roll_outs import nearby
-from micah_plan.planning.verification import looks_of, plain_answer, verify, wilson_interval
+from micah_plan.planning.roll_outs import restricted_to_nearby_modes
+from micah_plan.planning.verification import decision_points, sequential_decision, verify, wilson_interval
 from micah_plan.task.goal import Goal
 from micah_plan.task.plan import Plan, Trajectory
 from micah_plan.task.problem import Problem
@@ -125,25 +125,25 @@ def test_a_verified_plan_tells_how_sure_its_success_is() -> None:
 @pytest.mark.parametrize("confidence", [0.8, 0.95, 0.99])
 def test_what_is_plain_is_seldom_wrong(confidence: float) -> None:
     """Plans as good as asked are taken for ones that fail twice as often, and the other way round, in 1 % at most."""
-    rng, looks = np.random.default_rng(0), looks_of(2000, confidence)
+    rng, looks = np.random.default_rng(0), decision_points(2000, confidence)
     for success, is_good in ((confidence, True), (1.0 - 2.0 * (1.0 - confidence), False)):
         wrong = 0
         for run in rng.random((4000, 2000)) < success:
             seen = [int(run[:n].sum()) for n in looks]
-            answers = (plain_answer(k, n, confidence) for k, n in zip(seen, looks, strict=True))
+            answers = (sequential_decision(k, n, confidence) for k, n in zip(seen, looks, strict=True))
             wrong += next((answer for answer in answers if answer is not None), is_good) != is_good
         assert wrong <= 0.013 * 4000
 
 
 def test_a_look_that_would_come_late_is_left_out() -> None:
-    assert looks_of(1000, 0.95) == (130, 1000)
-    assert looks_of(500, 0.98) == (500,)
-    assert looks_of(1, 0.5) == (1,)
+    assert decision_points(1000, 0.95) == (130, 1000)
+    assert decision_points(500, 0.98) == (500,)
+    assert decision_points(1, 0.5) == (1,)
 
 
 def test_in_turns_the_answer_is_the_same_with_fewer_roll_outs() -> None:
     problem = door_problem(0.9, 0.5)
-    found, (first, _) = plan(problem), looks_of(1000, problem.settings.confidence)
+    found, (first, _) = plan(problem), decision_points(1000, problem.settings.confidence)
     whole, turns = verify(problem, found), verify(problem, found, sequential=True)
     assert (turns.outcome, turns.verification_trials) == ("solved", first)
     assert whole.verification_trials == 1000
@@ -169,12 +169,12 @@ def test_of_many_modes_those_near_the_plan_are_rolled_out_and_the_answer_is_the_
     found = plan(many_doors)
     assert found.trajectory is not None
     monkeypatch.setattr("micah_plan.planning.roll_outs._NEAR", near)
-    part, outermost = nearby(many_doors, found.trajectory)
+    part, outermost = restricted_to_nearby_modes(many_doors, found.trajectory)
     assert len(part.automaton.modes) < len(many_doors.automaton.modes)
     assert outermost.isdisjoint(found.trajectory.modes)
     quick = verify(many_doors, found, trials=200)
     monkeypatch.setattr("micah_plan.planning.roll_outs.FEW_MODES", 1000)
-    assert nearby(many_doors, found.trajectory) == (many_doors, frozenset())
+    assert restricted_to_nearby_modes(many_doors, found.trajectory) == (many_doors, frozenset())
     whole = verify(many_doors, found, trials=200)
     assert quick.success_probability == whole.success_probability
     assert quick.findings == whole.findings

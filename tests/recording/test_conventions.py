@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from micah_plan import load
-from micah_plan.cli.conventions import Said
+from micah_plan.cli.conventions import ConventionOptions
 from micah_plan.errors import InputError
 from micah_plan.exchange.load import load_recording
 from micah_plan.recording.columns import recording_of_columns
@@ -292,10 +292,10 @@ def test_a_file_beside_the_recording_says_the_same_as_options_and_keywords(truth
 
 
 def test_options_say_the_same_as_conventions() -> None:
-    said = Said("t=Time, x=-TX", "mm,deg", 120.0, "y", "wxyz", "door", ["/door/pose"], "map").conventions()
+    said = ConventionOptions("t=Time, x=-TX", "mm,deg", 120.0, "y", "wxyz", "door", ["/door/pose"], "map").conventions()
     names = {"t": "Time", "x": "-TX"}
     assert said == Conventions(names, "mm", "deg", None, 120.0, "y", "wxyz", "door", ("/door/pose",), "map")
-    assert Said().conventions() is None
+    assert ConventionOptions().conventions() is None
 
 
 @pytest.mark.parametrize(
@@ -313,7 +313,7 @@ def test_options_say_the_same_as_conventions() -> None:
 )
 def test_options_that_cannot_be_used(columns: str | None, units: str | None, message: str) -> None:
     with pytest.raises(InputError) as refused:
-        Said(columns, units).conventions()
+        ConventionOptions(columns, units).conventions()
     assert message in str(refused.value)
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.learning.learn import learn_graph
 from micah_plan.recording.breaks import breaks
-from micah_plan.recording.symmetry import likenesses, settled, turned_back
+from micah_plan.recording.symmetry import detect_symmetry, turned_back, with_unified_orientations
 from micah_plan.recording.value import Recording
 
 ROWS, RADIUS, NOISE = 160, 0.45, 1e-3
@@ -54,7 +54,7 @@ def missed(found, true):
 @pytest.mark.parametrize("axis", [Z, -np.eye(3)[0], TILTED], ids=["z", "-x", "tilted"])
 def test_half_turns_are_turned_back(rows, noise, axis) -> None:
     true = swing(noise=noise)
-    found = settled(read_as_likeness(true, rows, axis))
+    found = with_unified_orientations(read_as_likeness(true, rows, axis))
     # Along an axis of the part's frame the turn is exact; of another one it is as well known as the jumps tell.
     assert missed(found, true) < (6.0 * noise + 1e-3 if axis is TILTED else 1e-9)
 
@@ -63,10 +63,10 @@ def test_half_turns_are_turned_back(rows, noise, axis) -> None:
 @pytest.mark.parametrize("fold", [4, 3, 6])
 def test_smaller_turns_are_turned_back_if_they_come_again(fold) -> None:
     true = swing()
-    found = settled(read_as_likeness(true, PIECES["three pieces"], TILTED, fold))
+    found = with_unified_orientations(read_as_likeness(true, PIECES["three pieces"], TILTED, fold))
     assert missed(found, true) < 6.0 * NOISE
     once = read_as_likeness(true, PIECES["from the middle on"], TILTED, fold)
-    assert settled(once) is once
+    assert with_unified_orientations(once) is once
 
 
 @pytest.mark.parametrize("rows", [PIECES["there and back"], PIECES["row by row"]])
@@ -97,7 +97,7 @@ def test_other_jumps_are_left(change) -> None:
     else:
         few = np.arange(ROWS // 2 - 3, ROWS // 2 + 3)
         recording = read_as_likeness(recording, PIECES["from the middle on"]).rows(few)
-    assert settled(recording) is recording
+    assert with_unified_orientations(recording) is recording
 
 
 def test_runs_that_begin_with_another_likeness_are_read_alike() -> None:
@@ -130,7 +130,7 @@ def test_a_run_that_is_mostly_read_the_other_way_tells_those_rows() -> None:
 
 def test_symmetry_says_which_turn() -> None:
     recording = read_as_likeness(swing(), PIECES["three pieces"], Z, 4)
-    symmetry, turns = likenesses(recording.position, recording.quaternion)
+    symmetry, turns = detect_symmetry(recording.position, recording.quaternion)
     assert symmetry.fold == 4
     np.testing.assert_array_equal(np.abs(symmetry.axis), Z)
     assert set(turns[PIECES["three pieces"]].tolist()) <= {1, 3}

@@ -95,8 +95,8 @@ def test_a_time_limit_in_the_arm_is_named_and_what_was_found_is_kept(problem: Pr
 
 def test_a_plan_whose_arm_had_no_time_is_not_verified(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     hasty = replace(problem, settings=replace(problem.settings, solve_time_limit_s=1e-9, tightening_rounds=0))
-    unchecked = partial(verified_plan, verifier=lambda _problem, plan, *_, **__: plan)
-    monkeypatch.setattr("micah_plan.planning.solver.verified_plan", unchecked)
+    unchecked_parts_warning = partial(verified_plan, verifier=lambda _problem, plan, *_, **__: plan)
+    monkeypatch.setattr("micah_plan.planning.solver.verified_plan", unchecked_parts_warning)
     monkeypatch.setattr("micah_plan.planning.solver.pomdp_hd", whatever_time)
     found = solve(hasty)
     assert found.outcome == "not_verified"

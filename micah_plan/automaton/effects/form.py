@@ -113,7 +113,7 @@ class EffectForm:
         layers: of the hooks that it overrides; one, for a form that can be used, and that is its `layer`.
         complexity_rank: place among the forms where a recording cannot tell them apart: the smallest is named first.
         experiments: (name of another effect, what would tell it from this one).
-        is_sought: whether `calibrate` tries it as it tries any: not what it seeks in another way, nor what is added by
+        in_library: whether `calibrate` tries it among the others; False for effects sought in another way, or added by
             hand only.
         late_by: number of the parameter that says how many steps later a command acts; None: it acts at once. Such a
             form keeps its last commands behind the rest of its memory, `commanded_at_rest` before the first, and its

@@ -125,7 +125,7 @@ class PhysicalPlant:
         quaternion = self.data.xquat[bodies][:, _SCALAR_LAST]
         return self.data.xpos[bodies].copy(), np.where(quaternion[:, 3:] < 0, -quaternion, quaternion)
 
-    def _seen(self, position: Floats, quaternion: Floats, elapsed: float) -> tuple[Floats, Floats]:
+    def _tracked(self, position: Floats, quaternion: Floats, elapsed: float) -> tuple[Floats, Floats]:
         """The tracker's measurement of true poses, (l, 3) [m] and (l, 4), `elapsed` [s] after its last one."""
         if self._tracker is None:  # `_begin` makes it before anything is measured
             raise RuntimeError("measure before reset")
@@ -140,14 +140,14 @@ class PhysicalPlant:
         done = 0
         while done < len(controls):
             if self._calm >= _CALM:
-                done = self._leap(controls, done)
+                done = self._step_to_event(controls, done)
             else:
                 self.data.ctrl[:] = controls[done]
-                self._calm = 0 if self._careful_step(done) else self._calm + 1
+                self._calm = 0 if self._step_with_events(done) else self._calm + 1
                 done += 1
         check_stable(self.mujoco, self.data)
 
-    def _leap(self, controls: Floats, begin: int) -> int:
+    def _step_to_event(self, controls: Floats, begin: int) -> int:
         """Step from number `begin` to the first event; returns its number."""
         mujoco, model, data = self.mujoco, self.model, self.data
         everything = int(mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -204,7 +204,7 @@ class PhysicalPlant:
         taken = round((data.time - begin) / model.opt.timestep)  # not all if there was another warning
         return np.asarray(measured[0, :taken])
 
-    def _careful_step(self, number: int) -> bool:
+    def _step_with_events(self, number: int) -> bool:
         """Take step `number` of this control step with all events handled; returns whether there was one."""
         happened = self._follow()
         self.mujoco.mj_step1(self.model, self.data)
@@ -221,7 +221,7 @@ class PhysicalPlant:
             else:
                 latch.armed = True
         self.mujoco.mj_step2(self.model, self.data)
-        return self._look() or happened
+        return self._check_state() or happened
 
     def _suspects(self, measured: Floats) -> Flags:
         """(k,) whether sensors (k, sensors) of steps indicate an event that the engine does not handle."""
@@ -239,7 +239,7 @@ class PhysicalPlant:
         """Limit the controls within a careful step; returns whether anything changed."""
         return False
 
-    def _look(self) -> bool:
+    def _check_state(self) -> bool:
         """Check the state after a careful step; returns whether there was an event."""
         return False
 

@@ -172,7 +172,7 @@ class HeldPlant(PhysicalPlant):
     def _suspects(self, measured: Floats) -> Flags:
         return self._watch.suspects(measured)
 
-    def _look(self) -> bool:
+    def _check_state(self) -> bool:
         return self._watch.look()
 
     def _link_poses(self) -> tuple[Floats, Floats]:
@@ -194,7 +194,7 @@ class HeldPlant(PhysicalPlant):
         return position, quaternion
 
     def _measure(self, elapsed: float) -> Measurement:
-        position, quaternion = self._seen(*self._link_poses(), elapsed)
+        position, quaternion = self._tracked(*self._link_poses(), elapsed)
         measured = self._with_slides(position[self._object.slides[-1]].copy(), position, quaternion)
         released_mode = self._released
         if released_mode is None:

@@ -14,7 +14,16 @@ from micah_plan.automaton.joint import Joint
 from micah_plan.automaton.kinematics import forward
 from micah_plan.errors import InputError
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
-from micah_plan.execution.mujoco.world import IN_HAND, MOVING, STOPS, LatchState, World, WorldJoint, pose, rubbing
+from micah_plan.execution.mujoco.world import (
+    IN_HAND,
+    MOVING,
+    STOPS,
+    LatchState,
+    World,
+    WorldJoint,
+    contact_surface,
+    pose,
+)
 
 
 class HeldObject:
@@ -62,12 +71,12 @@ class HeldObject:
             in_hand.add_freejoint()
         elif grip.pivots:
             self._add_pivot(world, in_hand)
-        world.solids(in_hand, grip.held.shapes, mass, rubbing(MOVING if is_free else IN_HAND, self._parameters))
+        world.solids(in_hand, grip.held.shapes, mass, contact_surface(MOVING if is_free else IN_HAND, self._parameters))
         fixed = {} if joint.moves else pose(joint.position, joint.quaternion)
         moving = in_hand.add_body(name=grip.moving.name, **fixed)
         if joint.moves:
             self._add_joint(world, moving, joint)
-        world.solids(moving, grip.moving.shapes, mass, rubbing(MOVING, self._parameters))
+        world.solids(moving, grip.moving.shapes, mass, contact_surface(MOVING, self._parameters))
 
     def places(self, hand: Floats) -> Floats:
         """(s, 3) positions of the slides' children [m] for the hand's coordinates (s,); the last is the hand's."""

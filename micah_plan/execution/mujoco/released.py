@@ -33,7 +33,7 @@ from micah_plan.execution.mujoco.world import (
     World,
     add_finger_motor,
     add_hand,
-    rubbing,
+    contact_surface,
     scene_world,
 )
 from micah_plan.task.problem import Problem
@@ -309,6 +309,6 @@ def _add_pads(world: World, hand: Any, grip: Grip, parameters: PhysicalParameter
         turn = rotation.as_quat()
         pad = hand.add_body(name=name, pos=rotation.apply(middle), quat=np.roll(turn, 1), gravcomp=1)
         world.joint(pad, "slide", name, axis=(0.0, sign, 0.0))
-        surface = rubbing({"contype": ARM_TYPE, "conaffinity": ARM_MEETS}, parameters)
+        surface = contact_surface({"contype": ARM_TYPE, "conaffinity": ARM_MEETS}, parameters)
         world.solids(pad, (Primitive("box", _PAD),), 0.05, surface)
         add_finger_motor(world.spec, name, parameters)

@@ -119,7 +119,7 @@ class StandingPlant(PhysicalPlant):
         return Truth(None, x, *self._poses(self._bodies), latched)
 
     def _measure(self, elapsed: float, force: Floats) -> Measurement:
-        return Measurement(float(self.data.time), *self._seen(*self._poses(self._bodies), elapsed), force)
+        return Measurement(float(self.data.time), *self._tracked(*self._poses(self._bodies), elapsed), force)
 
     def _suspects(self, measured: Floats) -> Flags:
         """Flags of a hand force above its limit, or of a part on a path that enters the next stretch."""

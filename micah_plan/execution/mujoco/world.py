@@ -175,7 +175,9 @@ def scene_world(scene: Iterable[Body], parameters: PhysicalParameters) -> World:
         solids = [shape for shape in body.shapes if isinstance(shape, Primitive)]
         if len(solids) < len(body.shapes):
             raise InputError(f"scene: the mesh of '{body.name}' cannot be simulated", remedy="use boxes")
-        world.solids(stands, solids, body.mass or 0.0, rubbing(_FIXED if body.mass is None else _LOOSE, parameters))
+        world.solids(
+            stands, solids, body.mass or 0.0, contact_surface(_FIXED if body.mass is None else _LOOSE, parameters)
+        )
     return world
 
 
@@ -223,7 +225,7 @@ def pose(position: ArrayLike, quaternion: ArrayLike) -> Attributes:
     return {"pos": position, "quat": np.roll(quaternion, 1)}
 
 
-def rubbing(meets: Attributes, parameters: PhysicalParameters) -> Attributes:
+def contact_surface(meets: Attributes, parameters: PhysicalParameters) -> Attributes:
     """Contact attributes of a surface that meets others."""
     return {**meets, **_CONTACT, "friction": (parameters.contact_friction, 0.005, 0.0001)}
 

@@ -128,9 +128,9 @@ def estimate_channel(
         return None
     still = fit_noise(steps, steps.size, inexact(steps))
     searches = _searches(joint, pieces, track, counted, steps)
-    command, delay, rotation, log_gain = _started(steps, command, still.walk, searches)
-    mode, noises, extra = _settled(steps, command, still.walk, delay, rotation, log_gain)
-    posterior = _integrated(steps, command, noises, mode, still.walk)
+    command, delay, rotation, log_gain = _initial_channels(steps, command, still.walk, searches)
+    mode, noises, extra = _refined_mode(steps, command, still.walk, delay, rotation, log_gain)
+    posterior = _marginalised(steps, command, noises, mode, still.walk)
     score = posterior.log_evidence - np.log(2 + len(_FIRST_LAGS)) - fit_noise(steps, steps.size, extra).log_density
     if score <= least_log_odds:
         return None
@@ -160,7 +160,7 @@ def _searches(
     return [(thinned if len(thinned) >= _FEWEST_STEPS else steps, _COARSE_DELAYS), near]
 
 
-def _started(
+def _initial_channels(
     steps: ConfigurationSteps, command: CommandPath, walk: float, searches: list[tuple[ConfigurationSteps, Floats]]
 ) -> _Start:
     """Initial channels, and the command up to where the part follows it.
@@ -244,7 +244,7 @@ def _searched(
     return float(np.concatenate(delays)[best]), channels.rotation[best], float(channels.log_gain[best])
 
 
-def _settled(
+def _refined_mode(
     steps: ConfigurationSteps, command: CommandPath, walk: float, delay: float, rotation: Floats, log_gain: float
 ) -> tuple[_Mode, list[tuple[StepNoise, float]], Floats]:
     """The refined mode with a grid of delays as wide as their posterior, the noise, and the variance of unknown
@@ -252,12 +252,14 @@ def _settled(
     """
     width, center = 2.0 / _COARSE_STEPS, delay
     for number in range(_MOST_ROUNDS):
-        extra = _unknown(steps, delay, min(width, _MOST_UNKNOWN), walk)
+        extra = _unexplained_variance(steps, delay, min(width, _MOST_UNKNOWN), walk)
         residual = steps.size - _predicted(steps, command, delay, rotation, log_gain)
         white = fit_noise(steps, residual, extra).white
         noises = _noises(steps, command, white, extra, walk, (delay, rotation, log_gain), number > 0)
         noise = max(noises, key=lambda pair: pair[1])[0]
-        mode = _explored(steps, command, noise, center + width * np.linspace(-1, 1, _FINE_DELAYS), rotation, log_gain)
+        mode = _optimised_over_delays(
+            steps, command, noise, center + width * np.linspace(-1, 1, _FINE_DELAYS), rotation, log_gain
+        )
         delay, rotation, log_gain = mode.delay, mode.rotation, mode.log_gain
         weight = np.exp(mode.log_weight)
         spacing = 2 * width / (_FINE_DELAYS - 1)
@@ -288,7 +290,7 @@ def _noises(
     too small, often 0; with the channel integrated out, and a flat prior of its std (Gelman, Bayesian Analysis 2006),
     it is not.
     """
-    noises, density = _weighed(steps, command, white, extra, walk * _WALKS, at)
+    noises, density = _noise_posterior(steps, command, white, extra, walk * _WALKS, at)
     i = int(np.argmax(density))
     if closely and 0 < i < len(_WALKS) - 1:
         slope, bend = 0.5 * (density[i + 1] - density[i - 1]), density[i - 1] + density[i + 1] - 2 * density[i]
@@ -296,12 +298,12 @@ def _noises(
             ratio = -np.log(_WALKS[1])
             std, middle = ratio / np.sqrt(-bend), np.log(noises[i].walk) + ratio * slope / bend
             walks = np.exp(middle + 0.9 * std * np.arange(-2.0, 3.0))
-            noises, density = _weighed(steps, command, white, extra, walks, at)
+            noises, density = _noise_posterior(steps, command, white, extra, walks, at)
     density -= np.logaddexp.reduce(density)
     return [(noise, float(p)) for noise, p in zip(noises, density, strict=True) if p > _NEGLIGIBLE_WALK]
 
 
-def _weighed(
+def _noise_posterior(
     steps: ConfigurationSteps,
     command: CommandPath,
     white: float,
@@ -320,7 +322,7 @@ def _weighed(
     return noises, density + channels.score - 0.5 * np.linalg.slogdet(information)[1]
 
 
-def _explored(
+def _optimised_over_delays(
     steps: ConfigurationSteps, command: CommandPath, noise: StepNoise, delays: Floats, rotation: Floats, log_gain: float
 ) -> _Mode:
     """The mode optimised over a grid of delays from one rotation and gain."""
@@ -338,7 +340,7 @@ def _explored(
     return _Mode(delay, best.rotation[0], float(best.log_gain[0]), there[0], delays, log_weight, turns)
 
 
-def _integrated(
+def _marginalised(
     steps: ConfigurationSteps, command: CommandPath, noises: list[tuple[StepNoise, float]], mode: _Mode, none: float
 ) -> Posterior:
     """The posterior marginalised over rotations, gains, delays and random walks."""
@@ -398,7 +400,7 @@ def _predicted(
     return np.asarray(m @ steps.predictors(command, np.array([delay]))[0])
 
 
-def _unknown(steps: ConfigurationSteps, delay: float, width: float, walk: float) -> Floats:
+def _unexplained_variance(steps: ConfigurationSteps, delay: float, width: float, walk: float) -> Floats:
     """(m,) variance of steps that are inexact, or whose actions lie outside the recording at some delay."""
     outside = (steps.start < max(delay + width, 0.0)) | (steps.end > 1.0 + min(delay - width, 0.0))
     return inexact(steps) + np.where(outside, walk * (steps.end - steps.start), 0.0)

@@ -85,7 +85,7 @@ def scan(quadratic: Quadratic, log_prior: Floats) -> tuple[NDArray[np.intp], Flo
     """
     quaternions, monomials, entries, squared_angles = _rotation_grid()
     # In parts: waking a second thread of the linear algebra costs more than such a product.
-    folded = _folded(quadratic.normal)
+    folded = _upper_triangles(quadratic.normal)
     squares = np.concatenate([folded @ part.T for part in np.array_split(monomials, _PARTS)], axis=1)
     along = np.maximum(quadratic.target @ entries.T, 0.0)
     score = 0.5 * along**2 / np.maximum(squares, 1e-300) + log_prior[:, None]
@@ -143,7 +143,7 @@ def _expanded(quadratic: Quadratic, rotation: Floats, log_gain: Floats) -> tuple
     return score, slope, information
 
 
-def _folded(normal: Floats) -> Floats:
+def _upper_triangles(normal: Floats) -> Floats:
     """(d, 45) upper triangles of symmetric matrices (d, 9, 9), with off-diagonal entries doubled."""
     rows, columns = np.triu_indices(9)
     return np.asarray(normal[:, rows, columns] * np.where(rows == columns, 1.0, 2.0))
@@ -236,7 +236,7 @@ def integrate(
 
 def _over_gains(quadratic: Quadratic, entries: Floats) -> tuple[Floats, Floats, Floats]:
     """(d, k) ln of the integral over gains for each rotation, and mode and variance of ln g."""
-    squares = np.maximum(_folded(quadratic.normal) @ _monomials(entries).T, 0.0)
+    squares = np.maximum(_upper_triangles(quadratic.normal) @ _monomials(entries).T, 0.0)
     along = quadratic.target @ entries.T
     precision = quadratic.precision[3]
     log_gain = np.clip(np.log(np.maximum(along, 1e-300) / np.maximum(squares, 1e-300)), -4.0, 4.0)

@@ -99,7 +99,7 @@ def commanded_places(joint: Joint, track: PartTrack) -> CommandPath | None:
     at = np.unwrap(at) if joint.turns else at
     straight = inverse(joint, track.position + action)
     if joint.turns:
-        straight = _in_which_turn(straight, at)
+        straight = _unwrapped_near(straight, at)
     along = at + np.einsum("ij,ij->i", leverage(joint, at), action)
     # A row without an action says nothing, or that the part is there: the place of the row before holds.
     rows = np.arange(len(at) - 1)
@@ -119,7 +119,7 @@ def commanded_places(joint: Joint, track: PartTrack) -> CommandPath | None:
     )
 
 
-def _in_which_turn(place: Floats, at: Floats) -> Floats:
+def _unwrapped_near(place: Floats, at: Floats) -> Floats:
     """Commanded angles (n,) [rad], unwrapped to the turn nearest to the part's angles (n,).
 
     While a part is on a long way to a place, the place is in the turn that it is in when the part is there.

@@ -110,36 +110,36 @@ def fit_joint(
     used = np.flatnonzero(weight > 0.5)
     need = minimal_rows(guess.kind, quaternion is not None)
     if len(used) <= need:
-        return rows.judged(guess)
+        return rows.evaluated(guess)
     used = used[np.argsort(time[used], kind="stable")]
     # So few rows cannot outvote one another: any that a joint is drawn through would be its only inliers.
     trusting = len(used) < _VOTES * need
     start, stds = _best_start(guess, rows, used)
-    believed = _believed(start, stds, rows, used, trusting)
+    believed = _fit_to_inliers(start, stds, rows, used, trusting)
     if believed is None:
-        return rows.judged(start)
+        return rows.evaluated(start)
     fit, kept, stds = believed
     scales = Scales(_LEAST_STDS, (settings.rotation_misfit, settings.position_misfit))
-    posterior = _left_by(fit, time[kept], stds, scales)
+    posterior = _posterior_of_residuals(fit, time[kept], stds, scales)
     if posterior is None:
-        return rows.judged(fit.joint)
+        return rows.evaluated(fit.joint)
     log_odds = None
     if rows.quaternion is not None and KINDS[guess.kind].turns and {"revolute", "screw"} <= set(settings.kinds):
         chosen = _hinge_or_screw(fit.joint, (position[kept], rows.quaternion[kept]), time[kept], stds, scales)
         log_odds = None if chosen is None else chosen[1]
         if chosen is not None and chosen[0].kind != fit.joint.kind:
             fit = fit_likelihood(chosen[0], *rows.of(kept), white_noise(stds), _ROUGH)
-            posterior = _left_by(fit, time[kept], stds, scales) or posterior
+            posterior = _posterior_of_residuals(fit, time[kept], stds, scales) or posterior
     noise = posterior.likeliest
-    before = _counted_as(fit.joint, guess, quaternion is not None)
+    before = _in_parametrisation_of(fit.joint, guess, quaternion is not None)
     helix = None
     if fit.joint.kind == "screw" and quaternion is None:
         helix = fit_helix(before, position[kept], time[kept], noise, scales)
     joint, noise = helix or (_refined(before, *rows.of(kept), noise, posterior), noise)
-    judged = _fitted(joint, rows.mixture(joint, noise.stds), quaternion is not None)
+    evaluated = _fitted(joint, rows.mixture(joint, noise.stds), quaternion is not None)
     rotation_std = noise.stds[0] if quaternion is not None else 0.0
     lack_of_fit = LackOfFit(log_odds, _deviation(posterior, scales) if joint.moves else None)
-    return replace(judged, position_std=noise.stds[1], rotation_std=rotation_std, lack_of_fit=lack_of_fit)
+    return replace(evaluated, position_std=noise.stds[1], rotation_std=rotation_std, lack_of_fit=lack_of_fit)
 
 
 def _deviation(posterior: ErrorPosterior, scales: Scales) -> Deviation:
@@ -150,7 +150,9 @@ def _deviation(posterior: ErrorPosterior, scales: Scales) -> Deviation:
     return Deviation(float(position), float(rotation), float(posterior.chance[unusual].sum()))
 
 
-def _left_by(fit: JointFit, time: Floats, stds: tuple[float, float], scales: Scales) -> ErrorPosterior | None:
+def _posterior_of_residuals(
+    fit: JointFit, time: Floats, stds: tuple[float, float], scales: Scales
+) -> ErrorPosterior | None:
     return noise_of(fit.contrasts, fit.chart.in_frame, time, fit.seen.configuration, stds, scales)
 
 
@@ -166,7 +168,7 @@ def _hinge_or_screw(
     sample = np.linspace(0, len(time) - 1, min(len(time), _TELLING_ROWS)).round().astype(int)
     start = twisting("screw", joint.axis, joint.center, joint.pitch, joint.position, joint.quaternion)
     fit = fit_likelihood(start, rows[0][sample], rows[1][sample], white_noise(stds), _ROUGH)
-    posterior = _left_by(fit, time[sample], stds, scales)
+    posterior = _posterior_of_residuals(fit, time[sample], stds, scales)
     if posterior is None:
         return None
     fit = fit_likelihood(fit.joint, rows[0][sample], rows[1][sample], posterior.likeliest, _ROUGH)
@@ -186,13 +188,13 @@ def _refined(
     """The maximum-likelihood joint with its covariance; the previous one if the likelihood diverges from it."""
     fit = fit_likelihood(before, position, quaternion, noise)
     joint = replace(fit.joint, covariance=parameter_covariance(fit, noise, posterior))
-    if _strays(joint, before):
+    if _is_off_unweighted_axis(joint, before):
         fit = seen_with(before, position, quaternion, noise)
         joint = replace(before, covariance=parameter_covariance(fit, noise, posterior))
     return joint
 
 
-def _strays(joint: Joint, before: Joint) -> bool:
+def _is_off_unweighted_axis(joint: Joint, before: Joint) -> bool:
     """Whether the axis is farther from the unweighted one than its covariance allows.
 
     Where one direction is much noisier than the others, a free configuration along it explains that noise, and the
@@ -235,7 +237,7 @@ class _Rows:
             sorts.append(Sort(squares[1], 2.5 if turning else 3.0, _ROTATION_SPAN, _LEAST_STDS[0]))
         return fit_mixtures(sorts, weight, self.outlier_weight)
 
-    def judged(self, joint: Joint) -> FittedJoint:
+    def evaluated(self, joint: Joint) -> FittedJoint:
         """A joint as given, without covariance, with the rows evaluated on it."""
         bare = replace(joint, covariance=None)
         if not (self.weight > 0.5).any():
@@ -248,7 +250,9 @@ def _best_start(guess: Joint, rows: _Rows, used: NDArray[np.int64]) -> tuple[Joi
     sample = used[np.linspace(0, len(used) - 1, min(len(used), _STARTING_ROWS)).round().astype(int)]
     p, q = rows.of(sample)
     linear, fixed = linear_fits([guess.kind], np.ones((1, len(sample)), dtype=bool), p, q)
-    starts = concatenated_joints([arrays_of([guess, _carried(guess, p, q)]), linear.take(np.flatnonzero(fixed))])
+    starts = concatenated_joints(
+        [arrays_of([guess, _moved_to_middle_row(guess, p, q)]), linear.take(np.flatnonzero(fixed))]
+    )
     error = compare_arrays(starts, p, q, ROTATION_LENGTH).error
     squares = [(error[:, -3:] ** 2).sum(axis=1)]
     if q is not None:
@@ -258,7 +262,7 @@ def _best_start(guess: Joint, rows: _Rows, used: NDArray[np.int64]) -> tuple[Joi
     return starts.joint(best) if best else guess, _stds(scored, best)
 
 
-def _believed(
+def _fit_to_inliers(
     joint: Joint, stds: tuple[float, float], rows: _Rows, used: NDArray[np.int64], trusting: bool
 ) -> tuple[JointFit, NDArray[np.int64], tuple[float, float]] | None:
     """(fit, rows, stds) of a joint fitted to the rows that agree with it; None with too few."""
@@ -277,7 +281,7 @@ def _believed(
     return None if fit is None else (fit, kept, stds)
 
 
-def _carried(guess: Joint, position: Floats, quaternion: Floats | None) -> Joint:
+def _moved_to_middle_row(guess: Joint, position: Floats, quaternion: Floats | None) -> Joint:
     """The guess moved to the middle row, as a start even where the rows determine no joint of its kind."""
     row = int(np.argmin(((position - np.median(position, axis=0)) ** 2).sum(axis=1)))
     shift = position[row] - guess.position
@@ -286,7 +290,7 @@ def _carried(guess: Joint, position: Floats, quaternion: Floats | None) -> Joint
     return replace(guess, position=tuple(position[row].tolist()), center=center, quaternion=turned)
 
 
-def _counted_as(joint: Joint, guess: Joint, has_orientation: bool) -> Joint:
+def _in_parametrisation_of(joint: Joint, guess: Joint, has_orientation: bool) -> Joint:
     """The same motion with the direction and origin of the guess."""
     if not joint.moves:
         return replace(joint, fixed_at=guess.fixed_at)

@@ -35,7 +35,7 @@ _LEAST_CURVATURE = 0.3  # of what it was, after one step
 
 
 @dataclass(frozen=True, eq=False)
-class _Tried:
+class _HelixAtLead:
     """A helix fitted at a fixed lead angle, with derivatives (p, 7) of its joint's parameters."""
 
     helix: Helix
@@ -80,7 +80,7 @@ def fit_helix(
     log_density += [_log_density(trial, rows) for trial in tried[len(log_density) :]]
     leads, order = np.unique([trial.helix.lead for trial in tried], return_index=True)
     tried = [tried[i] for i in order]
-    lead, chance = _chances(leads, np.array(log_density)[order])
+    lead, chance = _lead_probabilities(leads, np.array(log_density)[order])
     middle = float(np.interp(0.5, np.cumsum(chance) - 0.5 * chance, lead))
     nearest = min(tried, key=lambda trial: abs(trial.helix.lead - middle))
     (median,) = _at(nearest, np.array([middle]), rows, noise)
@@ -94,18 +94,18 @@ def fit_helix(
     slopes, prior = median.slopes[:, :-1], np.eye(NUMBERS - 1) / UNKNOWN**2
     spread = np.linalg.inv(median.information[:-1, :-1] + prior)
     spread = error_covariance(median.fit, noise, posterior, spread @ slopes.T, spread @ prior @ spread)
-    return _covered(median, tried, chance, spread, start), noise
+    return _over_all_leads(median, tried, chance, spread, start), noise
 
 
-def _over_leads(start: _Tried, rows: _Rows, noise: NoiseVariances) -> list[_Tried]:
+def _over_leads(start: _HelixAtLead, rows: _Rows, noise: NoiseVariances) -> list[_HelixAtLead]:
     """Helices fitted over the range of lead angles, each started from its neighbour."""
     upwards = start.helix.lead < _LEADS
     return _at(start, _LEADS[upwards], rows, noise) + _at(start, _LEADS[~upwards][::-1], rows, noise)
 
 
-def _at(start: _Tried, leads: Floats, rows: _Rows, noise: NoiseVariances) -> list[_Tried]:
+def _at(start: _HelixAtLead, leads: Floats, rows: _Rows, noise: NoiseVariances) -> list[_HelixAtLead]:
     """Helices fitted at given lead angles, each started from the previous one."""
-    trials: list[_Tried] = []
+    trials: list[_HelixAtLead] = []
     for lead in leads.tolist():
         before = trials[-1] if trials else start
         away = lead - before.helix.lead
@@ -118,16 +118,16 @@ def _at(start: _Tried, leads: Floats, rows: _Rows, noise: NoiseVariances) -> lis
     return trials
 
 
-def _fitted(helix: Helix, rows: _Rows, noise: NoiseVariances, free: int, steps: int = _STEPS) -> _Tried:
+def _fitted(helix: Helix, rows: _Rows, noise: NoiseVariances, free: int, steps: int = _STEPS) -> _HelixAtLead:
     """The helix after Gauss-Newton steps of the first parameters."""
-    return descended(_Descent(*_seen(helix, rows, noise), rows, noise, free), steps, _CONVERGED).tried
+    return descended(_Descent(*_with_gradient(helix, rows, noise), rows, noise, free), steps, _CONVERGED).tried
 
 
 @dataclass(frozen=True, eq=False)
 class _Descent:
     """State of the descent of a helix towards maximum likelihood, with some parameters free."""
 
-    tried: _Tried
+    tried: _HelixAtLead
     whole_pull: Floats
     rows: _Rows
     noise: NoiseVariances
@@ -149,7 +149,7 @@ class _Descent:
         helix = self.tried.helix.moved(_shortened(step, self.tried.helix))
         if helix is None:
             return None
-        return _Descent(*_seen(helix, self.rows, self.noise), self.rows, self.noise, self.free)
+        return _Descent(*_with_gradient(helix, self.rows, self.noise), self.rows, self.noise, self.free)
 
 
 def _shortened(step: Floats, helix: Helix) -> Floats:
@@ -160,22 +160,22 @@ def _shortened(step: Floats, helix: Helix) -> Floats:
     return share * step
 
 
-def _seen(helix: Helix, rows: _Rows, noise: NoiseVariances) -> tuple[_Tried, Floats]:
+def _with_gradient(helix: Helix, rows: _Rows, noise: NoiseVariances) -> tuple[_HelixAtLead, Floats]:
     """A helix with its gradient (7,) on the rows."""
     joint = helix.joint(0.0, rows.like)
     fit = seen_with(joint, rows.position, None, noise)
     information, pull, cost = normal_equations(fit, noise)
     slopes = chart_slopes(helix, 0.0, joint, fit.chart)
-    return _Tried(helix, fit, slopes, slopes.T @ information @ slopes, cost), slopes.T @ pull
+    return _HelixAtLead(helix, fit, slopes, slopes.T @ information @ slopes, cost), slopes.T @ pull
 
 
-def _log_density(trial: _Tried, rows: _Rows) -> float:
+def _log_density(trial: _HelixAtLead, rows: _Rows) -> float:
     """Log density of the lead angle, with other parameters and noise marginalised."""
     within = trial.fit.chart.in_frame @ trial.slopes[:, :-1]
     return log_evidence(trial.fit.contrasts, within, rows.wanders, trial.fit.seen.configuration, rows.scales)
 
 
-def _chances(leads: Floats, log_density: Floats) -> tuple[Floats, Floats]:
+def _lead_probabilities(leads: Floats, log_density: Floats) -> tuple[Floats, Floats]:
     """(f,) angles between the candidates (m,), sorted, and their probabilities under a flat prior."""
     fine = _interpolation(len(leads)) @ leads
     log_fine = PchipInterpolator(leads, log_density)(fine)
@@ -189,7 +189,9 @@ def _interpolation(points: int) -> Floats:
     return np.asarray(np.maximum(1 - np.abs(at[:, None] - np.arange(points)), 0.0))
 
 
-def _covered(median: _Tried, tried: Sequence[_Tried], chance: Floats, spread: Floats, start: Joint) -> Joint:
+def _over_all_leads(
+    median: _HelixAtLead, tried: Sequence[_HelixAtLead], chance: Floats, spread: Floats, start: Joint
+) -> Joint:
     """A fitted screw relative to a start, with its covariance over all lead angles.
 
     Args:
@@ -216,7 +218,7 @@ def _covered(median: _Tried, tried: Sequence[_Tried], chance: Floats, spread: Fl
     return replace(joint, covariance=ParameterCovariance(chart.names, tuple(tuple(row) for row in rows)))
 
 
-def _counted_from(trial: _Tried, start: Joint) -> tuple[Joint, JointChart, Floats]:
+def _counted_from(trial: _HelixAtLead, start: Joint) -> tuple[Joint, JointChart, Floats]:
     """A fitted screw with its origin closest to another's, its chart, and derivatives (p, 7)."""
     c = float(seen_by(trial.fit.joint, np.array([start.position]), None, 1.0).configuration[0])
     length = -c * trial.helix.width

@@ -48,24 +48,24 @@ def fit_likelihood(
         converged: it stops where the next step promises less than that [nats].
     """
 
-    def look(trial: Joint) -> _Trial:
+    def look(trial: Joint) -> _DescentState:
         fit = seen_with(trial, position, quaternion, noise)
-        return _Trial(fit, *normal_equations(fit, noise), look)
+        return _DescentState(fit, *normal_equations(fit, noise), look)
 
     return descended(look(joint), _STEPS, converged).fit
 
 
 @dataclass(frozen=True, eq=False)
-class _Trial:
+class _DescentState:
     """State of the descent of a joint, with its residuals and derivatives."""
 
     fit: JointFit
     information: Floats
     pull: Floats
     cost: float
-    look: Callable[[Joint], _Trial]
+    look: Callable[[Joint], _DescentState]
 
-    def moved(self, step: Floats) -> _Trial | None:
+    def moved(self, step: Floats) -> _DescentState | None:
         joint = stepped(self.fit.joint, self.fit.chart, step)
         return None if joint is None else self.look(joint)
 
@@ -136,7 +136,7 @@ def _errors(
 
     By noise, and by misfits of variance 1 of positions and of rotations.
     """
-    by_position, by_rotation = _pulled(fit, noise)
+    by_position, by_rotation = _sensitivities(fit, noise)
     within = gain @ fit.chart.in_frame.T
     noisy = within @ _noise_pull(by_position, by_rotation, posterior) @ within.T
     missed = [within @ _misfit_pull(pull, posterior.modes) @ within.T for pull in (by_position, by_rotation)]
@@ -163,7 +163,7 @@ def _weighted(columns: Floats, contrast: Contrasts, noise: NoiseVariances) -> Fl
     return np.asarray(noise.process.whiten(wander / white, flat).reshape(columns.shape) / white)
 
 
-def _pulled(fit: JointFit, noise: NoiseVariances) -> tuple[Floats, Floats]:
+def _sensitivities(fit: JointFit, noise: NoiseVariances) -> tuple[Floats, Floats]:
     """(n, 3, 11) weighted sensitivities of the parameters to errors of positions and of rotations."""
     n, _, p = fit.contrasts[0].design.shape
     by_position, by_rotation = np.zeros((n, 3, p)), np.zeros((n, 3, p))

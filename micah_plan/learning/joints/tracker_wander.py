@@ -109,12 +109,12 @@ def noise_posterior(
     sizes = misfits_tried(modes)
     contrasts = [slice(i * (rank + 1), (i + 1) * (rank + 1)) for i in range(k)]
     grams, log_misfits = without_misfit(products, contrasts, sizes)
-    residual, log_information = _left(grams, scale[0] * degrees)
+    residual, log_information = _marginal_residuals(grams, scale[0] * degrees)
     scores = -0.5 * (degrees * np.log(residual) + log_information + k * log_dets + log_misfits)
     # The first column is the likelihood without wander, which no correlation time changes.
     score, white = (
-        _finer(scores, len(processes)),
-        np.exp(_finer(np.log(residual), len(processes))) / max(degrees - 2, 1),
+        _on_finer_grid(scores, len(processes)),
+        np.exp(_on_finer_grid(np.log(residual), len(processes))) / max(degrees - 2, 1),
     )
     fine = np.exp(np.linspace(0, np.log(slowness[-1]), _FINE))
     level = np.append(0.0, np.exp(np.linspace(np.log(_RATIOS[0]), np.log(_RATIOS[-1]), _FINE)))
@@ -153,7 +153,7 @@ def finer(tried: Floats) -> Floats:
     return np.geomspace(tried[0], tried[-1], _FINE)
 
 
-def _finer(values: Floats, times: int) -> Floats:
+def _on_finer_grid(values: Floats, times: int) -> Floats:
     """(s, f, 1 + f) values on the finer grid from the candidates (s, t r + 1), of which the last has no wander."""
     over_times, over_ratios = _spline(times), _spline(len(_RATIOS))
     wandering = over_times @ values[:, :-1].reshape(len(values), times, -1) @ over_ratios.T
@@ -179,7 +179,7 @@ def _prior(slowness: Floats) -> Floats:
     return np.asarray(prior)
 
 
-def _left(grams: Floats, least: float) -> tuple[Floats, Floats]:
+def _marginal_residuals(grams: Floats, least: float) -> tuple[Floats, Floats]:
     """(residual sums of squares (...), log determinants of information) from Gram matrices (..., r + 1, r + 1)."""
     rank = grams.shape[-1] - 1
     lower = np.linalg.cholesky(grams[..., :rank, :rank])

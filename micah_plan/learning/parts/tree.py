@@ -155,7 +155,11 @@ class _Pairs:
 
     def on_branch(self, branch: tuple[str, ...], child: str) -> PairEdge | None:
         """The pair learned from refined poses of the branch (base first); None with too few common rows."""
-        return self.measured(BASE, child) if branch == (BASE,) else self._pair(branch, child, self._along(branch))
+        return (
+            self.measured(BASE, child)
+            if branch == (BASE,)
+            else self._pair(branch, child, self._refined_poses_on(branch))
+        )
 
     def log_evidence_of_base(self, pair: PairEdge, child: str) -> float:
         """Log evidence of a pair's rows [nats] with the child on the base, for comparison on equal rows."""
@@ -187,21 +191,23 @@ class _Pairs:
                 # How many pairs will be needed is not known before; the base's are the first of all.
                 self._progress(message, min(0.95, len(self._learned) / (parts * (parts + 1))))
             relative = relative_rows(self.recording, branch[-1], child, poses)
-            self._learned[key] = None if relative is None else PairEdge(relative, self._learn_pair(_telling(relative)))
+            self._learned[key] = (
+                None if relative is None else PairEdge(relative, self._learn_pair(_learnable_rows(relative)))
+            )
         return self._learned[key]
 
-    def _along(self, branch: tuple[str, ...]) -> RigidTransform:
+    def _refined_poses_on(self, branch: tuple[str, ...]) -> RigidTransform:
         """(n,) poses with the parts of the branch replaced by their refined ones."""
         if branch == (BASE,):
             return self.recording.poses()
         if branch not in self._poses:
-            poses = self._along(branch[:-1])
+            poses = self._refined_poses_on(branch[:-1])
             pair = self.on_branch(branch[:-1], branch[-1])
             self._poses[branch] = poses if pair is None else branch_poses(pair.edge, pair.relative, poses)
         return self._poses[branch]
 
 
-def _telling(relative: RelativeRows) -> Recording:
+def _learnable_rows(relative: RelativeRows) -> Recording:
     """The recording to learn from: without actions where the relative motion may be nothing but measurement noise."""
     still = relative.parent != BASE and not moves_far(relative.recording)
     return replace(relative.recording, action=None) if still else relative.recording
@@ -235,12 +241,12 @@ def _searched(able: Mapping[str, tuple[str, ...]], pairs: _Pairs) -> tuple[dict[
         weight = sum(weights[arc][0] for arc in arcs) if weights.keys() >= set(arcs) else -np.inf
         if weight > best_weight:
             best, best_weight = parents, weight
-            probability = _share({arc: pair[0] for arc, pair in weights.items()}, parents)
+            probability = _tree_probability({arc: pair[0] for arc, pair in weights.items()}, parents)
         parents = maximum_arborescence(weights, BASE)
     return best, probability
 
 
-def _share(evidence: Mapping[Arc, float], tree: Mapping[str, str]) -> float:
+def _tree_probability(evidence: Mapping[Arc, float], tree: Mapping[str, str]) -> float:
     """Posterior probability of a tree among all spanning trees (Tutte's matrix-tree theorem).
 
     Log odds of parents are overstated as those of kinds are: noise and joints are fitted to the rows that judge them.

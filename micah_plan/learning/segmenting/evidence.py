@@ -69,7 +69,7 @@ class EvidenceTable:
         """
         return segment_sums(self.log_density, self.ending)
 
-    def charged(self, index: int) -> Floats:
+    def charged_sums(self, index: int) -> Floats:
         """(n, n) log evidence of one hypothesis, minus the cost of a joint per segment."""
         n = len(self.sums[index])
         lengths = np.maximum(np.arange(2 * n - 1) - n + 2, 1).astype(float)
@@ -80,7 +80,7 @@ class EvidenceTable:
     @cached_property
     def best(self) -> Floats:
         """(n, n) evidence of the best hypothesis for each segment."""
-        return best_of(self.charged(i) for i in range(len(self.rows)))
+        return best_of(self.charged_sums(i) for i in range(len(self.rows)))
 
     def cost(self, index: Ints, rows: Floats, held: bool = True) -> Floats:
         """Cost of a hypothesis' parameters for a segment of a given number of rows [nats]."""
@@ -120,7 +120,7 @@ def all_tabulated(
     together, counts = all_of(pools), [len(pool) for pool in pools]
     noise = stacked(noises, counts) if len(pools) > 1 else noises[0]
     pool = pool_of(together, track, noise)
-    table, scale, off_joint = _across(pool, noise)
+    table, scale, off_joint = _transverse_densities(pool, noise)
     motion = fit_motion(pool, track.action, rest, scale, likelihood_power, begun)
     unled = table + motion.unled
     # Where on its joint a segment starts is uniform over what the recording reaches.
@@ -158,7 +158,7 @@ def all_tabulated(
     return tables
 
 
-def _across(pool: Pool, noise: NoiseModel) -> tuple[Floats, Floats, Floats]:
+def _transverse_densities(pool: Pool, noise: NoiseModel) -> tuple[Floats, Floats, Floats]:
     """(p + 1, h, n) log densities across the joints, and (h, n) relative std of each row's noise.
 
     And (h, n) by how much less likely than a row on the joint usually is each of them is, alone [nats, at most 0].

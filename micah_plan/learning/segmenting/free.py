@@ -50,7 +50,8 @@ def free_log_probability(track: PartTrack, noise: NoiseModel, likelihood_power: 
     """
     path = _path(track)
     trends = [
-        trend_of(path[:, i : i + 3], std) for i, std in zip(range(0, path.shape[1], 3), rough(noise), strict=True)
+        trend_of(path[:, i : i + 3], std)
+        for i, std in zip(range(0, path.shape[1], 3), roughness_stds(noise), strict=True)
     ]
     squares = np.sum([trend.squares for trend in trends], axis=0)
     sizes = np.sum([trend.sizes for trend in trends], axis=0)
@@ -58,7 +59,7 @@ def free_log_probability(track: PartTrack, noise: NoiseModel, likelihood_power: 
     return float(likelihood_power * log_probability - len(trends) * price(len(track)))
 
 
-def rough(noise: NoiseModel) -> list[float]:
+def roughness_stds(noise: NoiseModel) -> list[float]:
     """Stds of white noise per axis: of rotations [rad], if they were measured, and of positions [m]."""
     stds: list[float] = np.sqrt(noise.white[0]).reshape(-1, 3).mean(axis=1).tolist()
     return stds
@@ -89,7 +90,7 @@ def trend_of(vector: Floats, std: float, spacing: Floats | None = None) -> Trend
     apart = np.ones(n - 1) if spacing is None else spacing
     squares, sizes = _innovations(vector, std, apart)
     best = int(density(squares, sizes, k).sum(axis=0).argmax())
-    return Trend(squares[:, best], sizes[:, best], _begun(vector, std))
+    return Trend(squares[:, best], sizes[:, best], _first_rows_density(vector, std))
 
 
 def density(squares: Floats, sizes: Floats, d: int) -> Floats:
@@ -105,7 +106,7 @@ def likeliest_scale(squares: Floats, d: int) -> float:
     return scale
 
 
-def _begun(vector: Floats, std: float) -> float:
+def _first_rows_density(vector: Floats, std: float) -> float:
     """Log density of the first two rows: uniform over the extent of the path, then a step of its size."""
     k = vector.shape[1]
     step = max(np.sqrt((np.diff(vector, axis=0) ** 2).sum(axis=1).mean() / k), std)

@@ -30,7 +30,7 @@ _FEWEST_FOLLOWED = 8  # steps from which a channel is estimated
 
 
 @dataclass(frozen=True, eq=False)
-class Along:
+class JointTrace:
     """Configurations and actions of a part along one joint, in n rows.
 
     Attributes:
@@ -45,14 +45,14 @@ class Along:
     drift: float
 
 
-def along_joint(pool: Pool, joint: int, action: Floats) -> Along:
+def joint_trace(pool: Pool, joint: int, action: Floats) -> JointTrace:
     """The trace of a pool's joint in its rows."""
     scales = pool.along.take([joint])
     noise = float((scales.white + scales.fast)[0]), float(scales.renewed[0])
-    return Along(pool.seen.configuration[joint], action, *noise)
+    return JointTrace(pool.seen.configuration[joint], action, *noise)
 
 
-def places_held(along: Along) -> Booleans:
+def places_held(along: JointTrace) -> Booleans:
     """(p, n) rows of each place at which the part was held, with repeated rests at one place merged."""
     rests = held_rows(along)
     if not len(rests):
@@ -64,7 +64,7 @@ def places_held(along: Along) -> Booleans:
     return np.array([rests[order[place == k]].any(axis=0) for k in range(place[-1] + 1)])
 
 
-def held_rows(along: Along) -> Booleans:
+def held_rows(along: JointTrace) -> Booleans:
     """(r, n) rows of each rest in order, without the row of arrival."""
     held = held_steps(along) > 0.5
     edges = np.flatnonzero(np.diff(np.concatenate([[False], held, [False]]).astype(int))).reshape(-1, 2)
@@ -75,7 +75,7 @@ def held_rows(along: Along) -> Booleans:
     return np.asarray((rows >= first) & (rows <= edges[:, 1:]))
 
 
-def held_steps(along: Along) -> Floats:
+def held_steps(along: JointTrace) -> Floats:
     """(n - 1,) probability of each step that the part was held; 0 where actions give no evidence."""
     step, action = np.diff(along.configuration), along.action[:-1]
     asked = np.any(action != 0, axis=1)
@@ -97,7 +97,7 @@ def held_steps(along: Along) -> Floats:
     return held
 
 
-def _smoothed(along: Along, expected: Floats, loose: float) -> Floats:
+def _smoothed(along: JointTrace, expected: Floats, loose: float) -> Floats:
     """(n - 1,) posterior probability of being held, given expected steps (n - 1,) and their residual variance."""
     measured = along.configuration.tolist()
     mean, variance, chance = measured[0], along.white, 0.5
@@ -122,12 +122,12 @@ def _smoothed(along: Along, expected: Floats, loose: float) -> Floats:
             variance += (1 - chance) * (free * (1 - kept_free) + (mean_free - mean) ** 2)
         forward.append(chance)
         odds.append(tells)
-    ahead, behind = np.array(forward), _from_later(odds)
+    ahead, behind = np.array(forward), _backward_probabilities(odds)
     together = ahead * behind
     return np.asarray(together / (together + (1 - ahead) * (1 - behind)))
 
 
-def _from_later(odds: list[float]) -> Floats:
+def _backward_probabilities(odds: list[float]) -> Floats:
     """(k,) backward probability that a part is held in each step, from the log odds of the later steps [nats]."""
     chance = 0.5
     backward = [chance]

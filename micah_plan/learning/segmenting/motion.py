@@ -106,7 +106,9 @@ def fit_motion(
     grid = mean_square[:, None] * _STEP_SHARES
     free, led, still = _step_variances(grid, action, n)
     variances = np.concatenate([free, led, still], axis=2)
-    innovations, quiet = innovations_of(_signals(c, action), pool.along.take(members), variances, scale[members])
+    innovations, quiet = innovations_of(
+        _filtered_signals(c, action), pool.along.take(members), variances, scale[members]
+    )
     not_yet_grasped = _quiet_density(innovations[0, :, :, -1], quiet[:, :, -1])
     # Without gaps: NumPy is slow at rows of three numbers.
     of_free, of_led = slice(0, free.shape[2]), slice(free.shape[2], -1)
@@ -116,7 +118,7 @@ def fit_motion(
     models = [_constant_velocity_model(step, ramp, calm, mean_square, weights, rest, *speeds, not_yet_grasped)]
     if action is not None:
         # A prior, which is not tempered as what rows say is.
-        contact_rate = _onward(c) / (likelihood_power * _GAP * np.maximum(np.ptp(c, axis=1), 1e-9))
+        contact_rate = _first_direction(c) / (likelihood_power * _GAP * np.maximum(np.ptp(c, axis=1), 1e-9))
         signals, quiet = np.ascontiguousarray(innovations[..., of_led]), np.ascontiguousarray(quiet[:, :, of_led])
         unled = log_add(models[0].forth, models[0].back) + np.log(0.5 * _UNLED)
         arguments = led, weight, pool.lever[members], not_yet_grasped, unled, enough, action, contact_rate
@@ -126,7 +128,7 @@ def fit_motion(
     states = [
         np.stack([getattr(model, name) for model in models], axis=2) for name in ("forth", "back", "not_yet_grasped")
     ]
-    density = _either(states, begun)
+    density = _log_density_over_states(states, begun)
     numbers = np.array([m.parameters for m in models])
     score = (density * weight).sum(axis=0) - 0.5 * numbers * np.log(enough)[:, None]
     score = np.where(np.stack([m.allowed for m in models], axis=1), score, -np.inf)
@@ -153,7 +155,7 @@ def _step_variances(grid: Floats, action: Floats | None, n: int) -> tuple[Floats
     return free, relative[:, None, None] * grid, still
 
 
-def _signals(c: Floats, action: Floats | None) -> Floats:
+def _filtered_signals(c: Floats, action: Floats | None) -> Floats:
     """(h, n, k) regressors: configurations, a ramp, and the commanded path."""
     n = c.shape[1]
     signals = [c, np.broadcast_to(np.arange(n, dtype=float), c.shape)]
@@ -256,7 +258,7 @@ def _constant_velocity_model(
     return _StepModel(forth, back, not_yet_grasped, np.zeros((len(best), 3)), 2.0, sure)
 
 
-def _either(densities: list[Floats], begun: bool) -> Floats:
+def _log_density_over_states(densities: list[Floats], begun: bool) -> Floats:
     """(n, ...) log predictive density of each row, with the hidden states of `_StepModel` summed out.
 
     A demonstration may take its time before the part moves; a part that has moved and stands still is another matter.
@@ -301,7 +303,7 @@ def _directions(c: Floats) -> Floats:
     return np.where(c[:, last] >= c[:, first], 1.0, -1.0)
 
 
-def _onward(c: Floats) -> Floats:
+def _first_direction(c: Floats) -> Floats:
     """(h,) direction 1 or -1 of the first motion beyond noise."""
     away = c - c[:, :1]
     far = np.abs(away) >= 0.5 * np.abs(away).max(axis=1, keepdims=True)

@@ -36,7 +36,7 @@ def initial_noise(track: PartTrack, settings: LearnSettings) -> NoiseModel:
     if track.rotation is not None:
         steps = (track.rotation[:-1].inv() * track.rotation[1:]).as_rotvec()
         missed.insert(0, 0.5 * (steps[:-1] - steps[1:]))
-    white = _rough(np.stack(missed)[None]) ** 2
+    white = _white_stds(np.stack(missed)[None]) ** 2
     slow, slow_kept = _slow(len(track), 3 * white.shape[1], settings)
     none = np.zeros_like(white)
     return _model(white, none, slow[None], none, slow_kept, len(track), settings)
@@ -80,16 +80,16 @@ def _scales(
     scaling = np.linalg.inv(np.linalg.cholesky(blocks))
     vectors, along = (scaling @ block.reshape(m, n, d // 3, 3).transpose(0, 2, 3, 1) for block in (errors, free))
     missed = (vectors[..., 1:-1] - 0.5 * (vectors[..., 2:] + vectors[..., :-2])).swapaxes(2, 3)
-    share = (along**2).sum(axis=2) / _rough(missed, 3.0)[..., None] ** 2
+    share = (along**2).sum(axis=2) / _white_stds(missed, 3.0)[..., None] ** 2
     size = 3 - share / np.maximum(share.sum(axis=1, keepdims=True), 1e-300)
-    rough = _rough(missed, size.mean(axis=2))
+    roughness_stds = _white_stds(missed, size.mean(axis=2))
     tried = product(_WHITE_SHARES, _FAST_SHARES, WANDER_DURATIONS, slow_shares)
     white_shares, fast_shares, durations, slow_shares = np.array(list(tried)).T
     fast_kept = np.exp(-1 / np.maximum(n * durations, 1e-9))
     slow, slow_kept = _slow(n, d, settings)
     # Candidates (m, d / 3, c) of all scales at once.
-    whites = np.maximum(white_shares * rough[..., None], finest_stds(d)[:, None]) ** 2
-    fasts = np.minimum(fast_shares * rough[..., None], _FAST_MOST * np.sqrt(slow)[:, None]) ** 2
+    whites = np.maximum(white_shares * roughness_stds[..., None], finest_stds(d)[:, None]) ** 2
+    fasts = np.minimum(fast_shares * roughness_stds[..., None], _FAST_MOST * np.sqrt(slow)[:, None]) ** 2
     kept = np.broadcast_to(fast_kept, whites.shape)
     slows = np.broadcast_to(slow[:, None] * slow_shares**2, whites.shape)
     coefficients, innovation = predictors(whites.ravel(), fasts.ravel(), slows.ravel(), kept.ravel(), slow_kept, order)
@@ -181,7 +181,7 @@ def _slow(n: int, d: int, settings: LearnSettings) -> tuple[Floats, float]:
     return stds**2, float(np.exp(-1 / max(settings.wander_durations * n, 1e-9)))
 
 
-def _rough(missed: Floats, size: ArrayLike = 3.0) -> Floats:
+def _white_stds(missed: Floats, size: ArrayLike = 3.0) -> Floats:
     """Stds (m, d / 3) of white noise that leaves such misses (m, d / 3, k, 3) of the middle of the neighbours."""
     finest = finest_stds(3 * missed.shape[1])
     if not missed.shape[2]:

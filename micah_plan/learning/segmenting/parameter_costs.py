@@ -20,7 +20,9 @@ from micah_plan.learning.track import PartTrack
 
 _SAMPLES = 10  # rows at which the information is looked at
 _HELD_SHARE = 4  # a joint that explains so much of the recording may hold the part elsewhere on it
-_DENIED = 10.0  # nats: a joint along which nothing moved beyond noise is no joint; a rest with a motion in it, no rest
+_IMPLAUSIBLE_KIND_NATS = (
+    10.0  # nats: a joint along which nothing moved beyond noise is no joint; a rest with a motion in it, no rest
+)
 BLOCKS = 8  # in which rows are averaged to see whether anything moves
 TRAVEL = 7.0  # a motion, in the noise of these means
 _DRIFT = 14.0  # more than a tracker wanders during a rest, in the noise of these means
@@ -34,7 +36,7 @@ def parameter_costs(pool: Pool, track: PartTrack, noise: NoiseModel, likelihood_
     Args:
         likelihood_power: power of the likelihood.
     """
-    denied = _denied(pool, noise)
+    denied = _implausible_kind_cost(pool, noise)
     return _parameter_cost(pool, track, noise, likelihood_power) + denied, denied
 
 
@@ -83,7 +85,7 @@ def held_costs(cost: Floats, denied: Floats, pool: Pool, noise: NoiseModel, like
     return result
 
 
-def _denied(pool: Pool, noise: NoiseModel) -> Floats:
+def _implausible_kind_cost(pool: Pool, noise: NoiseModel) -> Floats:
     """(h,) cost of a moving joint whose rows do not move beyond noise, or of a rigid one whose rows do [nats]."""
     used = pool.hypotheses.used
     rows = np.maximum(used.sum(axis=1), 1)[:, None]
@@ -96,7 +98,7 @@ def _denied(pool: Pool, noise: NoiseModel) -> Floats:
     drift = pool.seen.error / np.sqrt(noise.white / block + noise.renewed * rows)[..., None]
     drifts = [_span(inside, count, drift[:, i : i + 3]) for i in range(0, drift.shape[1], 3)]
     denied = np.where(pool.moving, travel < TRAVEL, np.max(drifts, axis=0) > _DRIFT)
-    return np.asarray(_DENIED * denied)
+    return np.asarray(_IMPLAUSIBLE_KIND_NATS * denied)
 
 
 def _blocks(used: Booleans) -> tuple[Floats, Floats]:

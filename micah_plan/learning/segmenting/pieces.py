@@ -62,12 +62,12 @@ def best_segmentation(
     if members is None and not paid:
         best = table.best
     else:
-        best = best_of(table.sums[i] if i in paid else table.charged(i) for i in chosen.tolist())
+        best = best_of(table.sums[i] if i in paid else table.charged_sums(i) for i in chosen.tolist())
     spans, log_probability = most_probable_spans(best + (length_terms(prior, len(best)) - np.log(kinds)))
-    charged = ~np.isin(chosen, list(paid))
+    charged_sums = ~np.isin(chosen, list(paid))
     pieces = []
     for start, end in spans:
-        evidence = table.sums[chosen, start, end] - charged * table.cost(chosen, np.array(end - start + 1.0))
+        evidence = table.sums[chosen, start, end] - charged_sums * table.cost(chosen, np.array(end - start + 1.0))
         pieces.append(Piece(start, end, int(chosen[np.argmax(evidence)]), float(best[start, end])))
     return Segmentation(tuple(pieces), log_probability)
 

@@ -13,7 +13,7 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.joint import JointKind
 from micah_plan.learning.joints.final_fit import NO_LACK_OF_FIT, RARE_SCREW, SCREW_COST, LackOfFit
 from micah_plan.learning.segmenting.posterior import ChangepointPosterior, changepoint_posterior
-from micah_plan.learning.segmenting.rests import rests_in_the_end
+from micah_plan.learning.segmenting.rests import final_rests
 from micah_plan.learning.segmenting.segmented import Alternative, Segmented
 from micah_plan.learning.segmenting.selections import ANOTHER_JOINT
 from micah_plan.learning.settings import LearnSettings
@@ -54,7 +54,7 @@ def posterior_of(answer: Segmented, settings: LearnSettings) -> ChangepointPoste
     spare[used] = False
     rests = worth[spare]
     if "rigid" in settings.kinds:
-        ends = rests_in_the_end(table, moves, answer.track, answer.noise, settings.rest) - of_kind
+        ends = final_rests(table, moves, answer.track, answer.noise, settings.rest) - of_kind
         rests = np.concatenate([rests, ends])
     # Rests fitted to much the same rows are one rest, told by the best of them.
     worth = np.concatenate([worth[~spare], rests.max(axis=0, keepdims=True)]) if len(rests) else worth
@@ -64,10 +64,10 @@ def posterior_of(answer: Segmented, settings: LearnSettings) -> ChangepointPoste
     # A part does not get from one rest to another without a motion.
     apart: Floats = np.where(np.eye(len(rigid)) > 0, np.inf, ANOTHER_JOINT * np.outer(rigid, rigid))
     result = changepoint_posterior(worth, apart, answer.prior, len(pieces) - 1)
-    return replace(_beside(result, answer), log_evidence=result.log_evidence - paid)
+    return replace(_with_rival_counts(result, answer), log_evidence=result.log_evidence - paid)
 
 
-def _beside(stated: ChangepointPosterior, answer: Segmented) -> ChangepointPosterior:
+def _with_rival_counts(stated: ChangepointPosterior, answer: Segmented) -> ChangepointPosterior:
     """The posterior extended by answers with other numbers of segments, whose joints have their own rows."""
     counts, changepoint = stated.counts.copy(), stated.changepoint.copy()
     count = len(answer.segmentation.pieces)

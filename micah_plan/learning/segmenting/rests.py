@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from micah_plan.arrays import Floats
 from micah_plan.changepoints import LengthPrior
 from micah_plan.learning.segmenting.evidence import EvidenceTable, tabulated
-from micah_plan.learning.segmenting.held import along_joint, places_held
+from micah_plan.learning.segmenting.held import joint_trace, places_held
 from micah_plan.learning.segmenting.motion import FEWEST_ACTED
 from micah_plan.learning.segmenting.noise import NoiseModel
 from micah_plan.learning.segmenting.pool import (
@@ -24,7 +24,7 @@ from micah_plan.learning.segmenting.pool import (
     refitted_hypotheses,
 )
 from micah_plan.learning.segmenting.segmented import Segmented, rows_of_joints
-from micah_plan.learning.segmenting.selections import few
+from micah_plan.learning.segmenting.selections import prune_joints
 from micah_plan.learning.settings import LearnSettings
 from micah_plan.learning.track import PartTrack
 
@@ -43,7 +43,7 @@ def with_rests(answer: Segmented, priors: Sequence[LengthPrior], settings: Learn
     joint = max((i for i in used if table.pool.moving[i]), key=lambda i: rows[used.index(i)].sum(), default=None)
     if track.action is None or "rigid" not in settings.kinds or joint is None:
         return None
-    inside = places_held(along_joint(table.pool, joint, track.action))
+    inside = places_held(joint_trace(table.pool, joint, track.action))
     outside = rows[[used.index(joint)]] & ~inside.any(axis=0)
     if not len(inside) or outside.sum() < FEWEST_ACTED:
         return None
@@ -53,14 +53,13 @@ def with_rests(answer: Segmented, priors: Sequence[LengthPrior], settings: Learn
     tried = tabulated(pool, track, answer.noise, settings.rest, table.likelihood_power)
     every = list(range(len(pool)))
     answers = [
-        replace(answer, table=tried, prior=prior, segmentation=few(tried, every, prior, settings)) for prior in priors
+        replace(answer, table=tried, prior=prior, segmentation=prune_joints(tried, every, prior, settings))
+        for prior in priors
     ]
     return max(answers, key=lambda answer: answer.log_probability)
 
 
-def rests_in_the_end(
-    table: EvidenceTable, moves: list[int], track: PartTrack, noise: NoiseModel, rest: float
-) -> Floats:
+def final_rests(table: EvidenceTable, moves: list[int], track: PartTrack, noise: NoiseModel, rest: float) -> Floats:
     """(r, n, n) evidence of every segment (first, last row) under rigid joints fitted to some of the last rows.
 
     What a segment pays for its pose is taken off.

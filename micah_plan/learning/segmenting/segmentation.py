@@ -53,15 +53,15 @@ def segment_track(track: PartTrack, settings: LearnSettings, start: Segmented | 
         tables = [
             (start.noise, tabulated(table.pool.hypotheses, track, start.noise, settings.rest, table.likelihood_power))
         ]
-    proposals = [proposal for noise, table in tables for proposal in _proposed(track, noise, table, priors, settings)]
-    proposals = _different(proposals)[:_MOST_PROPOSALS]
-    outcomes = _settled(proposals, settings)
+    proposals = [proposal for noise, table in tables for proposal in _proposals(track, noise, table, priors, settings)]
+    proposals = _distinct_proposals(proposals)[:_MOST_PROPOSALS]
+    outcomes = _iterated_to_consistency(proposals, settings)
     best = max(outcomes, key=lambda outcome: outcome.log_probability)
     held = with_rests(best, priors, settings)
-    outcomes += [] if held is None else _settled([held], settings)
+    outcomes += [] if held is None else _iterated_to_consistency([held], settings)
     best = max(outcomes, key=lambda outcome: outcome.log_probability)
     others = tuple(alternative(outcome) for outcome in outcomes if outcome is not best)
-    return replace(_beside_rivals(best, settings), others=others)
+    return replace(_with_rivals(best, settings), others=others)
 
 
 def best_single(answer: Segmented, settings: LearnSettings) -> Segmented:
@@ -73,7 +73,7 @@ def best_single(answer: Segmented, settings: LearnSettings) -> Segmented:
     n, likelihood_power = len(track), answer.table.likelihood_power
     ones, noises = _singles(track, answer.noise, settings, any_slow=True)
     alone = all_tabulated(ones, track, noises, settings.rest, likelihood_power)
-    noise = noises[_likeliest(alone, prior, settings)]
+    noise = noises[_likeliest_alone(alone, prior, settings)]
     pool = refitted_hypotheses(list(settings.kinds), np.ones((len(settings.kinds), n), dtype=bool), track, noise)
     table = tabulated(pool, track, noise, settings.rest, likelihood_power)
     totals = table.sums[:, 0, -1] - table.occam
@@ -103,7 +103,7 @@ def _from_two_noises(
     table, *alone = all_tabulated([pool, *ones], track, [fine, *noises], settings.rest, likelihood_power)
     if not alone:
         return [(fine, table)]
-    single = noises[_likeliest(alone, prior, settings)]
+    single = noises[_likeliest_alone(alone, prior, settings)]
     return [(fine, table), (single, tabulated(pool, track, single, settings.rest, likelihood_power))]
 
 
@@ -124,12 +124,12 @@ def _singles(
     return [whole.take([i]) for i in range(len(whole))], noises
 
 
-def _likeliest(alone: Sequence[EvidenceTable], prior: LengthPrior, settings: LearnSettings) -> int:
+def _likeliest_alone(alone: Sequence[EvidenceTable], prior: LengthPrior, settings: LearnSettings) -> int:
     """Index of the joint that best explains the whole track alone."""
     return int(np.argmax([shared(table, [0], prior, settings).log_probability for table in alone]))
 
 
-def _proposed(
+def _proposals(
     track: PartTrack, noise: NoiseModel, table: EvidenceTable, priors: Sequence[LengthPrior], settings: LearnSettings
 ) -> list[Segmented]:
     """The segmentations that a table proposes under each prior of lengths."""
@@ -142,7 +142,7 @@ def _proposed(
     ]
 
 
-def _different(proposals: Sequence[Segmented]) -> list[Segmented]:
+def _distinct_proposals(proposals: Sequence[Segmented]) -> list[Segmented]:
     """The best of the proposals with about the same changepoints and kinds, best first."""
     best_of: dict[tuple[tuple[str, int], ...], Segmented] = {}
     for proposal in sorted(proposals, key=lambda p: -p.log_probability):
@@ -153,7 +153,7 @@ def _different(proposals: Sequence[Segmented]) -> list[Segmented]:
     return list(best_of.values())
 
 
-def _settled(starts: Sequence[Segmented], settings: LearnSettings) -> list[Segmented]:
+def _iterated_to_consistency(starts: Sequence[Segmented], settings: LearnSettings) -> list[Segmented]:
     """Alternate between segments, joints and noise until the probability stops growing."""
     best, open_ones = list(starts), dict(enumerate(starts))
     for _ in range(_MOST_ROUNDS):
@@ -174,7 +174,7 @@ def _settled(starts: Sequence[Segmented], settings: LearnSettings) -> list[Segme
     return best
 
 
-def _beside_rivals(answer: Segmented, settings: LearnSettings) -> Segmented:
+def _with_rivals(answer: Segmented, settings: LearnSettings) -> Segmented:
     """The segments in a table with all kinds of joints fitted to each, for the comparison of kinds."""
     (table,) = _tables([answer], [answer.noise], settings)
     used, _ = rows_of_joints(answer)

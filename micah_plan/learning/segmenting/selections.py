@@ -52,10 +52,10 @@ def shared(table: EvidenceTable, members: list[int], prior: LengthPrior, setting
     So is the choice of their kinds: a part that returns to a joint returns to one of those of the answer.
     """
     segmentation = best_segmentation(table, prior, 1, members, members)
-    return _paid_once(segmentation.pieces, table, prior, settings)
+    return _charged_once(segmentation.pieces, table, prior, settings)
 
 
-def _paid_once(
+def _charged_once(
     pieces: tuple[Piece, ...], table: EvidenceTable, prior: LengthPrior, settings: LearnSettings
 ) -> Segmentation:
     """A segmentation in which each joint's parameters are charged once."""
@@ -69,10 +69,10 @@ def _paid_once(
     jumps = sum(a and b for a, b in pairwise(rigid))
     cost += (max(moving - 1, 0) + jumps) * ANOTHER_JOINT + len(used) * np.log(len(settings.kinds))
     pieces = merged(pieces)
-    return Segmentation(pieces, _over_places(pieces, table, prior) - float(cost))
+    return Segmentation(pieces, _summed_over_changepoints(pieces, table, prior) - float(cost))
 
 
-def _over_places(pieces: Sequence[Piece], table: EvidenceTable, prior: LengthPrior) -> float:
+def _summed_over_changepoints(pieces: Sequence[Piece], table: EvidenceTable, prior: LengthPrior) -> float:
     """Log probability of the rows under an order of joints, summed over the changepoints."""
     used = sorted({piece.hypothesis for piece in pieces})
     worth = table.sums[used] + length_terms(prior, len(table.sums[0]))
@@ -89,7 +89,7 @@ def _over_places(pieces: Sequence[Piece], table: EvidenceTable, prior: LengthPri
     return float(best_before[-1] + log(share)) if share > 0 else -np.inf
 
 
-def few(table: EvidenceTable, members: list[int], prior: LengthPrior, settings: LearnSettings) -> Segmentation:
+def prune_joints(table: EvidenceTable, members: list[int], prior: LengthPrior, settings: LearnSettings) -> Segmentation:
     """Segments of some joints, from which joints are dropped while that increases the evidence."""
     return _fewest(members, lambda *pieces: shared(table, list(pieces), prior, settings))
 

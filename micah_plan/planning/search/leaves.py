@@ -80,14 +80,14 @@ class Leaves:
                 firsts[count], count = value, count + 1
         return numbers
 
-    def put_on(self, x: Floats, points: Floats) -> Floats:
+    def projected_on_leaf(self, x: Floats, points: Floats) -> Floats:
         """(k, n) states next to `points` (k, n) on the leaf of x (n,)."""
         return np.asarray(x + self.own(points - x) @ self.along.T * self.speed)
 
     def sample(self, states: Polytope, x: Floats, rng: np.random.Generator, count: int) -> Floats:
         """(count, n) random states of a (non-empty) part of the leaf of x (n,), even where it fills its box."""
         if not len(states.b):
-            return self.put_on(x, states.sample(rng, count))
+            return self.projected_on_leaf(x, states.sample(rng, count))
         found, (low, high) = list[Floats](), self._box(states, x)
         for _ in range(_MOST_DRAWS):
             draws = low + rng.random((count, len(low))) * (high - low)
@@ -96,7 +96,7 @@ class Leaves:
             if len(found) >= count:
                 return np.array(found[:count])
         rest = states.sample(rng, count - len(found))
-        return np.vstack([*found, self.put_on(x, rest)])
+        return np.vstack([*found, self.projected_on_leaf(x, rest)])
 
     def _box(self, states: Polytope, x: Floats) -> tuple[Floats, Floats]:
         """(r,) bounds of a leaf's coordinates, relative to x, within a set."""

@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import dijkstra
 from micah_plan.arrays import Floats, Ints
 from micah_plan.planning.search.mode_paths import VertexPath
 from micah_plan.planning.search.path_beliefs import PathBeliefs
-from micah_plan.planning.search.roadmap import JoinedRoadmap, along
+from micah_plan.planning.search.roadmap import JoinedRoadmap, vertices_along
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 
 # Stops on the way, and how many of the best beginnings get one more.
@@ -134,7 +134,7 @@ class LocalisingSearch:
         front, owner = self._start().belief, np.array([0])
         for i, j in pairwise(vertices):
             self._advance(front, np.array([i]), np.array([j]), owner, owner)
-        ending = self.beliefs.ending(front.variance, np.array(vertices[-1:]), self._spare(front))
+        ending = self.beliefs.ending(front.variance, np.array(vertices[-1:]), self._spare_steps(front))
         uncertainty = float(front.overshoot[0] + ending[0])
         return ScoredPath(tuple(vertices), (0, len(vertices) - 1), path.cost, uncertainty)
 
@@ -152,9 +152,9 @@ class LocalisingSearch:
         distance, previous = dijkstra(self.roadmap.graph, indices=here, return_predecessors=True)
         distance, previous = distance[: self.size], previous[: self.size]
         reached = np.flatnonzero(np.isfinite(distance) & np.isfinite(self.to_go))
-        there = self._spread(beginning.belief, here, previous)
-        at, ends = self._onward(there.rows(reached), reached)
-        spare = self._spare(ends)
+        there = self._propagate(beginning.belief, here, previous)
+        at, ends = self._propagate_to_goal(there.rows(reached), reached)
+        spare = self._spare_steps(ends)
         allowed = (ends.visits.max(axis=1, initial=0) <= self.most_visits) & (spare >= 0)
         ending = self.beliefs.ending(ends.variance, at, spare)
         costs = np.where(allowed, distance[reached] + self.to_go[reached] + ends.overshoot + ending, np.inf)
@@ -162,16 +162,16 @@ class LocalisingSearch:
         results = []
         for row in best[np.isfinite(costs[best])]:
             vertex = int(reached[row])
-            vertices = (*beginning.vertices, *along(previous, vertex, here)[-2::-1])
+            vertices = (*beginning.vertices, *vertices_along(previous, vertex, here)[-2::-1])
             stops = (*beginning.stops, len(vertices) - 1)
             length = beginning.length + float(distance[vertex])
-            whole = (*vertices, *along(self.following, vertex, self.size)[1:-1])
+            whole = (*vertices, *vertices_along(self.following, vertex, self.size)[1:-1])
             uncertainty = float(ends.overshoot[row] + ending[row])
             path = ScoredPath(whole, (*stops, len(whole) - 1), length + float(self.to_go[vertex]), uncertainty)
             results.append((path, _Beginning(vertices, stops, length, there.rows(reached[[row]]))))
         return results
 
-    def _spread(self, belief: _Front, here: int, previous: Ints) -> _Front:
+    def _propagate(self, belief: _Front, here: int, previous: Ints) -> _Front:
         """A belief at a vertex propagated along its shortest-path tree to all reachable vertices."""
         front, level = belief.rows(np.zeros(self.size, dtype=np.int64)), np.array([here])
         while (level := np.flatnonzero(np.isin(previous, level))).size:
@@ -179,7 +179,7 @@ class LocalisingSearch:
             self._advance(front, previous[level], level, previous[level], level)
         return front
 
-    def _onward(self, front: _Front, at: Ints) -> tuple[Ints, _Front]:
+    def _propagate_to_goal(self, front: _Front, at: Ints) -> tuple[Ints, _Front]:
         """Beliefs at vertices propagated to the goal: their final vertices (r,), and the beliefs."""
         at = at.copy()
         while (moving := np.flatnonzero(self.following[at] != self.size)).size:
@@ -197,7 +197,7 @@ class LocalisingSearch:
         before.visits[np.arange(len(end)), mode[end]] += mode[origin] != mode[end]
         front.visits[into] = before.visits
 
-    def _spare(self, front: _Front) -> Floats:
+    def _spare_steps(self, front: _Front) -> Floats:
         """(v,) steps left of max_knots."""
         return np.asarray(self.beliefs.problem.settings.max_knots - front.visits.sum(axis=1) - np.ceil(front.steps))
 

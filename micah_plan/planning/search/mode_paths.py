@@ -16,7 +16,7 @@ import numpy as np
 from scipy.sparse.csgraph import dijkstra
 
 from micah_plan.arrays import Floats, Ints
-from micah_plan.planning.search.roadmap import TRANSITION_COST, JoinedRoadmap, along
+from micah_plan.planning.search.roadmap import TRANSITION_COST, JoinedRoadmap, vertices_along
 
 # Digits [steps] in which costs must differ to count as different.
 _DIGITS = 9
@@ -132,7 +132,7 @@ class _Search:
         while True:
             distance, predecessor = self.distances(last.mode)
             entry = int(np.argmin(last.entry + distance[:, vertex]))
-            vertices.append(tuple(along(predecessor[entry], vertex, entry)[::-1]))
+            vertices.append(tuple(vertices_along(predecessor[entry], vertex, entry)[::-1]))
             if last.parent is None:
                 return VertexPath(prefix.modes, tuple(edges[::-1]), tuple(vertices[::-1]), cost)
             edges.append(last.edge)

@@ -25,7 +25,12 @@ from micah_plan.planning.roll_outs import FEW_MODES
 from micah_plan.planning.search.leaves import leaves_of
 from micah_plan.planning.search.localising import ScoredPath, best_paths, edges_of
 from micah_plan.planning.search.mode_paths import cheapest_sequences
-from micah_plan.planning.search.needed_modes import OtherWays, easier_graphs, in_the_way_of, with_other_ways
+from micah_plan.planning.search.needed_modes import (
+    PathsWithoutMode,
+    avoidable_modes,
+    blocking_constraints,
+    relaxed_graphs,
+)
 from micah_plan.planning.search.path_beliefs import PathBeliefs
 from micah_plan.planning.search.roadmap import (
     JoinedRoadmap,
@@ -112,7 +117,7 @@ def search_modes(
         if sequences := _searched(part, limits, start_mode, seed, deadline).sequences:
             # That there is no other way near this one does not say that there is none.
             named = (
-                replace(path, edges=tuple(kept[i] for i in path.edges), purposes=with_other_ways(path.purposes))
+                replace(path, edges=tuple(kept[i] for i in path.edges), purposes=avoidable_modes(path.purposes))
                 for path in sequences
             )
             return SearchResult(tuple(named))
@@ -178,15 +183,15 @@ def _among_states(
         deadline.check("search", "no mode sequence was complete", "samples_per_mode")
         if not is_last and not samples.is_cut_short:
             return SearchResult((), is_sparse=True)
-        easier = easier_graphs(problem, limits, roadmap, samples.points, deadline)
-        in_the_way = in_the_way_of(roadmap, easier, revisits, deadline)
+        easier = relaxed_graphs(problem, limits, roadmap, samples.points, deadline)
+        in_the_way = blocking_constraints(roadmap, easier, revisits, deadline)
         return SearchResult((), why_disconnected(problem, limits, samples, in_the_way))
     beliefs = PathBeliefs(problem, limits, roadmap, samples.points)
     chosen = best_paths(roadmap, beliefs, shortest, revisits, deadline)[:candidates]
     found = [_mode_sequence(path, beliefs, motions) for path in chosen]
     # Every way visits the mode that it starts in.
     visited = dict.fromkeys(mode for sequence in found for mode in sequence.modes if mode != start_mode)
-    purposes = OtherWays(problem, limits, samples, roadmap, beliefs, deadline).purposes(visited)
+    purposes = PathsWithoutMode(problem, limits, samples, roadmap, beliefs, deadline).purposes(visited)
     return SearchResult(
         tuple(
             replace(way, purposes=tuple(purposes[mode] for mode in dict.fromkeys(way.modes) if mode in purposes))

@@ -28,7 +28,7 @@ _PROGRAMMES = 50
 
 
 @dataclass(frozen=True, eq=False)
-class OtherWays:
+class PathsWithoutMode:
     """Paths through roadmaps that avoid one mode.
 
     Attributes:
@@ -54,8 +54,8 @@ class OtherWays:
         return purposes
 
     @cached_property
-    def _easier(self) -> dict[str, dict[str, csr_array]]:
-        return easier_graphs(self.problem, self.limits, self.roadmap, self.samples.points, self.deadline)
+    def _relaxed(self) -> dict[str, dict[str, csr_array]]:
+        return relaxed_graphs(self.problem, self.limits, self.roadmap, self.samples.points, self.deadline)
 
     def _purpose(self, mode: str) -> ModePurpose:
         """The alternative without a mode: neither left nor ended in."""
@@ -80,7 +80,7 @@ class OtherWays:
         problem = replace(self.problem, automaton=model, goal=goal, settings=settings)
         left = replace(samples, exits=exits, goals=goals)
         if (reason := why_unreachable(problem, self.limits, left)) is None:
-            in_the_way = in_the_way_of(reduced, self._easier, revisits, self.deadline)
+            in_the_way = blocking_constraints(reduced, self._relaxed, revisits, self.deadline)
             reason = why_disconnected(problem, self.limits, left, in_the_way, revisiting=False)
         return ModePurpose(mode, why=reason.sentence)
 
@@ -90,12 +90,12 @@ def _leaves(edge: Edge, mode: str) -> bool:
     return mode == edge.source or (isinstance(edge, ZeroTimeEdge) and mode in edge.through)
 
 
-def with_other_ways(purposes: Sequence[ModePurpose]) -> tuple[ModePurpose, ...]:
+def avoidable_modes(purposes: Sequence[ModePurpose]) -> tuple[ModePurpose, ...]:
     """The purposes of modes that can be avoided."""
     return tuple(purpose for purpose in purposes if purpose.without)
 
 
-def easier_graphs(
+def relaxed_graphs(
     problem: Problem, limits: Limits, roadmap: JoinedRoadmap, points: Mapping[str, Floats], deadline: Deadline
 ) -> dict[str, dict[str, csr_array]]:
     """(v, v) graphs of all modes without one constraint or guard each; empty if time runs out."""
@@ -114,7 +114,7 @@ def easier_graphs(
     return easier
 
 
-def in_the_way_of(
+def blocking_constraints(
     roadmap: JoinedRoadmap, easier: Mapping[str, Mapping[str, csr_array]], revisits: int, deadline: Deadline
 ) -> tuple[str, ...]:
     """Constraints and guards without any one of which the samples connect start and goal.

@@ -157,11 +157,11 @@ class _Search:
             mode = self.automaton.mode(prefix.modes[-1])
             ways = []
             if self.problem.goal.admits(mode.name):
-                ways.append(self._ended(prefix, mode))
+                ways.append(self._with_goal(prefix, mode))
             for index, edge in enumerate(self.automaton.edges):
                 leads_on = edge.source == mode.name and edge.target in self.leading and not edge.is_self_transition
                 if leads_on and prefix.modes.count(edge.target) < most:
-                    ways += self._followed(prefix, mode, index, edge)
+                    ways += self._with_transition(prefix, mode, index, edge)
             for way in ways:
                 if (shortest := self.shortest(way)) is None:
                     continue
@@ -212,7 +212,7 @@ class _Search:
         least = np.concatenate([prefix.least, np.zeros(2 * v), -apart - room / scale, apart - room / scale])
         left = np.full(g, 1.0 if done else _LEFT)
         cost = np.concatenate([np.zeros(v), np.tile(1.0 / self.limits.max_step, v // m if m else 0), left])
-        solution = self._solved(cost, rows, least, v)
+        solution = self._optimum(cost, rows, least, v)
         if solution is None:
             return None
         made, shortfall = float(cost[v : 2 * v] @ solution[v : 2 * v]), float(solution[2 * v :].sum())
@@ -223,9 +223,9 @@ class _Search:
         scale = np.tile(1.0 / self.limits.max_step, prefix.size // self.automaton.m)
         # Inputs that are not limited move nothing.
         limited = prefix.rows.any(axis=0)
-        return self._solved(np.where(limited, direction * scale, 0.0), prefix.rows, prefix.least, prefix.size)
+        return self._optimum(np.where(limited, direction * scale, 0.0), prefix.rows, prefix.least, prefix.size)
 
-    def _solved(self, cost: Floats, rows: Floats, least: Floats, free: int) -> Floats | None:
+    def _optimum(self, cost: Floats, rows: Floats, least: Floats, free: int) -> Floats | None:
         """The optimal variables, of which the first `free` may be negative; None if infeasible."""
         self.solved += 1
         bounds = [(None, None)] * free + [(0.0, None)] * (len(cost) - free)
@@ -239,7 +239,7 @@ class _Search:
         solution = linprog(cost, A_ub=-rows, b_ub=-least, bounds=bounds, method="highs", options=options)
         return np.asarray(solution.x) if solution.status == 0 else None
 
-    def _moved(self, prefix: _Prefix, mode: Mode) -> tuple[_Prefix, tuple[Floats, Floats]]:
+    def _with_input(self, prefix: _Prefix, mode: Mode) -> tuple[_Prefix, tuple[Floats, Floats]]:
         """The sequence extended by an input in its last mode, with the resulting state."""
         m = self.automaton.m
         rows = np.hstack([prefix.rows, np.zeros((len(prefix.rows), m))])
@@ -247,18 +247,18 @@ class _Search:
         place = np.hstack([M, mode.B * mode.free[:, None]]), c
         return replace(prefix, rows=rows, exits=(*prefix.exits, place)), place
 
-    def _ended(self, prefix: _Prefix, mode: Mode) -> _Prefix:
+    def _with_goal(self, prefix: _Prefix, mode: Mode) -> _Prefix:
         """The sequence extended by an input into the goal."""
-        moved, place = self._moved(prefix, mode)
+        moved, place = self._with_input(prefix, mode)
         states = self.states[mode.name]
         for index, value, tolerance in self.problem.goal.target:
             # A pinned coordinate is where it is; others must come into the goal.
             states = states.clip(index, value - tolerance, value + tolerance)
         return _within(moved, states, place)
 
-    def _followed(self, prefix: _Prefix, mode: Mode, index: int, edge: Edge) -> list[_Prefix]:
+    def _with_transition(self, prefix: _Prefix, mode: Mode, index: int, edge: Edge) -> list[_Prefix]:
         """The sequence extended by a transition: one variant for each boundary of entry into its guard."""
-        moved, place = self._moved(prefix, mode)
+        moved, place = self._with_input(prefix, mode)
         lowest, highest = admissible_inputs(mode, self.limits.max_step)
         moved = _within(moved, self.states[mode.name].intersect(edge.guard, lowest, highest), place)
         A, _, b = edge.reset.matrices(self.automaton.n, self.automaton.m)

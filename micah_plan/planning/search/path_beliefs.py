@@ -61,7 +61,7 @@ class PathBeliefs:
         mode = self.problem.automaton.mode(list(self.index)[self.mode_of[vertex]])
         variance = np.square(np.array([self.problem.start.std], dtype=float))
         for pin in mode.pins:
-            variance[:, pin.coordinate] = _together(variance[:, pin.coordinate], np.array([pin.std**2]))
+            variance[:, pin.coordinate] = _combined_variance(variance[:, pin.coordinate], np.array([pin.std**2]))
         for _ in range(steps_to_correct_start(self.problem, self.limits, mode)):
             variance = self._measured(variance, self.points[[vertex]], self.mode_of[[vertex]])
         return np.asarray(variance[0])
@@ -126,7 +126,7 @@ class PathBeliefs:
         if self._light:
             away = np.array([x[:, i] - value for i, value in self._light])
             observed = observed + np.square(self._growth[mode]) * np.square(away).sum(axis=0)[:, None]
-        return _together(prior, observed)
+        return _combined_variance(prior, observed)
 
     def _overshoot(self, edge: Edge, variance: Floats) -> Floats:
         """(p,) steps from a guard's boundary to where it holds with the planned confidence."""
@@ -148,7 +148,7 @@ class PathBeliefs:
         variance, located = variance.copy(), automaton.pins_located_by(edge)
         for pin in automaton.mode(edge.target).pins:
             before, pinned = variance[:, pin.coordinate], np.full(len(variance), pin.std**2)
-            variance[:, pin.coordinate] = pinned if pin in located else _together(before, pinned)
+            variance[:, pin.coordinate] = pinned if pin in located else _combined_variance(before, pinned)
         return variance
 
 
@@ -161,7 +161,7 @@ def steps_to_correct_start(problem: Problem, limits: Limits, mode: Mode) -> int:
     return int(min(np.max(off, where=mode.driven, initial=0.0), problem.settings.max_knots))
 
 
-def _together(prior: Floats, measured: Floats) -> Floats:
+def _combined_variance(prior: Floats, measured: Floats) -> Floats:
     """Variance of two independent estimates combined; an infinite one adds no information."""
     both = np.maximum(prior + measured, np.finfo(float).tiny)
     joined = prior * np.divide(measured, both, out=np.ones_like(both), where=np.isfinite(measured))

@@ -100,7 +100,7 @@ class ModeMotion:
         for obstacle in self.obstacles:
             steps[_blocked(obstacle, x, y)] = np.inf
         open_ways = np.flatnonzero(np.isfinite(steps))
-        steps[open_ways[_squeezed(self, x[open_ways], y[open_ways])]] = np.inf
+        steps[open_ways[_runs_between_obstacles(self, x[open_ways], y[open_ways])]] = np.inf
         possible = np.flatnonzero(np.isfinite(steps))
         if self.admits is not None and possible.size:
             # Tested where steps of a motion end, as in a plan: not where it begins.
@@ -126,7 +126,7 @@ def motions_of(problem: Problem, limits: Limits) -> dict[str, ModeMotion]:
     for mode in automaton.modes:
         admits = partial(admitted, problem, limits, mode.name) if problem.constraints else None
         obstacles = obstacles_on_state(automaton, mode.name)
-        forwards = _forwards(mode)
+        forwards = _nonnegative_inputs(mode)
         held = partial(holding_inputs, automaton, mode.name, B=mode.B * ~forwards) if automaton.effects else None
         outside = tuple(Region((h.opposite,)) for h in mode.invariant.half_spaces if not h.on_input)
         motions[mode.name] = ModeMotion(
@@ -135,7 +135,7 @@ def motions_of(problem: Problem, limits: Limits) -> dict[str, ModeMotion]:
     return motions
 
 
-def _forwards(mode: Mode) -> Booleans:
+def _nonnegative_inputs(mode: Mode) -> Booleans:
     """(m,) inputs that cannot be negative: time, or a ratchet."""
     found = np.zeros(mode.B.shape[1], dtype=bool)
     for h in mode.inputs.half_spaces:
@@ -155,11 +155,11 @@ def obstacles_on_state(automaton: HybridAutomaton, mode: str) -> tuple[Region, .
 
 def _blocked(guard: Region, x: Floats, y: Floats) -> Booleans:
     """(k,) whether a motion passes through the interior of a guard."""
-    enter, leave = _within(guard, x, y, ROUND_OFF)
+    enter, leave = _crossing_interval(guard, x, y, ROUND_OFF)
     return np.asarray(leave - enter > ROUND_OFF)
 
 
-def _within(guard: Region, x: Floats, y: Floats, depth: float) -> tuple[Floats, Floats]:
+def _crossing_interval(guard: Region, x: Floats, y: Floats, depth: float) -> tuple[Floats, Floats]:
     """(k,) fractions of each motion at which it enters and leaves the guard, shrunk by a depth."""
     u = np.zeros((*x.shape[:-1], len(guard.half_spaces[0].b)))
     before, after = guard.margins(x, u), guard.margins(y, u)
@@ -172,7 +172,7 @@ def _within(guard: Region, x: Floats, y: Floats, depth: float) -> tuple[Floats, 
     return np.maximum(enter.max(axis=-1), 0.0), np.minimum(leave.min(axis=-1), 1.0)
 
 
-def _squeezed(motion: ModeMotion, x: Floats, y: Floats) -> Booleans:
+def _runs_between_obstacles(motion: ModeMotion, x: Floats, y: Floats) -> Booleans:
     """(k,) whether a motion runs along a face shared by two obstacles, where there is no clearance.
 
     What a mode's invariant excludes is one more of them; but a mode may be as thin as its invariant alone makes it.
@@ -180,28 +180,28 @@ def _squeezed(motion: ModeMotion, x: Floats, y: Floats) -> Booleans:
     obstacles = (*motion.obstacles, *motion.outside)
     found = np.zeros(len(x), dtype=bool)
     needed = {number for pair in motion.shared_faces for number in pair}
-    ends = {number: _within(obstacles[number], x, y, -EQUAL) for number in needed}
+    ends = {number: _crossing_interval(obstacles[number], x, y, -EQUAL) for number in needed}
     beside = {number: leave - enter > EQUAL for number, (enter, leave) in ends.items()}
     for (i, j), shared in motion.shared_faces.items():
         begin, end = (limit([ends[i][side], ends[j][side]], axis=0) for side, limit in ((0, np.max), (1, np.min)))
         k = np.flatnonzero(~found & beside[i] & beside[j] & (end - begin > EQUAL))
         at = x[k] + 0.5 * (begin + end)[k, None] * (y[k] - x[k])
-        touched = [_touched(obstacles[number], at, motion.B) for number in (i, j)]
+        touched = [_touched_boundaries(obstacles[number], at, motion.B) for number in (i, j)]
         # At an edge there is a way past one of them.
         other = (touched[0][:, :, None] & touched[1][:, None, :] & ~shared).any(axis=(1, 2))
         found[k] = touched[0].any(axis=1) & touched[1].any(axis=1) & ~other
     return found
 
 
-def _moved(boundary: HalfSpace, moves: Floats) -> bool:
+def _inputs_cross(boundary: HalfSpace, moves: Floats) -> bool:
     """Whether inputs through B (n, m) move a state across a boundary."""
     return bool(np.any(np.array(boundary.a) @ moves))
 
 
-def _touched(obstacle: Region, x: Floats, moves: Floats) -> Booleans:
+def _touched_boundaries(obstacle: Region, x: Floats, moves: Floats) -> Booleans:
     """(k, h) boundaries of an obstacle that states (k, n) lie on and inputs through B (n, m) can cross."""
     margins = obstacle.margins(x, np.zeros((len(x), len(obstacle.half_spaces[0].b))))
-    return (np.abs(margins) <= _ON_BOUNDARY) & [_moved(h, moves) for h in obstacle.half_spaces]
+    return (np.abs(margins) <= _ON_BOUNDARY) & [_inputs_cross(h, moves) for h in obstacle.half_spaces]
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,7 +261,7 @@ class JoinedRoadmap:
         return costs[:last] - 1.0, following[:last]
 
 
-def along(links: Ints, vertex: int, end: int) -> list[int]:
+def vertices_along(links: Ints, vertex: int, end: int) -> list[int]:
     """The vertices from one to another along predecessor links."""
     path = [vertex]
     while path[-1] != end:

@@ -146,7 +146,7 @@ class _Sampler:
                 if name in self._on_leaves:
                     self._on_leaves[name].append(entry)
                 # The rounding of the linear programme must not leave the leaf.
-                leave = self._leaves[name].put_on(entry, passage.exits[i])
+                leave = self._leaves[name].projected_on_leaf(entry, passage.exits[i])
                 if i == len(passage.edges):
                     self.add(name, leave)
                     break
@@ -192,7 +192,7 @@ class _Sampler:
                 if (inside := states.intersect(region, -self._limits.max_step, self._limits.max_step)).is_empty:
                     continue
                 for point in inside.sample(self._rng, max(_FEWEST_GUARD_STATES, count // 8)):
-                    self.add(mode.name, _on_face(inside, region, leaves.put_on(base, point), leaves))
+                    self.add(mode.name, _on_face(inside, region, leaves.projected_on_leaf(base, point), leaves))
 
     def _add_outside(self, mode: Mode, points: Floats) -> None:
         """Add the states (k, n) that lie outside of the guards on the state."""
@@ -270,7 +270,7 @@ def _on_face(states: Polytope, region: Region, x: Floats, leaves: Leaves) -> Flo
     moved = []
     for half_space in region.half_spaces:
         a = np.array(half_space.a)
-        direction = leaves.put_on(x, x + a * np.square(leaves.speed)) - x
+        direction = leaves.projected_on_leaf(x, x + a * np.square(leaves.speed)) - x
         if a @ direction > 0.0:
             moved.append(x - direction * (float(a @ x) - half_space.c) / float(a @ direction))
     moved.sort(key=lambda y: float(np.linalg.norm((y - x) / leaves.speed)))

@@ -95,8 +95,11 @@ def corridor(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, k: f
     fixed = _fixed_boundaries(automaton, mode, exits)
     obstacles = _obstacles(automaton, mode, guess.edge)
     inside: list[tuple[HalfSpace, ...]] = [(h.opposite,) for h, sign, uncertain in fixed if sign > 0.0 and uncertain]
-    walls = _around(automaton, obstacles, inside, guess, k)
-    walls += [[None if h.on_input else h for h in kept_out(rows, guess, k)] for rows in mixed_guards(automaton, guess)]
+    walls = _obstacle_sides(automaton, obstacles, inside, guess, k)
+    walls += [
+        [None if h.on_input else h for h in avoided_half_spaces(rows, guess, k)]
+        for rows in mixed_guards(automaton, guess)
+    ]
     sides = () if leaving is None else _entered_before(mode, leaving, guess)
     rows, boundaries = [], dict[tuple[str, HalfSpace, float], Side | None]()
     stds = _threshold_stds(automaton, mode, [h for h, *_ in fixed])
@@ -211,7 +214,7 @@ def mixed_guards(automaton: HybridAutomaton, guess: PhaseGuess) -> dict[tuple[Ha
     return guards
 
 
-def kept_out(guard: tuple[HalfSpace, ...], guess: PhaseGuess, k: float) -> list[HalfSpace]:
+def avoided_half_spaces(guard: tuple[HalfSpace, ...], guess: PhaseGuess, k: float) -> list[HalfSpace]:
     """(N,) half-space of a guard on x and u that each step avoids.
 
     One on x alone where the guess is clearly outside, at both ends of the step; else the one on u that its input misses
@@ -228,7 +231,7 @@ def kept_out(guard: tuple[HalfSpace, ...], guess: PhaseGuess, k: float) -> list[
     return [on_state[i] if apart[i, step] >= k else chosen[step] for step, i in enumerate(best)]
 
 
-def _around(
+def _obstacle_sides(
     automaton: HybridAutomaton,
     obstacles: list[tuple[HalfSpace, ...]],
     inside: list[tuple[HalfSpace, ...]],
@@ -258,8 +261,8 @@ def _around(
     ]
     least = np.min([far.max(axis=0) for far in apart], axis=0)
     for step in np.flatnonzero(least < k).tolist():
-        beside = _Beside.of(automaton, rows, [far[:, step] for far in apart], guess, step, k)
-        if not beside.agree([int(of[step]) for of in best]):
+        beside = _ObstaclesAroundStep.of(automaton, rows, [far[:, step] for far in apart], guess, step, k)
+        if not beside.are_compatible([int(of[step]) for of in best]):
             for wall, h in zip(sides, beside.sides(rows), strict=False):
                 wall[step] = h
     if guess.edge is not None and guess.steps:
@@ -270,7 +273,7 @@ def _around(
 
 
 @dataclass(frozen=True, eq=False)
-class _Beside:
+class _ObstaclesAroundStep:
     """Obstacles around a step, and the directions of inputs past them.
 
     Attributes:
@@ -296,7 +299,7 @@ class _Beside:
         guess: PhaseGuess,
         step: int,
         k: float,
-    ) -> _Beside:
+    ) -> _ObstaclesAroundStep:
         a = np.array([h.a for own in rows for h in own])
         stds = np.linalg.norm(a @ guess.factors[step], axis=1) + SMALLEST_STD * np.linalg.norm(a, axis=1)
         slopes, far = (a @ automaton.mode(guess.mode).B) / stds[:, None], np.concatenate(apart)
@@ -305,7 +308,7 @@ class _Beside:
         firsts = np.cumsum([0, *map(len, rows[:-1])])
         return cls(far, slopes, -slopes[near] / squared[near, None], firsts, k)
 
-    def agree(self, chosen: list[int]) -> bool:
+    def are_compatible(self, chosen: list[int]) -> bool:
         """Whether inputs can reach a k-sigma distance from one half-space of each obstacle jointly."""
         at = self.firsts + np.array(chosen)
         at = at[np.any(self.slopes[at] != 0.0, axis=1)]

@@ -104,11 +104,11 @@ def guess_at(
         own = inputs[knots.start : knots.start + phase.steps]
         phases.append(replace(phase, means=means[knots], factors=factors[knots], inputs=own, spreads=spreads))
         if phase.edge is not None:
-            spread = _carried(problem.automaton, phase.edge, spreads[-1])
+            spread = _covariance_after_reset(problem.automaton, phase.edge, spreads[-1])
     return tuple(phases)
 
 
-def _carried(automaton: HybridAutomaton, edge: int, spread: Floats) -> Floats:
+def _covariance_after_reset(automaton: HybridAutomaton, edge: int, spread: Floats) -> Floats:
     """(n, n) covariance of the estimate after a reset; zero for pinned coordinates."""
     taken = automaton.edges[edge]
     A, free = matrix_after(automaton, taken), automaton.mode(taken.target).free
@@ -174,7 +174,7 @@ def _roll(
         if edge is not None:
             _, factors = _roll_phase(planned_step(automaton, name), mean, factor, np.zeros((count, automaton.m)))
             covariance = factors[-1] @ factors[-1].T + _spreads(mode, spread, factors, closed)[-1]
-            path = np.vstack([path, _inside(path[0], path[-1], covariance, edge, problem, limits)])
+            path = np.vstack([path, _state_inside_guard(path[0], path[-1], covariance, edge, problem, limits)])
         B = motion_per_input(automaton, name, limits.max_step)
         needed.append(_least_steps(problem, limits, name, path, B))
         states = _resample(path, limits.speed, count)
@@ -190,7 +190,7 @@ def _roll(
         if edge is not None:
             u = inputs[-1] if count else np.zeros(automaton.m)
             mean, factor = _belief(compiled_edge(automaton, edge).belief_reset(means[-1], factors[-1], u))
-            spread = _carried(automaton, edge, spreads[-1])
+            spread = _covariance_after_reset(automaton, edge, spreads[-1])
     return tuple(phases), needed
 
 
@@ -213,7 +213,7 @@ def _spreads(mode: CompiledMode, spread: Floats, factors: Floats, closed: Floats
         _, side_by_side = mode.predict.map(count)(
             np.zeros((n, count)), np.hstack(list(factors[:-1])), np.zeros((m, count))
         )
-        for predicted, after, carried in zip(_apart(side_by_side), factors[1:], closed, strict=True):
+        for predicted, after, carried in zip(_split_blocks(side_by_side), factors[1:], closed, strict=True):
             spreads.append(carried @ spreads[-1] @ carried.T + predicted @ predicted.T - after @ after.T)
     return np.array(spreads)
 
@@ -223,10 +223,10 @@ def _roll_phase(step: ca.Function, mean: Floats, factor: Floats, inputs: Floats)
     if not len(inputs):
         return mean[None], factor[None]
     means, side_by_side = step.mapaccum("rolled", len(inputs), 2)(mean, factor, inputs.T)
-    return np.vstack([mean, np.array(means).T]), np.concatenate([factor[None], _apart(side_by_side)])
+    return np.vstack([mean, np.array(means).T]), np.concatenate([factor[None], _split_blocks(side_by_side)])
 
 
-def _apart(side_by_side: ca.DM) -> Floats:
+def _split_blocks(side_by_side: ca.DM) -> Floats:
     """(k, n, n) matrices that lie side by side (n, k n)."""
     matrices = np.array(side_by_side, dtype=float)
     return matrices.reshape(len(matrices), -1, len(matrices)).transpose(1, 0, 2)
@@ -258,7 +258,9 @@ def _localising_steps(problem: Problem, phase: PhaseGuess, spare: int) -> int:
     return min(spare, MOST_LOCALISING_STEPS)
 
 
-def _inside(start: Floats, x: Floats, covariance: Floats, edge: int, problem: Problem, limits: Limits) -> Floats:
+def _state_inside_guard(
+    start: Floats, x: Floats, covariance: Floats, edge: int, problem: Problem, limits: Limits
+) -> Floats:
     """A state near x at which a guard holds with the planned confidence, reachable by B from a start.
 
     But for what faces the half-space that is crossed: that holds when it is.
@@ -270,7 +272,7 @@ def _inside(start: Floats, x: Floats, covariance: Floats, edge: int, problem: Pr
     far = crossed(source, taken, start, x, k)[2]
     for _ in range(3):  # rows that are not perpendicular disturb each other a little
         for row, std in zip(guard.half_spaces, stds_of(taken), strict=True):
-            need = guard_need(problem.automaton, taken.source, row, std, (moved, covariance), k)
+            need = guard_condition(problem.automaton, taken.source, row, std, (moved, covariance), k)
             direction = source.B @ (source.B.T @ need.a)
             if row.on_input or row in far or need.a @ direction <= 0:
                 continue
@@ -314,7 +316,7 @@ def crossed(
 
 
 @dataclass(frozen=True, eq=False)
-class Need:
+class ChanceConstraint:
     """Condition at k-sigma for a half-space of a guard to hold: a'x >= c.
 
     Attributes:
@@ -331,9 +333,9 @@ class Need:
         return float(np.sqrt(self.a @ covariance @ self.a + self.own**2))
 
 
-def guard_need(
+def guard_condition(
     automaton: HybridAutomaton, mode: str, row: HalfSpace, std: float, belief: tuple[Floats, Floats], k: float
-) -> Need:
+) -> ChanceConstraint:
     """The half-space, or the same without coordinates that no input moves, at the worst value of their range.
 
     Of a coordinate that no input moves a plan need not fear more than its range: lower arms that hang down further than
@@ -344,7 +346,7 @@ def guard_need(
         mode: that the guard leaves.
         std: of the threshold.
     """
-    mode_of_edge, source = automaton.mode(mode), Need(np.array(row.a), row.c, std)
+    mode_of_edge, source = automaton.mode(mode), ChanceConstraint(np.array(row.a), row.c, std)
     idle = ~mode_of_edge.driven & mode_of_edge.free & (source.a != 0.0)
     if row.on_input or not idle.any() or idle.all(where=source.a != 0.0):
         return source
@@ -355,7 +357,7 @@ def guard_need(
         ends = float(np.hypot(ends, source.a[i] * _end_std(automaton, mode, i)))
     if not np.isfinite(worst):
         return source
-    without = Need(np.where(idle, 0.0, source.a), row.c - worst, float(np.hypot(std, ends)))
+    without = ChanceConstraint(np.where(idle, 0.0, source.a), row.c - worst, float(np.hypot(std, ends)))
     mean, covariance = belief
     asked = [k * need.std(covariance) - float(need.a @ mean - need.c) for need in (source, without)]
     return source if asked[0] <= asked[1] else without

@@ -21,7 +21,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.region import HalfSpace
 from micah_plan.planning.avoided_inputs import STRICT_SHARE, needs_margin
 from micah_plan.planning.limits import Limits
-from micah_plan.planning.transcription.corridor import kept_out, mixed_guards
+from micah_plan.planning.transcription.corridor import avoided_half_spaces, mixed_guards
 from micah_plan.planning.transcription.guess import PhaseGuess
 from micah_plan.planning.transcription.rows import Row, boundary_name, unit_of
 
@@ -67,7 +67,7 @@ def input_rows(automaton: HybridAutomaton, limits: Limits, guess: PhaseGuess, k:
         if edge.source == guess.mode and not edge.is_self_transition and not others and first and first.on_input:
             sides += [(step, first, -1.0, needs_margin(automaton, edge)) for step in steps]
     for guard, edge in mixed_guards(automaton, guess).items():
-        of_steps = enumerate(kept_out(guard, guess, k))
+        of_steps = enumerate(avoided_half_spaces(guard, guess, k))
         sides += [(step, h, -1.0, needs_margin(automaton, edge)) for step, h in of_steps if h.on_input]
     rows = [_row(automaton, limits, guess, side, k, is_sent=False) for side in dict.fromkeys(sides[sent:])]
     return [_row(automaton, limits, guess, side, k, is_sent=True) for side in sides[:sent]] + rows
@@ -104,7 +104,7 @@ def spread_across(a: Floats, b: Floats, gain: Floats, spread: Floats) -> float:
     return max(0.0, float(across @ spread @ across))
 
 
-def deepest(half_space: HalfSpace, limits: Limits) -> float:
+def depth_limit(half_space: HalfSpace, limits: Limits) -> float:
     """The depth inside a half-space on the input that a plan can be asked for: that of the largest input."""
     if half_space.on_state:
         return np.inf

@@ -31,8 +31,8 @@ from micah_plan.planning.limits import Limits
 from micah_plan.planning.nlp import Programme
 from micah_plan.planning.plan_cost import effort_cost, goal_cost, variance_cost
 from micah_plan.planning.transcription.corridor import CorridorRow, PathRows, corridor, path_rows
-from micah_plan.planning.transcription.guess import PhaseGuess, crossed, guard_need
-from micah_plan.planning.transcription.inputs import InputRow, deepest, input_rows, spread_across
+from micah_plan.planning.transcription.guess import PhaseGuess, crossed, guard_condition
+from micah_plan.planning.transcription.inputs import InputRow, depth_limit, input_rows, spread_across
 from micah_plan.planning.transcription.late_motion import lost_motion
 from micah_plan.planning.transcription.packed_belief import factor_of, factor_pattern, pack, packed, pattern_entries
 from micah_plan.planning.transcription.rows import ConstraintRows, Row, unit_of
@@ -303,7 +303,7 @@ def _join(nlp: Transcription, before: int, after: int) -> None:
         row = Row(*place, low, np.inf, "guard", half_space, 1.0, None if certain else settings.confidence)
         margin, std = margins[i], stds[i]
         covariance = guess.factors[-1] @ guess.factors[-1].T + guess.spreads[-1]
-        need = guard_need(automaton, guess.mode, half_space, own, (guess.means[-1], covariance), settings.sigmas)
+        need = guard_condition(automaton, guess.mode, half_space, own, (guess.means[-1], covariance), settings.sigmas)
         if not np.array_equal(need.a, half_space.a):
             margin, std = _margin_function(nlp.pattern)(state, need.a, need.c)
         gains = nlp.guess[after].gains
@@ -312,7 +312,7 @@ def _join(nlp: Transcription, before: int, after: int) -> None:
         spread = spread_across(need.a, np.array(half_space.b), gain, guess.spreads[-1])
         total = ca.sqrt(std**2 + spread + need.own**2)
         if certain:  # the state does not matter, but what the feedback adds to the input does
-            far = min(settings.sigmas * float(np.sqrt(spread)), deepest(half_space, nlp.limits))
+            far = min(settings.sigmas * float(np.sqrt(spread)), depth_limit(half_space, nlp.limits))
             nlp.require(margin - far, [row])
         else:
             nlp.require(margin - settings.sigmas * total, [row], total)

@@ -27,7 +27,7 @@ class BeliefPath:
     Attributes:
         feasible: whether all constraints hold.
         cost: of the result, slack included.
-        message: how the optimisation ended, and which boundaries hold only in part; `unmet` tells why it is infeasible.
+        message: how the optimisation ended, and which boundaries hold only in part; see `violated_constraints`.
         is_out_of_time: whether the time limit ended it.
         iterations: of the solver.
         modes: (K,) per knot; means: (K, n); factors: (K, n, n); inputs: (K-1, m); is_transition: (K-1,).
@@ -53,10 +53,10 @@ def solve_transcription(nlp: Transcription, time_limit_s: float) -> BeliefPath:
     if not solution.is_number:
         worst = "; ".join(map(sentence_of, _worst(nlp, solution.w, solution.rows))) or "the cost is not a number"
         return path_of(nlp, replace(solution, said=f"{solution.said}: {worst}"))
-    return path_of(nlp, solution, tuple(_met_in_part(nlp, solution.w)) if solution.is_feasible else ())
+    return path_of(nlp, solution, tuple(_soft_violations(nlp, solution.w)) if solution.is_feasible else ())
 
 
-def unmet(nlp: Transcription, time_limit_s: float) -> list[Shortfall]:
+def violated_constraints(nlp: Transcription, time_limit_s: float) -> list[Shortfall]:
     """The violated constraints of an infeasible programme, worst first.
 
     Constraints on the path, and by how much each must be relaxed at all knots, if that is enough: the row is that of
@@ -72,7 +72,7 @@ def unmet(nlp: Transcription, time_limit_s: float) -> list[Shortfall]:
     names = list(dict.fromkeys(nlp.rows[i].name for i in asked))
     if asked:
         amounts = [names.index(nlp.rows[i].name) for i in asked]
-        solution = Solver(_elastic(programme, rows, asked, amounts), time_limit_s).solve()
+        solution = Solver(_relaxed_programme(programme, rows, asked, amounts), time_limit_s).solve()
         values = programme.values(solution.w[:size])[1]
         missed = [
             Shortfall(nlp.rows[min((i for i in asked if nlp.rows[i].name == name), key=values.__getitem__)], amount)
@@ -83,11 +83,11 @@ def unmet(nlp: Transcription, time_limit_s: float) -> list[Shortfall]:
             return sorted(missed, key=lambda shortfall: -shortfall.amount)
     is_loose = nlp.rows.lower < nlp.rows.upper
     loose = np.flatnonzero(is_loose).tolist()
-    w = Solver(_elastic(programme, rows, loose, list(range(len(loose)))), time_limit_s).solve().w[:size]
+    w = Solver(_relaxed_programme(programme, rows, loose, list(range(len(loose)))), time_limit_s).solve().w[:size]
     return _worst(nlp, w, np.where(is_loose, programme.values(w)[1], nlp.rows.lower))
 
 
-def _elastic(programme: Programme, rows: Floats, loose: list[int], amounts: list[int]) -> Programme:
+def _relaxed_programme(programme: Programme, rows: Floats, loose: list[int], amounts: list[int]) -> Programme:
     """The programme with some rows relaxed by penalised amounts (elastic mode).
 
     Args:
@@ -129,7 +129,7 @@ def blocks_of(nlp: Transcription, values: Floats) -> list[tuple[Floats, Floats, 
     return list(zip(blocks[::3], blocks[1::3], blocks[2::3], strict=True))
 
 
-def _met_in_part(nlp: Transcription, w: Floats) -> list[Shortfall]:
+def _soft_violations(nlp: Transcription, w: Floats) -> list[Shortfall]:
     """For each boundary violated at k-sigma, the largest violation."""
     worst: dict[tuple[str, str], tuple[float, int, float]] = {}
     for phase, (_, _, slacks) in zip(nlp.phases, blocks_of(nlp, w), strict=True):
