@@ -26,7 +26,7 @@ from unseen_kinds import KINDS
 from unseen_plants import Answer, answered, rolled
 
 from micah_plan.recording.read import read_recording
-from micah_plan.residual import calibrate, candidates, competition, contenders, coordinate_data, trace
+from micah_plan.residual import calibrate, competition, contenders, coordinate_data, responses, trace
 
 Instead = Callable[..., Any]
 """What stands in the place of a gate: given the original and its arguments."""
@@ -85,12 +85,14 @@ GATES: dict[str, Gate] = {
     "each effect": Gate(contenders, "is_borne_out", _all_together, "held-out runs agree on each effect"),
     "regular": Gate(contenders, "regularity", _always(0.0), "what was meant is more regular than noise is in"),
     "beginnings": Gate(contenders, "_BEGINS", 0.0, "odds against an effect that began"),
-    "reachable": Gate(candidates, "_REACHABLE", 0.0, "places are where the part can get"),
+    "reachable": Gate(responses, "_REACHABLE", 0.0, "places are where the part can get"),
     "unconfirmed": Gate(competition, "_UNCONFIRMED", np.inf, "what one run shows alone is told"),
     "ties": Gate(competition, "simplest", _as_they_are, "the plainest of those that are tied"),
     "contradicted": Gate(trace, "_is_contradicted", _always(False), "one of few runs does not contradict it"),
     "longer": Gate(trace, "_LONGER", np.inf, "roll-outs do not get longer"),
-    "unclear commands": Gate(coordinate_data, "_is_unclear", _all_clear, "steps that noise decides about do not count"),
+    "unclear commands": Gate(
+        coordinate_data, "_depends_on_noise", _all_clear, "steps that noise decides about do not count"
+    ),
     "single steps": Gate(trace, "_is_noisier", _always(False), "single steps do not get longer"),
     "single": Gate(trace, "_is_single", _always(False), "one run of few motions confirms nothing"),
     "changing": Gate(trace, "_is_changing", _always(False), "what changes twice may go on"),

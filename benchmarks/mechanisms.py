@@ -78,14 +78,14 @@ def _without_endings(original: Any) -> Any:
     return lambda density, ending: original(density, np.zeros_like(ending))
 
 
-def _believed(original: Any) -> Any:
+def _fit_to_inliers(original: Any) -> Any:
     """All rows that count, whatever the mixture says."""
     return lambda joint, stds, rows, used, _trusting: original(joint, stds, rows, used, True)
 
 
 MECHANISMS: Mapping[str, Mechanism] = {
-    "outliers of the last fit": Mechanism(final_fit, "_believed", _believed),
-    "strays": Mechanism(final_fit, "_strays", _returns(False)),
+    "outliers of the last fit": Mechanism(final_fit, "_fit_to_inliers", _fit_to_inliers),
+    "strays": Mechanism(final_fit, "_is_off_unweighted_axis", _returns(False)),
     "hinge or screw by all poses": Mechanism(final_fit, "_hinge_or_screw", _returns(None)),
     "the fast wander": Mechanism(noise_fit, "_FAST_SHARES", lambda _: np.array([0.0])),
     "correlated channels": Mechanism(noise_fit, "correlated", _independent),
@@ -96,15 +96,15 @@ MECHANISMS: Mapping[str, Mechanism] = {
         segmentation, "_from_two_noises", lambda original: lambda *given: original(*given)[-1:]
     ),
     "rests at once": Mechanism(segmentation, "with_rests", _returns(None)),
-    "rivals beside the answer": Mechanism(segmentation, "_beside_rivals", lambda _: lambda answer, _settings: answer),
+    "rivals beside the answer": Mechanism(segmentation, "_with_rivals", lambda _: lambda answer, _settings: answer),
     "rests on the path are cheap": Mechanism(evidence, "held_costs", lambda _: lambda cost, *_others: cost.copy()),
     "joints that move nothing": Mechanism(
-        parameter_costs, "_denied", lambda _: lambda pool, _noise: np.zeros(len(pool.hypotheses.used))
+        parameter_costs, "_implausible_kind_cost", lambda _: lambda pool, _noise: np.zeros(len(pool.hypotheses.used))
     ),
     "last steps that are cut short": Mechanism(evidence, "segment_sums", _without_endings),
     "rests in the end": Mechanism(
         report,
-        "rests_in_the_end",
+        "final_rests",
         lambda _: lambda _table, _moves, track, *_others: np.full((1, len(track), len(track)), -1e6),
     ),
     "free motion and paths": Mechanism(run, "assess_joints", _returns(None)),
