@@ -23,7 +23,7 @@ PACKAGE = Path(micah_plan.__file__).parent
 # Lowest first. A module may import from its own entry and from the lines above, never from its own line's neighbours
 # or from below. Entries are packages or files of the top level: there are no exceptions for single modules.
 LAYERS: tuple[tuple[str, ...], ...] = (
-    ("arrays", "errors", "quantities"),
+    ("arrays", "errors", "message", "quantities"),
     ("changepoints", "files", "mujoco_library", "summaries"),
     ("output_files", "xml_text"),
     ("recording",),

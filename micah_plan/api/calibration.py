@@ -13,6 +13,7 @@ from micah_plan.api import inputs
 from micah_plan.api.inputs import Measured, Modelled
 from micah_plan.api.result import Result, save_model
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.message import codes_of
 from micah_plan.quantities import percent, plain, quantity
 from micah_plan.recording.commands import CommandKind, with_commands
 from micah_plan.recording.value import Recording
@@ -51,9 +52,9 @@ class CalibrationResult(Result):
     @property
     def reason(self) -> str:
         """The outcome as a sentence."""
-        from micah_plan.residual.verdict import SENTENCES
+        from micah_plan.residual.messages import VERDICTS
 
-        return SENTENCES[self.calibration.verdict]
+        return VERDICTS[self.calibration.verdict]
 
     @property
     def title(self) -> str:
@@ -124,6 +125,7 @@ class CalibrationResult(Result):
             "missing_modes": [_missing_mode(mode) for trace in calibration.traces for mode in trace.missing_modes],
             "coordinates": [_coordinate(trace) for trace in calibration.traces],
             "notes": list(calibration.notes),
+            "note_codes": codes_of(calibration.notes),
             "next_experiment": calibration.experiment,
             "seconds": self.seconds,
             "changes": [asdict(change) for change in self.changes],

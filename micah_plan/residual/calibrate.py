@@ -15,8 +15,10 @@ from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect, Since
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError
+from micah_plan.message import Message
 from micah_plan.quantities import interval, quantity
 from micah_plan.recording.value import Recording
+from micah_plan.residual import messages
 from micah_plan.residual.added_modes import with_missing_modes
 from micah_plan.residual.calibration import Calibration, FoundEffect, pose_sizes, size_of, spread_runs
 from micah_plan.residual.calibration_notes import notes_on, notes_on_beliefs, notes_on_rows
@@ -33,18 +35,12 @@ from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.faulty_runs import faulty_runs
 from micah_plan.residual.geometry import DirectFinding, systematic_transverse_error, transverse_rms
 from micah_plan.residual.likelihood import FEWEST_ROWS, TIE
+from micah_plan.residual.messages import Verdict
 from micah_plan.residual.onsets import with_onset_digest
 from micah_plan.residual.prediction import predict_recording, refused
 from micah_plan.residual.range_exceeded import RangeExceeded, with_range_ends, with_shifts, without_old_ends
-from micah_plan.residual.separating_experiments import (
-    experiment_for_alike_runs,
-    experiment_for_missing_mode,
-    experiment_for_nothing,
-    experiment_for_unexplained,
-    experiment_that_separates,
-)
 from micah_plan.residual.trace import CoordinateFinding, CoordinateTrace, may_remember, trace
-from micah_plan.residual.verdict import Verdict, overall
+from micah_plan.residual.verdict import overall
 from micah_plan.summaries import Progress
 
 # Poses this far beside the joints [m], and this share of the lever arm, are those of another object.
@@ -95,12 +91,8 @@ def _with_revised_effects(kept: Calibration, progress: Progress | None) -> Calib
         return kept
     names = ", ".join(f"{effect.name} of {effect.coordinate}" for effect in earlier)
     if not replaces(found, earlier):
-        note = (
-            f"this recording is likelier without {names}, which an earlier calibration added; calibrate the model "
-            "without it on all recordings together"
-        )
-        return replace(kept, notes=(note, *kept.notes))
-    note = f"{names}, from an earlier calibration, was estimated anew: this recording tells what that one did not"
+        return replace(kept, notes=(messages.earlier_effects_questioned(names), *kept.notes))
+    note = messages.earlier_effects_estimated_anew(names)
     return replace(anew, nominal=automaton, reviewed=kept, before=kept.before, notes=(note, *anew.notes))
 
 
@@ -151,10 +143,10 @@ def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Prog
         traces=traces,
         notes=(
             *notes_on(traces),
-            *(f"{name}: no effect has that name" for name in examination.off_joint_error),
+            *(messages.no_effect_for(str(error)) for error in examination.off_joint_error),
             *(_note_on_since(item.effect) for item in effects if item.effect.since is not None and item.is_added),
-            *(f"{effect.name} of {effect.coordinate} was not added: {reason}" for effect, reason in refusing.items()),
-            *([f"predict refuses these runs: {why}"] if why else []),
+            *(messages.effect_refused(effect.name, effect.coordinate, error) for effect, error in refusing.items()),
+            *([messages.runs_refused(why)] if why else []),
             *notes_on_rows(exceeded, measured, examination.late),
             *notes_on_beliefs(corrected, examination.as_read, measured),
         ),
@@ -189,17 +181,14 @@ def _without_refused_effects(
     while kept and why:
         without = {effect: [remaining for remaining in kept if remaining is not effect] for effect in kept}
         effect = next((effect for effect, rest in without.items() if not refused(made(rest), recording)), kept[-1])
-        refusing[effect] = f"with it the model refuses these runs ({why})"
+        refusing[effect] = why
         kept = without[effect]
         why = refused(made(kept), recording)
     return made(kept), refusing, why
 
 
-def _note_on_since(effect: Effect) -> str:
-    return (
-        f"{effect.name} of {effect.coordinate} began {began(effect.since)}: in this recording predict has it from "
-        "there on; later recordings, plans and executions always have it"
-    )
+def _note_on_since(effect: Effect) -> Message:
+    return messages.effect_has_onset(effect.name, effect.coordinate, began(effect.since))
 
 
 def began(since: Since | None) -> str:
@@ -279,8 +268,10 @@ def _in_seconds(effect: Effect, period: float) -> tuple[tuple[str, float], ...]:
 def _experiment(data: CoordinateData, finding: CoordinateFinding) -> str:
     """The experiment that would separate an effect from its alternatives; empty if there are none."""
     if finding.tied:
-        return experiment_that_separates(finding.part.name, finding.tied[0])
-    return experiment_for_alike_runs(finding.part.name) if may_remember(data, finding) else ""
+        first, second = finding.part.name, finding.tied[0]
+        own = dict(form(first).experiments).get(second) or dict(form(second).experiments).get(first)
+        return messages.experiment_of_form(own) if own else messages.vary_commands(first, second)
+    return messages.start_elsewhere(finding.part.name) if may_remember(data, finding) else ""
 
 
 def _direct_effect(direct: DirectFinding) -> FoundEffect:
@@ -351,12 +342,12 @@ def _next_experiment(effects: Sequence[FoundEffect], traces: Sequence[Coordinate
         for mode in traced.missing_modes:
             if mode.modes:
                 continue
-            return experiment_for_missing_mode(mode.low if np.isfinite(mode.low) else mode.high, mode.unit)
+            return messages.record_mode(mode.low if np.isfinite(mode.low) else mode.high, mode.unit)
         if traced.outcome.verdict in ("partly", "unexplained"):
             low, high = traced.data.visited
-            return experiment_for_unexplained(f"over {interval(low, high, traced.data.unit)}")
+            return messages.vary_speed(interval(low, high, traced.data.unit))
     if effects:
-        return "repeat with commands of other sizes and directions, to see whether the effects found hold there too"
+        return messages.confirm_effects()
     data = traces[0].data
     low, high = data.visited
-    return experiment_for_nothing(data.rows, high - low, data.unit)
+    return messages.larger_commands(data.rows, high - low, data.unit)

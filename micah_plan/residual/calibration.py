@@ -11,10 +11,11 @@ import numpy as np
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.message import Message
 from micah_plan.recording.value import Recording
+from micah_plan.residual.messages import Verdict
 from micah_plan.residual.prediction import RunPrediction, predict_recording, refused, rmse, rmse_of_coordinates
 from micah_plan.residual.trace import CoordinateTrace
-from micah_plan.residual.verdict import Verdict
 
 # Rows whose poses are predicted for the report.
 _POSE_ROWS = 2000
@@ -105,7 +106,7 @@ class Calibration:
     rollout_floor: float
     unexplained_fraction: float
     traces: tuple[CoordinateTrace, ...]
-    notes: tuple[str, ...]
+    notes: tuple[Message, ...]
     experiment: str
     nominal: HybridAutomaton
     recording: Recording

@@ -16,7 +16,8 @@ import numpy as np
 from scipy.special import fdtrc
 
 from micah_plan.arrays import Floats
-from micah_plan.quantities import quantity
+from micah_plan.message import Message
+from micah_plan.residual import messages
 from micah_plan.residual.contenders import Contender
 from micah_plan.residual.fitting import ENOUGH_INDEPENDENT
 from micah_plan.residual.trace import CoordinateTrace
@@ -42,15 +43,13 @@ class FaultyRun:
     is_lasting: bool
 
     def __str__(self) -> str:
-        error, usual = (quantity(size, self.unit, digits=2) for size in (self.error, self.usual))
-        return f"{self.coordinate}: run {self.run} is unlike the others, {error} per step where they miss by {usual}"
+        return messages.outlying_run(self.coordinate, self.unit, self.run, self.error, self.usual)
 
     @property
-    def advice(self) -> str:
+    def advice(self) -> Message:
         """The finding with its consequence for the user."""
-        if self.is_lasting:
-            return f"{self}; it was left out. Something may have changed: record more runs like it to tell what"
-        return f"{self}; it was left out: was something in the way, or the tracker lost?"
+        advice = messages.lasting_change if self.is_lasting else messages.faulty_run
+        return advice(self.coordinate, self.unit, self.run, self.error, self.usual)
 
 
 def faulty_runs(traces: Sequence[CoordinateTrace]) -> tuple[FaultyRun, ...]:

@@ -25,7 +25,7 @@ from micah_plan.automaton.joint import Joint, axis_basis
 from micah_plan.automaton.kinematics import ROTATION_LENGTH, forward, inverse, jacobian
 from micah_plan.automaton.link_motion import link_motions
 from micah_plan.automaton.tracks import Track, measuring_links
-from micah_plan.quantities import quantity
+from micah_plan.residual import messages
 from micah_plan.residual.likelihood import EVIDENCE_PER_ROW
 
 # Evidence [nats] that a change of geometry must have, in all and per row; what wanders can look like one.
@@ -143,9 +143,8 @@ class OffJointError:
     evidence: float
 
     def __str__(self) -> str:
-        sizes = [(self.position, "m"), (self.rotation, "rad")]
-        said = " and ".join(quantity(size, unit, digits=2, degrees=False) for size, unit in sizes if size > _EXACT)
-        return f"poses lie {said} beside the joint of {self.coordinate}, by what depends on where it is"
+        position, rotation = (size if size > _EXACT else 0.0 for size in (self.position, self.rotation))
+        return messages.poses_off_joint(self.coordinate, position, rotation)
 
 
 def off_joint_errors(automaton: HybridAutomaton, tracks: Sequence[Track]) -> tuple[OffJointError, ...]:

@@ -10,8 +10,9 @@ import numpy as np
 from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.link_motion import link_motions
+from micah_plan.message import Message
 from micah_plan.recording.value import Recording
-from micah_plan.residual.calibration_notes import note_on_late_actions
+from micah_plan.residual import messages
 from micah_plan.residual.examined import Examined, examined
 from micah_plan.residual.faulty_runs import FaultyRun, outlying_runs
 from micah_plan.residual.held_out import HeldOut
@@ -74,18 +75,18 @@ def judge(automaton: HybridAutomaton, recording: Recording, runs: Sequence[RunPr
     errors = [[run.one_step.configuration[:, i] for run in runs] for i in range(automaton.n)]
     correlation = max(map(_correlation, errors), key=abs)
     if sum(len(run.v) for run in runs) < FEWEST_ROWS:
-        return Judgement(None, None, None, "too few rows to tell errors from noise", (), correlation, changes)
+        return Judgement(None, None, None, messages.too_few_rows(), (), correlation, changes)
     examination = examined(automaton, recording)
     one_step, rollout = _floors(automaton, runs, examination.models)
     sentence = _sentence(examination, () if examination.is_noise else _outlying_runs_of(automaton, runs))
-    sentence = f"{note_on_late_actions(examination.late)}. {sentence}" if examination.late else sentence
+    late = f"{messages.actions_stored_late(examination.late)}. " if examination.late else ""
     follows = tuple(
         (model.data.coordinate, *follow)
         for model, test in examination.innovation_tests
         if test
         for follow in test.follows
     )
-    return Judgement(one_step, rollout, examination.is_noise, sentence, follows, correlation, changes)
+    return Judgement(one_step, rollout, examination.is_noise, late + sentence, follows, correlation, changes)
 
 
 def _outlying_runs_of(automaton: HybridAutomaton, runs: Sequence[RunPrediction]) -> list[FaultyRun]:
@@ -98,23 +99,21 @@ def _outlying_runs_of(automaton: HybridAutomaton, runs: Sequence[RunPrediction])
     return faulty
 
 
-def _sentence(examination: Examined, faulty: Sequence[FaultyRun]) -> str:
+def _sentence(examination: Examined, faulty: Sequence[FaultyRun]) -> Message:
     if examination.is_noise:
-        return "errors look like noise: this recording shows nothing that the model lacks"
-    sentences = [
-        f"those of {model.data.coordinate} follow {test}"
+        return messages.errors_are_noise()
+    regressors = [
+        (model.data.coordinate, str(test))
         for model, test in examination.innovation_tests
-        if test and test.is_more
+        if test is not None and test.is_more
     ]
-    said = [f"errors are not noise: {'; '.join(sentences)}"] if sentences else []
-    said += map(str, (*examination.off_joint_error, *faulty))
-    named = [f"{finding.effect.name} of {finding.effect.coordinate}" for finding in examination.direct]
-    said += [f"poses and readings ask for {', '.join(named)}"] if named else []
-    if not said and not examination.models:
-        return "whether errors are noise is told only where each coordinate has an input of its own"
-    if not said:
-        return "the whiteness test is inconclusive: run calibrate"
-    return f"{'; '.join(said)}. calibrate names what is missing"
+    findings: list[str] = [messages.errors_depend_on(regressors)] if regressors else []
+    findings += map(str, (*examination.off_joint_error, *faulty))
+    direct = [f"{finding.effect.name} of {finding.effect.coordinate}" for finding in examination.direct]
+    findings += [messages.poses_ask_for(direct)] if direct else []
+    if findings:
+        return messages.errors_not_noise(findings)
+    return messages.whiteness_inconclusive() if examination.models else messages.no_own_inputs()
 
 
 def _circumstances(runs: Sequence[RunPrediction], i: int) -> Circumstances:

@@ -18,7 +18,7 @@ import numpy as np
 
 from micah_plan.arrays import ROUND_OFF, Floats, Ints, earlier_rows, robust_std
 from micah_plan.changepoints import LengthPrior, length_terms, most_probable_spans
-from micah_plan.quantities import percent, quantity
+from micah_plan.residual import messages
 from micah_plan.residual.coordinate_data import CoordinateData
 from micah_plan.residual.likelihood import FEWEST_ROWS, FREEDOM, independent_share, robust_log_density
 
@@ -57,13 +57,8 @@ class MissingMode:
     modes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        ends = [f"from {quantity(self.low, self.unit)} on"] if np.isfinite(self.low) else []
-        ends += [f"up to {quantity(self.high, self.unit)}"] if np.isfinite(self.high) else []
-        moves = f"{percent(self.gain, 0)} of a command is carried out"
-        if abs(self.bias) > 1e-3 * abs(self.gain):
-            moves += f" and {quantity(self.bias, self.unit, digits=2)} added to each step"
-        added = f"; the new model has it as {', '.join(self.modes)}" if self.modes else ""
-        return f"{self.coordinate} has a mode that the model lacks {' '.join(ends)}: there {moves}{added}"
+        low, high = (end if np.isfinite(end) else None for end in (self.low, self.high))
+        return messages.mode_of_its_own(self.coordinate, self.unit, low, high, self.gain, self.bias, self.modes)
 
 
 def missing_modes(

@@ -17,8 +17,8 @@ import numpy as np
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.automaton.tracks import tracks
-from micah_plan.quantities import plain
 from micah_plan.recording.value import Recording
+from micah_plan.residual import messages
 from micah_plan.residual.calibration import Calibration
 from micah_plan.residual.candidates import candidates, equivalent_candidate
 from micah_plan.residual.contenders import Contender, best_first
@@ -63,8 +63,7 @@ class Designed:
     expected: tuple[tuple[str, str, float], ...]
 
     def __str__(self) -> str:
-        pairs = "; ".join(f"{first} from {second} ({plain(nats, 2)} nats)" for first, second, nats in self.expected)
-        return f"tells apart for {self.coordinate}, with the evidence to expect: {pairs}"
+        return messages.separates(self.coordinate, self.expected)
 
 
 def next_experiment(automaton: HybridAutomaton, recording: Recording, calibration: Calibration) -> Designed | None:

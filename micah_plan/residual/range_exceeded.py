@@ -16,7 +16,8 @@ from micah_plan.automaton.effects.ends import is_held, range_of, with_end_moved
 from micah_plan.automaton.effects.registry import form
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.automaton.hybrid import HybridAutomaton
-from micah_plan.quantities import quantity
+from micah_plan.message import Message
+from micah_plan.residual import messages
 from micah_plan.residual.compared_runs import white_noise_of
 
 # A recording goes beyond an end if so many rows do, by so many standard deviations of a measurement; or if a run starts
@@ -67,12 +68,13 @@ class RangeExceeded:
         at, side = effect.values
         return replace(effect, name=_SHIFT, parameters=(("shift", at - self.end), ("side", side)))
 
+    @property
+    def message(self) -> Message:
+        """The finding in a sentence."""
+        return messages.range_exceeded(self.name, self.unit, self.reached, self.end, self.is_all)
+
     def __str__(self) -> str:
-        ended, reached = quantity(self.end, self.unit), quantity(self.reached, self.unit)
-        sentence = (
-            f"{self.name} was measured up to {reached}, beyond the model's range, which ends at {ended} with no stop"
-        )
-        return f"{sentence}; all rows lie there: this may be another object" if self.is_all else sentence
+        return self.message
 
 
 def ranges_exceeded(automaton: HybridAutomaton, runs: Sequence[Floats]) -> tuple[RangeExceeded, ...]:

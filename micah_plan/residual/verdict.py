@@ -4,15 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
-Verdict = Literal["none", "explained", "partly", "unexplained"]
-SENTENCES: dict[Verdict, str] = {
-    "none": "the model lacks nothing that this recording can show",
-    "explained": "the effects explain what the model lacked",
-    "partly": "the effects explain a part of what the model lacks",
-    "unexplained": "the model lacks something that no effect of the library explains",
-}
+from micah_plan.residual import messages
+from micah_plan.residual.messages import Verdict
 
 UNEXPLAINED = 0.5
 """Share of the explainable residual that effects leave to a correction without a name, from which on they only imitate
@@ -60,92 +54,41 @@ class Facts:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A possible conclusion with its verdict.
-
-    Attributes:
-        sentence: of a coordinate, in plain words.
-    """
+    """A possible conclusion about a coordinate, with its verdict."""
 
     name: str
     verdict: Verdict
-    sentence: str
+
+    @property
+    def sentence(self) -> str:
+        """The conclusion in words."""
+        return messages.OUTCOMES[self.name]
 
 
 OUTCOMES: tuple[tuple[Outcome, Callable[[Facts], bool]], ...] = (
-    (Outcome("mode", "partly", "a mode of its own is missing"), lambda f: f.modes > 0),
+    (Outcome("mode", "partly"), lambda f: f.modes > 0),
+    (Outcome("averaged", "partly"), lambda f: f.is_averaged and f.effects > 0),
+    (Outcome("averaged alone", "none"), lambda f: f.is_averaged),
     (
-        Outcome(
-            "averaged",
-            "partly",
-            "steps follow averages of the commands over rows before and after, so effects are blurred",
-        ),
-        lambda f: f.is_averaged and f.effects > 0,
-    ),
-    (
-        Outcome(
-            "averaged alone",
-            "none",
-            "the model leaves noise alone, but for commands that are averaged over rows before and after",
-        ),
-        lambda f: f.is_averaged,
-    ),
-    (
-        Outcome("unnamed", "unexplained", "what is left follows something that no effect names"),
+        Outcome("unnamed", "unexplained"),
         lambda f: (
             f.smooth > UNEXPLAINED
             or (not f.effects and (f.smooth > 0 or f.is_corrected or (f.is_following and not f.is_passing)))
         ),
     ),
-    (
-        Outcome("remembered", "partly", "with runs like these the effect may as well come from earlier commands"),
-        lambda f: f.is_open,
-    ),
-    (
-        Outcome("longer", "partly", "roll-outs of rows that were held out get longer with it"),
-        lambda f: f.is_longer,
-    ),
-    (
-        Outcome("passing", "partly", "one run alone shows that there is more, and no other run can confirm it"),
-        lambda f: f.is_passing,
-    ),
-    (
-        Outcome("more", "partly", "a correction without a name predicts clearly better on top of the effects"),
-        lambda f: f.smooth > 0.0 or f.is_corrected,
-    ),
-    (
-        Outcome(
-            "contradicted",
-            "partly",
-            "one of so few runs is predicted worse by what the others show, so more runs must tell",
-        ),
-        lambda f: f.is_contradicted,
-    ),
-    (
-        Outcome("single", "partly", "one run of a few motions shows it, and no other run can confirm it"),
-        lambda f: f.effects > 0 and f.is_single,
-    ),
-    (
-        Outcome(
-            "changing",
-            "partly",
-            "it changed more than once on the way, by steps or little by little, so it may go on changing",
-        ),
-        lambda f: f.is_changing,
-    ),
-    (
-        Outcome(
-            "noisier", "partly", "single steps get longer with it, so what it leaves is no noise of readings alone"
-        ),
-        lambda f: f.is_noisier,
-    ),
-    (
-        Outcome("not white", "partly", "what is left is no noise, but nothing that helps in roll-outs names it"),
-        lambda f: f.is_following,
-    ),
-    (Outcome("named", "explained", "the effects leave noise alone"), lambda f: f.effects > 0),
-    (Outcome("nothing", "none", "the model leaves noise alone"), lambda _: True),
+    (Outcome("remembered", "partly"), lambda f: f.is_open),
+    (Outcome("longer", "partly"), lambda f: f.is_longer),
+    (Outcome("passing", "partly"), lambda f: f.is_passing),
+    (Outcome("more", "partly"), lambda f: f.smooth > 0.0 or f.is_corrected),
+    (Outcome("contradicted", "partly"), lambda f: f.is_contradicted),
+    (Outcome("single", "partly"), lambda f: f.effects > 0 and f.is_single),
+    (Outcome("changing", "partly"), lambda f: f.is_changing),
+    (Outcome("noisier", "partly"), lambda f: f.is_noisier),
+    (Outcome("not white", "partly"), lambda f: f.is_following),
+    (Outcome("named", "explained"), lambda f: f.effects > 0),
+    (Outcome("nothing", "none"), lambda _: True),
 )
-"""What may be said of a coordinate, and whether the facts allow it."""
+"""Outcomes with their conditions, in order of precedence."""
 
 
 def outcome_of(facts: Facts) -> Outcome:

@@ -12,9 +12,9 @@ from micah_plan.quantities import count, interval, percent, plain, quantity, wit
 from micah_plan.residual.calibrate import began
 from micah_plan.residual.calibration import Calibration, FoundEffect
 from micah_plan.residual.coordinate_data import CoordinateData
+from micah_plan.residual.messages import VERDICTS, Verdict
 from micah_plan.residual.prediction import trajectory_errors
 from micah_plan.residual.trace import CoordinateTrace
-from micah_plan.residual.verdict import SENTENCES, Verdict
 from micah_plan.summaries import Table, listed
 from micah_plan.view.chart import Chart, Curve, Level, Panel, evenly, widened
 from micah_plan.view.learned_words import capital
@@ -46,7 +46,7 @@ def calibration_page(calibration: Calibration, title: str) -> str:
         "kind": f"calibration with {title}",
         "badge": _badge(calibration),
         "headline": _headline(calibration),
-        "message": f"{SENTENCES[calibration.verdict].capitalize()}.",
+        "message": f"{VERDICTS[calibration.verdict].capitalize()}.",
         "notes": calibration.notes,
         "modes": [f"{capital(str(mode))}. {gain.format(plain(mode.evidence))}" for mode in modes],
         "parameters": _parameters(calibration),

@@ -48,8 +48,8 @@ def test_smoothed_poses_are_nothing_that_a_model_lacks(door, weights, seed) -> N
     # What other commands than those that were written change is noise of the recording.
     assert found.before.one_step < 1.1 * found.noise_floor
     assert found.before.rollout < 1.5 * found.rollout_floor
-    (note,) = (note for note in found.notes if "smoothed" in note)
-    assert f"{len(weights) // 2} rows before and after" in note
+    (note,) = (note for note in found.notes if note.code == "averaged_commands")
+    assert note.values["reach"] == len(weights) // 2
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ from test_meaning import servo_run
 
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
+from micah_plan.message import codes_of
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.examined import examined
 from micah_plan.view.calibration_page import calibration_page
@@ -61,7 +62,7 @@ def test_what_the_model_has_already_is_not_found_again(door, plant) -> None:
         names = {name for one in once.effects for name in (one.effect.name, *one.tied)}
         assert {one.effect.name for one in again.effects} <= names
         assert len(again.automaton.effects) == len(once.automaton.effects)
-        assert "was estimated anew" in again.notes[0]
+        assert codes_of(again.notes)[0] == "earlier_effects_estimated_anew"
     # And "before" is what the model that was given leaves, not what it left before it learned of the effect.
     assert again.before.one_step < 1.3 * once.after.one_step
 
@@ -103,4 +104,4 @@ def test_what_has_no_name_is_not_explained_by_a_second_recording(door) -> None:
     assert once.verdict in ("partly", "unexplained")
     again = calibrate(once.automaton, run_of(plants.rippled, 4))
     assert again.verdict in ("partly", "unexplained")
-    assert any("residuals are not white" in note for note in again.notes)
+    assert "residual_not_white" in codes_of(again.notes)

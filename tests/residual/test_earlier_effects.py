@@ -10,6 +10,7 @@ from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
 from micah_plan.documents.model import dump_model, load_model
 from micah_plan.errors import InputError
+from micah_plan.message import codes_of
 from micah_plan.residual.calibrate import calibrate
 
 STEP = 0.021
@@ -44,7 +45,7 @@ def test_play_that_was_taken_for_a_delay_is_play_once_a_recording_shows_it(door,
     assert effect.name == "backlash"
     assert effect.values[0] == pytest.approx(0.06, abs=0.003)
     assert again.before.rollout > 2.0 * again.after.rollout
-    assert "from an earlier calibration, was estimated anew" in again.notes[0]
+    assert codes_of(again.notes)[0] == "earlier_effects_estimated_anew"
 
 
 @pytest.mark.slow
@@ -54,7 +55,7 @@ def test_of_two_that_were_tied_the_one_that_the_next_recording_tells_is_written(
     assert (found.effect.name, found.tied) == ("gravity", ("spring",))
     again = calibrate(once.automaton, to_and_fro(plants.sprung, 4))
     assert [effect.name for effect in again.automaton.effects] == ["spring"]
-    assert "was estimated anew" in again.notes[0]
+    assert codes_of(again.notes)[0] == "earlier_effects_estimated_anew"
 
 
 @pytest.mark.slow

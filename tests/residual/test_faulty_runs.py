@@ -21,7 +21,7 @@ def slipping_in(runs, plant=plants.honest):
 
 
 def told(found):
-    return [note for note in found.notes if "is unlike the others" in note]
+    return [note for note in found.notes if note.code in ("faulty_run", "lasting_change")]
 
 
 @pytest.mark.slow

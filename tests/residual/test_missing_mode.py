@@ -12,6 +12,7 @@ from micah_plan.automaton.build import build_automaton
 from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segment
 from micah_plan.automaton.joint import revolute
 from micah_plan.automaton.tracks import tracks
+from micah_plan.message import codes_of
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.coordinate_data import coordinate_data_of
 from micah_plan.residual.missing_mode import missing_modes
@@ -84,6 +85,6 @@ def test_calibration_writes_it_into_the_automaton(door) -> None:
     assert "the new model has it as revolute from" in mode["sentence"]
     assert effect.effect.name == "gain"
     assert effect.effect.values[0] == pytest.approx(0.75, abs=0.02)
-    assert any("mode that the model lacks" in note for note in found.notes)
+    assert "missing_mode" in codes_of(found.notes)
     assert "Modes that the model lacks" in calibration_page(found, "door")
     assert found.after.one_step < 1.1 * found.noise_floor < 0.8 * found.before.one_step

@@ -8,6 +8,7 @@ import numpy as np
 import planted_effects as plants
 import pytest
 
+from micah_plan.message import codes_of
 from micah_plan.recording.commands import with_commands
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
@@ -38,7 +39,7 @@ def test_a_true_model_is_true_whichever_row_its_commands_are_stored_in(door, row
     recording = stored_late(plants.door_recording(plants.runs_of(plants.honest, 8, 50, 3)), rows)
     found = calibrate(door, recording)
     assert found.verdict == "none"
-    assert any(f"stored {rows} row" in note for note in found.notes)
+    assert rows in [note.values["rows"] for note in found.notes if note.code == "actions_stored_late"]
     runs = predict_recording(door, recording)
     assert rmse([run.one_step.configuration for run in runs]) < 0.007
     told = judge(door, recording, runs)
@@ -108,7 +109,7 @@ def test_poses_that_are_held_for_three_rows_are_no_effect(door) -> None:
     recording = held(plants.door_recording(plants.runs_of(plants.honest, 8, 60, 3), across=0.001), 3)
     found = calibrate(door, recording)
     assert found.verdict == "none"
-    assert any("no measurements" in note for note in found.notes)
+    assert "rows_without_measurement" in codes_of(found.notes)
     runs = predict_recording(door, recording)
     assert all(len(run.time) == 20 for run in runs)
     assert rmse([run.one_step.configuration for run in runs]) < 0.008
@@ -128,7 +129,7 @@ def test_rows_that_are_no_measurements_are_in_no_floor(door) -> None:
     medians = [(np.median(around, axis=1), u) for around, (_, u) in zip(windows, runs, strict=True)]
     found = calibrate(door, plants.door_recording(medians))
     assert found.verdict == "none"
-    assert any("no measurements" in note for note in found.notes)
+    assert "rows_without_measurement" in codes_of(found.notes)
     assert 0.5 * found.before.rollout < found.rollout_floor < 2.0 * found.before.rollout
 
 

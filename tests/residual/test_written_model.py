@@ -10,6 +10,7 @@ import pytest
 
 from micah_plan.automaton.effects.add import with_effect
 from micah_plan.automaton.effects.value import Effect
+from micah_plan.message import codes_of
 from micah_plan.residual.calibrate import calibrate
 from micah_plan.residual.prediction import predict_recording, refused, rmse
 
@@ -33,7 +34,9 @@ def test_the_error_of_the_new_model_is_what_predict_says(door) -> None:
     (effect,) = found.effects
     assert effect.effect.since is not None
     assert written.rollout == pytest.approx(found.after.rollout, rel=0.1)
-    assert any("gain of door began with run 6: in this recording" in note for note in found.notes)
+    assert {"effect": "gain", "coordinate": "door", "onset": "with run 6"} in [
+        dict(note.values) for note in found.notes
+    ]
 
 
 def test_a_model_that_refuses_runs_says_which(door, honest) -> None:
@@ -59,13 +62,13 @@ def test_a_run_may_start_where_no_demonstration_went_and_nothing_holds_the_part(
 )
 def test_commands_in_other_units_are_named(door, honest, factor, unit) -> None:
     found = calibrate(door, replace(honest, action=factor * np.array(honest.action)))
-    assert any(unit in note for note in found.notes)
+    assert unit in [note.values["unit"] for note in found.notes if note.code == "gain_of_other_unit"]
 
 
 @pytest.mark.evidence
 def test_a_weak_motor_is_no_unit(door) -> None:
     found = calibrate(door, plants.door_recording(plants.runs_of(plants.weak, 6, 50, 0)))
-    assert not any("convert" in note for note in found.notes)
+    assert "gain_of_other_unit" not in codes_of(found.notes)
 
 
 @pytest.mark.slow
@@ -79,6 +82,6 @@ def test_what_the_model_refused_before_is_not_laid_to_an_effect(door, runs, rows
     found = calibrate(door, recording)
     added = [effect.effect.name for effect in found.effects if effect.is_added]
     assert added == ["gain"]
-    assert any("predict refuses these runs" in note for note in found.notes) is not is_left_out
+    assert ("runs_refused" in codes_of(found.notes)) is not is_left_out
     assert (found.written == ()) is not is_left_out
     assert found.verdict != "explained"
