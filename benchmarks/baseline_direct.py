@@ -94,7 +94,7 @@ def _optimised(attempt: Attempt) -> tuple[Floats, str]:
             found.append(programme.solve(start, min(deadline.left_s, problem.settings.time_limit_s)))
     usable = [(path, inputs) for path, inputs in found if path.is_feasible]
     if not usable:
-        said = ", ".join(sorted({path.said for path, _ in found})) or "none"
+        said = ", ".join(sorted({path.status for path, _ in found})) or "none"
         deadline.check("optimisation", f"{len(found)} of {_STARTS} starts were tried ({said})")
         sentence = f"none of {len(found)} starts of the direct optimisation led to the goal ({said})"
         raise NoWayError(Reason("optimisation_failed", sentence, ("use the method pomdp-hd",)))

@@ -56,6 +56,11 @@ def message(sentence: Callable[P, str]) -> Callable[P, Message]:
     return with_code
 
 
+def code_of(text: str) -> str:
+    """The code of a message, empty for a plain string."""
+    return text.code if isinstance(text, Message) else ""
+
+
 def codes_of(messages: Sequence[str]) -> list[str]:
     """The codes of messages, empty for plain strings, in their order."""
-    return [text.code if isinstance(text, Message) else "" for text in messages]
+    return [code_of(text) for text in messages]

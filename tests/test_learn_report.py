@@ -197,7 +197,7 @@ def test_what_looks_like_millimetres_is_learned_only_where_the_unit_is_stated(ru
     write_recording(replace(recording, position=1000 * recording.position), wrong)
     code, printed = run(sure_graph(), "--json", recording=wrong)
     assert code == 2
-    assert "if these are millimetres, say so: --units mm" in printed.err
+    assert "if these are millimetres, add --units mm" in printed.err
     assert not (tmp_path / "model.yaml").exists()
     for unit in ("mm", "m"):
         code, printed = run(sure_graph(), "--json", "--units", unit, recording=wrong)

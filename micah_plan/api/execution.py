@@ -13,6 +13,7 @@ from micah_plan.api.experiments import ExperimentResult, carry_out_experiment, r
 from micah_plan.api.inputs import Source
 from micah_plan.api.result import Result
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.message import Message, code_of
 from micah_plan.quantities import count, quantity, with_spread
 from micah_plan.recording.value import Recording
 from micah_plan.summaries import Progress, Table
@@ -124,7 +125,7 @@ class RunsResult(Result):
             "believed": self.statistics.believed,
             "final_error": asdict(self.final_error),
             **({} if released is None else {"released": released}),
-            "failures": [{"trial": trial, "reason": reason} for trial, reason in self.failures],
+            "failures": [_failure(trial, reason) for trial, reason in self.failures],
             "seconds": self.seconds,
         }
 
@@ -232,3 +233,9 @@ def execute(
     run = partial(run_trials, problem, chosen.plan, plant=plant, trials=trials, seed=seed, anyway=anyway)
     statistics = run(progress=progress, keep=keep)
     return RunsResult(statistics, PlanningResult(chosen.plan, problem), time.perf_counter() - begin)
+
+
+def _failure(trial: int, reason: str) -> dict[str, Any]:
+    """A failed trial for JSON, with the codes of how it ended and of what was missed."""
+    missed = reason.values.get("missed", ()) if isinstance(reason, Message) else ()
+    return {"trial": trial, "reason": reason, "code": code_of(reason), "missed": list(missed)}

@@ -11,6 +11,7 @@ from micah_plan.api.inputs import Source
 from micah_plan.api.result import RecordedResult
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError
+from micah_plan.message import code_of
 from micah_plan.recording.value import Recording
 from micah_plan.summaries import Progress, Table
 from micah_plan.task.experiment import Experiment
@@ -74,7 +75,7 @@ class ExperimentResult(RecordedResult):
         return {
             "trials": len(self.recording.runs),
             "rows": len(self.recording),
-            "failures": [{"trial": run, "reason": reason} for run, reason in self.failures],
+            "failures": [{"trial": run, "reason": reason, "code": code_of(reason)} for run, reason in self.failures],
             "seconds": self.seconds,
         }
 

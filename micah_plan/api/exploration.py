@@ -12,6 +12,7 @@ import numpy as np
 from micah_plan.api.inputs import Source
 from micah_plan.api.result import SUREST, Result, save_model
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.message import code_of, codes_of
 from micah_plan.quantities import count, percent, quantity
 from micah_plan.summaries import Progress, Table
 from micah_plan.task.exploration_scene import Scene
@@ -76,7 +77,9 @@ class ExplorationResult(Result):
             "travel_m": exploration.travel,
             "seconds": exploration.seconds,
             "reason": exploration.reason,
+            "reason_code": code_of(exploration.reason),
             "notes": list(exploration.notes),
+            "note_codes": codes_of(exploration.notes),
             "tried_n": exploration.tried,
             "hand_stiffness_n_per_m": 1.0 / exploration.hand.compliance,
             "slowest_step_cpu_s": exploration.thinking,

@@ -18,6 +18,7 @@ from micah_plan.automaton.graph import BASE, KinematicGraph
 from micah_plan.automaton.hybrid import HybridAutomaton, Part
 from micah_plan.errors import InputError
 from micah_plan.learning.settings import FEWEST_ROWS, LearnSettings
+from micah_plan.message import codes_of
 from micah_plan.quantities import count, duration, in_degrees, percent, plain, quantity, way
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.value import Recording
@@ -101,8 +102,9 @@ class LearningResult(Result):
         tree = {"edges": edges, "tree_probability": self.graph.probability}
         summary = tree if len(edges) > 1 else _edge(self.graph.edges[0])
         modes = () if self.automaton is None else self.automaton.mode_names
-        outcome = {"modes": modes, "reason": self.reason, "warnings": self.warnings}
-        return {**summary, **outcome, "seconds": self.seconds, "seed": self.seed}
+        outcome = {"modes": modes, "reason": self.reason}
+        noticed = {"warnings": self.warnings, "warning_codes": codes_of(self.warnings)}
+        return {**summary, **outcome, **noticed, "seconds": self.seconds, "seed": self.seed}
 
     def plot(self) -> Figure:
         """The segmented track, its axes and the evidence over time."""

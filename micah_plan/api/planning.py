@@ -12,6 +12,7 @@ from micah_plan.api.inputs import Modelled, Problematic, Source
 from micah_plan.api.result import Result
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError, shown
+from micah_plan.message import codes_of
 from micah_plan.quantities import count, percent, percent_interval, quantity
 from micah_plan.summaries import Progress, Table
 from micah_plan.task.by_name import Spread
@@ -110,6 +111,7 @@ class PlanningResult(Result):
             "verification_trials": plan.verification_trials,
             "findings": [asdict(finding) for finding in plan.findings],
             "warnings": plan.warnings,
+            "warning_codes": codes_of(plan.warnings),
             "arm": None if plan.arm is None else _arm(plan.arm),
             "seconds": plan.timings,
             "seed": plan.seed,

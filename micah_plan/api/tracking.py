@@ -15,8 +15,9 @@ from micah_plan.automaton.graph import KinematicGraph
 from micah_plan.documents.tags import load_tags
 from micah_plan.errors import located_in
 from micah_plan.quantities import plain, quantity
-from micah_plan.recording.beside import ClockOffset, clock_in_words, with_commands_beside
+from micah_plan.recording.beside import ClockOffset, with_commands_beside
 from micah_plan.recording.conventions import LENGTHS
+from micah_plan.recording.messages import clock_offset
 from micah_plan.recording.tag_layout import TagLayout
 from micah_plan.recording.value import Recording
 from micah_plan.summaries import Progress, Table
@@ -235,5 +236,5 @@ def track(
         return TrackResult(found)
     with located(actions):
         recording, clock = with_commands_beside(found.recording, commands, offset)
-    notes = (*found.notes, clock_in_words(clock))
+    notes = (*found.notes, clock_offset(clock.part, clock.seconds, clock.std, clock.correlation))
     return TrackResult(replace(found, recording=replace(recording, notes=notes), notes=notes), clock)

@@ -11,8 +11,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from micah_plan.automaton import messages
 from micah_plan.automaton.joint import JointKind, Vector3
-from micah_plan.quantities import count, percent
+from micah_plan.message import Message
 from micah_plan.recording.commands import Meaning
 
 LOW_PROBABILITY = 0.6  # less sure answers are worth a warning where they are used
@@ -190,22 +191,20 @@ def low_probability_warnings(learned: Iterable[LearnedEdge]) -> tuple[str, ...]:
     return tuple(line for edge in learned for line in (*_improbable_kinds(edge), *_improbable_counts(edge)))
 
 
-def _improbable_kinds(edge: LearnedEdge) -> list[str]:
+def _improbable_kinds(edge: LearnedEdge) -> list[Message]:
     lines = []
     for segment in edge.segments:
         kinds = {} if segment.certainty is None else dict(segment.certainty.kinds)
         probability = kinds.pop(segment.kind, 1.0)
         if probability < LOW_PROBABILITY and kinds:
             likeliest = max(kinds, key=lambda kind: kinds[kind])
-            lines.append(
-                f"{edge.child} is {segment.kind} relative to {edge.parent} (rows {segment.start} to {segment.end}) "
-                f"with a probability of only {percent(probability, 0)}, "
-                f"{likeliest} with {percent(kinds[likeliest], 0)}; a longer motion, or more runs, would decide"
-            )
+            rows, other = (segment.start, segment.end), (likeliest, kinds[likeliest])
+            parts = edge.child, edge.parent
+            lines.append(messages.kind_uncertain(parts, segment.kind, rows, probability, other))
     return lines
 
 
-def _improbable_counts(edge: LearnedEdge) -> list[str]:
+def _improbable_counts(edge: LearnedEdge) -> list[Message]:
     lines = []
     counted = () if edge.certainty is None else edge.certainty.changepoint_counts
     runs = dict.fromkeys(segment.run for segment in edge.segments)
@@ -213,10 +212,7 @@ def _improbable_counts(edge: LearnedEdge) -> list[str]:
         changes = sum(segment.run == run for segment in edge.segments) - 1
         probability = counts[changes] if changes < len(counts) else 0.0
         if probability < LOW_PROBABILITY:
-            likely, chance = max(enumerate(counts), key=lambda pair: pair[1])
-            lines.append(
-                f"the joint of {edge.child} relative to {edge.parent} changes {count(changes, 'time')} in run {run} "
-                f"with a probability of only {percent(probability, 0)}, "
-                f"{count(likely, 'time')} with {percent(chance, 0)}"
-            )
+            likelier = max(enumerate(counts), key=lambda pair: pair[1])
+            parts = edge.child, edge.parent
+            lines.append(messages.change_count_uncertain(parts, run, changes, probability, likelier))
     return lines

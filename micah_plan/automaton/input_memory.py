@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from micah_plan.arrays import Floats, Ints
+from micah_plan.automaton import messages
 from micah_plan.automaton.augmented import augment_state, fix_augmented_state
 from micah_plan.automaton.effects.form import REMEMBERING, Operations, Value
 from micah_plan.automaton.effects.memories import is_as_commanded
@@ -161,14 +162,11 @@ def effects_left_out(automaton: HybridAutomaton, memory: bool = False) -> tuple[
     carried = [automaton.coordinates[link.coordinate].name for link in automaton.links if link.parent != BASE]
     lines = []
     for effect in automaton.effects:
-        layer, why = form(effect.name).layer, ""
-        if layer in REMEMBERING and not is_as_commanded(effect) and (memory or _only_input(automaton, effect) is None):
-            why = "it depends on earlier inputs"
-        elif layer == "frame" and effect.coordinate in carried:
-            why = "commands are given in the base frame"
-        if why:
-            named = f"the {effect.name} of {effect.coordinate}"
-            lines.append(f"planner, filter and nominal plant leave out {named}: {why}")
+        layer = form(effect.name).layer
+        depends_on_past = layer in REMEMBERING and not is_as_commanded(effect)
+        depends_on_past = depends_on_past and (memory or _only_input(automaton, effect) is None)
+        if depends_on_past or (layer == "frame" and effect.coordinate in carried):
+            lines.append(messages.effect_left_out(effect.name, effect.coordinate, depends_on_past))
     return tuple(lines)
 
 

@@ -18,18 +18,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from micah_plan.arrays import Floats
+from micah_plan.automaton import messages
 from micah_plan.automaton.check import preceding
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Part, Primitive
 from micah_plan.automaton.joint import radius
 from micah_plan.automaton.motion_of_joints import turns_and_translations
-from micah_plan.quantities import FARTHEST_M, quantity
+from micah_plan.quantities import FARTHEST_M
 
 LARGEST_JUMP_M = 0.2
 FARTHEST_SOLID_M = 1000.0
 """Solids may be further: domains of 100 m are planned in."""
 _THINNEST_M = 1e-4
 """A sheet of paper: what is thinner is no solid that a hand or a tracker meets."""
-_IN_METRES = "lengths are in m: are these millimetres? then divide by 1000"
 
 
 @dataclass(frozen=True)
@@ -56,15 +56,14 @@ def implausible(amounts: Iterable[Amount]) -> Iterator[str]:
     """One line for each amount beyond its scale: place, amount, scale, remedy."""
     for amount in amounts:
         size = abs(amount.size)
-        place_and_size = f"{amount.place}: {quantity(size, amount.unit)}"
+        found = amount.place, size, amount.unit
         if size > amount.most and 0.0 < amount.most < math.inf:
             if amount.than:
-                most = quantity(amount.most, amount.unit)
-                yield f"{place_and_size} is more than {amount.than}, {most}; check the unit"
+                yield messages.number_too_large(*found, amount.most, amount.than)
             else:
-                yield f"{place_and_size} is farther than a room is wide; {_IN_METRES}"
+                yield messages.length_too_large(*found)
         elif 0.0 < size < amount.least:
-            yield f"{place_and_size} is less than the least, {quantity(amount.least, amount.unit)}; check the unit"
+            yield messages.number_too_small(*found, amount.least)
 
 
 def suspicions_of_automaton(automaton: HybridAutomaton) -> tuple[str, ...]:
@@ -154,8 +153,7 @@ def never_taken(automaton: HybridAutomaton) -> tuple[str, ...]:
     """One line for each transition that an earlier one to another target always preempts."""
     pairs = ((edge, preceding(automaton, i)) for i, edge in enumerate(automaton.edges))
     return tuple(
-        f"transition {edge.name} ('{edge.guard.name}') is never taken: {first.name} ('{first.guard.name}'), listed "
-        "before it, is possible wherever it is; list the more general one last"
+        messages.transition_never_taken((edge.name, edge.guard.name), (first.name, first.guard.name))
         for edge, first in pairs
         if first is not None and (first.target, first.reset) != (edge.target, edge.reset)
     )
@@ -173,10 +171,7 @@ def _jumps(automaton: HybridAutomaton, edge: Edge) -> Iterator[str]:
         _, new = turns_and_translations(entered, after[link.coordinate])
         jump = float(np.linalg.norm(new - old))
         if jump > LARGEST_JUMP_M:
-            yield (
-                f"transition {edge.name}: part {link.child} jumps by {quantity(jump, 'm')} between the joints of "
-                "its modes; check position, axis and center of both"
-            )
+            yield messages.part_jumps(edge.name, link.child, jump)
 
 
 def _state_at_guard(automaton: HybridAutomaton, edge: Edge) -> Floats:

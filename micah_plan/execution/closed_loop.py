@@ -17,6 +17,7 @@ from micah_plan.automaton.contacts.values import COLLIDED
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.belief.filter import explains, initial_belief, predict_each, update_each
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.execution import messages
 from micah_plan.execution.checked_plant import CheckedPlant
 from micah_plan.execution.log import RunLog
 from micah_plan.execution.pilot import MOST_REPLANS, Pilot, Replanning
@@ -24,9 +25,9 @@ from micah_plan.execution.plant import Command, Measurement, Plant, PlantError, 
 from micah_plan.execution.pose import chain, command, configuration, moving_joints, reading
 from micah_plan.execution.release import ReleaseController
 from micah_plan.execution.watch import Watch
+from micah_plan.message import Message
 from micah_plan.planning.input_memories import after_memories_run_out, with_input_memory
 from micah_plan.planning.path_constraints import PathRecord
-from micah_plan.quantities import percent, quantity
 from micah_plan.recording.value import Recording
 from micah_plan.task.goal import Goal
 from micah_plan.task.plan import ArmTrajectory, ReleasePlan, Trajectory
@@ -34,8 +35,6 @@ from micah_plan.task.problem import Problem
 from micah_plan.task.release import pre_release_problem
 
 _SPARE_STEPS = 20
-_BEHIND = "; its steps were not as the model has them: calibrate the model with this run"
-_LOST = "; what was measured is not where the model has it: calibrate the model with this run"
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,16 +221,15 @@ class Episode:
         reached = reached and released is not False
         reason = self._ending()
         if failure:
-            reason = f"the machine failed in step {len(self._beliefs)}: {failure}"
+            reason = messages.machine_failed(len(self._beliefs), failure)
         elif not reached:
             incident = [truth.incident] if truth is not None and truth.incident else []
             missed = self._misses(goal, mode, x)
             if self._putting_down and not self._is_open:  # how low the hand is then says nothing
-                missed = ["no contact was felt on the way down, so it was not released"]
+                missed = [messages.not_felt()]
             elif released is False:
-                missed = missed or ["it does not stand on its own"]
-            misses = [*incident, *missed]
-            reason += f", but {' and '.join(misses)}" if misses else ""
+                missed = missed or [messages.does_not_stand()]
+            reason = messages.with_misses(reason, [*incident, *missed])
         return TrialResult(
             recording=self._log.recording(self._run),
             success=reached and not failure,
@@ -288,35 +286,32 @@ class Episode:
         """Whether the goal is believed reached at the end of the plan."""
         return self._is_confident and (len(self._beliefs) == 1 or self._pilot.is_finished(belief))
 
-    def _ending(self) -> str:
+    def _ending(self) -> Message:
         """The reason for the end of the execution."""
         pilot, steps = self._pilot, len(self._beliefs) - 1
         lost = self._is_lost or any(belief.was_reinitialised for belief in self._beliefs)
-        refused = _LOST if lost else _BEHIND if self._watch.is_biased else ""
+        advice = messages.POSES_CONTRADICT if lost else messages.STEPS_CONTRADICT if self._watch.is_biased else ""
         if self._watch.failure:
-            return f"stopped after {steps} steps: {self._watch.failure}{refused}"
+            return messages.stopped_by_watch(steps, self._watch.failure, advice)
         if self._is_confident:
-            return f"stopped with {percent(self._confidence)} probability of the goal"
+            return messages.stopped_confident(self._confidence)
         if pilot.refusals:
-            refused += f"; {len(pilot.refusals)} new plans were refused, the last because {pilot.refusals[-1]}"
+            advice += messages.refused_plans(pilot.refusals)
         if pilot.is_lost:
             mode = self._problem.automaton.modes[self._beliefs[-1].most_likely].name
-            asked = f"off the plan after {MOST_REPLANS} requests for a new one"
-            return f"stopped after {steps} steps, believed {mode}: {asked}{refused}"
-        return f"the {steps} allowed steps ended with {percent(self._confidence)} probability of the goal{refused}"
+            return messages.off_plan(steps, mode, MOST_REPLANS, advice)
+        return messages.steps_used_up(steps, self._confidence, advice)
 
     def _misses(self, goal: Goal, mode: str, x: Floats) -> list[str]:
         """Violations of a goal set and of constraints by the true or believed state."""
         automaton = self._problem.automaton
-        is_, true = ("is", "true") if self._truth is not None else ("is believed", "believed")
-        misses = []
+        is_true, misses = self._truth is not None, list[str]()
         for (i, _, tolerance), away, missed in zip(goal.target, goal.distances(x), goal.misses(x), strict=True):
             name, unit = automaton.coordinates[i].name, automaton.coordinates[i].unit
             if missed:
-                asked = quantity(tolerance, unit)
-                misses.append(f"{name} {is_} {quantity(float(away), unit)} from its target (tolerance {asked})")
+                misses.append(messages.misses_target(name, float(away), tolerance, unit, is_true))
         if not goal.admits(mode):
-            misses.append(f"the {true} mode is {mode}, not {' or '.join(goal.modes)}")
+            misses.append(messages.in_other_mode(mode, goal.modes, is_true))
         return [*misses, *self._path.sentences()]
 
 

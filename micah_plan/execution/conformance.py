@@ -13,13 +13,13 @@ from micah_plan.automaton.kinematics import placements
 from micah_plan.automaton.tracks import read_by_sensors
 from micah_plan.automaton.transition import step
 from micah_plan.errors import InputError, together
+from micah_plan.execution import messages
 from micah_plan.execution.checked_plant import CheckedPlant, check_methods
 from micah_plan.execution.nominal import pose_noise
 from micah_plan.execution.plant import Measurement, Plant, Truth
 from micah_plan.execution.pose import command, configuration, moving_joints, relative
 from micah_plan.planning.input_memories import with_input_memory
 from micah_plan.planning.limits import limits_of
-from micah_plan.quantities import count, quantity, with_spread
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import start_mode
 
@@ -85,7 +85,7 @@ class _Trial:
         """One sentence per fault."""
         first = self._plant.reset(np.random.default_rng(self._seed))
         if abs(first.time) > _FIRST_SECONDS:
-            yield f"time must count from the reset. Got {first.time:.9g} s in the first measurement"
+            yield messages.clock_not_from_reset(first.time)
         misplaced = list(self._pose_faults(first))
         yield from misplaced
         if misplaced:
@@ -100,11 +100,10 @@ class _Trial:
         yield from self._drift_faults()
         for part, hidden in zip(self._parts, self._hidden, strict=True):
             if hidden:
-                after = f"after {hidden} of {count(self._steps, 'command')}"
-                self.untried.append(f"part '{part}' was not seen {after}: it was taken to be where the model has it")
+                self.untried.append(messages.part_unseen(part, int(hidden), self._steps))
         again = self._plant.reset(np.random.default_rng(self._seed))
         if truth is not None and not np.array_equal(first.position, again.position):
-            yield "a simulation must start alike for the same seed; draw all chances from the rng of reset"
+            yield messages.resets_differ()
 
     def _pose_faults(self, measurement: Measurement) -> Iterator[str]:
         """Faults: parts at poses that no configuration of their joints allows."""
@@ -116,13 +115,9 @@ class _Trial:
             self._pose_deviations(measurement, allowed, self._x), scalar_last, strict=True
         ):
             if away:
-                hint = "give the place of the part's origin in m, in the base frame of the model"
-                yield f"part '{part}' is measured {quantity(away, 'm')} from where its joint allows it to be; {hint}"
+                yield messages.part_off_joint(part, away)
             if angle:
-                hint = "give the orientation from part to base, scalar last"
-                if not rolled_angle:
-                    hint = "the quaternion has its scalar first; give it last"
-                yield f"part '{part}' is measured turned by {quantity(angle, 'rad')} against its joint; {hint}"
+                yield messages.part_turned(part, angle, not rolled_angle)
 
     def _pose_deviations(
         self, measurement: Measurement, expected: Sequence[Floats], x: Floats
@@ -143,8 +138,8 @@ class _Trial:
         start, noise, x = self._problem.start, self._noise(self._x), self._measured(measurement)
         for i, coordinate in enumerate(self._plain.coordinates):
             if abs(x[i] - start.mean[i]) > SURE_STDS * float(np.hypot(start.std[i], noise[i])) + _START:
-                stated = f"the problem starts at {with_spread(start.mean[i], start.std[i], coordinate.unit)}"
-                yield f"{coordinate.name} is measured at {quantity(x[i], coordinate.unit)} after a reset, but {stated}"
+                believed = start.mean[i], start.std[i]
+                yield messages.starts_elsewhere(coordinate.name, float(x[i]), believed, coordinate.unit)
 
     def _truth_faults(self, measurement: Measurement, truth: Truth) -> Iterator[str]:
         """Faults of a referee whose truth contradicts the tracker."""
@@ -153,13 +148,13 @@ class _Trial:
         shapes_given = {name: np.shape(getattr(truth, name)) for name in shapes}
         for name, shape in shapes.items():
             if shapes_given[name] != shape:
-                yield f"Truth.{name} must have shape {shape}. Got {shapes_given[name]}"
+                yield messages.truth_of_wrong_shape(name, shape, shapes_given[name])
         if shapes_given == shapes:
             for part, away, _ in self._pose_deviations(
                 measurement, relative(self._plain, truth.position, truth.quaternion), truth.x
             ):
                 if away:
-                    yield f"part '{part}' is measured {quantity(away, 'm')} from its true place"
+                    yield messages.truth_elsewhere(part, away)
 
     def _direction_faults(self, j: int) -> Iterator[str]:
         """Faults along one input, in the direction that keeps the mode: motion other than commanded."""
@@ -174,14 +169,11 @@ class _Trial:
             asked, moved, std = self._commanded(u, steps) - before, self._x[: self._plain.n] - before, self._std(steps)
             for i in np.flatnonzero(np.abs(asked) >= _TELLING * std):
                 if abs(moved[i] - asked[i]) > _SHARE * abs(asked[i]) + SURE_STDS * std[i]:
-                    of, unit = self._plain.coordinates[i].name, self._plain.coordinates[i].unit
-                    hint = "a command is a displacement in m, in the base frame, from where the part is"
-                    went = f"it moved by {quantity(moved[i], unit)}"
-                    yield f"told to move {of} by {quantity(asked[i], unit)}, {went}; {hint}"
+                    coordinate = self._plain.coordinates[i]
+                    commanded, unit = float(asked[i]), coordinate.unit
+                    yield messages.moves_otherwise(coordinate.name, commanded, float(moved[i]), unit)
             return
-        self.untried.append(
-            f"input '{name}' was not tried: in mode {self._mode} nothing that it does shows above noise"
-        )
+        self.untried.append(messages.input_untried(name, self._mode))
 
     def _visible_steps(self, u: Floats) -> int:
         """The fewest steps of an input that exceed the noise within the mode; 0 if there are none."""
@@ -200,8 +192,7 @@ class _Trial:
         room = SURE_STDS * self._std(1) + _SHARE * self._limits.speed[:n]
         for i in np.flatnonzero(np.abs(self._x[:n] - expected) > room):
             coordinate = self._plain.coordinates[i]
-            moved = quantity(self._x[i] - expected[i], coordinate.unit)
-            yield f"without a command {coordinate.name} moved by {moved}; it must stand still"
+            yield messages.moves_without_command(coordinate.name, float(self._x[i] - expected[i]), coordinate.unit)
 
     def _commanded(self, u: Floats, steps: int) -> Floats:
         """Repeat a command and measure; returns the expected configuration (n,)."""

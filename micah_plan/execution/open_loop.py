@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from micah_plan.belief.filter import initial_belief, predict_belief, update
+from micah_plan.execution import messages
 from micah_plan.execution.checked_plant import CheckedPlant, make_plant
 from micah_plan.execution.closed_loop import true_state
 from micah_plan.execution.log import RunLog, concatenated_recordings
@@ -57,7 +58,7 @@ def carry_out(
                 except PlantError as failure:
                     if not len(log):
                         raise  # it cannot be reset
-                    failures.append((run, f"the machine failed in step {len(log)}: {failure}"))
+                    failures.append((run, messages.machine_failed(len(log), str(failure))))
                 finally:
                     if keep is not None and len(log):
                         keep(log.recording(run))

@@ -13,6 +13,7 @@ from micah_plan.arrays import ROUND_OFF, Floats
 from micah_plan.automaton.input_memory import own_size
 from micah_plan.automaton.transition import step
 from micah_plan.belief.hybrid_belief import HybridBelief
+from micah_plan.execution import messages
 from micah_plan.planning.avoided_inputs import cut_off
 from micah_plan.planning.feedback import feedback_input
 from micah_plan.planning.input_memories import after_memories_run_out
@@ -247,7 +248,7 @@ class Pilot:
         if self._replanning.ask_arm is not None:
             answer = self._replanning.ask_arm(trajectory, self.posture if joints is None else joints)
             if not isinstance(answer, ArmTrajectory):
-                self.refusals.append(f"the arm cannot follow: {answer.sentence}")
+                self.refusals.append(messages.arm_cannot_follow(answer.sentence))
                 return False
             self._arm = answer
         self._follower = PlanFollower(self._problem, trajectory)

@@ -17,7 +17,7 @@ from micah_plan.arrays import Booleans, Floats
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.belief.filter import innovations
 from micah_plan.belief.hybrid_belief import HybridBelief
-from micah_plan.quantities import count
+from micah_plan.execution import messages
 
 _LOOKS, _MOST_EXCLUDED = 3, 8  # measurements that the belief excludes, in a row and in all
 _BLIND = 10  # steps in which nothing is seen
@@ -91,11 +91,11 @@ class Watch:
         self._excluded_in_all += is_excluded
         self._unseen = self._unseen + 1 if unseen is not None and unseen.all() else 0
         if self._excluded > _LOOKS:
-            self.failure = f"in {count(self._excluded, 'look')} in a row, what was measured contradicts the model"
+            self.failure = messages.contradicted_in_a_row(self._excluded)
         elif self._excluded_in_all > _MOST_EXCLUDED:
-            self.failure = f"{count(self._excluded_in_all, 'measurement')} contradict the model"
+            self.failure = messages.contradicted(self._excluded_in_all)
         elif self._unseen >= _BLIND:
-            self.failure = f"nothing was seen for {self._unseen} steps"
+            self.failure = messages.nothing_seen(self._unseen)
         enough = self._settled >= _SETTLES or (self._settled >= _CALM and self._calm >= _CALM)
         settles = ends and self.is_biased and not enough
         self._settled = self._settled + 1 if settles else 0

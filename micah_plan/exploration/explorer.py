@@ -15,6 +15,7 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.execution.plant import Measurement
+from micah_plan.exploration import messages
 from micah_plan.exploration.chain import Chain, oriented_outwards
 from micah_plan.exploration.chain_joints import most_probable_chain, refitted, with_joint
 from micah_plan.exploration.hand import UNKNOWN, stiffest
@@ -123,7 +124,7 @@ class Explorer:
     def stopped(self, reason: str) -> None:
         """Record a failure of the machine during the last command."""
         self.record.remove_last_command()
-        self._end("gave_up", reason)
+        self._end("gave_up", messages.plant_failed(reason))
 
     def _end(self, outcome: Outcome, reason: str) -> None:
         self.outcome, self.reason = outcome, reason
@@ -140,7 +141,7 @@ class Explorer:
         if chain is not None:
             ahead = self._ahead(chain)
             if self.scene.is_outside(self.record.place + _AHEAD * ahead):
-                self._end("gave_up", "the workspace ends here")
+                self._end("gave_up", messages.workspace_ends())
                 return still
             far = min(record.hand.compliance * self.friction + _AHEAD, most)
             needed = self.moves.leads_to_move(ahead[None], record.hand.compliance)[0]
@@ -200,11 +201,11 @@ class Explorer:
     def _end_held(self) -> None:
         force = self._most() / self.record.hand.compliance
         if force < _NO_FORCE:
-            self._end("gave_up", "too little is known of the hand to push safely; perhaps it does not hold the handle")
+            self._end("gave_up", messages.hand_unknown())
         elif self.range_seen < _MOVED:
-            self._end("held", f"nothing moved it within {force:.3g} N; a latch of more than that is not excluded")
+            self._end("held", messages.nothing_moved(force))
         else:
-            self._end("gave_up", f"after {self.range_seen:.2g} m nothing within {force:.3g} N moved it on")
+            self._end("gave_up", messages.nothing_moved_on(self.range_seen, force))
 
     def take(self, measurement: Measurement) -> None:
         """Process a measurement: update the belief, and record the step."""
@@ -213,16 +214,13 @@ class Explorer:
         if slip is not None:
             self._shift_by_slip(slip)
         if record.blind >= _BLIND:
-            self._end("gave_up", f"the tracker has not seen the handle for {record.blind} steps")
+            self._end("gave_up", messages.handle_not_seen(record.blind))
         elif record.lost:
-            self._end("gave_up", "the hand has lost the handle: commands meet no force, and it does not follow them")
+            self._end("gave_up", messages.handle_lost())
         elif (met := float(np.linalg.norm(record.forces[-1]))) > self.scene.largest_force:
-            limit = f"{self.scene.largest_force:.3g} N that are allowed"
-            changed = "the hand, its force sensor or the tracker is not what it was"
-            self._end("gave_up", f"the hand met {met:.3g} N, more than the {limit}: {changed}")
+            self._end("gave_up", messages.force_exceeded(met, self.scene.largest_force))
         elif (pull := self._pull_of_rest()) > self.scene.largest_force:
-            problem = "the tracker sees the handle elsewhere than its force tells, and commands count from there"
-            self._end("gave_up", f"{problem}: even to stay would pull with {pull:.3g} N")
+            self._end("gave_up", messages.rest_pulls(pull))
         elif self.moves is not None or (self.steps >= _PUSHES and not record.blind):
             self._learn()
         fan = np.zeros((0, 3)) if self.moves is None else self.moves.likely_directions(40)
@@ -337,10 +335,9 @@ class Explorer:
         if way < self.scene.opening:
             return
         if moved >= _AGREED * expected:
-            self._end("opened", f"the handle went {way:.3g} m")
+            self._end("opened", messages.opened(way))
         else:
-            problem = f"by its force the handle went {expected:.2g} m, the tracker saw {max(moved, 0.0):.2g} m of that"
-            self._end("gave_up", f"{problem}: the hand, its force sensor or the tracker is not what it was")
+            self._end("gave_up", messages.force_contradicts_tracker(expected, max(moved, 0.0)))
 
     def _moved(self, chain: Chain) -> tuple[float, float]:
         """Distance of the handle along its chain, as a straight line, and the part of it that the tracker saw [m]."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from micah_plan.arrays import Floats
-from micah_plan.quantities import quantity
+from micah_plan.exploration import messages
 
 _SOFTEST, _STIFFEST = 100.0, 20000.0
 _LEAST_STD = 0.02  # of the compliance, as a share
@@ -81,7 +81,7 @@ def hand_of(commands: Floats, places: Floats, forces: Floats) -> Hand:
     """
     plain = _fitted(commands, forces)
     if len(commands) > _FEWEST + 2 and _fitted(commands[:-1], forces[1:])[1] < _BEFORE * plain[1]:
-        return replace(plain[0], complaint="forces are those of the command before: answer when all rests again")
+        return replace(plain[0], complaint=messages.forces_late())
     is_measured = np.isfinite(places).all(axis=1)
     if is_measured.sum() < 2 * _FEWEST:
         return replace(plain[0], perhaps_measured=True)
@@ -110,13 +110,12 @@ def _fitted(displacements: Floats, forces: Floats) -> tuple[Hand, float]:
     symmetric, least = np.linalg.eigvalsh(0.5 * (matrix + matrix.T)), np.linalg.svd(displacements[:, :3])[1][-1]
     doubt = force_std / max(float(least), 1e-6)  # std of the entry that is known worst
     if symmetric[1] < -_SURE * doubt:
-        complaint = "the measured forces point against the commands: give the force that the hand exerts at the handle"
+        complaint = messages.forces_reversed()
     elif values[1] < _SOFTEST:
-        complaint = "pushes meet hardly any force: the hand does not hold the handle, or nothing holds the object"
+        complaint = messages.no_force()
     elif np.linalg.norm(matrix - matrix.T) > _TURNED * np.linalg.norm(matrix) + _SURE * doubt:
-        complaint = "the measured forces are turned against the commands: give both in the base frame"
+        complaint = messages.forces_turned()
     elif values[0] > _ALIKE * values[1] + _SURE * doubt:  # what moves makes it softer along one line only
-        least, most = (quantity(float(value), "N/m") for value in values[1::-1])
-        complaint = f"the hand is a spring of {least} in one direction and of {most} in another: make it alike in all"
+        complaint = messages.stiffness_differs(float(values[1]), float(values[0]))
     hand = Hand(1.0 / stiffness, min(spread, 0.5), force_std, stiffest=float(values[0]), complaint=complaint)
     return hand, variance

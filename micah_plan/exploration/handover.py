@@ -22,6 +22,7 @@ from micah_plan.automaton.graph import BASE, KinematicEdge, KinematicGraph, Segm
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Part, Primitive
 from micah_plan.automaton.joint import Joint, ParameterCovariance, axis_basis, prismatic, revolute, rigid
 from micah_plan.automaton.kinematics import shifted
+from micah_plan.exploration import messages
 from micah_plan.exploration.chain import Chain
 from micah_plan.exploration.explorer import Explorer
 
@@ -65,7 +66,7 @@ def explored_model(explorer: Explorer, chain: Chain) -> HybridAutomaton:
     automaton = replace(automaton, edges=tuple(_with_threshold_std(edge, chain.place_std) for edge in automaton.edges))
     width = compliance * friction * rates[0]
     lost = Effect("dead_zone", HANDLE, (("width", width), ("lost", 1.0)), (compliance * spread * rates[0], 0.1))
-    return with_effect(automaton, replace(lost, note="dry friction against the spring of the hand"))
+    return with_effect(automaton, replace(lost, note=messages.DRY_FRICTION))
 
 
 def _with_threshold_std(edge: Edge, place_std: float) -> Edge:

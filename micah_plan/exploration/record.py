@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats
 from micah_plan.execution.plant import Measurement
+from micah_plan.exploration import messages
 from micah_plan.exploration.chain import PLACE_STD, Chain, StepRows
 from micah_plan.exploration.hand import UNKNOWN, Hand, hand_of
 from micah_plan.exploration.slips import Slips
@@ -130,7 +131,7 @@ class Record:
             self.blind += 1
             return None
         if self.blind:
-            self.notes.append(f"the tracker saw nothing for {self.blind} steps, until step {len(self.forces)}")
+            self.notes.append(messages.blind_until(self.blind, len(self.forces)))
             self.blind = 0
         self._reference = self.last_seen = place.copy()
         self._doubt_hand(place)
@@ -199,8 +200,7 @@ class Record:
         if slip is None:
             return None
         row, off = slip
-        size = 1000.0 * float(np.linalg.norm(off))
-        self.notes.append(f"step {row}: the handle is seen {size:.0f} mm from where the force says it is")
+        self.notes.append(messages.slipped(row, float(np.linalg.norm(off))))
         shift = np.asarray(self.turns[row].T @ off)
         for i in range(row):
             if self._was_seen(i):

@@ -12,6 +12,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError
 from micah_plan.execution.handle import HandlePlant
 from micah_plan.execution.plant import Command, PlantError
+from micah_plan.exploration import messages
 from micah_plan.exploration.chain import Chain
 from micah_plan.exploration.explorer import Explorer, Moment, Outcome
 from micah_plan.exploration.hand import Hand
@@ -113,8 +114,8 @@ def explore(
 
 def _progress_message(explorer: Explorer) -> str:
     if explorer.chain is None:
-        return f"step {explorer.steps}: what moves it?"
-    return f"step {explorer.steps}: {explorer.chain.kinds[-1]}, {quantity(explorer.range_seen, 'm')} so far"
+        return messages.searching(explorer.steps)
+    return messages.following(explorer.steps, explorer.chain.kinds[-1], explorer.range_seen)
 
 
 def _result(explorer: Explorer, seconds: float, thinking: float) -> Exploration:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from micah_plan.learning import messages
 from micah_plan.learning.roughness import bends, extent, std_of_bends
 from micah_plan.learning.segmenting.parameter_costs import BLOCKS, TRAVEL
 from micah_plan.learning.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.learning.track import PartTrack, find_inliers, part_track
-from micah_plan.quantities import quantity
 from micah_plan.recording.value import Recording
 
 _TELLING = 10.0  # wanders; a larger motion shows its joint
@@ -27,20 +27,10 @@ def small_motions(recording: Recording, settings: LearnSettings) -> tuple[str, .
             continue
         moved, turned = (max(values) for values in zip(*reaches, strict=True))
         if moved < _TELLING * settings.position_wander and turned < _TELLING * settings.rotation_wander:
-            warnings.append(_warning_of(part, moved, turned, recording.quaternion is not None, settings))
+            wander = settings.position_wander, settings.rotation_wander
+            has_orientation = recording.quaternion is not None
+            warnings.append(messages.small_motion(part, moved, turned if has_orientation else None, wander))
     return tuple(warnings)
-
-
-def _warning_of(part: str, moved: float, turned: float, has_orientation: bool, settings: LearnSettings) -> str:
-    sentence = f"moves over {quantity(moved, 'm', digits=2)}"
-    wander = f"LearnSettings.position_wander ({settings.position_wander:g} m)"
-    if has_orientation:
-        sentence += f" and turns by {quantity(turned, 'rad', digits=2)}"
-        wander += f" and rotation_wander ({settings.rotation_wander:g} rad)"
-    return (
-        f"part '{part}' {sentence}, hardly more than a tracker is assumed to wander: its stops and its kind of joint "
-        f"may be missed; if the tracker is better, set {wander} to what it wanders"
-    )
 
 
 def _reach(track: PartTrack) -> tuple[float, float] | None:

@@ -18,6 +18,7 @@ from micah_plan.arrays import ROUND_OFF, Floats
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.kinematics import poses_of_states
 from micah_plan.automaton.region import Region
+from micah_plan.planning import messages
 from micah_plan.planning.cuts import Cut, half_space, with_cuts_as_bodies
 from micah_plan.task.body import Body, Shape, corners, transform
 from micah_plan.task.problem import Problem
@@ -51,8 +52,7 @@ def unchecked_parts_warning(problem: Problem) -> tuple[str, ...]:
     }
     if not cuts:
         return ()
-    turning = ", ".join(map(repr, sorted(cuts)))
-    return (f"what turns is not kept clear of the scene: {turning}; look at the page",)
+    return (messages.rotating_parts_unchecked(sorted(cuts)),)
 
 
 def slides_of(automaton: HybridAutomaton, mode: str) -> dict[str, Floats]:

@@ -15,6 +15,7 @@ from scipy.special import ndtr
 from micah_plan.arrays import EQUAL, ROUND_OFF, Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton
 from micah_plan.automaton.input_reversal import input_reversal_of
+from micah_plan.planning import messages
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.offers import (
     LARGER_STEPS,
@@ -36,14 +37,12 @@ from micah_plan.planning.search.polytope import mode_states
 from micah_plan.planning.search.roadmap import obstacles_on_state
 from micah_plan.planning.search.samples import Samples, guard_states, inside_any
 from micah_plan.planning.transcription.rows import Row, Shortfall, unit_of
-from micah_plan.quantities import percent, plain, quantity
 from micah_plan.task.plan import Finding, Level, Outcome, Plan
 from micah_plan.task.problem import Problem
 from micah_plan.task.reason import Code, Offer, Reason, one_of
 from micah_plan.task.start import is_final, modes_to_be_in, start_mode
 
 LEAST_CONFIDENCE = 0.5
-_WIDER = "widen the goal's tolerance"
 # A remedy asks for at most so many more revisits: each makes the search for them several times longer.
 _MOST_MORE_REVISITS = 2
 # By how much larger steps are looked at: the last stands for any.
@@ -71,16 +70,16 @@ def _start_finding(problem: Problem, reason: Reason) -> Finding:
     finding = replace(Finding.of("start", reason), mode=nearest.name)
     if amount <= 0:  # it is out of a range that is not of one coordinate alone
         return finding
-    words = f"start {coordinate.name}"
     unit, place = coordinate.unit, min(max(start.mean[worst], low), high)
-    moved = Offer(f"{words} within the range", f"{words} at", "start", ((worst, place),))
-    ways = moved, "name the mode that the object is in"
+    name = coordinate.name
+    moved = Offer(messages.within_range(name), messages.start_at(name), "start", ((worst, place),))
+    ways = moved, messages.NAME_THE_MODE
     return replace(
         finding,
-        sentence=f"{finding.sentence}: it misses mode '{nearest.name}' by {quantity(amount, unit)}",
+        sentence=messages.start_misses_mode(finding.sentence, nearest.name, amount, unit),
         remedy=one_of(ways),
         ways=ways,
-        constraint=f"{coordinate.name} in [{low:g}, {high:g}] {unit}",
+        constraint=f"{name} in [{low:g}, {high:g}] {unit}",
         amount=amount,
         unit=unit,
     )
@@ -103,8 +102,7 @@ def _goal_findings(problem: Problem) -> Iterator[Finding]:
             yield Finding(
                 "goal",
                 "goal_outside_range",
-                f"the goal {name} = {value:g} ± {tolerance:g} {unit} misses the range {texts} {unit} by "
-                f"{quantity(missing, unit)}",
+                messages.goal_outside_range(name, value, tolerance, unit, texts, missing),
                 way.words,
                 constraint=f"{name} in {texts} {unit}",
                 amount=missing,
@@ -119,12 +117,8 @@ def why_unreachable(problem: Problem, limits: Limits, samples: Samples) -> Reaso
         return _no_mode_holds_goal(problem, limits)
     edges = [(i, edge) for i, edge in enumerate(problem.automaton.edges) if not edge.is_self_transition]
     if not set(samples.goals) & _reachable(samples.start[0], (edge for _, edge in edges)):
-        goals = ", ".join(f"'{name}'" for name in samples.goals)
-        return Reason(
-            "no_transition_to_goal",
-            f"no transitions lead from the start's mode '{samples.start[0]}' to a mode with the goal ({goals})",
-            ("change the goal or add the missing transition to the model",),
-        )
+        sentence = messages.no_transition_to_goal(samples.start[0], tuple(samples.goals))
+        return Reason("no_transition_to_goal", sentence, (messages.CHANGE_GOAL_OR_ADD_TRANSITION,))
     reached = _reachable(samples.start[0], (edge for i, edge in edges if i in samples.exits))
     if set(samples.goals) & reached:
         return None
@@ -150,36 +144,21 @@ def why_disconnected(
         start, coordinate = problem.start.mean[index], automaton.coordinates[index]
         if apart and not moved[index]:
             is_moved = any(automaton.mode(name).driven[index] for name in reached)
-            which = "leads on to the goal" if is_moved else "can be reached"
-            return Reason(
-                "coordinate_not_moved",
-                f"'{coordinate.name}' starts at {start:g} {coordinate.unit} and the goal is {value:g} ± {tolerance:g} "
-                f"{coordinate.unit}, but no mode that {which} moves it",
-                ("change the goal or the start",),
-            )
+            goal = value, tolerance
+            sentence = messages.coordinate_not_moved(coordinate.name, coordinate.unit, start, goal, is_moved)
+            return Reason("coordinate_not_moved", sentence, (messages.CHANGE_GOAL_OR_START,))
     if (reason := _why_inside(problem, samples)) is not None:
         return reason
     if samples.is_cut_short:
-        return Reason(
-            "search_limit_reached",
-            f"the search stopped after {problem.settings.search_limit:,} linear programmes, before any sequence of "
-            f"transitions led to the goal",
-            (LONGER_SEARCH,),
-        )
+        sentence = messages.search_limit_reached(problem.settings.search_limit)
+        return Reason("search_limit_reached", sentence, (LONGER_SEARCH,))
     if (reason := _why_excluded(problem, limits, samples.start[0], revisiting)) is not None:
         return reason
     if in_the_way:
         is_asked = in_the_way[0] in [constraint.name for constraint in problem.constraints]
-        others = f" (or without {', '.join(map(repr, in_the_way[1:]))})" if in_the_way[1:] else ""
-        remedy = "relax it" if is_asked else "make room there, or let the object change its mode first"
-        sentence = f"the modes that can be reached lead to the goal only without '{in_the_way[0]}'{others}"
-        return Reason("constraint_in_the_way", sentence, (remedy,))
-    return Reason(
-        "not_connected",
-        f"the roadmaps ({problem.settings.samples_per_mode} states per mode) do not connect the start to the goal: "
-        f"guards of other transitions are in the way, or there are too few states",
-        (MORE_STATES,),
-    )
+        remedy = messages.RELAX_CONSTRAINT if is_asked else messages.MAKE_ROOM_OR_CHANGE_MODE
+        return Reason("constraint_in_the_way", messages.constraint_in_the_way(in_the_way), (remedy,))
+    return Reason("not_connected", messages.not_connected(problem.settings.samples_per_mode), (MORE_STATES,))
 
 
 def _why_inside(problem: Problem, samples: Samples) -> Reason | None:
@@ -188,9 +167,9 @@ def _why_inside(problem: Problem, samples: Samples) -> Reason | None:
     start = samples.points[mode][[number]]
     if (inside := _deepest(automaton, mode, start)) is not None:
         edge, depth, unit = inside
-        sentence = f"the start lies inside '{edge.guard.name}' ('{edge.name}'), {quantity(depth, unit)} deep"
-        return Reason("start_in_obstacle", sentence, ("move the start or what is there",))
-    names = list[str]()
+        sentence = messages.start_in_obstacle(edge.guard.name, edge.name, depth, unit)
+        return Reason("start_in_obstacle", sentence, (messages.MOVE_START_OR_OBSTACLE,))
+    guards = dict[tuple[str, str], None]()
     for name, numbers in samples.goals.items():
         # On leaves that nothing reaches the goal has no states; nor does it count to be stuck.
         if not len(numbers) or (is_final(automaton, automaton.mode(name)) and name not in problem.goal.modes):
@@ -199,11 +178,10 @@ def _why_inside(problem: Problem, samples: Samples) -> Reason | None:
         if not inside_any(obstacles_on_state(automaton, name), points).all():
             return None
         if (inside := _deepest(automaton, name, points[:1])) is not None:
-            names.append(f"'{inside[0].guard.name}' ('{inside[0].name}')")
-    if not names:
+            guards[inside[0].guard.name, inside[0].name] = None
+    if not guards:
         return None
-    sentence = f"the goal lies inside {' and '.join(dict.fromkeys(names))}"
-    return Reason("goal_in_obstacle", sentence, ("move the goal or what is there",))
+    return Reason("goal_in_obstacle", messages.goal_in_obstacle(tuple(guards)), (messages.MOVE_GOAL_OR_OBSTACLE,))
 
 
 def _deepest(automaton: HybridAutomaton, mode: str, point: Floats) -> tuple[Edge, float, str] | None:
@@ -235,22 +213,14 @@ def _why_excluded(problem: Problem, limits: Limits, start_mode: str, revisiting:
         return None
     for more in range(revisits + 1, revisits + 1 + _MOST_MORE_REVISITS) if revisiting else ():
         if passage_exists(problem, limits, start_mode, more):
-            times = "once" if revisits == 0 else f"{1 + revisits} times"
-            sentence = f"no inputs lead to the goal in modes that are each entered at most {times}"
-            return Reason("too_few_revisits", sentence, (more_revisits("raise revisits", more),))
-    # Of modes that nothing leaves nobody asks what they keep.
-    words = [
-        f"'{leave.mode.name}' keeps {' and '.join(leave.kept_words(automaton.coordinate_names))}"
+            return Reason("too_few_revisits", messages.too_few_revisits(revisits), (more_revisits(more),))
+    kept = [
+        (leave.mode.name, leave.kept_words(automaton.coordinate_names))
         for leave in leaves
         if not is_final(automaton, leave.mode)
     ]
-    kept = ", ".join(words[:_MOST_NAMED] + ["..."] * (len(words) > _MOST_NAMED))
-    return Reason(
-        "inputs_keep_coordinates",
-        f"no inputs lead to the goal, even with nothing in the way: what the inputs of a mode cannot change stays as "
-        f"it was when the mode was entered ({kept})",
-        ("change the goal or the start",),
-    )
+    sentence = messages.inputs_keep_coordinates(kept[:_MOST_NAMED], len(kept) > _MOST_NAMED)
+    return Reason("inputs_keep_coordinates", sentence, (messages.CHANGE_GOAL_OR_START,))
 
 
 def _no_mode_holds_goal(problem: Problem, limits: Limits) -> Reason:
@@ -263,23 +233,20 @@ def _no_mode_holds_goal(problem: Problem, limits: Limits) -> Reason:
         texts = [f"{c.name} in [{states.lower[i]:g}, {states.upper[i]:g}] {c.unit}" for c, i, _, _ in items]
         texts += [tie.words(automaton.coordinate_names) for tie in automaton.mode(name).ties]
         ranges.append(f"'{name}' allows {', '.join(texts)}")
-    among = "the goal's modes" if goal.modes else "the modes"
-    sentence = f"the goal {wanted} lies in the range of none of {among} ({'; '.join(ranges)})"
-    return Reason("goal_in_no_mode", sentence, ("move the goal into a range",))
+    sentence = messages.goal_in_no_mode(wanted, bool(goal.modes), ranges)
+    return Reason("goal_in_no_mode", sentence, (messages.MOVE_GOAL_INTO_RANGE,))
 
 
 def _closed_edge(problem: Problem, limits: Limits, edge: Edge) -> Reason:
     if guard_states(problem, limits, edge).is_empty:
-        rows = ", ".join(f"'{h.name}'" for h in edge.guard.half_spaces)
-        where = f"the guard of '{edge.name}' ({rows}) holds nowhere in mode '{edge.source}'"
+        guard = edge.name, [half_space.name for half_space in edge.guard.half_spaces], edge.source
         for factor in _LARGER:
             larger = replace(limits, max_step=factor * limits.max_step)
             if not guard_states(problem, larger, edge).is_empty:
-                return Reason("guard_unreachable", f"{where} with inputs up to max_step", (larger_steps(factor),))
-        ways = ("correct the guard, or the invariant or the inputs of the mode",)
-        return Reason("guard_empty", f"{where}, whatever max_step is", ways)
-    sentence = f"the reset of '{edge.name}' leads out of the invariant of mode '{edge.target}'"
-    return Reason("reset_outside_mode", sentence, ("correct the reset or the invariant in the model",))
+                return Reason("guard_unreachable", messages.guard_unreachable(*guard), (larger_steps(factor),))
+        return Reason("guard_empty", messages.guard_empty(*guard), (messages.CORRECT_GUARD,))
+    sentence = messages.reset_outside_mode(edge.name, edge.target)
+    return Reason("reset_outside_mode", sentence, (messages.CORRECT_RESET,))
 
 
 def _reachable(start: str | Iterable[str], edges: Iterable[Edge]) -> set[str]:
@@ -292,22 +259,20 @@ def _reachable(start: str | Iterable[str], edges: Iterable[Edge]) -> set[str]:
 
 def sentence_of(shortfall: Shortfall) -> str:
     """The violated row, with the amount and the place."""
-    return f"{_missed(shortfall)} at knot {shortfall.row.knot} in mode '{shortfall.row.mode}'"
+    return messages.at_knot(_missed(shortfall), shortfall.row.knot, shortfall.row.mode)
 
 
 def partly_met(shortfall: Shortfall) -> str:
     """Finding on a boundary that a plan keeps with less than its confidence."""
     row = shortfall.row
-    return (
-        f"{row.name} holds with less than {percent(row.confidence or 0.0)} around knot {row.knot} in mode '{row.mode}'"
-    )
+    return messages.holds_in_part(row.name, row.confidence or 0.0, row.knot, row.mode)
 
 
 def finding_of_status(modes: tuple[str, ...], status: str, *, is_out_of_time: bool = False) -> Finding:
     """Finding on an optimisation that failed without a violated constraint."""
-    ways = ("raise time_limit_s",) if is_out_of_time else (MORE_STATES, MORE_CANDIDATES, "try another seed")
+    ways = (messages.RAISE_TIME_LIMIT,) if is_out_of_time else (MORE_STATES, MORE_CANDIDATES, messages.OTHER_SEED)
     code: Code = "time_limit_reached" if is_out_of_time else "optimisation_failed"
-    return Finding.of("optimisation", Reason(code, f"the optimisation failed: {status}", ways), modes)
+    return Finding.of("optimisation", Reason(code, messages.optimisation_failed(status), ways), modes)
 
 
 def findings_of(problem: Problem, modes: tuple[str, ...], shortfalls: Sequence[Shortfall]) -> list[Finding]:
@@ -355,28 +320,22 @@ def finding_of(problem: Problem, modes: tuple[str, ...], shortfall: Shortfall) -
 
 def _missed(shortfall: Shortfall) -> str:
     if not np.isfinite(shortfall.amount):
-        return f"{shortfall.row.label} is not a number"
-    return f"{shortfall.row.label} is missed by {quantity(shortfall.amount, shortfall.row.unit)}"
+        return messages.not_a_number(shortfall.row.label)
+    return messages.constraint_missed(shortfall.row.label, float(shortfall.amount), shortfall.row.unit)
 
 
 def _space_sentence(problem: Problem, row: Row, room: float, need: float, is_narrow: bool) -> str:
     """The available space, and the space that the belief needs."""
     name = row.name if row.half_space is None else f"'{row.half_space.name}'"
-    has, behind = quantity(room, row.unit), quantity(-room, row.unit)
-    needs = f"the belief needs {quantity(need, row.unit)} at {percent(problem.settings.confidence)}"
-    if (turned := _reversing_mode(problem, row)) is not None:
-        return (
-            f"behind {name} the same input moves the other way ('{row.mode}' against '{turned}'), so one step must "
-            f"surely lead across: it starts {f'{has} before it' if room >= 0 else f'{behind} behind it'}, {needs}"
-        )
+    confidence = problem.settings.confidence
+    if (behind := _reversing_mode(problem, row)) is not None:
+        return messages.no_room_to_reverse(name, (row.mode, behind), room, need, row.unit, confidence)
     if is_narrow:
-        return f"the corridor at {name} is {has} wide, {needs}"
+        return messages.corridor_too_narrow(name, room, need, row.unit, confidence)
     if row.kind == "guard":
-        reached = f"{has} past it" if room >= 0 else f"{behind} before it"
-        return f"the mean gets {reached} where the transition at {name} needs it {quantity(need, row.unit)} past it"
-    if row.kind == "path":
-        return f"the mean has {has} to spare at {name}, {needs}"
-    return f"the path has {has} to {name}, {needs}"
+        return messages.guard_not_entered(name, room, need, row.unit)
+    sentence = messages.margin_too_small if row.kind == "path" else messages.path_too_close
+    return sentence(name, room, need, row.unit, confidence)
 
 
 def _space_remedies(problem: Problem, row: Row, room: float, need: float, possible: float) -> tuple[str | Offer, ...]:
@@ -399,11 +358,11 @@ def _space_remedies(problem: Problem, row: Row, room: float, need: float, possib
     if row.kind == "guard" and room < 0.0:  # the mean does not get there either
         return MORE_KNOTS, LARGER_STEPS, SURER_START, LESS_NOISE
     ways: list[str | Offer] = [SURER_START, LESS_NOISE]
-    ways += [f"allow contact with '{contact[0]}'"] if contact else []
-    ways += [f"relax {row.name} by {quantity(need - room, row.unit)}"] if row.kind == "path" else []
-    ways += [more_revisits("raise revisits", 1)] if not problem.settings.revisits else []  # it may localise elsewhere
+    ways += [messages.allow_contact(contact[0])] if contact else []
+    ways += [messages.relax_by(row.name, need - room, row.unit)] if row.kind == "path" else []
+    ways += [more_revisits(1)] if not problem.settings.revisits else []  # it may localise elsewhere
     is_enough = possible > LEAST_CONFIDENCE
-    return *ways, lower_confidence(possible) if is_enough else "make more room (no confidence above 0.5 suffices)"
+    return *ways, lower_confidence(possible) if is_enough else messages.MORE_ROOM
 
 
 def _reversing_mode(problem: Problem, row: Row) -> str | None:
@@ -420,15 +379,16 @@ def _mean_remedies(shortfall: Shortfall) -> tuple[str | Offer, ...]:
     row, amount = shortfall.row, float(shortfall.amount)
     steps = MORE_KNOTS, LARGER_STEPS
     if row.kind == "goal":
+        wider = messages.WIDEN_GOAL
         if row.coordinate is None or not np.isfinite(amount):
-            return _WIDER, *steps
-        return Offer(_WIDER, f"{_WIDER} to", "tolerance", ((row.coordinate, row.upper + amount),)), *steps
+            return wider, *steps
+        return Offer(wider, f"{wider} to", "tolerance", ((row.coordinate, row.upper + amount),)), *steps
     if row.kind == "input":
-        return *steps, "correct the inputs that the model admits"
+        return *steps, messages.CORRECT_INPUTS
     if row.kind == "boundary":
-        return "move the goal or the start away from it", *steps
+        return messages.MOVE_GOAL_OR_START_AWAY, *steps
     if row.kind == "path" and np.isfinite(amount):
-        return f"relax it by {quantity(amount, row.unit)}", *steps
+        return messages.relax_by("it", amount, row.unit), *steps
     return steps
 
 
@@ -463,10 +423,8 @@ def explain(problem: Problem, plan: Plan) -> Explanation:
     lines = [_outcome_line(plan, level), *(line for finding in findings for line in finding_lines(finding))]
     lines += [f"mode '{mode}': {sentence}" for mode, sentence in purpose_sentences(plan)]
     if not findings and plan.outcome != "solved":
-        lines.append("the file has no details, it was written by an older version: solve the problem again")
-    for candidate in plan.candidates:
-        cost = "no plan" if candidate.cost is None else f"cost {plain(candidate.cost)}"
-        lines.append(f"tried {' -> '.join(candidate.modes)}: {cost}, {candidate.message}")
+        lines.append(messages.WITHOUT_FINDINGS)
+    lines += [messages.candidate(one.modes, one.cost, one.message) for one in plan.candidates]
     return Explanation(plan.outcome, plan.reason, level, findings, tuple(lines))
 
 
@@ -482,8 +440,5 @@ def finding_lines(finding: Finding) -> list[str]:
 
 def _outcome_line(plan: Plan, level: Level | None) -> str:
     if plan.outcome == "solved":
-        share = plan.success_probability
-        verified = "" if share is None else f", {percent(share)} of the roll-outs succeed"
-        return f"solved through {' -> '.join(plan.mode_sequence)}{verified}"
-    failed = "there is no plan" if plan.outcome == "no_plan" else "a plan was found but not verified"
-    return f"{failed}: {plan.reason if level is None else f'the {level} stands in the way'}"
+        return messages.solved_through(plan.mode_sequence, plan.success_probability)
+    return messages.failed_at(plan.outcome == "not_verified", level, plan.reason)

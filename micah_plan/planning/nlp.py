@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from micah_plan.arrays import Floats
+from micah_plan.planning import messages
 
 Bounds = tuple[Floats, Floats]
 
@@ -24,21 +25,7 @@ FEASIBLE = 1e-5
 
 _SOLVER = "ipopt"
 _MAX_ITERATIONS = 500
-_UNUSABLE = "the start of the optimisation is unusable"
 _OUT_OF_TIME = ("Maximum_WallTime_Exceeded", "Maximum_CpuTime_Exceeded")
-_STATUS = {
-    "Solve_Succeeded": "locally optimal",
-    "Solved_To_Acceptable_Level": "locally optimal to a loose tolerance",
-    "Feasible_Point_Found": "feasible",
-    "Infeasible_Problem_Detected": "near the way that was tried no inputs satisfy all constraints",
-    "Restoration_Failed": "no point that satisfies the constraints was found",
-    "Maximum_Iterations_Exceeded": f"stopped after {_MAX_ITERATIONS} iterations",
-    **dict.fromkeys(_OUT_OF_TIME, "stopped at the time limit (time_limit_s)"),
-    "Search_Direction_Becomes_Too_Small": "no further progress was possible",
-    "Diverging_Iterates": "the iterates diverged: the cost has no lower limit",
-    "Invalid_Number_Detected": "a constraint or the cost became not a number",
-    "Not_Enough_Degrees_Of_Freedom": "there are more equality constraints than variables",
-}
 # For a start that is nearly right: how far from the bounds the barrier begins, and starts are pushed away from them.
 _BARRIER, _PUSH = 1e-4, 1e-8
 _WARM_START = {
@@ -89,7 +76,7 @@ class Solution:
         is_feasible: whether all rows hold to within `FEASIBLE` and nothing is NaN.
         has_converged: whether the solver says that it is a local optimum.
         is_out_of_time: whether it was stopped by its time limit, so that the result does not say what is possible.
-        said: how it ended, in words.
+        status: how it ended, in words.
         iterations: of the solver.
         multipliers: of bounds and rows, for a warm start.
     """
@@ -100,7 +87,7 @@ class Solution:
     is_feasible: bool
     has_converged: bool
     is_out_of_time: bool
-    said: str
+    status: str
     iterations: int
     multipliers: Bounds
 
@@ -152,7 +139,8 @@ class Solver:
         row_lower, row_upper = stated.row_bounds if row_bounds is None else row_bounds
         if before is None:
             cost, rows = stated.values(start)
-            unusable = Solution(start, cost, rows, False, False, False, _UNUSABLE, 0, (0.0 * start, 0.0 * rows))
+            status = messages.UNUSABLE_GUESS
+            unusable = Solution(start, cost, rows, False, False, False, status, 0, (0.0 * start, 0.0 * rows))
             if not unusable.is_number:
                 return unusable
         else:
@@ -169,7 +157,7 @@ class Solver:
             bool(np.isfinite(cost)) and bool(missed <= FEASIBLE),
             bool(statistics["success"]),
             status in _OUT_OF_TIME,
-            _STATUS.get(status, status.replace("_", " ").lower()),
+            messages.SOLVER_STATUS.get(status, status.replace("_", " ").lower()),
             int(statistics["iter_count"]),
             (of_bounds, of_rows),
         )

@@ -50,7 +50,7 @@ def moved_target(index: int, value: float) -> Offer:
     return Offer("move its target into the range", "move its target to", "target", ((index, value),))
 
 
-def more_revisits(words: str, revisits: int) -> Offer:
+def more_revisits(revisits: int, words: str = "raise revisits") -> Offer:
     """The offer to allow `revisits` returns to a mode."""
     return Offer(words, f"{words} to", "revisits", ((0, revisits),))
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from micah_plan.arrays import EQUAL, Booleans, Floats, Ints
+from micah_plan.planning import messages
 from micah_plan.planning.limits import Limits
 from micah_plan.planning.offers import LESS_NOISE, MORE_CONFIDENCE, SURER_START
-from micah_plan.quantities import percent, quantity
 from micah_plan.task.path import Pay, Require, path_terms
 from micah_plan.task.plan import Finding, Trajectory
 from micah_plan.task.problem import Problem
@@ -63,7 +63,7 @@ class PathRecord:
     def sentences(self) -> list[str]:
         """The violated constraints, each with its largest violation."""
         worst = [(name, unit, -float(margin.min())) for (name, unit), margin in self.worst.items()]
-        return [f"'{name}' was broken by {quantity(by, unit)}" for name, unit, by in worst if by > EQUAL]
+        return [messages.constraint_violated(name, by, unit) for name, unit, by in worst if by > EQUAL]
 
     def findings(self, modes: tuple[str, ...]) -> list[tuple[float, Finding]]:
         """(violating fraction, finding) of each constraint that roll-outs of a plan through these modes violate."""
@@ -73,12 +73,12 @@ class PathRecord:
             if share == 0.0:
                 continue
             is_number = amount < np.inf
-            by = f", by up to {quantity(amount, unit)}" if is_number else ""
+
             ways: tuple[str | Offer, ...] = LESS_NOISE, SURER_START, MORE_CONFIDENCE
             missing = -float(np.quantile(worst, 1.0 - confidence, method="inverted_cdf"))
             if EQUAL < missing < np.inf:
-                ways = f"relax it by {quantity(missing, unit)}, which {percent(confidence)} of them hold", *ways
-            sentence = f"{percent(share, 0)} of the roll-outs break '{name}'{by}"
+                ways = messages.relax_for_share(missing, unit, confidence), *ways
+            sentence = messages.breaks_constraint(share, name, amount if is_number else None, unit)
             place = modes, "", None, f"'{name}'"
             finding = Finding("verification", "breaks_constraint", sentence, one_of(ways), *place, unit=unit, ways=ways)
             findings.append((share, replace(finding, amount=amount if is_number else None)))

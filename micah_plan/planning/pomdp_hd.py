@@ -19,6 +19,7 @@ import numpy as np
 
 from micah_plan.arrays import EQUAL, Floats
 from micah_plan.automaton.input_memory import own_size
+from micah_plan.planning import messages
 from micah_plan.planning.attempt import Attempt, attempt_plan
 from micah_plan.planning.cuts import Cut, tight_places, with_cuts_as_bodies, with_enlarged_obstacles
 from micah_plan.planning.feedback import belief_lqr
@@ -125,7 +126,7 @@ def _with_detours(attempt: Attempt) -> list[_CandidatePlan]:
 
 def _searched(attempt: Attempt, plain: Problem, cuts: Sequence[Cut]) -> SearchResult:
     """Mode sequences of a problem over x, with some states cut out."""
-    attempt.deadline.check("search", "no detour was looked for", "candidates")
+    attempt.deadline.check("search", messages.without_detour(), "candidates")
     with attempt.clock.stage("search"):
         task = with_passing_time(with_cuts_as_bodies(plain, cuts) if cuts else plain)
         return search_modes(task, limits_of(task), attempt.mode, attempt.seed, deadline=attempt.deadline)
@@ -182,17 +183,16 @@ def _cheapest_plan(attempt: Attempt, asked: Problem, tried: Sequence[_CandidateP
             candidates[0],
             tuple(finding for attempt_result in tried for finding in attempt_result.findings),
         )
-        said = f"no mode sequence could be optimised; {' -> '.join(first.modes)}: "
+        beginning = messages.no_sequence_optimised(first.modes)
         if tried[0].path is None:  # the message is the finding
-            return attempt.refused_for(findings, said, candidates)
-        return attempt.refused(f"{said}{first.message}", findings, candidates)
+            return attempt.refused_for(findings, beginning, candidates)
+        return attempt.refused(f"{beginning}{first.message}", findings, candidates)
     plans = []
     for number, (path, sequence, price) in enumerate(sorted(paths, key=lambda priced: priced[2]), start=1):
         trajectory = trajectory_of(attempt.problem, attempt.limits, path)
-        rank = "the cheapest" if number == 1 else f"number {number} by cost"
-        which = "the only mode sequence found" if len(tried) == 1 else f"{rank} of {len(tried)} mode sequences"
+        how = messages.chosen(number, len(tried), path.message)
         in_part = tuple(findings_of(attempt.problem, sequence.modes, path.in_part))
-        plan = attempt.solved(trajectory, price, f", {which}: {path.message}", candidates, in_part)
+        plan = attempt.solved(trajectory, price, how, candidates, in_part)
         plans.append(replace(plan, purposes=sequence.purposes))
     # Between the knots other transitions may come first: what its own mean does not follow is no plan.
     plans.sort(key=lambda plan: plan.trajectory is None or departure(asked, plan.trajectory) is not None)
@@ -241,22 +241,21 @@ def _low_level(attempt: Attempt, sequence: ModeSequence) -> _CandidatePlan:
 
 def _optimised(attempt: Attempt, sequence: ModeSequence) -> _CandidatePlan:
     problem, deadline, clock, steps = attempt.problem, attempt.deadline, attempt.clock, -1
-    name, state = " -> ".join(sequence.modes), "was not tried"
     for stretch in (1.0, problem.settings.pace, *_STRETCHES[1:]) if drifts(problem) else _STRETCHES:
-        deadline.check("optimisation", f"{name} {state}", "candidates")
+        deadline.check("optimisation", messages.sequence_untried(sequence.modes, steps), "candidates")
         with clock.stage("build"):
             phases = guess(problem, attempt.limits, sequence, stretch)
             longer = sum(phase.steps for phase in phases)
             if longer == steps:
                 break
-            steps, state = longer, "was not tried with more knots"
+            steps = longer
             nlp = transcribe(problem, attempt.limits, phases)
         with clock.stage("optimise"):
             path = solve_transcription(nlp, _time_limit(attempt))
         if path.feasible:
             path = _with_other_sides(attempt, phases, path)
             return _CandidatePlan(sequence, path, path.message)
-        deadline.check("optimisation", f"{name} was at {steps} steps", "candidates")
+        deadline.check("optimisation", messages.sequence_at(sequence.modes, steps), "candidates")
     if path.is_out_of_time:  # its state then does not say what is possible
         finding = finding_of_status(sequence.modes, path.message, is_out_of_time=True)
         return _CandidatePlan(sequence, path, path.message, (finding,))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from micah_plan.quantities import plain
+from micah_plan.planning import messages
 from micah_plan.task.plan import ModePurpose, Plan
 
 
@@ -13,24 +13,22 @@ def purpose_sentences(plan: Plan) -> tuple[tuple[str, str], ...]:
         if purpose.mode not in plan.mode_sequence:
             continue
         sentence = _sentence(purpose, plan)
-        before = next((mode for mode, said in sentences.items() if said == sentence), None)
-        sentences[purpose.mode] = sentence if before is None else f"is there for the same reason as {before}"
+        before = next((mode for mode, other in sentences.items() if other == sentence), None)
+        sentences[purpose.mode] = sentence if before is None else messages.same_reason(before)
     return tuple(sentences.items())
 
 
 def _sentence(purpose: ModePurpose, plan: Plan) -> str:
     if purpose.is_goal:
-        return "the goal is in no other mode"
+        return messages.only_mode_of_goal()
     if not purpose.without:
-        return f"without it the search finds no way: {purpose.why}"
-    way = " -> ".join(purpose.without)
+        return messages.no_path_without(purpose.why)
     tried = next((one for one in plan.candidates if one.modes == purpose.without), None)
     if tried is None:
         own = next((one.search_cost for one in plan.candidates if one.modes == plan.mode_sequence), None)
-        instead = "" if own is None else f" instead of {plain(own)}"
-        return f"the way without it, {way}, was expected to cost {plain(purpose.steps_without or 0.0)} steps{instead}"
+        return messages.costs_more_without(purpose.without, purpose.steps_without or 0.0, own)
     if tried.cost is None:
-        return f"the way without it, {way}, was tried, and there is no plan along it"
+        return messages.no_plan_without(purpose.without)
     if plan.cost is not None and tried.cost > plan.cost:
-        return f"along the way without it, {way}, a plan costs {plain(tried.cost)} instead of {plain(plan.cost)}"
-    return f"along the way without it, {way}, a plan costs {plain(tried.cost)}, but its roll-outs fail"
+        return messages.plan_costs_more_without(purpose.without, tried.cost, plan.cost)
+    return messages.plan_fails_without(purpose.without, tried.cost)

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from micah_plan.arrays import Floats
-from micah_plan.quantities import percent, quantity
+from micah_plan.planning import messages
 from micah_plan.task.acceptance import least_share
 from micah_plan.task.deadline import Deadline, TimeLimitError
 from micah_plan.task.plan import ArmTrajectory, Finding, Plan, ReleasePlan
@@ -76,7 +76,7 @@ def with_release(problem: Problem, plan: Plan, deadline: Deadline) -> tuple[Plan
         spent = perf_counter() - begin
         plan = replace(plan, timings={key: s + spent * (key in ("arm", "total")) for key, s in plan.timings.items()})
         if isinstance(answer, Blocked):
-            return _refused(plan, _finding(plan, "lower the object to let it go", answer.arm)), answer
+            return _refused(plan, _finding(plan, messages.LOWER, answer.arm)), answer
         if isinstance(answer, Finding):
             return _refused(plan, answer), None
         release_plan = answer
@@ -113,7 +113,7 @@ def _with_arm(
         if isinstance(away, ArmTrajectory):
             return replace(release_problem, withdrawal=displacements, lowering=down, withdrawing=away)
         failures.append(away)
-    return _finding(plan, "withdraw", max(failures, key=lambda failure: failure.knot))
+    return _finding(plan, messages.WITHDRAW, max(failures, key=lambda failure: failure.knot))
 
 
 def _directions(problem: Problem) -> Iterator[Floats]:
@@ -126,7 +126,7 @@ def _directions(problem: Problem) -> Iterator[Floats]:
 
 
 def _finding(plan: Plan, task: str, failure: ArmFailure) -> Finding:
-    sentence = f"the arm cannot {task}: {failure.sentence} of it"
+    sentence = messages.arm_cannot(task, failure.sentence)
     return Finding("arm", "arm_cannot_release", sentence, failure.remedy, plan.mode_sequence, constraint=failure.kind)
 
 
@@ -147,9 +147,5 @@ def _with_support_probability(problem: Problem, plan: Plan) -> Plan:
     plan = replace(plan, success_probability=share * holds, success_interval=(low * holds, high * holds))
     if plan.outcome != "solved" or share * holds >= least_share(problem.settings.confidence, plan.verification_trials):
         return plan
-    sentence = (
-        f"released, the object rests within {quantity(tolerance, 'm')} of its height with {percent(holds)}: "
-        f"the support's height is known to {quantity(std, 'm')} (1 σ)"
-    )
-    remedy = "widen the tolerance of 'z', or measure the support"
+    sentence, remedy = messages.support_uncertain(tolerance, holds, std), messages.MEASURE_SUPPORT
     return _refused(plan, Finding("goal", "support_uncertain", sentence, remedy, plan.mode_sequence))

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Protocol
 
+from micah_plan.planning import messages
 from micah_plan.planning.findings import LEAST_CONFIDENCE
 from micah_plan.planning.offers import changed, in_words, with_printable_numbers
 from micah_plan.summaries import Progress
@@ -50,14 +51,14 @@ def with_tested_remedies(
     """
     if plan.outcome == "solved" or not plan.findings:
         return plan
-    trials, said = _Trials(problem, solver, seed, progress), plan.before_remedy
+    trials, beginning = _Trials(problem, solver, seed, progress), plan.before_remedy
     findings = tuple(
         replace(finding, remedy=trials.tested_remedy(finding) if finding.ways else finding.remedy, ways=())
         for finding in plan.findings
     )
     # What was added to a reason since stands behind its remedy.
-    is_of_first = said is not None and plan.reason == f"{said}{plan.findings[0].remedy}"
-    return replace(plan, reason=f"{said}{findings[0].remedy}" if is_of_first else plan.reason, findings=findings)
+    is_of_first = beginning is not None and plan.reason == f"{beginning}{plan.findings[0].remedy}"
+    return replace(plan, reason=f"{beginning}{findings[0].remedy}" if is_of_first else plan.reason, findings=findings)
 
 
 class _BudgetExhaustedError(Exception):
@@ -83,7 +84,7 @@ class _Trials:
                 ways.append(words)
             elif isinstance(way, Offer):
                 failed.append(way.words)
-        return one_of(ways) if ways else f"change the task or the model (tried in vain: {', '.join(failed)})"
+        return one_of(ways) if ways else messages.none_helped(failed)
 
     def _tested_words(self, offer: Offer) -> str:
         """Words of an offer; empty if it does not help."""
@@ -94,7 +95,7 @@ class _Trials:
         try:
             helping = self._helpful_offer(offer)
         except _BudgetExhaustedError:
-            return f"{offer.words} (not tried)"
+            return messages.untested(offer.words)
         self._words[offer.kind] = "" if helping is None else in_words(self._problem, helping)
         return self._words[offer.kind]
 
@@ -102,7 +103,7 @@ class _Trials:
         """The offer, or a larger change of its kind, with which planning succeeds for two seeds.
 
         Raises:
-            _NoneLeftError: if all that may be solved was solved before that is known.
+            _BudgetExhaustedError: if the budget is exhausted before that is known.
         """
         for _ in range(_MOST_FACTORS if offer.kind in _FACTORS else _MOST_NUMBERS):
             offer = with_printable_numbers(offer)
@@ -113,7 +114,7 @@ class _Trials:
                 if not self._left:
                     raise _BudgetExhaustedError
                 if self._progress is not None:
-                    self._progress(f"no plan; whether it helps to {offer.words}", 1.0 - self._left / _MOST_SOLVED)
+                    self._progress(messages.trying(offer.words), 1.0 - self._left / _MOST_SOLVED)
                 self._left -= 1
                 answers.append(self._solver(changed(self._problem, offer), seed=seed))
                 if answers[-1].outcome != "solved":

@@ -19,6 +19,7 @@ from micah_plan.automaton.step_noise import drawn_gains
 from micah_plan.automaton.transition import TransitionBatch
 from micah_plan.belief.filter import initial_belief, predict_belief, repeated_belief, update
 from micah_plan.belief.hybrid_belief import BeliefBatch
+from micah_plan.planning import messages
 from micah_plan.planning.avoided_inputs import cut_off
 from micah_plan.planning.feedback import feedback_input, time_knots
 from micah_plan.planning.input_memories import steps_of_memory, with_input_memory, without_input_memory
@@ -105,7 +106,7 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
     beliefs = repeated_belief(whole, initial_belief(whole, start.mean, start.std, trajectory.modes[0]), trials)
     knots, path, visited = time_knots(trajectory), PathRecord(problem, trials), list[Ints]()
     for step, knot in enumerate(knots):
-        deadline.check("verification", f"roll-outs were at step {step} of {len(knots)}", "verification_trials")
+        deadline.check("verification", messages.roll_outs_at(step, len(knots)), "verification_trials")
         believed = beliefs.most_likely
         estimate = beliefs.means[everyone, believed]
         u = feedback_input(trajectory, int(knot), estimate)
@@ -158,14 +159,6 @@ class Departure:
     knot: int
     planned: str
     visited: str
-
-    @property
-    def sentence(self) -> str:
-        """The event in one sentence."""
-        return (
-            f"even without noise the plan is in mode '{self.visited}' at knot {self.knot} and not in '{self.planned}': "
-            "on the way there other transitions come first"
-        )
 
 
 def departure(problem: Problem, trajectory: Trajectory) -> Departure | None:

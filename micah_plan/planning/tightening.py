@@ -16,8 +16,8 @@ from functools import partial
 from time import perf_counter
 from typing import Protocol
 
+from micah_plan.planning import messages
 from micah_plan.planning.verification import verify
-from micah_plan.quantities import percent
 from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import Finding, Plan
 from micah_plan.task.problem import Problem
@@ -122,10 +122,8 @@ def _with_deadline_finding(plan: Plan, deadline: Deadline) -> Plan:
     """A plan whose replanning was cut off by the deadline, with that as the first finding."""
     if plan.success_probability is None:  # the roll-outs were cut short, and it says so
         return plan
-    sentence = (
-        f"the time limit of {deadline.limit_s:g} s (solve_time_limit_s) was reached before planning with more room"
-    )
-    finding = Finding("verification", "time_limit_reached", sentence, "raise solve_time_limit_s", plan.mode_sequence)
+    sentence, remedy = messages.no_time_for_more_room(deadline.limit_s), messages.RAISE_SOLVE_TIME_LIMIT
+    finding = Finding("verification", "time_limit_reached", sentence, remedy, plan.mode_sequence)
     return plan.refused_for(finding, f"{plan.reason}; ", outcome=plan.outcome)
 
 
@@ -149,6 +147,5 @@ def tightened(planned: float, asked: float, failing: float) -> float:
 def _with_tightening_note(answer: Plan, before: Plan, confidence: float, rounds: int) -> Plan:
     """A verified plan whose reason mentions that and why it was planned again."""
     sentences = [finding.sentence for finding in before.findings if finding.level == "verification"]
-    why = f": {sentences[0]}" if sentences else ""
-    times = "once" if rounds == 1 else f"{rounds} times"
-    return replace(answer, reason=f"{answer.reason}; planned again {times}, at last at {percent(confidence)}{why}")
+    why = messages.planned_again(rounds, confidence, sentences[0] if sentences else "")
+    return replace(answer, reason=f"{answer.reason}{why}")

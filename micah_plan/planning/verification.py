@@ -10,6 +10,7 @@ from scipy.special import ndtri
 
 from micah_plan.arrays import INTERVAL, Booleans, Floats, Ints
 from micah_plan.automaton.hybrid import HybridAutomaton
+from micah_plan.planning import messages
 from micah_plan.planning.around_bodies import with_scene
 from micah_plan.planning.offers import (
     LESS_NOISE,
@@ -29,7 +30,6 @@ from micah_plan.planning.roll_outs import (
     restricted_to_nearby_modes,
     roll_out,
 )
-from micah_plan.quantities import percent, quantity
 from micah_plan.task.acceptance import least_share, least_trials
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 from micah_plan.task.plan import Finding, Plan, Trajectory
@@ -70,12 +70,10 @@ def verify(
     if plan.trajectory is None or count <= 0:
         return plan
     problem, confidence = with_scene(pre_release_problem(problem)), problem.settings.confidence
-    found = f"found {' -> '.join(plan.mode_sequence)}, but "
+    found = messages.found(plan.mode_sequence)
     if (needed := least_trials(confidence)) > _MOST_TRIALS:
-        sentence = (
-            f"it takes {needed:,} roll-outs to show the confidence {percent(confidence)}, more than {_MOST_TRIALS:,}"
-        )
-        finding = Finding("verification", "too_many_trials", sentence, "lower `confidence`", plan.mode_sequence)
+        sentence, remedy = messages.too_many_trials(needed, confidence, _MOST_TRIALS), messages.LOWER_CONFIDENCE
+        finding = Finding("verification", "too_many_trials", sentence, remedy, plan.mode_sequence)
         return plan.refused_for(finding, found)
     count = max(count, needed) if trials is None and not sequential else count
     try:
@@ -90,15 +88,12 @@ def verify(
         return answer
     if (leaves := departure(problem, plan.trajectory)) is not None:
         where = leaves.planned, leaves.knot
-        ways = "give the modes more room at that transition", MORE_KNOTS, LESS_NOISE
-        remedy = one_of(ways)
-        of_plan = remedy, plan.mode_sequence, *where, "transitions"
-        finding = Finding("verification", "leaves_mode_sequence", leaves.sentence, *of_plan, ways=ways)
+        ways = messages.ROOM_AT_TRANSITION, MORE_KNOTS, LESS_NOISE
+        of_plan = one_of(ways), plan.mode_sequence, *where, "transitions"
+        sentence = messages.leaves_mode_sequence(leaves.knot, leaves.planned, leaves.visited)
+        finding = Finding("verification", "leaves_mode_sequence", sentence, *of_plan, ways=ways)
         return answer.refused_for(finding, found)
-    reason = (
-        f"{found}{successes} of {done} roll-outs ({percent(share, 0)}) end in "
-        f"the goal, fewer than the confidence {percent(confidence)} asks for"
-    )
+    reason = f"{found}{messages.too_few_succeed(successes, done, confidence)}"
     findings = _findings(problem, plan.mode_sequence, ends)
     return replace(answer, outcome="not_verified", reason=reason, findings=(*plan.findings, *findings))
 
@@ -183,10 +178,7 @@ def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Fin
     wrong = [name for name in names if not goal.admits(name)]
     if wrong:
         share, commonest = len(wrong) / len(names), max(sorted(set(wrong)), key=wrong.count)
-        wanted = " or ".join(goal.modes)
-        sentence = (
-            f"{percent(share, 0)} of the roll-outs end in another mode than {wanted}, most of them in '{commonest}'"
-        )
+        sentence = messages.ends_in_other_mode(share, goal.modes, commonest)
         ways: tuple[str | Offer, ...] = LESS_NOISE, SURER_START, MORE_CONFIDENCE
         place = modes, commonest, None, "goal modes"
         finding = Finding("verification", "ends_in_other_mode", sentence, one_of(ways), *place, ways=ways)
@@ -200,11 +192,8 @@ def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Fin
             continue
         elsewhere = _other_final_mode(names, missed, modes)
         share, unit = float(missed.mean()), coordinate.unit
-        sentence = (
-            f"{percent(share, 0)} of the roll-outs end outside of the goal for '{coordinate.name}'{elsewhere}: "
-            f"{percent(confidence)} of all need {quantity(need, unit)}, its tolerance is {quantity(tolerance, unit)}"
-        )
-        words = f"widen the tolerance of '{coordinate.name}'"
+        sentence = messages.misses_goal(share, coordinate.name, elsewhere, confidence, need, tolerance, unit)
+        words = messages.widen_tolerance(coordinate.name)
         ways = Offer(words, f"{words} to", "tolerance", joint), LESS_NOISE, lower_confidence(float(ends.in_goal.mean()))
         nearest = min((min(max(value, low), high) for low, high in ranges[index]), key=lambda x: abs(x - value))
         if nearest != value:  # the end of the range is nearer than the target: what misses does so on one side
@@ -212,15 +201,14 @@ def _findings(problem: Problem, modes: tuple[str, ...], ends: _Ends) -> list[Fin
         if elsewhere:
             ways = LESS_NOISE, SURER_START, MORE_CONFIDENCE
         if problem.settings.revisits == 0 and (better := _localising(automaton, modes[-1], index)):
-            words = f"let the plan come back from '{better}', which tells '{coordinate.name}': raise `revisits`"
-            ways = *ways, more_revisits(words, 1)
+            ways = *ways, more_revisits(1, messages.localise(better, coordinate.name))
         of_goal = modes, "", None, f"the goal {coordinate.name} = {value:g} ± {tolerance:g}"
         finding = Finding("verification", "misses_goal", sentence, one_of(ways), *of_goal, unit=unit, ways=ways)
         findings.append((share, replace(finding, amount=need - tolerance, room=tolerance, need=need)))
     if not findings and joint:
-        words = f"widen the tolerance of '{automaton.coordinates[joint[0][0]].name}'"
+        words = messages.widen_tolerance(automaton.coordinates[joint[0][0]].name)
         share = float(1.0 - ends.in_goal.mean())
-        sentence = f"{percent(share, 0)} of the roll-outs end outside of the goal, which has all its targets at once"
+        sentence = messages.misses_goal_jointly(share)
         ways = Offer(words, f"{words} to", "tolerance", joint), LESS_NOISE, lower_confidence(1.0 - share)
         return [Finding("verification", "misses_goal", sentence, one_of(ways), modes, ways=ways)]
     return [finding for _, finding in sorted(findings, key=lambda pair: -pair[0])]
@@ -242,7 +230,7 @@ def _other_final_mode(names: list[str], missed: Booleans, modes: tuple[str, ...]
     """The most frequent final mode of the failed roll-outs, if it is not the plan's last mode."""
     ends = [name for name, out in zip(names, missed, strict=True) if out]
     commonest = max(sorted(set(ends)), key=ends.count, default=modes[-1])
-    return "" if commonest == modes[-1] else f", most of them in mode '{commonest}'"
+    return "" if commonest == modes[-1] else commonest
 
 
 def _localising(automaton: HybridAutomaton, last: str, index: int) -> str:

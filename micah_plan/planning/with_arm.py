@@ -20,6 +20,7 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.region import HalfSpace, Region
+from micah_plan.planning import messages
 from micah_plan.planning.around_bodies import slides_of
 from micah_plan.planning.cuts import half_space, with_cuts_as_bodies
 from micah_plan.planning.release import with_release
@@ -87,7 +88,7 @@ def planned_with_arm(problem: Problem, planned: Callable[[Problem], Plan], seed:
             timings = {name: plan.timings.get(name, 0.0) + s for name, s in answer.timings.items()}
             answer = replace(plan, timings=timings)
     if first is not None and answer.outcome != "solved" and first not in answer.findings:
-        reason = f"{answer.reason}; closer by, the arm does not get: {first.sentence}"
+        reason = f"{answer.reason}{messages.fails_closer(first.sentence)}"
         return replace(answer, reason=reason, findings=(*answer.findings, first))
     return answer
 
@@ -114,19 +115,19 @@ def _with_arm_trajectory(
     """The plan with the arm's trajectory, or refused with the arm's failure."""
     from micah_plan.robot.along_plan import arm_along
 
-    begin, says = time.perf_counter(), "the arm cannot follow the plan: "
+    begin, beginning = time.perf_counter(), messages.ARM_CANNOT_FOLLOW
     arm: ArmTrajectory | ArmFailure | None = None
     try:
         arm = arm_along(problem, trajectory, seed, deadline=deadline)
     except TimeLimitError as over:
-        says, finding = "", Finding.of("arm", over.reason, plan.mode_sequence)
+        beginning, finding = "", Finding.of("arm", over.reason, plan.mode_sequence)
     spent = time.perf_counter() - begin
     plan = replace(plan, timings={**plan.timings, "arm": spent, "total": plan.timings["total"] + spent})
     if isinstance(arm, ArmTrajectory):
         return replace(plan, arm=arm), None
     if arm is not None:
         finding = _finding(problem, plan, arm, trajectory.modes[arm.knot])
-    return plan.refused_for(finding, says), arm
+    return plan.refused_for(finding, beginning), arm
 
 
 def _finding(problem: Problem, plan: Plan, arm: ArmFailure, mode: str) -> Finding:
@@ -135,8 +136,9 @@ def _finding(problem: Problem, plan: Plan, arm: ArmFailure, mode: str) -> Findin
     if arm.short is not None and problem.robot is not None:
         nearer = max(_NEARER, _LEAST / max(float(np.linalg.norm(arm.short)), 1e-9)) * arm.short
         place = np.array(problem.robot.position) + nearer
-        moved = Offer("move the robot's root", "move the robot's root to", "root", tuple(enumerate(place.tolist())))
-        ways = ("move the grasp", moved) if arm.kind == "joint limit" else (moved,)
+        move = messages.MOVE_ROOT
+        moved = Offer(move, f"{move} to", "root", tuple(enumerate(place.tolist())))
+        ways = (messages.MOVE_GRASP, moved) if arm.kind == "joint limit" else (moved,)
     where = plan.mode_sequence, mode, arm.knot, constraint
     remedy = one_of(ways) if ways else arm.remedy
     return Finding("arm", "arm_cannot_follow", arm.sentence, remedy, *where, amount=arm.amount, ways=ways)
@@ -144,11 +146,9 @@ def _finding(problem: Problem, plan: Plan, arm: ArmFailure, mode: str) -> Findin
 
 def _refused_in_whole_goal(plan: Plan, stop: _Stop) -> Plan:
     """No plan: with this grasp the tool or object collides for every hand pose in the goal."""
-    where = "the hand is" if stop.lowest is None else "the hand puts the object down"
-    meets = f"{stop.arm.names[0]} meets {stop.arm.names[1]}"
-    sentence = f"wherever in the goal {where}, {meets}: the grasp does not allow it"
-    remedy = "choose another grasp, or move the goal or what is there"
-    finding = Finding("arm", "grasp_meets_obstacle", sentence, remedy, plan.mode_sequence)
+    pair = stop.arm.names[0], stop.arm.names[1]
+    sentence = messages.grasp_meets_obstacle(pair, stop.lowest is not None)
+    finding = Finding("arm", "grasp_meets_obstacle", sentence, messages.OTHER_GRASP, plan.mode_sequence)
     return replace(
         plan,
         outcome="no_plan",

@@ -12,7 +12,6 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.errors import InputError
-from micah_plan.quantities import quantity
 from micah_plan.recording.commands import command_meaning
 from micah_plan.recording.value import Recording
 
@@ -133,10 +132,3 @@ def _speed(position: Floats) -> Floats:
     n = len(position)
     before, after = (np.clip(np.arange(n) + sign * _SMOOTHED, 0, n - 1) for sign in (-1, 1))
     return np.asarray(np.linalg.norm(position[after] - position[before], axis=1))
-
-
-def clock_in_words(offset: ClockOffset) -> str:
-    """The offset in words."""
-    spread = "" if offset.correlation is None else f" ± {quantity(2.0 * offset.std, 's', digits=1)}"
-    said = "as given" if offset.correlation is None else f"found from the motion, correlation {offset.correlation:.2f}"
-    return f"commands of {offset.part}: their clock is {offset.seconds:.4g} s{spread} ahead ({said})"

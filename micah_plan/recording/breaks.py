@@ -8,7 +8,8 @@ from itertools import combinations
 
 import numpy as np
 
-from micah_plan.quantities import count, quantity
+from micah_plan.message import Message
+from micah_plan.recording import messages
 from micah_plan.recording.continuity import FLOORS, Continuity, apart, continuity_of, stretches
 from micah_plan.recording.symmetry import ReadTurned, turned_back
 from micah_plan.recording.value import Recording
@@ -70,22 +71,18 @@ def breaks(recording: Recording) -> tuple[str, ...]:
         ]
         lines += _stray_lines(tracks)
         lines += [_turned_line(recording, each) for each in turned if each.run == run]
-        every += [f"run {run}: {line}" if len(recording.runs) > 1 else line for line in lines]
+        every += [messages.in_run(run, line) if len(recording.runs) > 1 else line for line in lines]
     return tuple(every)
 
 
-def _turned_line(recording: Recording, turned: ReadTurned) -> str:
+def _turned_line(recording: Recording, turned: ReadTurned) -> Message:
     """The warning of rows in which a symmetric part was read in another orientation."""
-    share, first = 360 // turned.symmetry.fold, int(turned.rows[0])
-    return (
-        f"part '{turned.part}' is read turned by {'' if turned.symmetry.fold == 2 else 'multiples of '}{share}° in "
-        f"{count(len(turned.rows), 'row')}, the first is row {first} (t = {recording.time[first]:.4g} s), though its "
-        "place goes on: an object that looks the same when turned so? These orientations are turned back; if the part "
-        "did turn, read its positions only: --positions-only"
-    )
+    first = int(turned.rows[0])
+    time = float(recording.time[first])
+    return messages.read_turned(turned.part, turned.symmetry.fold, len(turned.rows), first, time)
 
 
-def _noise_lines(track: _Track) -> list[str]:
+def _noise_lines(track: _Track) -> list[Message]:
     """Warnings of parts whose positions are white noise, not a trajectory.
 
     The mean square of successive differences is twice the variance of white noise, and less of any motion (von Neumann,
@@ -103,14 +100,11 @@ def _noise_lines(track: _Track) -> list[str]:
         spread = float(np.sqrt(values.var(axis=0).sum()))
         steps = float((np.diff(values, axis=0) ** 2).sum(axis=1).mean())
         if spread > floor and steps > _AT_RANDOM * spread**2:
-            lines.append(
-                f"{track.name} is {quantity(spread, unit, digits=2)} (rms) elsewhere in every row, whatever the row "
-                "before said: is this noise, or are the rows out of order?"
-            )
+            lines.append(messages.is_noise(track.name, spread, unit))
     return lines
 
 
-def _repeat_lines(track: _Track) -> list[str]:
+def _repeat_lines(track: _Track) -> list[Message]:
     strays = np.zeros(len(track.rows), dtype=bool)
     for first, last in track.continuity.strays:
         strays[first : last + 1] = True
@@ -119,29 +113,21 @@ def _repeat_lines(track: _Track) -> list[str]:
         return []
     first, last = max(pieces, key=lambda piece: piece[1] - piece[0])
     total = sum(b - a + 1 for a, b in pieces)
-    longest = "" if len(pieces) == 1 else f", most of them {track.row_range_text(first, last)}"
-    where = f"{count(total, 'row')} of {track.name} " + ("repeats" if total == 1 else "repeat")
-    pose = f"the pose of row {track.index[first - 1]}" if len(pieces) == 1 else "the pose of the row before"
-    at = f", {track.row_range_text(first, last)}" if len(pieces) == 1 else longest
-    if track.continuity.rests.any():
-        return [f"{where} {pose} to the last digit{at}: others lie on a joint exactly, so learn takes these for rests"]
-    return [f"{where} {pose} to the last digit{at}: was it out of sight? Repeated rows are no measurements"]
+    is_one = len(pieces) == 1
+    where = f", {'' if is_one else 'most of them '}{track.row_range_text(first, last)}"
+    repeated = track.index[first - 1] if is_one else None
+    return [messages.repeats(total, track.name, repeated, where, bool(track.continuity.rests.any()))]
 
 
-def _jump_lines(track: _Track) -> list[str]:
+def _jump_lines(track: _Track) -> list[Message]:
     if not track.continuity.jumps:
         return []
     jump = max(track.continuity.jumps, key=lambda jump: jump.distance)
-    others = len(track.continuity.jumps) - 1
-    more = f" (and at {count(others, 'more row')})" if others else ""
-    return [
-        f"{track.name} jumps by {_size(jump.distance, jump.angle)} at "
-        f"{track.row_range_text(jump.row, jump.row)}{more}, faster than it moves anywhere else: are rows missing, or "
-        "was the tracker started anew? In the latter case leave out the rows before or after it"
-    ]
+    size, where = _size(jump.distance, jump.angle), track.row_range_text(jump.row, jump.row)
+    return [messages.jumps(track.name, *size, where, len(track.continuity.jumps) - 1)]
 
 
-def _stray_lines(tracks: Sequence[_Track]) -> list[str]:
+def _stray_lines(tracks: Sequence[_Track]) -> list[Message]:
     """Warnings of the strays of all parts of a run; parts that swap places are reported as exchanged."""
     every = [(track, first, last) for track in tracks for first, last in track.continuity.strays]
     pairs = [
@@ -150,10 +136,7 @@ def _stray_lines(tracks: Sequence[_Track]) -> list[str]:
         for a, b in _at_once(track, another)
         if _is_taken_for(a, b) and _is_taken_for(b, a)
     ]
-    lines = [
-        f"{a[0].name} and {b[0].name} are exchanged in {a[0].row_range_text(*a[1:])}: these rows are not used"
-        for a, b in pairs
-    ]
+    lines = [messages.exchanged(a[0].name, b[0].name, a[0].row_range_text(*a[1:])) for a, b in pairs]
     named = [stray for pair in pairs for stray in pair]
     for track in tracks:
         alone = [stray for stray in every if stray[0] is track and stray not in named]
@@ -162,24 +145,18 @@ def _stray_lines(tracks: Sequence[_Track]) -> list[str]:
     return lines
 
 
-def _stray_line(track: _Track, strays: Sequence[tuple[int, int]]) -> str:
+def _stray_line(track: _Track, strays: Sequence[tuple[int, int]]) -> Message:
     """The warning of a track's longest stray, with their number."""
     first, last = max(strays, key=lambda stray: stray[1] - stray[0])
     size = _size(*apart(track.rows.position, track.rows.quaternion, track.adjacent_row(first, last), first).tolist())
     is_at_end = first == 0 or last == len(track.rows) - 1
-    more = f" (and in {count(len(strays) - 1, 'more piece')})" if len(strays) > 1 else ""
-    return (
-        f"{track.name} is {size} away in {track.row_range_text(first, last)}{more}, "
-        f"{'where it cannot get' if is_at_end else 'and comes back'}: was it lost by the tracker, or mistaken? "
-        "These rows are not used"
-    )
+    where = track.row_range_text(first, last)
+    return messages.stray(track.name, *size, where, len(strays) - 1, is_at_end)
 
 
-def _size(distance: float, angle: float) -> str:
-    """A distance and an angle in words, without a negligible one."""
-    shown = [quantity(distance, "m", digits=2)] if distance > 0.1 * FLOORS[0] else []
-    shown += [quantity(angle, "rad", digits=2)] if angle > 0.1 * FLOORS[1] else []
-    return " and ".join(shown)
+def _size(distance: float, angle: float) -> tuple[float, float]:
+    """A distance [m] and an angle [rad], 0 where negligible."""
+    return (distance if distance > 0.1 * FLOORS[0] else 0.0, angle if angle > 0.1 * FLOORS[1] else 0.0)
 
 
 def _at_once(track: _Track, second: _Track) -> list[tuple[_Stray, _Stray]]:

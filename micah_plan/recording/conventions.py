@@ -16,6 +16,7 @@ import numpy as np
 from micah_plan.arrays import Booleans, Floats, Ints
 from micah_plan.errors import InputError, shown
 from micah_plan.quantities import count
+from micah_plan.recording import messages
 from micah_plan.recording.checks import KNOWN
 from micah_plan.recording.commands import TARGETS, CommandKind, with_commands
 from micah_plan.recording.value import Recording
@@ -241,8 +242,7 @@ def without_gaps(rows: Recording) -> tuple[Recording, Ints]:
                 action[last[key]] += action[i]
     kept = every[~lost]
     chosen = replace(rows, action=action).rows(kept)
-    longest = _longest(lost)
-    note = f"{count(int(lost.sum()), 'row')} of {len(rows)} have no pose and are left out, at most {longest} in turn"
+    note = messages.rows_left_out(int(lost.sum()), len(rows), _longest(lost))
     return replace(chosen, notes=(*rows.notes, note)), kept
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from micah_plan.arrays import EQUAL, Booleans, Floats, Ints
 from micah_plan.errors import InputError, shown
-from micah_plan.quantities import count
+from micah_plan.recording import messages
 
 
 @dataclass
@@ -44,7 +44,7 @@ class FrameEdge:
             good = placed & np.isfinite(turns).all(axis=1) & turns.any(axis=1)
         lost = len(good) - int(good.sum())
         self.samples = [sample for sample, keep in zip(self.samples, good.tolist(), strict=True) if keep]
-        return f"{count(lost, 'pose')} of {shown(self.child)} are zeros or no numbers and left out" if lost else ""
+        return messages.poses_left_out(lost, self.child) if lost else ""
 
     def once(self) -> tuple[Ints, Floats]:
         """((k,) unique sorted stamps, (k, 7) poses).

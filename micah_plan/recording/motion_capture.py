@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from micah_plan.errors import InputError, shown
+from micah_plan.recording import messages
 from micah_plan.recording.conventions import ColumnSource, Conventions
 
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -91,11 +92,7 @@ def _motive(lines: Sequence[str], first: Sequence[str], is_upright: bool) -> Cap
     if unit not in _MOTIVE_UNITS:
         raise InputError(f"unknown length unit {shown(unit)}", where="line 1", remedy="export in metres or millimetres")
     conventions = Conventions(length=_MOTIVE_UNITS[unit], up="y")
-    note = (
-        ""
-        if is_upright
-        else "a Motive export: y is taken to point upwards; if it does not, say which axis does (--up z)"
-    )
+    note = "" if is_upright else messages.y_upwards()
     return _stacked(lines, begin + 1, {"t": 1}, _complete(bodies, "rigid body"), conventions, note)
 
 

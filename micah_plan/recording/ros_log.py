@@ -22,7 +22,8 @@ from scipy.optimize import linear_sum_assignment
 
 from micah_plan.arrays import Floats, Ints
 from micah_plan.errors import InputError, choices, located_in, shown
-from micah_plan.quantities import count, quantity
+from micah_plan.quantities import count
+from micah_plan.recording import messages
 from micah_plan.recording.checks import checked_recording
 from micah_plan.recording.conventions import OF_JOINTS, Conventions, as_recorded
 from micah_plan.recording.frames import FrameEdge, Frames, displacements_between, interpolated, moves
@@ -129,10 +130,7 @@ def joint_columns(path: str | Path, topics: Collection[str] = ()) -> tuple[dict[
             columns[f"{kind}{name}"] = np.array([float(text or "nan") for text in _latest_values(samples, stamps)])
     if len(joints) == 1:
         return columns, tuple(notes)
-    note = f"joints are those measured on {', '.join(measured)}"
-    if commanded:
-        note += f"; targets are those commanded on {', '.join(commanded)}"
-    return columns, (f"{note} (say it by --topic)", *notes)
+    return columns, (messages.joint_topics(tuple(measured), tuple(commanded)), *notes)
 
 
 def _named_targets(
@@ -143,11 +141,10 @@ def _named_targets(
     A controller keeps joints near its commands, so these are of the joints that they are nearest to, all together.
     """
     if _OTHER_COMMANDS.search(topic):
-        return {}, f"commands on {topic} are no positions by its name, so they are not read"
+        return {}, messages.not_positions(topic)
     sizes = {len(values) for _, values in samples}
     if len(sizes) > 1 or max(sizes) > len(measured) or min(sizes) == 0:
-        listed = " or ".join(map(str, sorted(sizes)))
-        return {}, f"commands on {topic} are not read: {listed} numbers without names, {count(len(measured), 'joint')}"
+        return {}, messages.unnamed_targets(topic, sorted(sizes), len(measured))
     times = np.array([time for time, _ in samples])
     commands, names = np.array([values for _, values in samples]), list(measured)
     places = np.array([[float(text or "nan") for text in _latest_values(measured[name], times)] for name in names])
@@ -156,7 +153,7 @@ def _named_targets(
     for time, values in samples:
         for joint, value in zip(order, values, strict=True):
             named[joint].append((time, (value,)))
-    return named, f"targets are the commands on {topic}, by the places of joints those of {', '.join(order)}"
+    return named, messages.targets_by_position(topic, order)
 
 
 def _log_distances(commands: Floats, places: Floats) -> Floats:
@@ -368,7 +365,7 @@ class _Log:
             if frame not in ("", target) and frame in frames.edges and frames.root(frame) == frames.root(target):
                 vectors = frames.placed(frame, target, times)[1].apply(vectors)
             elif frame not in ("", target):
-                notes.append(f"nothing says where the frame {shown(frame)} of {part}/{kind} is; it is read as {target}")
+                notes.append(messages.frame_unknown(frame, f"{part}/{kind}", target))
             pieces.append(_at_pose_stamps(kind, part, (times, vectors), stamps, notes))
         return np.concatenate(pieces)
 
@@ -383,11 +380,7 @@ def _at_pose_stamps(kind: str, part: str, samples: tuple[Ints, Floats], stamps: 
         return at_stamps
     apart = np.abs(times[:, None] - stamps[_neighbours(stamps, times)]).min() / NANOSECONDS
     rates = [NANOSECONDS / float(np.median(np.diff(each))) if len(each) > 1 else 0.0 for each in (times, stamps)]
-    joined = "each spread until the next" if kind == "action" else "interpolated"
-    notes.append(
-        f"{count(len(times), kind)} of {shown(part)} at {rates[0]:.3g} Hz are joined to poses at {rates[1]:.3g} Hz "
-        f"({joined}); the nearest stamps are {quantity(float(apart), 's')} apart"
-    )
+    notes.append(messages.joined_at_poses(len(times), kind, part, (rates[0], rates[1]), float(apart)))
     return displacements_between(times, vectors, stamps) if kind == "action" else interpolated(times, vectors, stamps)
 
 

@@ -37,7 +37,8 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats
 from micah_plan.errors import InputError
-from micah_plan.quantities import FARTHEST_M, percent, quantity
+from micah_plan.quantities import FARTHEST_M
+from micah_plan.recording import messages
 from micah_plan.recording.breaks import breaks
 from micah_plan.recording.checks import QUATERNION
 from micah_plan.recording.conventions import TIMES
@@ -69,7 +70,7 @@ _SIGNS = {
     "are of a frame whose y points the other way": ("qx", "qz"),
     "are of a frame whose z points the other way": ("qx", "qy"),
 }
-_AS_READ = "--units m,s"
+
 # Millimetres are a thousand times metres; noise makes steps of the part look larger than they are.
 _FAR_MORE = 100.0
 # A hand that gains a hundredfold moves a part further than all of its actions; ten times that is another unit.
@@ -120,20 +121,19 @@ def require_conventions(recording: Recording) -> None:
         InputError: for the first of `suspected_misreadings`, with the options that say how it is meant.
     """
     for misreading in suspected_misreadings(recording):
-        remedy = f"{misreading.remedy}; if they are right as read, say that: {_AS_READ}"
-        raise InputError(misreading.sentence, remedy=remedy)
+        raise InputError(misreading.sentence, remedy=messages.or_as_read(misreading.remedy))
 
 
 def _length(rows: Recording, part: str) -> Misreading | None:
     extent = _extent(rows)
     distance = float(np.median(np.linalg.norm(rows.position, axis=1)))
     if extent > LARGEST_EXTENT_M:
-        sentence = f"part '{part}' moves over {quantity(extent, 'm')}"
+        sentence = messages.large_motion(part, extent)
     elif distance > FARTHEST_M:
-        sentence = f"part '{part}' is {quantity(distance, 'm')} from the origin of the base frame"
+        sentence = messages.far_away(part, distance)
     else:
         return None
-    return Misreading(sentence, "positions and actions are read in m: if these are millimetres, say so: --units mm")
+    return Misreading(sentence, messages.NOT_MILLIMETRES)
 
 
 def _extent(rows: Recording) -> float:
@@ -145,10 +145,7 @@ def _forces(rows: Recording, part: str) -> str:
     sizes = np.zeros(0) if rows.force is None else np.linalg.norm(rows.force, axis=1)
     sizes = sizes[np.isfinite(sizes)]
     force = float(np.quantile(sizes, 0.9)) if len(sizes) else 0.0
-    if force <= LARGEST_FORCE_N:
-        return ""
-    sentence = f"part '{part}' is pushed with {quantity(force, 'N')}; forces are read in N: if they are not, say so"
-    return f"{sentence}: --columns fx=FACTOR*fx,fy=FACTOR*fy,fz=FACTOR*fz"
+    return "" if force <= LARGEST_FORCE_N else messages.large_force(part, force)
 
 
 def _actions(rows: Recording, part: str) -> str:
@@ -162,15 +159,10 @@ def _actions(rows: Recording, part: str) -> str:
     moved = float(np.quantile(np.linalg.norm(np.diff(rows.position, axis=0), axis=1), 0.9))
     way, extent = float(sizes.sum()), _extent(rows)
     if extent > _FAR_LESS * way:
-        sentence = f"part '{part}' moves over {quantity(extent, 'm')}, all actions together over {quantity(way, 'm')}"
-        columns = "ax=FACTOR*ax,ay=FACTOR*ay,az=FACTOR*az"
-        return f"{sentence}; actions are read in m: if they are not, say so: --columns {columns}"
+        return messages.small_actions(part, extent, way)
     if asked <= LARGEST_ACTION_M or asked <= _FAR_MORE * moved:
         return ""
-    return (
-        f"part '{part}' moves by {quantity(moved, 'm')} per row where actions ask for {quantity(asked, 'm')}; actions "
-        "are read in m: if these are millimetres, say so: --columns ax=0.001*ax,ay=0.001*ay,az=0.001*az"
-    )
+    return messages.large_actions(part, moved, asked)
 
 
 def _gap(recording: Recording) -> str:
@@ -178,27 +170,24 @@ def _gap(recording: Recording) -> str:
     longest = float(steps.max(initial=0.0))
     if longest <= LONGEST_GAP_S or _slow(steps):
         return ""
-    remedy = "was a clock set, or are these two recordings? then give each its number in a column 'run'"
-    return f"a row is {quantity(longest, 's')} after the one before it; {remedy}"
+    return messages.long_gap(longest)
 
 
 def _no_motion(recording: Recording) -> str:
     if len(_steps(recording)):
         return ""
-    return "no run has two rows of one part, so no motion is seen; give a part the same name and run in all of its rows"
+    return messages.no_motion()
 
 
 def _clock(recording: Recording) -> Misreading | None:
     steps = _steps(recording)
     step = float(np.median(steps)) if len(steps) else 0.0
     if 0.0 < step < SHORTEST_STEP_S:
-        remedy = "times are read in s: if they are not, say how many rows a second has: --rate HZ"
-        return Misreading(f"rows are {quantity(step, 's')} apart, and no tracker is so fast", remedy)
+        return Misreading(messages.fast_rows(step), messages.ROWS_PER_SECOND)
     if not _slow(steps):
         return None
     clock = next((name for name, ticks in _CLOCKS if step * ticks <= _SLOWEST_S), "ns")
-    remedy = f"times are read in s: if they are in {clock}, say so: --units {clock}"
-    return Misreading(f"rows are {quantity(step, 's')} apart", remedy)
+    return Misreading(messages.slow_rows(step), messages.clock_unit(clock))
 
 
 def _slow(steps: Floats) -> bool:
@@ -239,11 +228,7 @@ def _quaternion(rows: Recording, part: str) -> str:
     meaning, option = min(better, key=unexplained.__getitem__)
     if _turned_grip(rows) is not None and _turned_grip(replace(rows, quaternion=others[meaning, option])) is not None:
         return ""  # read like that they contradict the positions as well, see turned_grips
-    return (
-        f"part '{part}' turns about a fixed axis only if its quaternions {meaning} (they then leave "
-        f"{percent(unexplained[meaning, option], 0)} of the motion unexplained, as they are {percent(as_given, 0)}); "
-        f"they are read as turns of the part in the base frame, scalar last: if they are not, say so: {option}"
-    )
+    return messages.quaternion_order(part, meaning, unexplained[meaning, option], as_given, option)
 
 
 def turned_grips(recording: Recording) -> dict[str, str]:
@@ -253,7 +238,7 @@ def turned_grips(recording: Recording) -> dict[str, str]:
     (part,) = recording.parts
     grip = _turned_grip(recording)
     is_misread = "quaternion" not in recording.conventions and bool(_quaternion(recording, part))
-    return {} if grip is None or is_misread else {part: grip.in_words(part)}
+    return {} if grip is None or is_misread else {part: grip.warning(part)}
 
 
 def _turned_grip(rows: Recording) -> TurnedGrip | None:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from micah_plan.arrays import Floats
-from micah_plan.quantities import quantity
+from micah_plan.recording import messages
 
 # A path is far better than orientations if it leaves so much less, and what they leave is larger than trackers err [m].
 _FAR_BETTER, _LEAST_LEFT = 0.2, 0.002
@@ -39,17 +39,11 @@ class TurnedGrip:
     angle: float
     turned: float
 
-    def in_words(self, part: str) -> str:
+    def warning(self, part: str) -> str:
         """The finding in a sentence, with the remedy."""
         if self.radius is None:
-            path = f"moves {quantity(self.angle, 'm', digits=2)} along a line"
-        else:
-            circle = quantity(self.radius, "m")
-            path = f"goes {quantity(self.angle, 'rad', digits=2)} round a circle of radius {circle}"
-        return (
-            f"part '{part}' {path}, and turns by {quantity(self.turned, 'rad', digits=2)}: one joint cannot do both. "
-            "If a hand turns on what it holds, its orientations are not those of the part: --positions-only"
-        )
+            return messages.grip_slips_on_line(part, self.angle, self.turned)
+        return messages.grip_slips_on_circle(part, self.angle, self.radius, self.turned)
 
 
 def turned_grip(position: Floats, rotation: Rotation) -> TurnedGrip | None:

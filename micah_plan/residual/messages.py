@@ -191,7 +191,7 @@ def earlier_effects_questioned(effects: str) -> str:
 @message
 def earlier_effects_estimated_anew(effects: str) -> str:
     """Effects of an earlier calibration were replaced."""
-    return f"{effects} from an earlier calibration was estimated anew: this recording resolves what that one left open"
+    return f"{effects} from an earlier calibration was estimated again: this recording resolves what that one left open"
 
 
 @message

@@ -17,7 +17,7 @@ from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
 from micah_plan.arrays import Floats
 from micah_plan.errors import InputError
-from micah_plan.quantities import plain, quantity
+from micah_plan.robot import messages
 from micah_plan.robot.arm import Arm
 from micah_plan.robot.clearance import Clearance, ClearanceModel, Pair
 from micah_plan.robot.inverse_kinematics import Reached, next_pose, pose_error, reach_pose
@@ -292,8 +292,8 @@ class _Follower:
         """The failure of a configuration at a knot; None if valid."""
         measure = float(self.arm.manipulability(q)[0])
         if measure < self._least:
-            sentence = f"the arm is near a singularity at knot {knot}: manipulability {plain(measure, 2)}"
-            return ArmFailure(knot, "singularity", (), measure, sentence, "move the robot's root or the grasp")
+            sentence = messages.singularity(knot, measure)
+            return ArmFailure(knot, "singularity", (), measure, sentence, messages.MOVE_ROOT_OR_GRASP)
         clearance = self.model.at(q, path.at(knot), path.allowed(knot))
         return self._collision(knot, clearance) if clearance.distance < self.settings.margin else None
 
@@ -302,9 +302,8 @@ class _Follower:
         moved = np.abs(after - before)
         if moved.max() > self.settings.longest_step:
             name = self.arm.joints[int(np.argmax(moved))]
-            sentence = f"joint '{name}' would jump by {plain(float(moved.max()))} at knot {knot}"
-            remedy = "take smaller steps (planner.max_step), or move the robot's root"
-            return ArmFailure(knot, "jump", (name,), float(moved.max()), sentence, remedy)
+            sentence = messages.jump(name, float(moved.max()), knot)
+            return ArmFailure(knot, "jump", (name,), float(moved.max()), sentence, messages.SMALLER_STEPS)
         closest = self._sweep(path, knot - 1, before, after, self.settings.margin)
         return self._collision(knot, closest) if closest.distance < self.settings.margin else None
 
@@ -314,25 +313,22 @@ class _Follower:
         return sweep_between(self.model, self._bound, *ends, margin, allowed).clearance
 
     def _collision(self, knot: int, clearance: Clearance) -> ArmFailure:
-        first, second = clearance.pair
-        apart = quantity(abs(clearance.distance), "m")
-        says = f"meets {second}, {apart} deep" if clearance.distance < 0 else f"comes within {apart} of {second}"
-        sentence, remedy = f"{first} {says}, at knot {knot}", "move the robot's root, the grasp or the scene"
+        sentence = messages.collision(clearance.pair, clearance.distance, knot)
+        remedy = messages.MOVE_ROOT_GRASP_OR_SCENE
         overlaps = self.model.overlaps_near(clearance.pair, _NEAR_M)
         return ArmFailure(knot, "collision", clearance.pair, clearance.distance, sentence, remedy, overlaps)
 
     def _out_of_reach(self, knot: int, reached: Reached) -> ArmFailure:
         away = float(np.linalg.norm(reached.error[3:]))
         turned = float(np.linalg.norm(reached.error[:3]))
-        misses = f"the tool stays {quantity(away, 'm')} and {quantity(turned, 'rad')} from its pose at knot {knot}"
         stopped = np.flatnonzero(reached.stopped)
         if len(stopped):
             lower = reached.q[stopped] - self._limits[0][stopped] < self._limits[1][stopped] - reached.q[stopped]
             names = tuple(self.arm.joints[i] for i in stopped)
-            ends = [f"'{name}' ({'lower' if low else 'upper'})" for name, low in zip(names, lower, strict=True)]
-            sentence, remedy = f"{misses}: joint limit of {', '.join(ends)}", "move the grasp, or the robot's root"
+            ends = [(name, "lower" if low else "upper") for name, low in zip(names, lower, strict=True)]
+            sentence, remedy = messages.joint_limit(knot, away, turned, ends), messages.MOVE_GRASP_OR_ROOT
             return ArmFailure(knot, "joint limit", names, max(away, turned), sentence, remedy, short=reached.error[3:])
-        sentence, remedy = f"{misses}: it is out of reach", "move the robot's root"
+        sentence, remedy = messages.unreachable(knot, away, turned), messages.MOVE_ROOT
         return ArmFailure(knot, "unreachable", (), max(away, turned), sentence, remedy, short=reached.error[3:])
 
 

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from math import inf
 from time import perf_counter, process_time
 
+from micah_plan.task import messages
 from micah_plan.task.reason import Reason
 
 # The least time that a solver is given, so that it can say that the time is over [s].
@@ -21,8 +22,8 @@ class TimeLimitError(Exception):
     """
 
     def __init__(self, limit_s: float, stage: str, state: str, remedy: str) -> None:
-        reached = f"the time limit of {limit_s:g} s (solve_time_limit_s) was reached in the {stage}"
-        self.reason = Reason("time_limit_reached", f"{reached}: {state}", (remedy,))
+        sentence = messages.time_limit_reached(limit_s, stage, state)
+        self.reason = Reason("time_limit_reached", sentence, (remedy,))
         super().__init__(str(self.reason))
 
 
@@ -55,8 +56,7 @@ class Deadline:
             TimeLimitError: if there is none.
         """
         if self.is_over():
-            remedy = "raise solve_time_limit_s" + (f" or lower {lower}" if lower else "")
-            raise TimeLimitError(self.limit_s, stage, state, remedy)
+            raise TimeLimitError(self.limit_s, stage, state, messages.raise_time_limit(lower))
 
 
 NEVER = Deadline(inf)

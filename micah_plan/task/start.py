@@ -11,6 +11,7 @@ from micah_plan.automaton.drawn_thresholds import threshold_stds, with_boundary_
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.region import Region
 from micah_plan.errors import InputError
+from micah_plan.task import messages
 from micah_plan.task.reason import Reason
 
 _MOST_DRAWS = 200
@@ -46,12 +47,12 @@ def start_mode(automaton: HybridAutomaton, start: Start) -> tuple[str | None, Re
     if outside[nearest] <= NEAR_STDS:
         return nearest, None
     values = zip(automaton.coordinates, start.mean, start.std, strict=True)
-    text = f"the start {', '.join(f'{c.name} = {mean:g} ± {std:g} {c.unit}' for c, mean, std in values)} lies"
+    text = ", ".join(f"{c.name} = {mean:g} ± {std:g} {c.unit}" for c, mean, std in values)
     if start.mode is not None:
-        sentence = f"{text} outside the range of its mode '{nearest}'"
-        return None, Reason("start_outside_mode", sentence, ("correct either",))
-    names = ", ".join(f"'{name}'" for name in outside)
-    return None, Reason("start_in_no_mode", f"{text} in the range of no mode ({names})", ("move it into one",))
+        sentence, remedy = messages.start_outside_mode(text, nearest), messages.CHANGE_START_OR_MODE
+        return None, Reason("start_outside_mode", sentence, (remedy,))
+    sentence, remedy = messages.start_in_no_mode(text, tuple(outside)), messages.MOVE_START_INTO_RANGE
+    return None, Reason("start_in_no_mode", sentence, (remedy,))
 
 
 def is_final(automaton: HybridAutomaton, mode: Mode) -> bool:

@@ -18,6 +18,7 @@ from micah_plan.cli.application import app
 from micah_plan.errors import InputError
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.frames import displacements_between, interpolated
+from micah_plan.recording.messages import frame_unknown, joint_topics, poses_left_out
 from micah_plan.recording.read import read_columns, read_recording
 from micah_plan.recording.ros_mcap import Logged, MessageType, header_at, write_log
 
@@ -231,7 +232,7 @@ def test_poses_of_a_tracker_that_sees_nothing(tmp_path: Path) -> None:
     commands = [vector("/door/action", time, [0.01, 0, 0]) for time in TIMES]
     found = read(tmp_path, [*(of(k, time, (3, 4)) for k, time in enumerate(TIMES)), *commands])
     assert_allclose(found.position[:, 0], np.delete(0.1 * np.arange(ROWS), [3, 4, 9]))
-    assert found.notes[0] == "3 poses of 'door' are zeros or no numbers and left out"
+    assert found.notes[0] == poses_left_out(3, "door")
     # What was commanded meanwhile is not lost.
     assert_allclose(found.action[[2, 3, 6, 7], 0], [0.03, 0.01, 0.02, 0.01], atol=1e-9)
     points = [of(k, time, ()) for k, time in enumerate(TIMES)]
@@ -342,7 +343,7 @@ def test_vectors_in_another_frame_are_turned(tmp_path: Path) -> None:
     assert found.parts == ("door",)
     assert_allclose(found.action, np.tile([0, 0.01, 0], (ROWS, 1)), atol=1e-15)
     (note,) = read(tmp_path, [*messages[1:], *commands]).notes
-    assert note == "nothing says where the frame 'tool' of door/action is; it is read as map"
+    assert note == frame_unknown("tool", "door/action", "map")
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -449,9 +450,7 @@ def test_commanded_joints_are_targets_whichever_comes_first(tmp_path: Path, comm
     assert_allclose(columns["joint elbow"], states)
     assert_allclose(columns["target elbow"][1:], goals[1:])
     assert np.isnan(columns["target elbow"][0]) == (early > 0)
-    assert notes == (
-        f"joints are those measured on /joint_states; targets are those commanded on {commands} (say it by --topic)",
-    )
+    assert notes == (joint_topics(("/joint_states",), (commands,)),)
 
 
 def test_topics_that_are_chosen_are_the_measured_ones(tmp_path: Path) -> None:

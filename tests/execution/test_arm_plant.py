@@ -99,7 +99,7 @@ def test_out_of_reach_is_told(plant):
     plant.reset(np.random.default_rng(5))
     for _ in range(8):
         move(plant, [-0.2, 0.1, 0.2])
-    assert "the arm's tool could not come nearer than" in plant.truth().incident
+    assert "the arm's tool could get no nearer than" in plant.truth().incident
 
 
 def test_an_arm_in_the_way_of_the_swinging_part_is_told(problem, posture):

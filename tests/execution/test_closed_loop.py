@@ -254,7 +254,7 @@ def test_where_no_new_plan_leads_on_it_stops_and_says_so():
     result = run(problem, closing(), replan=lambda *_: None, max_steps=200)
     assert not result.success
     assert result.steps < 100
-    assert "believed swinging: off the plan" in result.reason
+    assert (result.reason.code, result.reason.values["mode"]) == ("off_plan", "swinging")
 
 
 def test_an_execution_that_breaks_a_constraint_on_the_path_fails_and_names_it():
@@ -273,7 +273,9 @@ def test_an_execution_that_breaks_a_constraint_on_the_path_fails_and_names_it():
         remove_path_function("slowly")
     assert kept.success, kept.reason
     assert not broken.success
-    assert "of the goal, but 'slowly' was broken by" in broken.reason
+    assert broken.reason.code == "stopped_confident"
+    assert broken.reason.values["missed"] == ("constraint_violated",)
+    assert "'slowly'" in broken.reason
     assert broken.final_error == kept.final_error
 
 

@@ -57,7 +57,7 @@ def test_what_the_model_knows_of_the_machine_is_no_fault(effect):
     known = replace(PULL, automaton=with_effect(drawer(), Effect(name, "drawer", ((parameter, value),))))
     assert check_plant(make_plant(known, "nominal"), known) == ()
     if name == "gain":
-        assert "told to move drawer by" in faults(weak(PULL), PULL)[0]
+        assert "commanded to move drawer by" in faults(weak(PULL), PULL)[0]
 
 
 def weak(problem):
@@ -139,11 +139,11 @@ class ShortTruth(Wrong):
 @pytest.mark.parametrize(
     ("kind", "said"),
     [
-        (Millimetres, "m from where its joint allows it to be; give the place of the part's origin in m"),
+        (Millimetres, "m from where its joint allows it to be; give the position of the part's origin in m"),
         (CameraFrame, "in the base frame of the model"),
         (ScalarFirst, "the quaternion has its scalar first; give it last"),
-        (Backwards, "told to move"),
-        (Deaf, "told to move"),
+        (Backwards, "commanded to move"),
+        (Deaf, "commanded to move"),
         (Drifting, "without a command drawer moved by"),
         (WallClock, "time must count from the reset"),
         (Unrepeatable, "must start alike for the same seed"),
@@ -174,7 +174,7 @@ def test_a_part_that_is_not_always_seen_is_no_fault_and_it_is_said_how_often():
 
         hidden = (2,)
 
-    assert any("told to move" in sentence for sentence in faults(AndDeaf.of(PULL), PULL))
+    assert any("commanded to move" in sentence for sentence in faults(AndDeaf.of(PULL), PULL))
 
 
 def test_a_start_somewhere_else_is_named():

@@ -13,6 +13,7 @@ from micah_plan.belief.filter import innovations
 from micah_plan.documents.experiment import load_experiment
 from micah_plan.documents.problem import load_problem
 from micah_plan.execution.closed_loop import Episode, TrialResult
+from micah_plan.execution.messages import contradicted_in_a_row
 from micah_plan.execution.nominal import NominalPlant
 from micah_plan.execution.open_loop import carry_out
 from micah_plan.execution.pose import configuration
@@ -101,7 +102,7 @@ def test_what_leaps_about_until_the_trial_ends_is_no_success_where_it_lands(draw
 
     plant = LeapsAbout(drawer, "none", 4)
     (result,) = run_trials(drawer, plan, plant=plant, seed=0).results
-    assert "in 4 looks in a row" in result.reason
+    assert (result.reason.code, result.reason.values["failure"]) == ("stopped_by_watch", contradicted_in_a_row(4))
     assert result.steps == 7
     assert result.final_error < 0.01  # believed, at the end
     assert not result.success
@@ -110,7 +111,7 @@ def test_what_leaps_about_until_the_trial_ends_is_no_success_where_it_lands(draw
 def test_nothing_is_commanded_by_what_is_measured_in_millimetres(drawer, plan) -> None:
     found = Executed(drawer, plan, "millimetres")
     assert not found.result.success
-    assert "in 4 looks in a row, what was measured contradicts the model" in found.result.reason
+    assert found.result.reason.values["failure"] == contradicted_in_a_row(4)
     assert found.plant.largest == 0.0
 
 

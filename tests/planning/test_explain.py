@@ -12,6 +12,7 @@ from planning_examples import DOOR_SHUT, door_automaton, door_problem, one_dimen
 from micah_plan.automaton.hybrid import Noise
 from micah_plan.automaton.region import above
 from micah_plan.documents.problem import load_problem
+from micah_plan.planning import messages
 from micah_plan.planning.findings import explain, finding_of
 from micah_plan.planning.pomdp_hd import plan
 from micah_plan.planning.solver import solve
@@ -61,7 +62,7 @@ def test_the_search_names_the_guard() -> None:
     finding = first(door_problem(DOOR_SHUT, 0.3, mode="shut", automaton=door_automaton(release=0.1)))
     assert finding.level == "search"
     assert "the guard of 'shut -> swings' ('input door < -0.1') holds nowhere" in finding.sentence
-    assert finding.remedy == "correct the guard, or the invariant or the inputs of the mode"
+    assert finding.remedy == messages.CORRECT_GUARD
 
 
 def test_too_few_knots_are_an_finding_of_the_optimisation() -> None:
@@ -147,7 +148,8 @@ def test_a_step_too_short_for_a_boundary_that_turns_is_named_and_a_longer_one_he
     short = turned(0.006)
     told = explain(short, solve(short))
     finding = next(one for one in told.findings if one.level == "optimisation")
-    assert "moves the other way ('first' against 'second')" in finding.sentence
+    assert finding.sentence.code == "no_room_to_reverse"
+    assert finding.sentence.values["modes"] == ("first", "second")
     assert finding.remedy.startswith("raise max_step")
     assert finding.room < finding.need
     assert solve(turned(0.02)).outcome == "solved"

@@ -12,6 +12,7 @@ from scipy.sparse import csr_array
 
 from micah_plan.automaton.hybrid import Coordinate, Edge, HybridAutomaton, Mode, Noise, Pin, Reset
 from micah_plan.automaton.region import Region, below, box, input_above
+from micah_plan.planning import messages
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.search.mode_paths import cheapest_sequences
 from micah_plan.planning.search.mode_search import SearchResult, _modes_near_the_way, search_modes
@@ -103,7 +104,9 @@ def test_no_transition_to_the_goal_says_so() -> None:
     automaton = door_automaton()
     automaton = replace(automaton, edges=automaton.edges[1:])
     found = search(door_problem(0.2, DOOR_SHUT, automaton=automaton, goal_modes=("shut",)), "swings")
-    assert str(found.reason).startswith("no transitions lead from the start's mode 'swings' to a mode with the goal")
+    assert found.reason is not None
+    assert found.reason.code == "no_transition_to_goal"
+    assert found.reason.sentence == messages.no_transition_to_goal("swings", ("shut",))
 
 
 def test_a_guard_out_of_reach_is_named() -> None:

@@ -11,6 +11,7 @@ from random_hybrids import is_clearly_reachable, is_clearly_unreachable, random_
 
 from micah_plan import load, show, solve
 from micah_plan.documents.plan import load_plan, write_plan
+from micah_plan.planning import messages
 from micah_plan.planning.limits import limits_of
 from micah_plan.planning.purposes import purpose_sentences
 from micah_plan.planning.search.mode_search import search_modes
@@ -101,10 +102,11 @@ def test_what_became_of_the_way_without_a_mode_is_said() -> None:
         purpose = ModePurpose("b", without=("a", "c"), steps_without=12.0)
         return dict(purpose_sentences(replace(plan, purposes=(purpose,), candidates=(own, *others))))["b"]
 
-    assert said() == "the way without it, a -> c, was expected to cost 12 steps instead of 10"
-    assert said(Candidate(("a", "c"), 12.0, None, "none")).endswith("was tried, and there is no plan along it")
-    assert said(Candidate(("a", "c"), 12.0, 3.0, "")).endswith("a plan costs 3 instead of 2")
-    assert said(Candidate(("a", "c"), 12.0, 1.0, "")).endswith("a plan costs 1, but its roll-outs fail")
+    without = ("a", "c")
+    assert said() == messages.costs_more_without(without, 12.0, 10.0)
+    assert said(Candidate(without, 12.0, None, "none")) == messages.no_plan_without(without)
+    assert said(Candidate(without, 12.0, 3.0, "")) == messages.plan_costs_more_without(without, 3.0, 2.0)
+    assert said(Candidate(without, 12.0, 1.0, "")) == messages.plan_fails_without(without, 1.0)
 
 
 def _by(*modes: str) -> Plan:

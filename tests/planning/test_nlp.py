@@ -39,7 +39,7 @@ def test_an_optimum_in_closed_form() -> None:
     assert found.is_feasible
     assert found.has_converged
     assert not found.is_out_of_time
-    assert found.said == "locally optimal"
+    assert found.status == "locally optimal"
     cost, rows = stated.values(found.w)
     assert (cost, rows[0]) == pytest.approx((found.cost, found.rows[0]))
 
@@ -70,7 +70,7 @@ def test_contradicting_rows_are_infeasible_and_said_in_words() -> None:
     found = Solver(programme(ca.sumsqr, lambda w: ca.sumsqr(w) + 1.0, (0.0, 0.5)), LIMIT_S).solve()
     assert not found.is_feasible
     assert found.rows[0] > 0.5 + FEASIBLE
-    assert "_" not in found.said
+    assert "_" not in found.status
 
 
 def test_a_start_that_is_not_a_number_is_not_tried() -> None:
@@ -84,7 +84,7 @@ def test_a_start_that_is_not_a_number_is_not_tried() -> None:
 def test_the_time_limit_ends_it_and_is_told_apart() -> None:
     found = Solver(nearest_on_line(), 1e-9).solve()
     assert found.is_out_of_time
-    assert "time limit" in found.said
+    assert "time limit" in found.status
 
 
 def test_no_other_file_knows_the_solver() -> None:

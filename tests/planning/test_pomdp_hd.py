@@ -87,8 +87,9 @@ def test_no_plan_for_a_goal_out_of_range_or_a_start_in_no_mode() -> None:
     out_of_range, lost = plan(door_problem(0.2, 2.0)), plan(door_problem(1.5, 0.9))
     assert (out_of_range.outcome, lost.outcome) == ("no_plan", "no_plan")
     assert out_of_range.trajectory is None
-    assert "lies in the range of none of the modes" in out_of_range.reason
-    assert "the start door = 1.5 ± 0.02 rad lies in the range of no mode" in lost.reason
+    assert out_of_range.findings[0].code == "goal_outside_range"
+    assert [finding.code for finding in lost.findings] == ["start_in_no_mode"]
+    assert "door = 1.5 ± 0.02 rad" in lost.reason
 
 
 def test_no_plan_after_optimisation_names_the_sequence_and_the_cause() -> None:

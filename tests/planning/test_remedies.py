@@ -13,6 +13,7 @@ from planning_examples import DOOR_SHUT, door_automaton, door_problem, drawer_pr
 from micah_plan.automaton.hybrid import Edge
 from micah_plan.automaton.region import box, input_box
 from micah_plan.documents.problem import load_problem
+from micah_plan.planning import messages
 from micah_plan.planning.offers import (
     LARGER_STEPS,
     LESS_NOISE,
@@ -173,7 +174,7 @@ def test_of_noise_and_steps_is_said_how_much() -> None:
 
 def test_where_nothing_helps_that_is_said() -> None:
     remedy, asked = _after(_refused(MORE_KNOTS, LESS_NOISE), lambda _: False)
-    assert remedy == "change the task or the model (tried in vain: raise max_knots, lower the noise)"
+    assert remedy == messages.none_helped(["raise max_knots", "lower the noise"])
     assert len(asked) == 4  # two numbers each, and no second seed where the first fails
 
 
@@ -181,9 +182,9 @@ def test_what_could_not_be_tried_says_so() -> None:
     ways = [MORE_KNOTS, LARGER_STEPS, LESS_NOISE, SURER_START, MORE_CONFIDENCE, lower_confidence(0.9)]
     remedy, asked = _after(_refused(*ways), lambda _: False)
     assert len(asked) == 14
-    assert remedy.startswith("change the task or the model (tried in vain: raise max_knots, ")  # the last one just did
-    more = more_revisits("raise revisits", 1)
-    assert _after(_refused(*ways, more), lambda _: False) == ("raise revisits (not tried)", asked)
+    assert remedy == messages.none_helped([way.words for way in ways])  # the last one just was
+    more = more_revisits(1)
+    assert _after(_refused(*ways, more), lambda _: False) == (messages.untested("raise revisits"), asked)
 
 
 def test_what_is_tried_is_told_while_it_is(capsys) -> None:
@@ -191,7 +192,7 @@ def test_what_is_tried_is_told_while_it_is(capsys) -> None:
     with_tested_remedies(
         door_problem(0.2, 0.6), _refused(MORE_KNOTS), _solver(lambda _: False, []), progress=lambda *a: told.append(a)
     )
-    assert [text for text, _ in told] == ["no plan; whether it helps to raise max_knots"] * 2
+    assert [text for text, _ in told] == [messages.trying("raise max_knots")] * 2
     assert [share for _, share in told] == sorted(share for _, share in told)
     assert capsys.readouterr().out == ""
 
@@ -201,7 +202,7 @@ def test_what_helps_only_with_one_seed_does_not_help() -> None:
         return Plan("solved" if seed == 0 else "no_plan", "")
 
     answer = with_tested_remedies(door_problem(0.2, 0.6), _refused(MORE_KNOTS), lucky)
-    assert answer.findings[0].remedy == "change the task or the model (tried in vain: raise max_knots)"
+    assert answer.findings[0].remedy == messages.none_helped(["raise max_knots"])
 
 
 def test_an_offer_changes_what_it_says_and_nothing_else() -> None:
@@ -257,8 +258,8 @@ def test_steps_are_not_blamed_where_inputs_are_too_small() -> None:
     """The mode admits 0.06 of the 0.1 that its latch needs; of 0.2 the same problem is solved."""
     for step in (None, 0.05, 0.2):
         refused = solve(latched(step, 0.06))
-        assert "holds nowhere in mode 'shut', whatever max_step is" in refused.reason
-        assert refused.reason.endswith("; correct the guard, or the invariant or the inputs of the mode")
+        assert [finding.code for finding in refused.findings] == ["guard_empty"]
+        assert refused.reason.endswith(f"; {messages.CORRECT_GUARD}")
     assert solve(latched(None, 0.2), advise=False).outcome == "solved"
 
 
@@ -277,7 +278,7 @@ def test_a_confidence_takes_as_many_roll_outs_as_show_it() -> None:
     surer = with_settings(problem, confidence=0.999999)
     refused = verify(surer, plan(surer))
     assert refused.outcome == "not_verified"
-    assert "it takes 2,995,731 roll-outs to show the confidence" in refused.reason
+    assert refused.findings[0].sentence == messages.too_many_trials(2_995_731, 0.999999, 100_000)
 
 
 def test_a_limit_that_ends_the_tightening_is_told_as_one() -> None:
@@ -347,4 +348,4 @@ def test_a_goal_inside_two_bodies_together_is_named() -> None:
         edges = (*edges, Edge("right", "lost", box([low, -1.0], [high, -0.6], 2, names)))
     told = solve(replace(problem, automaton=replace(problem.automaton, edges=edges)), advise=False)
     assert told.outcome == "no_plan"
-    assert "the goal lies inside" in told.reason
+    assert told.findings[0].code == "goal_in_obstacle"

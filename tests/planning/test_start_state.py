@@ -33,7 +33,7 @@ def test_true_starts_are_drawn_within_init() -> None:
     assert drawn.min() >= 0.5
     assert drawn.max() <= 0.6
     assert np.ptp(drawn) > 0.05
-    with pytest.raises(InputError, match="lies in the range of no mode"):
+    with pytest.raises(InputError, match="is in the range of no mode"):
         sample_start(automaton, Start((0.2,), (0.01,)), rng)
 
 

@@ -14,6 +14,7 @@ from scipy.stats import norm
 
 from micah_plan.automaton.hybrid import Edge, Noise, Reset
 from micah_plan.automaton.region import Region, above, below
+from micah_plan.planning import messages
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.findings import sentence_of
 from micah_plan.planning.limits import limits_of
@@ -199,9 +200,7 @@ def test_a_start_point_that_is_not_a_number_is_found_before_the_solver_runs() ->
     nlp.w_start[0] = nlp.w_start[0] * np.nan
     path = solve_transcription(nlp, LIMIT_S)
     assert not path.feasible
-    assert path.message.startswith(
-        "the start of the optimisation is unusable: the dynamics of 'drawer' is not a number"
-    )
+    assert path.message.startswith(f"{messages.UNUSABLE_GUESS}: the dynamics of 'drawer' is not a number")
 
 
 def test_knots_of_phases_follow_one_another() -> None:

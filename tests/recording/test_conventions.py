@@ -18,6 +18,7 @@ from micah_plan.errors import InputError
 from micah_plan.exchange.load import load_recording
 from micah_plan.recording.columns import recording_of_columns
 from micah_plan.recording.conventions import ColumnSource, Conventions, source_of
+from micah_plan.recording.messages import rows_left_out
 from micah_plan.recording.read import read_recording, write_recording
 from micah_plan.recording.value import Recording
 
@@ -166,7 +167,7 @@ def test_lost_rows_are_gaps_and_their_actions_are_kept(truth: Recording, tmp_pat
         columns[name][4:7] = np.nan
     read = load_recording(table(tmp_path / "r.csv", columns))
     assert len(read) == ROWS - 3
-    assert read.notes == (f"3 rows of {ROWS} have no pose and are left out, at most 3 in turn",)
+    assert read.notes == (rows_left_out(3, ROWS, 3),)
     assert read.action is not None
     assert truth.action is not None
     # What was commanded from row 3 to row 7 is all that was commanded in between.

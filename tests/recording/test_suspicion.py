@@ -11,9 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan.errors import InputError
 from micah_plan.exchange.load import load_recording
+from micah_plan.message import code_of
+from micah_plan.recording import messages
 from micah_plan.recording.breaks import breaks
 from micah_plan.recording.checks import QUATERNION
-from micah_plan.recording.suspicion import require_conventions, suspicions_of_recording
+from micah_plan.recording.suspicion import require_conventions, suspected_misreadings, suspicions_of_recording
 from micah_plan.recording.value import Recording
 
 ROWS = 80
@@ -53,9 +55,10 @@ def test_an_ordinary_door_is_not_suspicious() -> None:
 
 
 def test_millimetres_are_named() -> None:
-    (line,) = suspicions_of_recording(in_millimetres(door()))
-    assert line.startswith("part 'part' moves over ")
-    assert "if these are millimetres, say so: --units mm" in line
+    (misreading,) = suspected_misreadings(in_millimetres(door()))
+    assert code_of(misreading.sentence) == "large_motion"
+    assert misreading.remedy == messages.NOT_MILLIMETRES
+    assert suspicions_of_recording(in_millimetres(door())) == (str(misreading),)
 
 
 def test_a_part_that_hardly_moves_shows_millimetres_by_its_distance() -> None:
@@ -85,7 +88,8 @@ def test_one_row_far_away_is_told_with_its_time() -> None:
     position = door().position.copy()
     position[40, 1] += 100.0
     (line,) = suspicions_of_recording(replace(door(), position=position, quaternion=None))
-    assert line.startswith("part 'part' is 100 m away in row 40 (t = 4.051 s), and comes back: was it lost by the")
+    assert code_of(line) == "stray"
+    assert line.startswith("part 'part' is 100 m away in row 40 (t = 4.051 s), and comes back: ")
 
 
 def with_actions(factor: float) -> Recording:
@@ -101,8 +105,8 @@ def test_actions_in_millimetres_are_named() -> None:
         == ()
     )
     (line,) = suspicions_of_recording(with_actions(1000.0))
-    assert "per row where actions ask for " in line
-    assert line.endswith("if these are millimetres, say so: --columns ax=0.001*ax,ay=0.001*ay,az=0.001*az")
+    assert code_of(line) == "large_actions"
+    assert line.endswith(" --columns ax=0.001*ax,ay=0.001*ay,az=0.001*az")
 
 
 def test_a_time_that_jumps_is_told() -> None:
@@ -118,8 +122,8 @@ def test_quaternions_with_the_scalar_first_are_named(seed: int) -> None:
     recording = door(tuple((axis / np.linalg.norm(axis)).tolist()), seed=seed)
     assert suspicions_of_recording(recording) == ()
     (line,) = suspicions_of_recording(scalar_first(recording))
-    assert "scalar first" in line
-    assert line.endswith("say so: --quaternion wxyz")
+    assert code_of(line) == "quaternion_order"
+    assert line.endswith(" --quaternion wxyz")
 
 
 @pytest.mark.parametrize("names", [("qx", "qy", "qz"), ("qy", "qz"), ("qx", "qz"), ("qx", "qy")])
@@ -130,13 +134,13 @@ def test_quaternions_of_the_inverse_or_of_a_mirrored_frame_are_named(names: tupl
     assert recording.quaternion is not None
     signs = np.array([-1.0 if name in names else 1.0 for name in QUATERNION])
     (line,) = suspicions_of_recording(replace(recording, quaternion=signs * recording.quaternion))
-    assert line.endswith("say so: --columns " + ",".join(f"{name}=-{name}" for name in names))
+    assert line.endswith(" --columns " + ",".join(f"{name}=-{name}" for name in names))
 
 
 def test_what_is_stated_is_not_doubted_and_what_is_left_open_is_not_learned() -> None:
     large, slow = in_millimetres(door()), replace(door(), time=1e3 * door().time)
     for doubted, stated in ((large, "length"), (slow, "time")):
-        with pytest.raises(InputError, match="say that: --units m,s"):
+        with pytest.raises(InputError, match="confirm it: --units m,s"):
             require_conventions(doubted)
         require_conventions(replace(doubted, conventions={stated: ""}))
     require_conventions(door())
@@ -162,7 +166,7 @@ def test_a_part_that_slides_or_moves_freely_does_not_show_the_order() -> None:
 @pytest.mark.parametrize(("factor", "clock"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
 def test_times_in_other_units_are_named(factor: float, clock: str) -> None:
     (line,) = suspicions_of_recording(replace(door(), time=factor * door().time))
-    assert line.endswith(f"if they are in {clock}, say so: --units {clock}")
+    assert line.endswith(messages.clock_unit(clock))
 
 
 def test_a_clock_since_the_epoch_and_a_slow_recorder_are_not_suspicious() -> None:

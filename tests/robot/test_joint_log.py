@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from micah_plan import InputError, Recording, learn, load
 from micah_plan.recording.conventions import Conventions
+from micah_plan.recording.messages import rows_left_out
 from micah_plan.recording.read import read_columns
 from micah_plan.robot.joint_log import arm_of, tool_recording
 from micah_plan.robot.joint_ranges import JointRange
@@ -158,7 +159,7 @@ def test_joint_states_of_ros(arm: Any, tmp_path: Path) -> None:
     [
         ("/forward_position_controller/commands", 7, True, "those of shoulder_pan, "),
         ("/forward_position_controller/commands", 6, True, "those of shoulder_pan, "),
-        ("/forward_velocity_controller/commands", 7, False, "are no positions by its name"),
+        ("/forward_velocity_controller/commands", 7, False, "are not positions by its name"),
         ("/forward_position_controller/commands", 9, False, "9 numbers without names, 8 joints"),
         ("/diagnostics/values", 7, False, ""),
     ],
@@ -231,7 +232,7 @@ def test_rows_in_which_a_joint_is_not_known_are_gaps(arm: Any) -> None:
     columns["elbow"][:3] = np.nan
     found = tool_recording(columns, arm, Conventions(**ROBOT))
     assert len(found) == ROWS - 3
-    assert found.notes == (f"3 rows of {ROWS} have no pose and are left out, at most 3 in turn",)
+    assert found.notes == (rows_left_out(3, ROWS, 3),)
     is_the_door(found, arm)
     columns["shoulder_pan"][3:] = np.nan
     with pytest.raises(InputError, match="no row has a pose"):

@@ -10,10 +10,10 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.errors import InputError
+from micah_plan.execution import messages
 from micah_plan.execution.mujoco.core import Carrier, PhysicalPlant
 from micah_plan.execution.mujoco.parameters import PhysicalParameters
 from micah_plan.execution.mujoco.world import ARM_MEETS, ARM_TYPE, OBJECT, World, add_finger_motor
-from micah_plan.quantities import quantity
 from micah_plan.robot.along_plan import start_posture
 from micah_plan.robot.arm import Arm
 from micah_plan.robot.inverse_kinematics import next_pose
@@ -128,10 +128,7 @@ class ArmCarrier(Carrier):
         reached = next_pose(self._arm, target, q, wish, limits)
         if np.abs(reached.error).max() > _NOT_REACHED and not self.complaint:
             stopped = [name for name, at in zip(self._arm.joints, reached.stopped, strict=True) if at]
-            limit = f": joint limit of {', '.join(stopped)}" if stopped else ""
-            away = quantity(float(np.linalg.norm(reached.error[3:])), "m")
-            problem = f"the arm's tool could not come nearer than {away} to where it was told to be"
-            self.complaint = problem + limit
+            self.complaint = messages.tool_behind(float(np.linalg.norm(reached.error[3:])), stopped)
         return reached.q
 
     def _damp(self) -> None:

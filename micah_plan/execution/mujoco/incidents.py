@@ -9,6 +9,7 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 from micah_plan.automaton.contacts.values import Grip
+from micah_plan.execution import messages
 from micah_plan.execution.mujoco.core import PhysicalPlant
 from micah_plan.execution.mujoco.world import (
     OBJECT,
@@ -16,7 +17,6 @@ from micah_plan.execution.mujoco.world import (
     Flags,
     World,
 )
-from micah_plan.quantities import quantity
 
 # Deeper than this into a body [m] counts as a collision, and so does any push against a fixed body that may not be
 # touched.
@@ -128,8 +128,7 @@ class IncidentWatch:
             self._plant.mujoco.mj_contactForce(self._plant.model, data, number, push)
             if contact.dist < -LARGEST_PENETRATION or (not allowed and push[0] > _LARGEST_PUSH_N):
                 what = "it" if is_object else f"the arm's {self._name[by]}"
-                how = f"with {quantity(push[0], 'N')}, {quantity(max(0.0, -contact.dist), 'm')} deep"
-                return f"{what} hit '{name}' at {quantity(data.time, 's')} {how}"
+                return messages.hit(what, name, data.time, float(push[0]), max(0.0, -contact.dist))
         return ""
 
     def _knocked_over(self) -> str:
@@ -139,6 +138,5 @@ class IncidentWatch:
             shift = float(np.linalg.norm(data.xpos[number] - before[:3]))
             tilt = float(np.arccos(np.clip(data.xmat[number][6:] @ before[3:], -1.0, 1.0)))
             if shift > LARGEST_SHIFT or tilt > LARGEST_TILT:
-                how = f"it had moved by {quantity(shift, 'm')} and tilted by {quantity(tilt, 'rad')}"
-                return f"'{name}' was knocked over: at {quantity(data.time, 's')} {how}"
+                return messages.knocked_over(name, data.time, shift, tilt)
         return ""

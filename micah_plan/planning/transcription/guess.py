@@ -12,6 +12,7 @@ from micah_plan.arrays import Floats
 from micah_plan.automaton.hybrid import Edge, HybridAutomaton, Mode
 from micah_plan.automaton.input_reversal import matrix_after
 from micah_plan.automaton.region import HalfSpace
+from micah_plan.planning import messages
 from micah_plan.planning.avoided_inputs import STRICT_SHARE, input_bounds
 from micah_plan.planning.feedback import belief_lqr
 from micah_plan.planning.input_memories import linear_step, steps_of_memory
@@ -144,8 +145,7 @@ def _too_few_knots(needed: int, allowed: int) -> Reason:
     ways = [larger_steps(max(2.0, float(np.ceil(needed / allowed))))]
     if needed <= _MOST_TRIED_KNOTS:
         ways.insert(0, more_knots(needed / allowed))
-    sentence = f"the path needs at least {needed} knots at the largest step, more than max_knots = {allowed}"
-    return Reason("too_few_knots", sentence, tuple(ways))
+    return Reason("too_few_knots", messages.too_few_knots(needed, allowed), tuple(ways))
 
 
 def _roll(

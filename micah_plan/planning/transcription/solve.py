@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from micah_plan.arrays import Booleans, Floats
+from micah_plan.planning import messages
 from micah_plan.planning.findings import partly_met, sentence_of
 from micah_plan.planning.nlp import Programme, Solution, Solver
 from micah_plan.planning.transcription.packed_belief import unpack
@@ -51,8 +52,8 @@ def solve_transcription(nlp: Transcription, time_limit_s: float) -> BeliefPath:
     """The locally optimal belief path. Infeasible problems do not raise: see `feasible` and `message`."""
     solution = Solver(nlp.programme, time_limit_s).solve()
     if not solution.is_number:
-        worst = "; ".join(map(sentence_of, _worst(nlp, solution.w, solution.rows))) or "the cost is not a number"
-        return path_of(nlp, replace(solution, said=f"{solution.said}: {worst}"))
+        worst = "; ".join(map(sentence_of, _worst(nlp, solution.w, solution.rows))) or messages.COST_NOT_A_NUMBER
+        return path_of(nlp, replace(solution, status=f"{solution.status}: {worst}"))
     return path_of(nlp, solution, tuple(_soft_violations(nlp, solution.w)) if solution.is_feasible else ())
 
 
@@ -174,7 +175,7 @@ def path_of(nlp: Transcription, solution: Solution, in_part: tuple[Shortfall, ..
     return BeliefPath(
         feasible=solution.is_feasible,
         cost=solution.cost,
-        message="; ".join([solution.said, *map(partly_met, in_part)]),
+        message="; ".join([solution.status, *map(partly_met, in_part)]),
         is_out_of_time=solution.is_out_of_time,
         iterations=solution.iterations,
         modes=tuple(phase.mode for phase in nlp.guess for _ in range(phase.steps + 1)),
