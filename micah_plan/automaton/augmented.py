@@ -1,8 +1,8 @@
 """Operations on whole automata: map all modes or edges, add coordinates to the state, fix coordinates at values.
 
-Memories of inputs and the places of uncertain boundaries are coordinates of a larger state (`input_memory`,
-`with_boundary_states`). They stand behind the others. Neither inputs nor noise move them, no sensor shows them,
-and transitions keep them. Which half-spaces depend on them is for the caller to say.
+Memories of inputs and the thresholds of uncertain boundaries are coordinates of an augmented state (`input_memory`,
+`with_boundary_states`), behind the others. Neither inputs nor noise move them, no sensor measures them, and transitions
+keep them. The caller decides which half-spaces depend on them.
 
 An automaton over (x, e) stands for one automaton over x for each value of e: `fix_augmented_state` is
 that for given values.
@@ -48,7 +48,7 @@ def fix_augmented_state(automaton: HybridAutomaton, n: int, values: Sequence[flo
     """The automaton over its first n coordinates x that steps as the one over (x, e) does with e at values.
 
     Args:
-        values: (k,) of the coordinates e behind them; none: nothing depends on e, as after `augment_state` without
+        values: (k,) of the additional coordinates e; none: nothing depends on e, as after `augment_state` without
             weights.
     """
     return _with_coordinates(automaton, automaton.coordinates[:n], values=values)

@@ -9,15 +9,15 @@ transitions, resets are the identity. Where it differs, and why:
   every local model starts at 0. Here all models of an edge share one coordinate (`graph.Segment`), x⁺ = x + B u, and a
   value means the same in every mode: beliefs, goals and guards need no translation, the identity reset is really one.
 - **Rigid models.** In the paper x + u moves x in a rigid mode too. Here nothing moves it (a zero row in B), its
-  coordinate is pinned to the configuration at which the part was fixed (being there is information), and it is left
-  by pulling: {u < -release} towards smaller and {u > release} towards larger configurations, since a guard on a
-  pinned x would never be reached again. A rigid model at an end of the range needs no clamp, having a pin.
+  coordinate is pinned to the configuration at which the part was fixed (being there is information), and it is left by
+  pulling: {u < -release} towards smaller and {u > release} towards larger configurations, since a guard on a pinned x
+  would never be reached again. A rigid model at an end of the range needs no clamp, having a pin.
 - **Invariants are closed.** The paper's domains [0, c) leave the boundary to the next model, but events are located
-  exactly (`transition`), so a state can be on the boundary in either model. A rigid model's invariant is what a
-  measurement does not distinguish from it: ``local_models.RESOLUTION`` std around its configuration.
+  exactly (`transition`), so a state can be on the boundary in either model. The invariant of a rigid model is the range
+  that a measurement cannot distinguish from it: ``local_models.RESOLUTION`` std around its configuration.
 - **Thresholds have a std** (`Edge.threshold_std`) where learning gave a posterior of the changepoint's row. A rigid
   model that is entered at such a threshold is pinned no better than that.
-- **Numbers have six digits** (`rounding`), far more than learning knows, so that people can read the file.
+- **Numbers have six digits** (`rounding`), far more than learning determines, so that the file is readable.
 - **Clamps have strict guards** {x < lower}, {x > upper}: resting at the end is no event, moving on is one.
 
 An edge to the base that never moved keeps its coordinate, as in the paper; the only model pins it. A part that is fixed
@@ -69,7 +69,7 @@ def build_automaton(
         release: displacement per step that an input must exceed to pull a part out of a rigid model [rad or m].
         input_limits: largest displacement per step [rad or m], one per edge that is not fixed to another part; None:
             any input is admissible.
-        provenance: where the model came from.
+        provenance: origin of the model.
 
     Modes are named after their local models, joined by ``/`` in the order of the graph's edges (``"rigid/prismatic"``),
     without those of fixed parts.

@@ -1,7 +1,7 @@
 """Posteriors over changepoints and models, the action channel, and where no joint fits.
 
-Joints keep their own covariances (`joint.ParameterCovariance`), transitions the spread of their thresholds
-(`hybrid.Edge.threshold_std`); here is the rest, and what of it a model keeps (`LearnedEdge`).
+Joints have their own covariances (`joint.ParameterCovariance`), transitions the std of their thresholds
+(`hybrid.Edge.threshold_std`); here is the rest, and the part of it that a model keeps (`LearnedEdge`).
 
 Sources: Fearnhead and Liu, JRSS B 2007 (posterior over changepoints); MICAH, section IV-A (actions).
 """
@@ -51,7 +51,7 @@ class NoSingleJoint:
 
     Attributes:
         position, rotation: root mean square distance of the rows from the joint [m, rad]; None if not measured.
-        position_noise, rotation_noise: what the measurement alone would leave [m, rad].
+        position_noise, rotation_noise: errors from the measurement alone [m, rad].
         log_odds: of free motion against the best joint [nats].
     """
 
@@ -68,7 +68,7 @@ class Deviation:
 
     Attributes:
         position, rotation: typical size in one direction [m, rad]; rotation is 0 where it was not measured.
-        probability: that it is larger than what real joints and trackers usually show.
+        probability: that it exceeds the usual deviation of real joints and trackers.
     """
 
     position: float
@@ -80,17 +80,17 @@ class Deviation:
 class ActionChannel:
     """Map from a recorded action a to its command: gain · R(frame_rotation) a, `delay` later.
 
-    Of actions that lead to places, a is the way from one commanded place to the next.
+    For actions that lead to places, a is the displacement from one commanded place to the next.
 
     Attributes:
         frame_rotation: rotation vector from the frame in which the actions were given to the base frame [rad].
         gain: displacement made per displacement recorded.
         delay: time from the recorded action to the motion [s]; negative if the motion comes first.
-        covariance: (5, 5) of CHANNEL_NAMES, in the units above; a rotation's is that of a small turn of the base frame
-            after it. What the recording does not determine (a rotation about the joint's direction of motion) keeps its
-            prior spread.
+        covariance: (5, 5) of CHANNEL_NAMES, in the units above; a rotation's is that of a small rotation of the base
+            frame after it. What the recording does not determine (a rotation about the joint's direction of motion)
+            keeps its prior spread.
         explained: share of the variance of the part's steps that the actions explain, 0 to 1.
-        commands: what the actions were taken for.
+        commands: the assumed meaning of the actions.
     """
 
     frame_rotation: Vector3

@@ -1,14 +1,14 @@
 """Validation of hybrid automata: errors of model files or Python code, each in one line with its place.
 
-Each element is checked by itself, then whether they agree: pins, rigid joints, and where transitions lead. That refuses
-only what is certainly wrong: it compares bounding boxes (half-spaces that couple coordinates are ignored), and accepts
-deviations up to the model's own std.
+Each element is checked separately, then their consistency: pins, rigid joints, and targets of transitions. Only what is
+certainly wrong is refused: bounding boxes are compared (half-spaces that couple coordinates are ignored), and
+deviations up to the model's own std accepted.
 
-Whether what an automaton says can be meant: units against joints and inputs, transitions that repeat each other or
-are always taken, effects that are there twice, limits and weights beyond physical sizes.
+Consistency of an automaton: units of joints and inputs, transitions that repeat each other or are always taken,
+duplicate effects, limits and weights beyond physical sizes.
 
-`check` refuses what cannot be used at all. Here each part by itself could be used, and only together they make no
-sense. Only what is certainly wrong is refused; `plausible` tells what may be meant.
+`check` refuses elements that cannot be used at all. Here each element could be used, but not all together. Only what is
+certainly wrong is refused; `plausible` warns of likely mistakes.
 """
 
 from __future__ import annotations
@@ -41,11 +41,10 @@ def check_automaton(automaton: HybridAutomaton) -> None:
     """Refuse an automaton that violates the assumptions of the algorithms.
 
     Raises:
-        InputError: names that are not unique or not known, an invariant, guard or set of
-            inputs that nothing satisfies, a pin on a coordinate that moves or outside of its invariant, a rigid joint
-            fixed elsewhere than pinned, a transition that leads out of its target's invariant, a self transition
-            without effect, a mode that is not connected, process noise below 0, observation noise not above 0; and what
-            contradicts itself (`contradictions`).
+        InputError: names that are not unique or not known, an invariant, guard or set of inputs that is empty, a pin on
+            a coordinate that moves or outside its invariant, a rigid joint fixed elsewhere than pinned, a transition
+            that leads out of its target's invariant, a self transition without effect, a mode that is not connected,
+            process noise below 0, observation noise not above 0; and inconsistent elements (`contradictions`).
     """
     for _, check in checks(automaton):
         check()
@@ -410,7 +409,7 @@ def _check_repeated(edge: Edge, number: int, first: int) -> None:
 def preceding(automaton: HybridAutomaton, number: int) -> Edge | None:
     """An earlier edge whose guard contains that of another; the other can never be taken.
 
-    Of guards that hold at one instant changes of the mode go first, then the first listed (`transition`).
+    Among guards that hold at one instant, changes of the mode come first, then the first listed (`transition`).
     """
     edge = automaton.edges[number]
     rows = edge.guard.half_spaces

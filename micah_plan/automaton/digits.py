@@ -1,9 +1,9 @@
 """Rounding of learned automata: each number to the digits that its std supports, once, when the model is built.
 
-Six significant digits are a thousandth of the standard deviation that the best tracker leaves of a joint. Rounding
-keeps the order of numbers and what is equal, so guards still end where ranges and pins do. Unit vectors have ten
-decimals, as a length other than 1 would scale all motion. What files say is then what the model is: `load_model`
-returns the very same values.
+Six significant digits are a thousandth of the standard deviation of a joint with the best tracker. Rounding keeps the
+order and the equality of numbers, so guards still end where ranges and pins do. Unit vectors have ten decimals, as a
+length other than 1 would scale all motion. So files and models are identical: `load_model` returns the very same
+values.
 """
 
 from __future__ import annotations

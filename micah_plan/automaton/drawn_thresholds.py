@@ -1,14 +1,13 @@
 """Uncertain thresholds: samples of the true ones, and thresholds as part of the state.
 
-An object has one threshold per boundary, the same at every passage and for both ways through it; `Edge.threshold_std`
-says how well the model knows it. So a boundary moves as a whole: in all guards and invariants that it bounds, and with
-it the pins of the modes that are entered there. Joints stay as they are: where poses are drawn from a configuration,
-those of the moving joints count.
+An object has one threshold per boundary, the same at every passage and in both directions; `Edge.threshold_std` is its
+std. So a boundary moves as a whole: in all guards and invariants that it bounds, and with it the pins of the modes that
+are entered there. Joints are unchanged: where poses are drawn from a configuration, those of the moving joints count.
 
-`with_boundary_states` makes the shifts s (b,) of the uncertain boundaries a part of the state (x, s), which is what a
-filter needs to learn where they are: a half-space ``a'x >= c`` whose threshold grows by g for each unit of s_i becomes
-``a'x - g s_i >= c``, and a pin at a boundary follows its coordinate. `with_boundaries` gives s a value: a step of its
-automaton over x is exactly a step of (x, s).
+`with_boundary_states` makes the shifts s (b,) of the uncertain boundaries a part of the state (x, s), so that a filter
+can estimate them: a half-space ``a'x >= c`` whose threshold grows by g for each unit of s_i becomes ``a'x - g s_i >=
+c``, and a pin at a boundary follows its coordinate. `with_boundaries` fixes s: a step of its automaton over x is
+exactly a step of (x, s).
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ def threshold_stds(automaton: HybridAutomaton) -> Floats:
 def drawn_shifts(automaton: HybridAutomaton, rng: np.random.Generator, count: int) -> Floats:
     """(count, b) sampled displacements of the boundaries of `count` objects, in the order of `threshold_stds`.
 
-    Nothing is drawn from `rng` where all thresholds are certain.
+    `rng` is not used where all thresholds are certain.
     """
     stds = threshold_stds(automaton)
     return stds * rng.standard_normal((count, stds.size))
@@ -49,8 +48,8 @@ def with_boundaries(automaton: HybridAutomaton, by: Floats, stds: Floats | None 
 
     Args:
         by: in the order of `threshold_stds`.
-        stds: (b,) to which they are known now; None: as before. The variance of a pin at a boundary falls by as much as
-            that of its boundary.
+        stds: (b,) current ones; None: unchanged. The variance of a pin at a boundary decreases by as much as that of
+            its boundary.
     """
     before = boundary_stds(automaton)
     now = before if stds is None else dict(zip(before, map(float, stds), strict=True))
@@ -109,7 +108,7 @@ def _moving_boundary(
     """(boundary that moves a half-space, growth of its threshold per unit); None if fixed.
 
     That is its own boundary. A mode's invariant around a pinned coordinate moves with the boundary at which it is
-    pinned. None where nothing moves it.
+    pinned. None where it does not move.
     """
     uncertain = boundary_stds(automaton)
     boundary, scale = boundary_of(half_space)

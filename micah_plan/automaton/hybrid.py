@@ -2,8 +2,8 @@
 
 Source: MICAH, sections III-C and IV-B; Lygeros, Sastry and Tomlin, "Hybrid systems".
 
-What an automaton made by hand can get wrong in sizes is said when it is made, by the names of its elements. Values can
-still disagree with each other; `check.check_automaton` says where.
+Wrong sizes in an automaton made by hand are reported when it is made, with the names of its elements. Values can still
+be inconsistent; `check.check_automaton` reports where.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Coordinate:
 
     Attributes:
         name: e.g. the name of the part that it moves.
-        unit: ``"rad"`` or ``"m"``; ``""`` for the place of an uncertain boundary, which nothing moves
+        unit: ``"rad"`` or ``"m"``; ``""`` for the threshold of an uncertain boundary, which nothing moves
             (`drawn_thresholds.with_boundary_states`).
     """
 
@@ -95,8 +95,8 @@ class Link:
 class Pin:
     """A coordinate that a mode fixes at one value: a rigid joint at its configurational changepoint.
 
-    To pin means this and nothing else: no input and no noise moves the coordinate, a state elsewhere is put at `value`,
-    and being in the mode is information, since the coordinate is known to `std`.
+    In the mode, no input and no noise moves the coordinate, a state elsewhere is set to `value`, and being in the mode
+    is information, since the coordinate is known to `std`.
 
     Attributes:
         follows: another coordinate, never pinned, that adds to `value`: the place of an uncertain boundary
@@ -179,8 +179,8 @@ class Mode:
         invariant: I(q), where the mode's dynamics hold.
         inputs: φ(q, x), the admissible inputs.
         pins: coordinates that the mode fixes.
-        observation_std: (coordinate, std) of what the mode measures in its own way, wherever it is [rad or m]; the rest
-            is measured as the model's noise says.
+        observation_std: (coordinate, std) of measurements in this mode, at any place [rad or m]; others have the
+            model's noise.
         ties: coordinates that follow others. The flow must keep them, and transitions into the mode establish them.
     """
 
@@ -228,8 +228,8 @@ class Edge:
     A self transition (source == target) is a clamp: its reset keeps x at the end of the range.
 
     Attributes:
-        threshold_std: how well the thresholds of the guard's half-spaces on x are known, in their unit. The object
-            has one threshold, the same at every passage, but the model knows it only so well.
+        threshold_std: std of the thresholds of the guard's half-spaces on x, in their unit. The object has one
+            threshold, the same at every passage; the std is that of its estimate.
     """
 
     source: str
@@ -274,13 +274,13 @@ class HybridAutomaton(Summarised):
         modes: Q with f, I and φ.
         edges: E with G and R.
         noise: process and observation noise.
-        init: Init, regions of x per mode name; empty: wherever an invariant allows.
-        provenance: where the model came from (recording digest, method, seed, versions), as text.
+        init: Init, regions of x per mode name; empty: the invariants.
+        provenance: origin of the model (recording digest, method, seed, versions), as text.
         learned: how certain learning was; empty for a model that was not learned.
-        effects: what was found to be missing and added by `with_effect`; those on guards and joints are already in
-            `modes` and `edges`, the others act in every step.
-        input_memories: what effects remember of inputs, where that is part of the state (`input_memory`); empty: steps
-            ignore these effects.
+        effects: added by `with_effect`; those on guards and joints are already in `modes` and `edges`, the others act
+            in every step.
+        input_memories: memories of effects, where they are part of the state (`input_memory`); empty: steps ignore
+            these effects.
     """
 
     coordinates: tuple[Coordinate, ...]
@@ -317,7 +317,8 @@ class HybridAutomaton(Summarised):
     def derived(self) -> dict[Any, Any]:
         """Cache of `memoised` functions (`memo`); excluded from comparison and pickling.
 
-        What is cached refers to the automaton: kept with it, both are freed together, which no table beside it can do.
+        Cached values refer to the automaton: kept with it, both are freed together, which a separate table could not
+        do.
         """
         return {}
 
@@ -397,7 +398,7 @@ class HybridAutomaton(Summarised):
         """The transition ``"source -> target"``.
 
         Args:
-            number: which of several of that name, in order of priority, from 0; None: there is one.
+            number: index among edges of that name, in order of priority, from 0; None: there is one.
 
         Raises:
             InputError: if there is none, or several and no number.
@@ -447,7 +448,7 @@ class HybridAutomaton(Summarised):
     def ranges(self, coordinate: int, modes: Iterable[Mode] | None = None) -> list[Interval]:
         """(low, high) intervals of a coordinate over modes (None: all), merged and in increasing order.
 
-        Only half-spaces on this coordinate alone count, and pins; others can narrow the true range further.
+        Only half-spaces on this coordinate alone, and pins; others can narrow the true range further.
         """
         merged: list[Interval] = []
         for low, high in sorted(mode.interval(coordinate) for mode in (self.modes if modes is None else modes)):
@@ -485,7 +486,7 @@ def vector(values: Mapping[str, float] | ArrayLike, names: tuple[str, ...], symb
     """Finite values by names, 0 where there is none, or in their order.
 
     Args:
-        symbol: what the vector is called, and `what` that each of its values is of, where something is wrong.
+        symbol: name of the vector in errors; what: the elements with one value each.
     """
     if isinstance(values, Mapping):
         for name in values:

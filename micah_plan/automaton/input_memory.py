@@ -1,17 +1,17 @@
 """Effects with memory of earlier inputs: as a filter of inputs, and as coordinates of the state.
 
-A delay remembers the inputs of the last steps, a lag the command that arrives, a backlash the place within the play,
-and a part that follows places those of the last steps and its velocity. What comes out of a memory is the same formula
+A delay remembers the inputs of the last steps, a lag the arriving command, a backlash the place within the play, and a
+part that follows places those of the last steps and its velocity. The output of a memory is the same formula
 (`EffectForm.respond`) wherever it is kept:
 
-- An `InputChannel` keeps it beside the state, for one run or many: plants, roll-outs and predictions send inputs
-  through it before they reach the automaton's step.
-- `with_memory_states` keeps it in the state (x, m): what planner and filter need to plan with it. Inputs are known, so
-  m starts at rest, is known exactly, no noise moves it and no sensor shows it. A step of (x, m) is a step of x with the
-  input that comes out of the memory (`passed_on`). Goals, guards and joints depend on x only.
+- An `InputChannel` keeps it outside the state, for one run or many: plants, roll-outs and predictions send inputs
+  through it before the automaton's step.
+- `with_memory_states` keeps it in the state (x, m): planner and filter need that. Inputs are known, so m starts at
+  rest, is known exactly, has no noise and is not measured. A step of (x, m) is a step of x with the output of the
+  memory (`passed_on`). Goals, guards and joints depend on x only.
 
-A memory changes from step to step, not within one: guards, resets and motion of a step see the input that comes out,
-and the memory takes its next values when the step ends.
+A memory changes from step to step, not within one: guards, resets and motion of a step see its output, and it is
+updated when the step ends.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def memory_at_rest(automaton: HybridAutomaton, x: Sequence[float] | None = None)
 def towards(automaton: HybridAutomaton, at: Floats, x: Floats, u: Floats) -> Floats:
     """The inputs (..., m) at x (..., n) that lead to the places to which u (..., m) leads from `at` (..., n).
 
-    Where commands mean displacements (no `follow`) they stay as they are: those are the same from wherever.
+    Where commands are displacements (no `follow`) they are unchanged, since they do not depend on the place.
     """
     command = u
     for effect in automaton.effects:
@@ -157,7 +157,7 @@ def effects_left_out(automaton: HybridAutomaton, memory: bool = False) -> tuple[
     """One line per effect that prediction and calibration use, but planner, filter and nominal plant ignore.
 
     Args:
-        memory: whether those that remember are left out even where their memory can be a state.
+        memory: whether effects with memory are listed even where their memory can be a state.
     """
     carried = [automaton.coordinates[link.coordinate].name for link in automaton.links if link.parent != BASE]
     lines = []
@@ -201,7 +201,7 @@ def _memories(
 def _strongest_input(automaton: HybridAutomaton, effect: Effect) -> tuple[int, float] | None:
     """The input that moves an effect's coordinate most in the first mode that does, and its command per unit of it.
 
-    None where no input moves it: then there is nothing to remember.
+    None where no input moves it: then there is no memory.
     """
     i = automaton.index(effect.coordinate)
     mode = next((mode for mode in automaton.modes if mode.driven[i]), None)

@@ -1,9 +1,9 @@
 """Transitions that reverse the motion of an input, which a plan must cross in one known step.
 
-Where an input moves a coordinate forwards in one mode and backwards in the next, a step more with the same input goes
+Where an input moves a coordinate forwards in one mode and backwards in the next, one more step with the same input goes
 the wrong way, so a plan must fix the step at which the mode changes. If the coordinate is the one across the boundary,
-no input pushes the state deep into the guard either. What of that step lies behind the boundary is then what the next
-mode makes of it: the way is mirrored, at the speed of the next mode, or, where a guard leads straight back or the next
+no input pushes the state deep into the guard either. The part of that step behind the boundary is then determined by
+the next mode: the motion is mirrored, at the speed of the next mode, or, where a guard leads straight back or the next
 mode does not move the coordinate, it ends at the boundary, which so is known exactly (`transition`, chattering).
 """
 

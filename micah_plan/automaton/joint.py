@@ -31,7 +31,7 @@ class Freedom:
     Attributes:
         moves, turns, climbs: whether its part moves at all, about an axis, and along that axis while it turns.
         unit: of its configuration.
-        parameters: what fixes it besides the pose of its part (see `ParameterCovariance`).
+        parameters: of the joint besides the pose of its part (see `ParameterCovariance`).
     """
 
     moves: bool
@@ -76,7 +76,7 @@ class Joint:
         position: origin of the part in the base frame at configuration 0 [m] (rigid: at all times).
         quaternion: orientation of the part at configuration 0, scalar last.
         axis: unit vector of motion or rotation in the base frame; (0, 0, 0) for rigid and path.
-        center: point on the axis of rotation closest to `position` [m]; (0, 0, 0) for those that do not turn about one.
+        center: point on the axis of rotation closest to `position` [m]; (0, 0, 0) without a rotation.
         pitch: translation along the axis per angle [m/rad]; 0 unless screw.
         fixed_at: configuration at which a rigid joint fixes its part [rad or m]; 0 for others.
         covariance: of the parameters, if they were estimated.

@@ -64,8 +64,8 @@ def forward(joint: Joint, c: ArrayLike) -> RigidTransform:
 def placements(joint: Joint, c: ArrayLike) -> Floats:
     """f(c) as homogeneous matrices (k, 4, 4), for c (k,) [rad or m].
 
-    The same as `forward` by Rodrigues' formula, for loops that ask for a few poses many times: SciPy's transforms take
-    a hundred times as long for one of them as the arithmetic does.
+    The same as `forward` by Rodrigues' formula, for loops that need a few poses many times: SciPy's transforms take a
+    hundred times as long for one of them.
     """
     turn, translation = turns_and_translations(joint, c)
     moved = np.zeros((len(turn), 4, 4))
@@ -100,10 +100,10 @@ def inverse(
 
     Returns:
         (k,) configurations [rad or m], unique for every pose. Prismatic: along the axis. Revolute: in (-π, π]. Screw:
-        the whole turns are counted by the displacement along the axis, so several turns are told apart as long as a
+        the whole turns are counted by the displacement along the axis, so several turns are unique as long as a
         turn moves the part further than the noise; with smaller pitch, give `near`. A screw of pitch 0 is
-        revolute. Rigid: `fixed_at`. Where a pose says nothing of the angle (origin on the axis and no orientation), it
-        is 0 for a revolute joint and what the displacement along the axis says for a screw.
+        revolute. Rigid: `fixed_at`. Where a pose does not determine the angle (origin on the axis and no orientation),
+        it is 0 for a revolute joint and that of the displacement along the axis for a screw.
     """
     measured = np.atleast_2d(np.asarray(position, dtype=float))
     if measured.ndim != 2 or measured.shape[1] != 3:
@@ -151,8 +151,8 @@ def balanced(angle: Floats, weight: Floats, along: Floats, pitch: float | Floats
     Each step minimises a parabola that touches the error from above, so the error cannot grow.
 
     Args:
-        angle, weight, along: of any one shape: the angle [rad] that the plane across the axis tells, how much that
-            counts [m²], and the way along the axis [m].
+        angle, weight, along: of one shape: the angle [rad] in the plane across the axis, its weight [m²], and the
+            displacement along the axis [m].
         pitch: [m/rad], to be broadcast.
     """
     c = angle
@@ -194,7 +194,7 @@ def inverse_jacobian(
         rotation_length: weight of rotation against translation [m/rad].
 
     Returns:
-        (k,) [rad or m]; 0 for rigid, and where the displacement can say nothing (origin on the axis, no rotation).
+        (k,) [rad or m]; 0 for rigid, and where the displacement is uninformative (origin on the axis, no rotation).
     """
     displacements = np.atleast_2d(np.asarray(displacement, dtype=float))
     if displacements.ndim != 2 or displacements.shape[1] not in (3, 6):

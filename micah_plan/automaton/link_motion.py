@@ -1,8 +1,8 @@
 """How a link moves: along its joints, one after another over one configuration.
 
 A drawer that swings when it is out has a slide up to one configuration and an arc from there on (MICAH, section IV-A:
-the segments of an edge share one coordinate). What a pose or an action says of the configuration is then a question to
-the joint that the part is on. Between two changes it is a single joint, and so are most motions.
+the segments of an edge share one coordinate). The configuration of a pose or an action then depends on the joint that
+the part is on. Between two changes it is a single joint, and so are most motions.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class LinkMotion:
     Attributes:
         joints: in order of configuration.
         ends: (low, high) of each [rad or m]; the first has no lower end and the last no upper end.
-        range: (low, high) that modes let the configuration have [rad or m]; infinite where nothing ends it.
+        range: (low, high) of the configuration in all modes [rad or m]; infinite without an end.
     """
 
     joints: tuple[Joint, ...]
@@ -64,8 +64,7 @@ class LinkMotion:
         """(k,) configurations closest to the measured poses of one run: positions (k, 3) [m] and orientations.
 
         Args:
-            near: (k,) configurations to choose whole turns by, where they are known; else the range and the rows before
-                tell them.
+            near: (k,) known configurations to choose whole turns by; None: by the range and the rows before.
         """
         if len(self.joints) == 1:
             return self._turned(self.joints[0], position, rotation, near)
@@ -124,8 +123,8 @@ class LinkMotion:
     def _turned(self, joint: Joint, position: Floats, rotation: Rotation | None, near: Floats | None) -> Floats:
         """Configurations of a run along a single joint.
 
-        A pose of a hinge belongs to many configurations, whole turns apart. Of a range shorter than a turn, one of them
-        is in it or nearest to it; in a longer one each row goes on from the row before, in the turn closest to the
+        A pose of a hinge belongs to many configurations, whole turns apart. In a range shorter than a turn, one of them
+        is in it or nearest to it; in a longer one each row continues from the row before, in the turn closest to the
         first pose's that keeps the run in the range.
         """
         low, high = self.range

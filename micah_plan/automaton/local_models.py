@@ -1,18 +1,18 @@
 """Local models M^k and their domains Dom(M^k) along the configuration, from segments in time.
 
-Source: MICAH, section IV-B. The paper takes the segments of one sweep as they come; a recording may also stop on the
-way, return, or pass through a region several times, and all these segments show the same models. Rules:
+Source: MICAH, section IV-B. The paper uses the segments of one sweep directly; a recording may also stop on the way,
+return, or pass through a region several times, and all these segments show the same models. Rules:
 
 1. Moving segments that cover the same configurations (more than half of the shorter range) are one model, with the
    joint of the longest of them; rigid segments at the same configuration (within ``RESOLUTION`` std) are one model.
 2. A rigid segment inside the range of a moving model is dropped: the part was seen to move through that configuration,
    so it merely rested there.
-3. What remains is ordered by configuration. Two neighbouring rigid models are one (the longer): a coordinate that was
-   never seen to move between them cannot tell them apart.
-4. Neighbours meet at the configurational changepoint: at the configuration of a rigid model, else where the
-   recording changed from one to the other, else half way between their ranges.
-5. How well that configuration is known follows from the posterior of the changepoint's row, where there is one: rows
-   are turned into configurations with the segments' mean speeds, and a measurement's std is added.
+3. The remaining models are ordered by configuration. Two neighbouring rigid models are one (the longer): a coordinate
+   that was never seen to move between them cannot separate them.
+4. Neighbours meet at the configurational changepoint: at the configuration of a rigid model, else where the recording
+   changed from one to the other, else half way between their ranges.
+5. The std of that configuration follows from the posterior of the changepoint's row, where there is one: rows are
+   converted to configurations by the segments' mean speeds, and a measurement's std is added.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class LocalModel:
         joint: its joint.
         lower, upper: the configurations between which it governs [rad or m]; equal for rigid.
         observation_std: of one pose measurement expressed as configuration [rad or m].
-        lower_std, upper_std: how well these are known where another model begins [rad or m]; 0 if nothing tells.
+        lower_std, upper_std: of these where another model begins [rad or m]; 0 if unknown.
     """
 
     name: str

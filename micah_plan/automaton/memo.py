@@ -25,7 +25,7 @@ def memoised_of_motion(function: _Function) -> _Function:
 def sharing_motion(automaton: HybridAutomaton, template: HybridAutomaton) -> HybridAutomaton:
     """The automaton with another's cache of `memoised_of_motion` functions.
 
-    Modes of both must move alike and be measured alike. They may differ in where their boundaries and pins are.
+    Modes of both must have the same motion and measurements. They may differ in where their boundaries and pins are.
     """
     automaton.derived[_OF_MOTION] = _of_motion(template)
     return automaton

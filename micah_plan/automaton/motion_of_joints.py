@@ -1,6 +1,6 @@
 """How a joint turns and moves a part, by Rodrigues' formula in plain NumPy.
 
-For loops that ask for a few poses many times, and for checks that start at once: SciPy's transforms take a quarter of a
+For loops that need a few poses many times, and for checks that start at once: SciPy's transforms take a quarter of a
 second to import. `kinematics` has everything else.
 """
 

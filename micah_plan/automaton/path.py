@@ -1,8 +1,8 @@
 """Paths: one-degree-of-freedom motions along smooth curves of poses, such as a garage door or four-bar lid.
 
 A path is a natural cubic spline through poses at knots c_1 < ... < c_K: of positions, and of quaternions that are then
-scaled to unit length. It goes on straight beyond both ends. Turned or moved frames turn and move the curve with them.
-Source: de Boor, "A Practical Guide to Splines", ch. 4.
+scaled to unit length. It is straight beyond both ends. A rotated or shifted frame rotates and shifts the curve. Source:
+de Boor, "A Practical Guide to Splines", ch. 4.
 """
 
 from __future__ import annotations

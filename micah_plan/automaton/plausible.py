@@ -1,10 +1,10 @@
 """Plausibility checks of usable automata: nothing is refused, each suspicion is one line.
 
-- **Sizes.** Every number of a file is compared with the scale that the rest of the file gives it (`Amount`): what one
-  step adds, what is not known of a measurement, a pin or a threshold, and where a reset leads, with the range of the
+- **Sizes.** Every number of a file is compared with the scale that the rest of the file gives it (`Amount`): the noise
+  of one step, the stds of a measurement, a pin or a threshold, and the target of a reset with the range of the
   coordinate; lengths with a room; bodies with what a hand can see and hold.
 - **Jumps.** A part is where it was when a transition is taken. If the joints of its two modes place it more than
-  `LARGEST_JUMP_M` apart, one of them was probably edited. Smaller ones are common: joints are estimates.
+  `LARGEST_JUMP_M` apart, one of them was probably edited. Smaller jumps are common: joints are estimates.
 - **Never taken.** Of transitions that are possible at one instant the first listed is taken, so one that is listed
   behind a more general one is not.
 """
@@ -39,9 +39,9 @@ class Amount:
     Attributes:
         place: its key.
         size: the number, in `unit`; its sign does not count.
-        most: above which it is told, in the same unit; not finite or not above 0: it is not compared.
-        than: what `most` is, after "is more than"; empty: a length that is too far for metres.
-        least: below which it is told.
+        most: warn above it, in the same unit; not finite or not above 0: not compared.
+        than: description of `most`, after "is more than"; empty: a length that is too large for metres.
+        least: warn below it.
     """
 
     place: str

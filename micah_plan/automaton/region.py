@@ -28,7 +28,7 @@ class Bound(NamedTuple):
     Attributes:
         coordinate: its number.
         value: of the limit, in the coordinate's unit.
-        is_lower: whether the coordinate is at least `value`; else it is at most that.
+        is_lower: whether it is a lower bound.
     """
 
     coordinate: int
@@ -44,7 +44,7 @@ class HalfSpace:
         a: (n,) weights of the continuous state.
         b: (m,) weights of the input.
         c: threshold, in the unit of the left-hand side.
-        strict: whether the boundary itself lies outside.
+        strict: whether the boundary itself is excluded.
         name: how messages and constraint rows call it, e.g. ``"door >= 1.2"``; a label that sets compare without.
     """
 

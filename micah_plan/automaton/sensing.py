@@ -1,7 +1,7 @@
 """Measurement noise, as far as it depends on mode and place.
 
-A mode may sense some coordinates in its own way (a hand that touches a wall knows how far it is from it), and a sensor
-may be good near one place only: the std of a measurement then grows with the distance from a "light".
+A mode may measure some coordinates differently (a hand that touches a wall knows its distance), and a sensor may be
+good near one place only: the std of a measurement then grows with the distance from a "light".
 
 Source: Platt, Tedrake, Kaelbling and Lozano-Perez, "Belief space planning assuming maximum likelihood observations",
 RSS 2010, for the light-dark domain, whose variance ½ (5 - x)² is a light at x = 5 with a growth of √½.

@@ -1,11 +1,11 @@
 """Noise of one step: process noise, and the uncertainty of gains times the input.
 
-The gain is how much further a coordinate moves than its input says, because its joint is known only so well. An input u
-asks for the displacement by which the *model's* joint carries the part's handle (its origin, if it has none) when its
-coordinate grows by u. With t = dp/dc the tangent there and dt its error, the true joint, so displaced, moves by
-``u (1 - t·dt / |t|²)``. To first order that is the relative error of |t|: of a lever, if the joint turns. It is the
-same all along the motion, as is |t|, and none for a joint that slides. So one number per joint says how uncertain its
-gain is, and an object, which has one joint, has one gain.
+The gain error is how much further a coordinate moves than its input, because its joint is uncertain. An input u
+commands the displacement by which the *model's* joint moves the part's handle (its origin, if it has none) when its
+coordinate grows by u. With t = dp/dc the tangent there and dt its error, the true joint moves by ``u (1 - t·dt /
+|t|²)``. To first order that is the relative error of |t|: of a lever, if the joint rotates. It is the same all along
+the motion, as is |t|, and zero for a joint that slides. So one number per joint describes the uncertainty of its gain,
+and an object, which has one joint, has one gain.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def _slopes(joint: Joint, handle: Vector3) -> tuple[dict[str, float], float]:
 def mode_gains(automaton: HybridAutomaton, mode: Mode) -> tuple[tuple[int, tuple[Joint, Vector3], float], ...]:
     """(coordinate, its joint with the handle, std of the gain) of the coordinates whose gain is uncertain in a mode.
 
-    Of several links of one coordinate the one whose joint is known worst counts.
+    If several links have one coordinate, the most uncertain joint counts.
     """
     worst: dict[int, tuple[tuple[Joint, Vector3], float]] = {}
     for link, joint in zip(automaton.links, mode.joints, strict=False):
@@ -88,7 +88,7 @@ def uncertain_gains(automaton: HybridAutomaton) -> dict[tuple[Joint, Vector3], f
 def drawn_gains(automaton: HybridAutomaton, rng: np.random.Generator, count: int) -> Floats:
     """(count, g) relative errors of the gains of that many objects, in the order of `uncertain_gains`.
 
-    Nothing is drawn from `rng` where all gains are certain.
+    `rng` is not used where all gains are certain.
     """
     stds = np.array(list(uncertain_gains(automaton).values()))
     return np.clip(stds * rng.standard_normal((count, stds.size)), -_MOST, _MOST)
@@ -106,7 +106,7 @@ def gain_factors(automaton: HybridAutomaton, mode: Mode, errors: Floats) -> Floa
 def with_gains(automaton: HybridAutomaton, errors: Floats) -> HybridAutomaton:
     """The automaton whose joints move by relative errors (g,) more per input.
 
-    The joints stay as they are: where poses are drawn from a configuration, those of the model count.
+    The joints are unchanged: where poses are drawn from a configuration, those of the model count.
     """
     if not errors.size:
         return automaton

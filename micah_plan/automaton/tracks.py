@@ -32,9 +32,10 @@ class Track:
         u: (T-1, m) commanded displacement of the configuration, from the actions by the inverse Jacobian; None if
             the recording has no actions.
         action: (T-1, l, 3) commanded displacement of each part's origin relative to its parent [m]; None as `u`.
-        believed: (T, n) configuration that the controller believed, NaN where it is not told; None if it never is.
-        is_outside: whether `x` was measured by something else than the controller's own sensor, such as a ruler.
-        led_from: (T, n) configurations that commands lead from, where their rows are not those of the commands.
+        believed: (T, n) configuration that the controller believed, NaN where it was not recorded; None if it never
+            was.
+        is_outside: whether another sensor than the controller's own measured `x`, such as a ruler.
+        led_from: (T, n) configurations that commands start from, where their rows are not those of the commands.
         is_measured: (T,) rows whose poses are measurements, see `recording.continuity`; the others have their commands.
     """
 
@@ -63,8 +64,8 @@ class Track:
 def measuring_links(automaton: HybridAutomaton) -> tuple[tuple[int, Link], ...]:
     """(number, link) that measures each coordinate: the first of those whose joint moves in most modes.
 
-    A part that is fixed to its parent measures nothing, and one that follows the coordinate in some modes measures it
-    there only.
+    A part that is fixed to its parent measures nothing; one that follows the coordinate in some modes measures it there
+    only.
     """
     links: dict[int, tuple[int, Link]] = {}
     moves = [sum(mode.joints[n].moves for mode in automaton.modes) for n in range(len(automaton.links))]
@@ -78,8 +79,8 @@ def measuring_links(automaton: HybridAutomaton) -> tuple[tuple[int, Link], ...]:
 def tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[Track, ...]:
     """Every run of a recording in the automaton's coordinates.
 
-    Effects of sensors are taken out of what was read with them: of the measured poses or, where a log was measured by
-    something else than the controller's own sensor, of what the controller believed. That is so if it agrees better.
+    Effects of sensors are removed from their readings: from the measured poses or, where another sensor than the
+    controller's own measured a log, from the controller's belief. The choice is the one that agrees better.
 
     Parts are matched to links by name; a recording without a part column matches an automaton with a single link.
 
@@ -266,9 +267,9 @@ def _relative(parts: dict[str, Recording], link: Link) -> Recording:
 def _relative_actions(automaton: HybridAutomaton, seen: _RowsByLink, x: Floats) -> Floats:
     """(N, l, 3) commanded displacements of the parts' origins relative to their parents [m].
 
-    The action of a part on a moving parent includes the parent's commanded motion: what remains for its own joint is
-    counted from where its parent was commanded to go, f(c + u) of the links before it. This inverts how a command of
-    the model is written as displacements; where the parent really went does not count.
+    The action of a part on a moving parent includes the parent's commanded motion: the remainder for its own joint
+    counts from where its parent was commanded to go, f(c + u) of the links before it. This inverts how a command of the
+    model is written as displacements; where the parent really went does not count.
     """
     ahead: dict[str, RigidTransform] = {}
     actions, lasts = [], [own.stop - 1 for _, own in seen.runs]
@@ -291,7 +292,7 @@ def configurations(
     """(T, n) configurations of the measured poses of one run: position (T, l, 3) [m], quaternion (T, l, 4) per link.
 
     Args:
-        near: (T, n) configurations to choose the whole turns of hinges by; None: the range and the run tell them.
+        near: (T, n) configurations to choose the whole turns of hinges by; None: by the range and the run.
     """
     x = np.zeros((len(position), automaton.n))
     for number, link in measuring_links(automaton):
@@ -304,11 +305,11 @@ def configurations(
 def displacements(automaton: HybridAutomaton, x: Floats, action: Floats) -> Floats:
     """(T-1, m) inputs of commanded displacements (T-1, l, 3) [m] of the parts' origins at x (>= T-1, n).
 
-    Source: MICAH, equation for Δ̂_t: the inverse Jacobian maps an action to a change of configuration. With fewer inputs
-    than coordinates, those that move in the first mode say what the inputs were: the rest follows by contact.
+    Source: MICAH, equation for Δ̂_t: the inverse Jacobian maps an action to a change of configuration. With fewer
+    inputs than coordinates, those that move in the first mode determine the inputs: the rest follows by contact.
 
     Raises:
-        InputError: if the first mode does not tell the inputs apart.
+        InputError: if the first mode does not determine the inputs.
     """
     followed = {
         automaton.index(effect.coordinate) for effect in automaton.effects if form(effect.name).layer == "place"

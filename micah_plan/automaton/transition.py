@@ -2,12 +2,12 @@
 
 Source: Lygeros, Sastry and Tomlin, "Hybrid systems", for executions of hybrid automata; MICAH, section III-C. MICAH
 tests guards between steps; here they are located within the step, so that the result does not depend on how finely the
-motion is cut into steps and no threshold is overrun. When a guard fires, in which order, and what it does is written in
-docs/concepts/automaton.md, "One step, exactly".
+motion is cut into steps and no threshold is overrun. When a guard fires, in which order, and with which effect is
+described in docs/concepts/automaton.md, "One step, exactly".
 
 A margin, or its change over a step, counts as 0 within ``TOLERANCE`` (relative to thresholds above 1), after a
-half-space has been scaled to weights of length 1. `step` takes u as it is, admissible (`Mode.inputs`) or not: the plant
-does what it is told.
+half-space has been scaled to weights of length 1. `step` uses u as given, admissible (`Mode.inputs`) or not, as a plant
+does.
 
 A step is one of many objects at once, each with its own thresholds and gains: the arrays go from event to event, all
 objects of a mode together, and in most steps no guard fires and a step is one addition. A single step is a batch of
@@ -102,7 +102,7 @@ def step(automaton: HybridAutomaton, mode: str, x: Values, u: Values, disturbanc
     """The state after one step from x (n,) in `mode` under the input u (m,), as defined in the module.
 
     Args:
-        x, u: in order, or by name: ``{"door": 1.2}``; of all but a state, what is not named is 0.
+        x, u: in order, or by name: ``{"door": 1.2}``; unnamed inputs are 0, a state must be complete.
         disturbance: (n,) displacement over the whole step that adds to the flow [rad or m].
 
     Raises:
@@ -163,7 +163,7 @@ class BatchStep:
 
     Attributes:
         modes: (t,) by index, x: (t, n) and complete: (t,), at the end of the step, as of `Step`.
-        events: (object, event), those of each object in the order in which they happened.
+        events: (object, event), those of each object in their order.
     """
 
     modes: Ints
@@ -326,14 +326,14 @@ class _Mode:
 
     Attributes:
         pins: coordinates, their values, and the coordinate that adds to the value or None.
-        effects: what changes the motion of a coordinate, by its index.
-        free: (n,) what moves; B: (n, m) input matrix, zero for the rest.
-        moved: (n, n) what a disturbance moves: nothing that is pinned, and what is tied as the others.
+        effects: on the motion of a coordinate, by its index.
+        free: (n,) coordinates that move; B: (n, m) input matrix, zero for the rest.
+        moved: (n, n) response to a disturbance: pinned coordinates do not move, tied ones follow.
         edges, targets, is_self: (e,) of the exits, mode changes before self transitions; targets by index.
         resets: of the exits, (A, B, c) or None for the identity.
         states, inputs: (r * e, n), (r * e, m) scaled weights, those of the first half-spaces of all exits first;
             thresholds, tolerances, strict: (r, e, 1).
-        gains: (t, n) what multiplies the motion of each object's coordinates; None: nothing.
+        gains: (t, n) factors on the motion of each object's coordinates; None: none.
     """
 
     def __init__(self, automaton: HybridAutomaton, index: int, gains: Floats) -> None:
@@ -423,9 +423,9 @@ class _StepState:
         mode: index of the mode.
         rows: (k,) numbers of the objects.
         x, d: (k, n) states, and motions of a whole step.
-        s: (k,) how much of the step lies behind them.
+        s: (k,) completed share of the step.
         events: how many events they had.
-        instant: what has happened at the present instant; None: they are between two.
+        instant: events at the present instant; None: they are between two.
     """
 
     mode: int

@@ -1,8 +1,7 @@
 """Learning from a run with an action channel: actions in another frame, scaled, early or late.
 
-Frame and gain are part of the evidence, where a step model with any of them may explain the motion. A delay is not: it
-is estimated from what was learned without it, and where it matters the run is learned again with the actions moved to
-when they acted.
+Frame and gain are marginalised in the evidence of a step model. The delay is not: it is estimated from a first result
+without it, and where it matters the run is learned again with the actions shifted to when they acted.
 """
 
 from __future__ import annotations
@@ -37,11 +36,11 @@ def learn_acted_run(
     Args:
         track: with or without actions.
         inlier: (n,) rows that are no outliers; None: to be found.
-        counted: (n,) rows that steps may be means of; None: those that are no outliers.
+        counted: (n,) rows to average for steps; None: all but outliers.
 
     Returns:
         the run, whose track has the actions where they acted if that explains it better; None where there are no
-        actions or they say nothing.
+        actions or they are uninformative.
     """
     segmented_run = segment_run(track, settings, inlier, counted=counted)
     learned = with_joints(segmented_run, settings)

@@ -1,16 +1,16 @@
 """Dead band of a coarse servo: actions without motion that are not signs of a stop.
 
-A servo that an encoder reads rests some counts beside its goal, and what is commanded there (the goal less the pose) is
-asked for in vain for as long as it rests. That is not what a stop does, which withstands larger actions than those that
-moved the part elsewhere. So where readings repeat to the last digit, the model of a dead band,
+A servo that an encoder measures rests some counts away from its goal, and the command there (the goal minus the pose)
+is not carried out for as long as it rests. A stop differs: it withstands larger actions than those that moved the part
+elsewhere. So where readings repeat to the last digit, the model of a dead band,
 
     p(moved | action) = p0 if |action| <= D, p1 otherwise,   p0 ~ Beta(1/2, 19/2), p1 ~ Beta(1/2, 1/2),
 
 competes with one probability for all actions, and actions within the likeliest D are left out. D is at most some
-counts, of which the smallest step of the part tells the size: a part that is only pushed gently is stopped.
+counts, whose size is the part's smallest step: a part that is only pushed gently is stopped.
 
-A part that was sent to a place and is some counts beside it, or as far as noise tells, has arrived: nothing more is
-asked of it, and no density needs to say so.
+A part that was sent to a place and is within some counts of it, or within noise, has arrived: no further command is
+open, and no density is needed.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def without_actions_at_goal(position: Floats, action: Floats) -> Floats:
 
     Args:
         position: (n, 3) [m].
-        action: ways to commanded places, in any frame; 0 where there is none.
+        action: displacements to commanded places, in any frame; 0 where there is none.
     """
     steps = np.linalg.norm(np.diff(position, axis=0), axis=1)
     if not steps.any():

@@ -1,7 +1,7 @@
 """Goodness of fit: alternatives for rows that the joints of an answer miss.
 
-Real joints and trackers deviate from what models say of them. Where an answer misses its rows further than that, the
-part may move freely, or along a path that no joint of a constant twist follows.
+Real joints and trackers deviate from models. Where a result misses its rows by more than that, the part may move
+freely, or along a path that no joint with a constant twist follows.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class GoodnessOfFit:
     """Alternatives to the joints of an answer.
 
     Attributes:
-        log_odds: of what no joint follows, over the best joints [nats].
-        log_evidence: of what explains the rows best.
+        log_odds: of a motion without a joint over the best joints [nats].
+        log_evidence: of the best explanation of the rows.
         instead: of the answer, if it does not stand: mostly the one joint that explains all of them best.
         path: along which the part moves; None: it moves freely, if there are odds of that.
     """
@@ -70,9 +70,9 @@ def assess_joints(
 ) -> GoodnessOfFit | None:
     """Alternatives that explain the rows better than an answer; None if its joints miss them by little.
 
-    Joints in turn follow many a curve closely, and a slide forgives a turn: what counts is how far either the answer or
-    the best single joint misses the rows. What real joints miss comes back in every pass, and a curve follows it better
-    than they do.
+    A sequence of joints follows many curves closely, and a slide tolerates a rotation: the criterion is how far either
+    the result or the best single joint misses the rows. Deviations of real joints repeat in every pass, and a curve
+    follows them better than a sequence of joints.
     """
     if inlier.sum() < _FEWEST_TO_DOUBT:
         return None

@@ -48,9 +48,10 @@ def learn_graph(
     """Segment a recording and fit the joints of its segments.
 
     Every part is attached to the base or to another part, whichever explains the poses best (see `parts.tree`). Every
-    run is segmented on its own, but short ones together, as they show little alone (see below). The first one defines
-    the configuration coordinate, the segments of the others are counted along it and follow in the order of the runs.
-    A run in which the only part moves to and fro more than a few times is learned in windows, as `OnlineLearner` does.
+    run is segmented separately, but short ones together, as a short run alone shows little (see below). The first one
+    defines the configuration coordinate, the segments of the others are counted along it and follow in the order of the
+    runs. A run in which the only part moves to and fro more than a few times is learned in windows, as by
+    `OnlineLearner`.
 
     Args:
         recording: at least `settings.FEWEST_ROWS` rows per part and run, positions or full poses.

@@ -1,10 +1,10 @@
 """Windowed learning: long recordings, and rows that arrive one by one.
 
-A window is a run of its own: it is learned as `learning.run` learns a recording. It is full when the part has moved
-`WINDOW_SWEEPS` times there and back, or after `settings.window` rows. What lies before its last quarter is committed
-then: a changepoint there has been looked at from a motion there and back after it. The next window begins where a
-motion does, or within one where there is no such place. Where a joint that is known explains rows as well as the
-window's, it takes its place, on its coordinate: a part that returns to a joint has the same again.
+A window is treated as a run: it is learned as `learning.run` learns a recording. It is full when the part has moved
+`WINDOW_SWEEPS` times there and back, or after `settings.window` rows. All before its last quarter is then committed: a
+changepoint there has been seen with a motion there and back after it. The next window begins where a motion does, or
+within one where there is no such place. Where a known joint explains rows as well as the window's, it takes its place,
+on its coordinate: a part that returns to a joint has the same one again.
 
 Where a new joint moves on through all `settings.window` rows, two rows become one. A row is looked at in a few windows
 of bounded length, so time per row and memory are constant; only the committed segments grow, until they are taken.
@@ -49,7 +49,7 @@ class OnlineLearner:
     Args:
         settings: None: the defaults.
         method: Act-CHAMP predicts motion from the actions, CHAMP does not look at them.
-        part, run: names of what is learned.
+        part, run: names.
     """
 
     def __init__(
@@ -261,7 +261,7 @@ class Entry:
         before: the pieces whose joints are the last moving one, and the one that holds before the window.
         within: whether the window begins within the segment before it.
         reached: configuration there.
-        start: posterior of the row at which a segment starts that begins where the window does; None: nothing tells.
+        start: posterior of the start row of a segment that begins where the window does; None: undetermined.
     """
 
     known: tuple[Joint, ...]
@@ -330,8 +330,8 @@ class LearnedWindow:
     """A window, learned as a run.
 
     Attributes:
-        run: what was learned of its rows.
-        pieces: those of the run, on the coordinate of the edge; known joints are `settled`.
+        run: result for its rows.
+        pieces: of the run, on the coordinate of the edge; known joints are `settled`.
         before: pieces of the windows before.
         last: (n,) number of the last measured row that each row stands for.
     """
@@ -349,7 +349,7 @@ class LearnedWindow:
     def cut(self) -> tuple[int, int]:
         """(piece in which the next window starts, its first row).
 
-        At best a motion begins there: the rows of a part that rests do not tell whether its joint has moved before.
+        Ideally a motion begins there: the rows of a part at rest do not show whether its joint has moved before.
         """
         n = len(self.last)
         latest = round(_COMMITTED * n)

@@ -1,10 +1,9 @@
 """Paths: curves for rows that no single joint explains, if the part passes along the same curve again.
 
-A path is free motion in the order of its poses along a curve, instead of in the order of time: what a row is told from
-are the rows next to it on the curve, of whichever pass. So it wins where the curve was passed more than once and agrees
-with itself, and a single pass leaves it no better than free motion. The curve is a principal curve (Hastie and
-Stuetzle, JASA 1989) by smoothing splines, and begins as distances along the rows' neighbourhood graph (Tenenbaum et
-al., Science 2000).
+A path is free motion in the order of its poses along a curve, instead of in the order of time: a row is predicted from
+its neighbours on the curve, of any pass. So it wins where the curve was passed more than once and agrees with itself;
+for a single pass it is no better than free motion. The curve is a principal curve (Hastie and Stuetzle, JASA 1989) by
+smoothing splines, initialised by distances along the rows' neighbourhood graph (Tenenbaum et al., Science 2000).
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ class FoundPath:
 
     Attributes:
         curve: as a joint.
-        std: of a row beside it [m], rotations taken as lengths: its white noise, and the tracker's wander.
+        std: of a row's distance from it [m], rotations taken as lengths: white noise, and the tracker's wander.
         log_probability: of the track along it.
     """
 
@@ -69,9 +68,9 @@ def principal_path(track: PartTrack, std: float, near: Joint | None = None) -> J
     """The smooth curve through the rows as a joint; None with too few rows or without motion.
 
     Args:
-        std: of a row beside the curve [m], rotations taken as lengths.
-        near: a path close to it, as fewer rows tell it; None: rows are ordered by their neighbourhood graph, which
-            takes the square of their number.
+        std: of a row's distance from the curve [m], rotations taken as lengths.
+        near: a path close to it, from fewer rows; None: rows are ordered by their neighbourhood graph, at quadratic
+            cost.
     """
     points = _points(track)
     c = _along_graph(points, std) if near is None else _closest(near, track)
@@ -108,7 +107,7 @@ def length_std(noise: NoiseModel) -> float:
 def path_evidence(curve: Joint, track: PartTrack, noise: NoiseModel, likelihood_power: float) -> FoundPath | None:
     """The evidence of a path against free motion; None where it is passed only once.
 
-    Whatever moves follows some curve once. That it agrees with itself is seen where it was passed again.
+    Any motion follows some curve once. Whether it agrees with itself is seen where it was passed again.
 
     Args:
         noise, likelihood_power: as for free motion.
@@ -139,8 +138,8 @@ def path_evidence(curve: Joint, track: PartTrack, noise: NoiseModel, likelihood_
 def _trend_along_curve(vector: Floats, std: float, c: Floats, row: Ints) -> tuple[Trend, float]:
     """The likeliest trend along a curve of rows (n, 3) ordered by their configurations c (n,), and their std.
 
-    As for free motion, but in the order of the curve, and beside it the tracker wanders in time: one Gaussian process
-    of both (Rasmussen and Williams, "Gaussian processes for machine learning", 2006, chapters 2 and 6.3).
+    As for free motion, but in the order of the curve, plus the tracker's wander in time: one Gaussian process of both
+    (Rasmussen and Williams, "Gaussian processes for machine learning", 2006, chapters 2 and 6.3).
 
     Args:
         std: roughness of the rows.

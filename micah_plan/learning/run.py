@@ -44,7 +44,7 @@ class LearnedRun:
         hypotheses: (m,) equal for pieces that share a joint.
         posterior: over segmentations, in steps.
         trace: evidence over time.
-        segmented: the segments in steps, and what decided them.
+        segmented: the segments in steps, with their evidence.
     """
 
     track: PartTrack
@@ -65,7 +65,7 @@ class SegmentedRun:
     Attributes:
         track, inlier: its rows, and which are no outliers.
         steps: the rows averaged.
-        segmented: the segments in steps, and what decided them.
+        segmented: the segments in steps, with their evidence.
         posterior: over segmentations, in steps.
     """
 
@@ -100,8 +100,8 @@ def segment_run(
 
     Args:
         inlier: (n,) rows that are no outliers; None: to be found.
-        start: what was found for the same poses with other actions, to start from.
-        counted: (n,) rows that steps may be means of; None: those that are no outliers.
+        start: result for the same poses with other actions, as the initial guess.
+        counted: (n,) rows to average for steps; None: all but outliers.
     """
     inlier = find_inliers(track) if inlier is None else inlier
     steps = (
@@ -225,7 +225,7 @@ def _joints(
 ) -> dict[int, tuple[Joint, LackOfFit]]:
     """Joints by hypothesis, each fitted to all rows of all pieces that share it, from the one that won.
 
-    Beside them what the rows say against them.
+    With the evidence of the rows against them.
     """
     fits: dict[int, tuple[Joint, LackOfFit]] = {}
     for hypothesis in dict.fromkeys(piece.hypothesis for piece in pieces):

@@ -31,11 +31,11 @@ class FittedPiece:
     Attributes:
         start, end: first and last row (inclusive) within the track.
         joint: with covariance; its configuration counts from an arbitrary pose.
-        gain: (3,) h of the step model, 0 where actions say nothing; it counts along the axis of `leader`.
+        gain: (3,) h of the step model, 0 where actions are uninformative; along the axis of `leader`.
         leader: the joint that won the evidence; None for rigid.
         log_evidence: of the model for these rows.
         settled: whether the joint is on its coordinate already and stays as it is.
-        lack_of_fit: what the rows say against the joint.
+        lack_of_fit: evidence of the rows against the joint.
     """
 
     start: int

@@ -17,25 +17,25 @@ class LearnSettings:
 
     Attributes:
         kinds: candidate joints of a constant twist.
-        paths: whether a part that no such joint holds, and that comes along one curve again, moves along a path.
+        paths: whether a part without such a joint that follows one curve repeatedly moves along a path.
         position_std, rotation_std: white noise of one pose measurement [m, rad]; None: estimated from the rows.
         position_wander, rotation_wander: std of the tracker's slowly wandering error [m, rad].
         wander_durations: time over which that error forgets, in durations of the run, which makes the result
             independent of the sampling rate and of the unit of time.
-        position_misfit, rotation_misfit: how far real joints and trackers deviate from what models say
-            [m, rad]; the smaller the noise is against this, the less a row counts, and the covariance of joints
-            expects deviations of about that size.
+        position_misfit, rotation_misfit: how far real joints and trackers deviate from models [m, rad]; the smaller the
+            noise is against this, the less a row counts, and the covariance of joints expects deviations of about that
+            size.
         likelihood_power: power of the likelihood; None: from the noise and these deviations, one power for all parts.
         mean_length: expected duration of a segment [s]; None: half the run.
         length_shape: shape of the length prior (a gamma distribution); 1 is memoryless, more makes short segments
             rarer.
-        rest: prior probability that a part on a moving joint rests in a step, where actions do not tell.
+        rest: prior probability that a part on a moving joint rests in a step, where actions are uninformative.
         outlier_weight: w of the outlier prior p(γ) ∝ exp(-w γ).
         window: most rows of a window, where a long run or rows that still come in are learned.
-        resolution: steps to which rows are averaged while the part moves once through its range; changepoints are
-            then found again to the row, and joints are fitted to all rows.
+        resolution: steps to which rows are averaged while the part moves once through its range; changepoints are then
+            refined to the row, and joints are fitted to all rows.
         sweeps: how often the part moves there and back, for the number of steps of a run that is learned at once; None:
-            as the rows say it, and what moves often is learned in windows.
+            estimated from the rows, and frequent motion is learned in windows.
     """
 
     kinds: tuple[JointKind, ...] = SCREW_KINDS

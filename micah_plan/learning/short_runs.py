@@ -1,9 +1,9 @@
 """Short runs of one part, learned jointly as demonstrations of one object.
 
-A run in which the part moves for two rows shows no joint; all of them one after another may. To the learner they are
-one run in which the tracker slips wherever a run begins, which is no changepoint. What is found is cut into runs again.
+A run in which the part moves for two rows shows no joint; all of them one after another may. The learner treats them as
+one run in which the tracker slips wherever a run begins, which is no changepoint. The result is cut into runs again.
 
-Whether a part moves enough for its joint to be told: motions hardly larger than what a tracker is assumed to wander.
+Whether a part moves enough to identify its joint: motions hardly larger than the assumed wander of a tracker.
 
 A slow deviation of the size of the wander is forgiven, so that the error of a tracker is no motion. On an object of a
 centimetre that forgives the motion: a stop, or the bend of a path, passes for wander unless the wander is set smaller.
@@ -27,7 +27,7 @@ Sliced = tuple[FittedPiece, SegmentCertainty, int]
 def one_after_another(tracks: Sequence[PartTrack]) -> PartTrack:
     """The concatenated rows of runs, with gaps as long as their rows are apart.
 
-    Where only some of the runs have actions, nothing was commanded in the others.
+    If only some of the runs have actions, the command in the others is zero.
     """
     acted = any(track.action is not None for track in tracks)
     joined: PartTrack | None = None

@@ -34,7 +34,7 @@ class PartTrack:
         action: (n, 3) commanded displacement to the next row [m], in the part's frame where orientation was measured
             (there the direction of motion of every joint is constant), else in the base frame; 0 where it is missing.
             None if the run has no action at all.
-        meaning: of the actions, as the recording says (`recording.commands`); None: it does not say.
+        meaning: of the actions, as stated by the recording (`recording.commands`); None: not stated.
     """
 
     rows: Ints

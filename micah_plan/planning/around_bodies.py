@@ -1,9 +1,9 @@
 """Collision avoidance for objects without a robot: their parts keep clear of the bodies of the scene.
 
-Of a part that only slides, whatever the others do, the states in which the box around it meets the box around a body
-are an intersection of half-spaces, like any guard: p(c) = p₀ + J c is affine, and two boxes along the axes of one of
-them meet where they overlap along each of these. So search, programme and roll-outs see a body as they see a guard
-that ends everything. Parts that turn are not kept clear of anything here; `unchecked_parts_warning` names them.
+For a part that only slides, independently of the other parts, the states in which its bounding box meets the box around
+a body are an intersection of half-spaces, like any guard: p(c) = p₀ + J c is affine, and two boxes along the axes of
+one of them meet where they overlap along each of these. So search, programme and roll-outs treat a body like a guard to
+a final mode. Parts that rotate are not kept clear of anything here; `unchecked_parts_warning` names them.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _TOUCHING = 1e-3
 def with_scene(problem: Problem) -> Problem:
     """The problem with the bodies of its scene as guards; unchanged if a hand holds the object.
 
-    There contacts say what may be touched (`automaton.contacts`).
+    There, contacts define what may be touched (`automaton.contacts`).
     """
     if not problem.scene or problem.hold is not None:
         return problem

@@ -24,7 +24,7 @@ class Attempt:
     """Inputs of a planner.
 
     Attributes:
-        problem: what to solve; its start names the mode that it is in.
+        problem: to solve; its start names its mode.
         seed: of all that is random.
         deadline: when to end.
         progress: called with one line of text and the fraction done whenever a stage begins.
@@ -104,7 +104,7 @@ def attempt_plan(
         planner: gives a plan, still to be verified, or raises `NoWayError`.
         level: at which it fails if it does.
         problem, seed, progress: see `Attempt`.
-        deadline: None: as the settings say, from now on.
+        deadline: None: the time limit of the settings from now on.
 
     Raises:
         InputError: if a constraint on the path does not fit the model.

@@ -1,10 +1,10 @@
 """Inputs that a step must avoid: those that trigger an unplanned transition.
 
-Whether a guard on the input alone holds (carried faster than this a glass spills, pulled harder than this a string
-tears) follows from what is sent, which nothing makes uncertain. So, as with the largest step and with admissible
-inputs, feedback is cut off where it would take such a transition, in roll-outs and in execution; the plan needs no
-margin for it, but steps enough. That holds for guards that nothing leads back from: a contact that is lost is found
-again, and may be lost where feedback pulls back.
+Whether a guard on the input alone holds (carried faster, a glass spills; pulled harder, a string tears) follows from
+the input that is sent, which is known exactly. So, as with the largest step and with admissible inputs, feedback is
+clipped where it would cause such a transition, in roll-outs and in execution; the plan needs no margin for it, only
+enough steps. This applies to guards without a transition back: a lost contact can be made again, and may be lost by
+feedback.
 
 Guards on places as well keep the margin: where the place is uncertain, slowing down whenever it may be the wrong one
 costs more plans than it saves.

@@ -1,8 +1,8 @@
 """Cuts: states excluded from the next search as if a body stood there.
 
 A search finds the shortest path through each sequence of modes. Where the belief is too wide for a narrow place on it,
-or an arm cannot take the hand there, that place is cut out, and a search finds the next path, around it. All paths
-compete: a detour is taken where it costs less than what may fail.
+or an arm cannot take the hand there, that place is cut out, and the search finds the next path, around it. All paths
+compete: a detour is taken where it costs less than the expected failures.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ def tight_places(problem: Problem, limits: Limits, path: BeliefPath, size_of_sta
 def with_enlarged_obstacles(problem: Problem) -> Problem:
     """The problem with obstacles enlarged on all sides by the space that a belief needs, for another search.
 
-    A shortest path goes along faces and around corners as if the state were known. What ends everything is enlarged by
-    k stds of a belief that has settled, but not so far that the start lies in it.
+    A shortest path touches faces and corners as if the state were known. Guards to final modes are enlarged by k stds
+    of a converged belief, but not so far that the start lies inside.
     """
     automaton, start = problem.automaton, np.array(problem.start.mean)[None]
     traps = {mode.name for mode in automaton.modes if is_final(automaton, mode)}

@@ -1,8 +1,8 @@
 """Belief-LQR: time-varying feedback on the estimate around a planned trajectory, and the input that is executed.
 
-Certainty equivalence: with the covariance of the belief as planned, the best linear feedback acts on the mean alone,
-and its gains are those of the finite-horizon linear-quadratic regulator (Bertsekas, "Dynamic Programming and Optimal
-Control", vol. 1, ch. 4 and 5). The final cost is the plan's own: goal error against effort.
+Certainty equivalence: with the covariance of the belief as planned, the optimal linear feedback acts on the mean alone,
+with the gains of the finite-horizon linear-quadratic regulator (Bertsekas, "Dynamic Programming and Optimal Control",
+vol. 1, ch. 4 and 5). The final cost is the plan's own: goal error against effort.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ def _relative(problem: Problem, edge: Edge, tracking: Floats) -> tuple[Floats, F
     """(n, n) weights of deviations on the way to a guard, and (n, n) at the guard.
 
     A guard between two bounds on the distance from something that no input of the source mode moves is met by following
-    what is believed of that, not by being where the plan is: deviations of the distance count there instead of those of
-    the coordinates in it. Missing the guard by half its width costs as much as missing the goal by its tolerance.
+    its estimate, not the planned place: there, deviations of the distance count instead of those of its coordinates.
+    Missing the guard by half its width costs as much as missing the goal by its tolerance.
     """
     automaton = problem.automaton
     driven = automaton.mode(edge.source).B.any(axis=1)
@@ -78,7 +78,7 @@ def belief_lqr(
         is_transition: (K-1,) whether the step from knot to knot is a transition; its gain is zero.
         around: means (K, n) and inputs (K-1, m) near which a memory of inputs is linear; None: largest inputs at rest.
 
-    A coordinate that a mode pins has no feedback: what it seems to deviate by is not motion.
+    A coordinate that a mode pins has no feedback: its apparent deviation is not motion.
     """
     automaton, n, m = problem.automaton, problem.automaton.n, problem.automaton.m
     tracking = np.diag(_TRACKING_WEIGHT / limits.speed**2)

@@ -1,7 +1,7 @@
 """Findings on failed plans: what prevents a plan, by how much, and the remedies closest to the problem.
 
-Level by level, as planning goes: start and goal, search, optimisation. `verification` adds what roll-outs ran into, and
-`explain` puts all of it in order: the level that failed, the place, the constraint, its amount and the nearest remedy.
+In the order of planning: start and goal, search, optimisation. `verification` adds what roll-outs show, and `explain`
+puts all of it in order: the level that failed, the place, the constraint, its amount and the nearest remedy.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def why_disconnected(
 
     Args:
         in_the_way: constraints on the path and guards without any one of which they would be connected.
-        revisiting: whether it is asked if more revisits would do.
+        revisiting: whether to test if more revisits would be enough.
     """
     automaton = problem.automaton
     edges = [automaton.edges[i] for i in samples.exits]
@@ -342,7 +342,7 @@ def _space_remedies(problem: Problem, row: Row, room: float, need: float, possib
     """Remedies where a belief lacks space.
 
     Args:
-        room, need: what there is and what the belief needs [unit].
+        room, need: available, and required by the belief [unit].
         possible: the confidence at which the room suffices.
     """
     if _reversing_mode(problem, row) is not None:
@@ -400,7 +400,7 @@ class Explanation:
         outcome: of the plan.
         summary: one sentence on the whole.
         level: at which it failed; None if it is solved.
-        findings: what stands in the way, first the first level that failed and the cheapest mode sequence.
+        findings: obstacles to the plan, first those of the first level that failed and of the cheapest mode sequence.
         lines: all of it to be read, one sentence each.
     """
 
@@ -414,7 +414,8 @@ class Explanation:
 def explain(problem: Problem, plan: Plan) -> Explanation:
     """Explain a plan of any outcome, also one read from a file: the findings that prevent or weaken it.
 
-    A plan file of an older version has no findings; then start and goal are checked again, and else its reason stands.
+    A plan file of an older version has no findings; then start and goal are checked again, and otherwise its reason is
+    used.
     """
     findings = plan.ranked_findings
     if plan.outcome == "no_plan" and not findings:

@@ -79,8 +79,8 @@ def steps_of_memory(automaton: HybridAutomaton, max_step: Floats) -> tuple[int, 
 def linear_step(automaton: HybridAutomaton, mode: str, x: Floats, u: Floats, largest: Floats) -> tuple[Floats, Floats]:
     """A (n, n) and B (n, m) of a mode's flow linearised at (x, u), with the memories of inputs.
 
-    Effects on the command change B by what they leave of the largest inputs (m,): where a dead zone or a saturation has
-    no slope, larger corrections still count.
+    Effects on the command scale B by their gain at the largest inputs (m,): where a dead zone or a saturation has no
+    slope, larger corrections still count.
     """
     n, m = automaton.n, automaton.m
     B = motion_per_input(automaton, mode, largest)

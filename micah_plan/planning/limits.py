@@ -26,7 +26,8 @@ class Limits:
     Attributes:
         max_step: (m,) largest |u| per step [rad or m]; none that effects on the command cut off.
         lower, upper: (n,) range in which the search looks for states [rad or m]; finite.
-        speed: (n,) farthest that each coordinate moves in one step, by inputs or else by itself; 1 where it never does.
+        speed: (n,) largest motion of each coordinate in one step, by inputs or otherwise by drift; 1 where there is
+            none.
     """
 
     max_step: Floats
@@ -103,7 +104,7 @@ def input_length(path: Floats, B: Floats, bounds: tuple[Floats, Floats], held: F
     Args:
         bounds: (m,) lowest and (m,) highest inputs.
         held: (w, m) inputs that keep it at each waypoint.
-        drift: (n,) of a step, of what no input moves.
+        drift: (n,) per step, of coordinates that no input moves.
     """
     away, most = np.diff(path, axis=0), np.maximum(np.abs(held[:-1]), np.abs(held[1:]))
     u = away @ np.linalg.pinv(B).T
@@ -117,7 +118,7 @@ def input_length(path: Floats, B: Floats, bounds: tuple[Floats, Floats], held: F
 def limited_input(mode: Mode, x: Floats, u: Floats, max_step: Floats) -> Floats:
     """(..., m) inputs cut to |u| <= max_step and to the half-spaces of the mode's admissible inputs at x (..., n).
 
-    A half-space that an input violates is met by the shortest change of u; one without input weights is left alone.
+    A half-space that an input violates is met by the smallest change of u; one without input weights is left alone.
     """
     cut = np.clip(u, -max_step, max_step)
     for half_space in mode.inputs.half_spaces:
@@ -131,7 +132,7 @@ def limited_input(mode: Mode, x: Floats, u: Floats, max_step: Floats) -> Floats:
 def named_values(problem: Problem) -> list[list[float]]:
     """Values of each coordinate that occur in problem and model: start, goal, pins, boundaries and resets.
 
-    A coordinate that a mode lets follow others goes as far as those lead it.
+    A coordinate that follows others in a mode gets the range to which they take it.
     """
     automaton = problem.automaton
     values = [[float(mean)] for mean in problem.start.mean]

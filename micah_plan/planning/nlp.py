@@ -73,9 +73,9 @@ class Solution:
 
     Attributes:
         w: (d,) variables; cost: there; rows: (r,) there.
-        is_feasible: whether all rows hold to within `FEASIBLE` and nothing is NaN.
-        has_converged: whether the solver says that it is a local optimum.
-        is_out_of_time: whether it was stopped by its time limit, so that the result does not say what is possible.
+        is_feasible: whether all rows hold to within `FEASIBLE` and no value is NaN.
+        has_converged: whether the solver reports a local optimum.
+        is_out_of_time: whether its time limit stopped it, so that an infeasible result is inconclusive.
         status: how it ended, in words.
         iterations: of the solver.
         multipliers: of bounds and rows, for a warm start.
@@ -106,7 +106,7 @@ class Solver:
         """Prepare a programme.
 
         Args:
-            programme: what to solve.
+            programme: to solve.
             time_limit_s: limit of processor time of each solution [s].
             expand: into scalar operations. Steps of beliefs are small and sparse, so that this makes an iteration
                 several times faster and costs little.
@@ -131,7 +131,8 @@ class Solver:
             before: a solution whose multipliers to start from.
 
         Returns:
-            Where the solver ended; the start itself if cost or rows are not numbers there: a solver may never end then.
+            The solver's last point; the start itself if cost or rows are not finite there, since a solver may then not
+            terminate.
         """
         stated, multipliers = self._programme, {}
         start = stated.start if start is None else start

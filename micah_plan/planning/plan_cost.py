@@ -6,12 +6,12 @@
       + what constraints on the path ask to be paid (`path_constraints`)                 over all steps
       + weight_effort · pace²                                                              per step, between candidates
 
-A way of D largest steps that takes N steps costs weight_effort · D²/N of effort: the longer it takes, the less. So that
-no plan wins by taking longer, a step has the price at which N = D / pace steps, as many as a way is planned with, are
-the cheapest. A transition costs one step more, as it does in the search.
+A path of D largest steps in N steps costs weight_effort · D²/N of effort: the longer, the less. So that no plan wins by
+taking longer, each step has the price at which N = D / pace steps, the planned number, are the cheapest. A transition
+costs one step more, as in the search.
 
-Evaluated with numbers, arrays or CasADi expressions: of means and variances only the entries of the goal's coordinates
-are asked for, so that they may be arrays (n, ...), expressions (n, 1) or mappings.
+Evaluated with numbers, arrays or CasADi expressions: only the entries of the goal's coordinates in means and variances
+are used, so they may be arrays (n, ...), expressions (n, 1) or mappings.
 """
 
 from __future__ import annotations

@@ -53,10 +53,10 @@ def plan(problem: Problem, seed: int = 0, progress: Progress | None = None, dead
     """Plan from the start belief to the goal. Deterministic up to the limits on processor time.
 
     Args:
-        problem: what to solve.
+        problem: to solve.
         seed: of the search.
         progress: called with one line of text and the fraction done whenever a stage begins.
-        deadline: when to end; None: as the settings say, from now on.
+        deadline: None: the time limit of the settings from now on.
 
     Returns:
         A plan with outcome ``"solved"`` (to be confirmed by `verification.verify`) or ``"no_plan"`` with the reason.
@@ -74,8 +74,9 @@ def with_memory(problem: Problem, sequence: ModeSequence) -> ModeSequence:
 def planned(attempt: Attempt, search_result: SearchResult | None = None) -> Plan:
     """Plan by POMDP-HD; `search_result`: mode sequences over x to optimise, None: search for them.
 
-    A memory of inputs does not change which mode sequences there are. Where the mean of no plan follows its own modes
-    other transitions come first, and search and optimisation are told which (`zero_time_transitions`).
+    A memory of inputs does not change the possible mode sequences. If the means of all plans leave their mode sequences
+    because other transitions happen first, search and optimisation are repeated with these transitions divided
+    (`zero_time_transitions`).
     """
     asked = attempt.problem
     whole = with_input_memory(asked)

@@ -37,12 +37,12 @@ _LEARNED = 0.1
 class RecedingHorizon:
     """Replans the remainder of one plan: modes and numbers of steps are kept, without search, and never longer.
 
-    The plan's programme is built once and reused (`WarmStartedProgramme`). A new one is built where that would differ:
-    if the filter has learned where a threshold ahead lies, or if the trajectory is not the end of the plan; and where
-    the reused one finds no feasible answer. Answers do not depend on earlier ones.
+    The plan's programme is built once and reused (`WarmStartedProgramme`). A new one is built where it would differ: if
+    the filter has updated a threshold ahead, or if the trajectory is not the end of the plan; and where the reused one
+    has no feasible solution. Results do not depend on earlier ones.
 
     Attributes:
-        reused, built: how many answers came from the plan's programme, and from new ones.
+        reused, built: number of results from the plan's programme, and from new ones.
     """
 
     def __init__(self, problem: Problem, trajectory: Trajectory) -> None:

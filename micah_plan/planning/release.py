@@ -1,8 +1,7 @@
 """Planning of releases: from the last knot down to contact, and away with the gripper open.
 
-The height of the support is known up to a spread, so the hand goes down in small steps to the lowest place where
-contact may be felt. It withdraws along the first of some directions in which the way is free: back along its fingers,
-up, and in between.
+The height of the support is uncertain, so the hand goes down in small steps to the lowest place where contact may be
+felt. It withdraws along the first direction that is free: back along its fingers, up, or in between.
 """
 
 from __future__ import annotations
@@ -40,9 +39,9 @@ class Blocked:
     """A place where the arm cannot lower the held object.
 
     Attributes:
-        arm: what it fails at.
+        arm: its failure.
         contact: (n,) state in which the object would touch its support.
-        lowest: height of the hand to which the way has to be free [m].
+        lowest: height of the hand to which the path must be free [m].
     """
 
     arm: ArmFailure
@@ -54,7 +53,7 @@ def with_release(problem: Problem, plan: Plan, deadline: Deadline) -> tuple[Plan
     """The plan with its release, if the problem has one; a plan that cannot release cannot be executed.
 
     Returns:
-        the plan, and what is in the way of lowering the object, if it is that.
+        the plan, and the obstacle to lowering the object if there is one.
     """
     if problem.release is None or plan.trajectory is None:
         return plan, None

@@ -1,8 +1,8 @@
 """Tested remedies: each offered change is planned with before it is named.
 
-What a failure measures, such as how far too many roll-outs end from the goal, says where to begin, not what suffices: a
-plan for a wider tolerance is another plan. So a remedy names a number only if planning with it succeeds, with the
-problem's seed and with one more. What does not help is left out; what could not be tried says so.
+The amount of a failure, such as the distance of too many roll-outs from the goal, is where to start, not what is
+enough: a plan for a wider tolerance is another plan. So a remedy names a number only if planning with it succeeds, with
+the problem's seed and with the next. Remedies that do not help are left out; untested ones are marked.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def with_tested_remedies(
     """A failed plan with remedies that were tested; the first of each kind.
 
     Args:
-        progress: called with what is tried, and the share of the trials that are used up.
+        progress: called with the current trial, and the used share of the budget.
     """
     if plan.outcome == "solved" or not plan.findings:
         return plan

@@ -32,8 +32,8 @@ def replan(
 ) -> Trajectory | None:
     """A new trajectory from the most likely mode of a belief (`believed_problem`).
 
-    The modes that remain of the followed plan are tried first; mode sequences are searched only if roll-outs confirm no
-    trajectory through these. `verify` decides sequentially, with no more roll-outs than it needs.
+    The remaining modes of the followed plan are tried first; mode sequences are searched only if roll-outs confirm no
+    trajectory through these. `verify` decides sequentially, with no more roll-outs than necessary.
 
     Args:
         problem: with the goal.
@@ -83,7 +83,7 @@ def rest_through(here: Problem, trajectory: Trajectory, knot: int) -> ModeSequen
 
     Args:
         here: starts in one of the trajectory's modes.
-        trajectory, knot: what was followed, and the knot that the next input belongs to.
+        trajectory, knot: followed so far, and the knot of the next input.
 
     Returns:
         None where the trajectory does not lead through the mode of the start, or leaves a memory of inputs out.

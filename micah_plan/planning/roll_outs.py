@@ -64,7 +64,7 @@ class RollOuts:
         modes: (t,) indices of the true modes.
         states: (t, n) true states [rad or m].
         beliefs: of the filters, after the last measurement.
-        path: margins of the problem's constraints along the way.
+        path: margins of the problem's constraints on the path.
         visited: (T, t) indices of the true modes after each step of the plan.
     """
 
@@ -132,8 +132,8 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
 def restricted_to_nearby_modes(problem: Problem, trajectory: Trajectory) -> tuple[Problem, frozenset[str]]:
     """The problem restricted to modes near those of a plan, and the names of the outermost; unrestricted if few.
 
-    A belief moves to a neighbour at most at every event, so of hundreds of modes roll-outs see a handful. What reaches
-    an outermost mode would go on from there, and must be rolled out among all modes.
+    A belief moves to at most one neighbour per event, so roll-outs reach few of hundreds of modes. A roll-out that
+    reaches an outermost mode would continue from there, and must be repeated among all modes.
     """
     automaton, near = problem.automaton, set(trajectory.modes)
     if len(automaton.modes) <= FEW_MODES:
@@ -198,7 +198,7 @@ def measurement_std(problem: Problem, modes: Ints, x: Floats) -> Floats:
 def are_in_goal(problem: Problem, ends: RollOuts) -> Booleans:
     """(t,) whether each true end lies in the goal set without a violated path constraint.
 
-    Of a problem with a release, ends of the plan are those of the hand: whether it is where it is to release it.
+    With a release, the plan ends where the hand is at the place to release.
     """
     goal = pre_release_problem(problem).goal
     admitted = goal.admitted(problem.automaton.mode_names)

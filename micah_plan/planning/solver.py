@@ -37,13 +37,13 @@ def solve(
     Where the roll-outs fail too often, it plans again with more room (`planning.tightening`).
 
     Args:
-        planner: another one, whose plans are checked alike and as they are: called with the problem, and with `seed`,
+        planner: an alternative, whose plans are checked in the same way: called with the problem, and with `seed`,
             `progress` and `deadline` by name (see `planning.attempt`).
-        advise: if it fails, try what its remedies propose, so that they name numbers that help (`planning.remedies`):
+        advise: after a failure, test the proposed remedies so that they name numbers that help (`planning.remedies`):
             up to fourteen more solutions. False: remedies without numbers.
 
     Returns:
-        A plan whose outcome says whether it solves the problem; it is never silently worse than it claims.
+        A plan whose outcome states whether it solves the problem.
     """
     rounds = problem.settings.tightening_rounds * (planner is None)
     planned_by = partial(planner or pomdp_hd, seed=seed, progress=progress)

@@ -1,11 +1,11 @@
 """Replanning with a higher confidence where roll-outs fail too often, accepted only on fresh roll-outs.
 
-Planning holds each guard and each boundary with the confidence, one by one. Where several may fail, or the Gaussian is
-too optimistic, all of them together hold less often; roll-outs tell how often. The plan is then made anew with a higher
-confidence, whose share of failures is smaller by the factor by which too many roll-outs failed. So transitions go
-deeper into their guards, boundaries are kept at a larger distance, and more measurements are made before the goal.
-Where that does not help, plans are made with fewer and longer steps: each adds its noise, and what a contact has told
-is forgotten with every one.
+Planning satisfies each guard and each boundary with the confidence, one by one. Where several may fail, or the Gaussian
+is too optimistic, all of them together hold less often; roll-outs measure how often. The plan is then made again with a
+higher confidence, whose failure rate is reduced by the factor by which too many roll-outs failed. So transitions go
+deeper into their guards, boundaries are kept at a larger distance, and more measurements are made before the goal. If
+that does not help, plans are made with fewer and longer steps: each adds noise, and the information from a contact
+decays with every one.
 """
 
 from __future__ import annotations
@@ -62,15 +62,15 @@ def verified_plan(
     states that last share.
 
     Args:
-        problem: its confidence is what the roll-outs must confirm in every round.
+        problem: the roll-outs must confirm its confidence in every round.
         planner: gives a plan for a problem; called again with other settings.
         seed: of the roll-outs.
-        rounds: at most so many; None: from the settings.
-        deadline: of planning and verification together; None: as the settings say, from now on.
+        rounds: largest number; None: from the settings.
+        deadline: of planning and verification together; None: the time limit of the settings from now on.
         verifier: judges a plan by roll-outs.
 
     Returns:
-        The first plan that is confirmed, else the one that succeeds most often, as ``"not_verified"``.
+        The first plan that is confirmed, otherwise the one that succeeds most often, as ``"not_verified"``.
     """
     settings, deadline = problem.settings, deadline or Deadline(problem.settings.solve_time_limit_s)
     most = settings.tightening_rounds if rounds is None else rounds
@@ -137,7 +137,7 @@ def tightened(planned: float, asked: float, failing: float) -> float:
 
     Args:
         planned: confidence of the last plan.
-        asked: confidence that the roll-outs must confirm.
+        asked: confidence that roll-outs must confirm.
         failing: share of the roll-outs that failed.
     """
     fewer = min(_SLOWEST, (1.0 - asked) / failing) if failing > 0.0 else _SLOWEST

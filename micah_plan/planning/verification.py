@@ -57,10 +57,10 @@ def verify(
     """The plan with its success rate; ``"not_verified"`` if that is clearly below the confidence.
 
     Args:
-        problem: what the plan is for.
+        problem: solved by the plan.
         plan: as `pomdp_hd.plan` returned it; without a trajectory it is returned unchanged.
-        trials: number of roll-outs; None: from the settings, but as many as can show the confidence
-            (`task.acceptance.least_trials`). 0 verifies nothing.
+        trials: number of roll-outs; None: from the settings, but enough to show the confidence
+            (`task.acceptance.least_trials`). 0: no verification.
         seed: of the roll-outs.
         deadline: if it passes before they end, the plan is not verified.
         sequential: stop at the first of the `decision_points` with a decision, as during an execution, where
@@ -143,8 +143,8 @@ def _run_roll_outs(
 def sequential_decision(successes: int, trials: int, confidence: float) -> bool | None:
     """Whether the successes establish the confidence (True) or twice its failure rate (False); None: undecided.
 
-    None where more roll-outs are needed to tell. The sequential probability ratio test between these two, with errors
-    of one in a hundred. Source: Wald, "Sequential analysis", 1947.
+    None where more roll-outs are needed. The sequential probability ratio test between these two, with an error
+    probability of one in a hundred. Source: Wald, "Sequential analysis", 1947.
     """
     of_success, of_failure = _evidence(confidence)
     ratio = successes * of_success + (trials - successes) * of_failure

@@ -1,11 +1,11 @@
 """Plans that the arm can follow: planned for the object first, and again where the arm fails.
 
-The states around the knot where the arm fails are a body like any other for the plans after: roll-outs that get there
-count as collided, so the belief keeps as clear of it as of the bodies of the scene. What moves with the tool and meets
-what stands still does so in every posture: cut out are then all places of the hand where no side of the boxes around
-the two keeps them apart. And if they meet at all corners of the goal, they do in all of it, being convex: there is no
-plan with this grasp. The same holds of the way down on which an object is released, which is part of what the arm is
-asked for: where fingers would meet the support, the object is not brought above it.
+The states around the knot where the arm fails become a body for the next plans: roll-outs that get there count as
+collided, so the belief keeps as clear of it as of the bodies of the scene. A collision between the tool's load and the
+scene happens in every posture: then all places of the hand are cut out where no side of the two bounding boxes
+separates them. If the two meet at all corners of the goal, they do in all of it, being convex: there is no plan with
+this grasp. The same holds for the path down on which an object is released: where fingers would meet the support, the
+object is not brought above it.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ class _Stop:
     """A place where the arm cannot follow the hand.
 
     Attributes:
-        arm: what it fails at.
-        x: (n,) state of the knot where it fails; of a way down, the one in which the object would touch its support.
+        arm: its failure.
+        x: (n,) state of the knot where it fails; of a path down, the one in which the object would touch its support.
         mode: there.
-        lowest: of a way down, the height to which it has to be free [m]; None: it is on the plan itself.
+        lowest: of a path down, the height to which it must be free [m]; None: the failure is on the plan itself.
     """
 
     arm: ArmFailure
@@ -67,7 +67,7 @@ def planned_with_arm(problem: Problem, planned: Callable[[Problem], Plan], seed:
 
     Args:
         problem: without a robot, only how the object is released is added.
-        planned: a verified plan for a problem, or one that says why there is none.
+        planned: returns a verified plan for a problem, or one with the reason for failure.
         seed: of the arm's postures.
     """
     cuts, plans = list[Region](), 0
@@ -183,7 +183,7 @@ def _cuts(problem: Problem, stop: _Stop, around: float) -> list[Region]:
     """Regions of hand states around a failure of the arm; empty if position does not matter.
 
     Args:
-        around: half the width of what is cut out where the arm ends [m].
+        around: half the width of the region that is cut out where the arm fails [m].
     """
     carried = None if problem.grasp is None else _tool_jacobian(problem, stop.mode)
     if carried is None or problem.grasp is None:
@@ -224,7 +224,7 @@ def _overlapping(
     """Hand positions at which two solids may overlap, or above which they do on the way down; None if unbounded.
 
     Args:
-        overlap: where the tool is then, as `ClearanceModel.overlap` tells.
+        overlap: poses of the tool in collision, as returned by `ClearanceModel.overlap`.
         slides: (3, n) how the hand moves with the state.
         from_hand: (3,) from the hand to the tool [m].
     """

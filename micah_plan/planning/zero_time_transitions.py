@@ -1,15 +1,15 @@
 """Zero-time transitions for search and transcription: sequences within one instant, and parts behind earlier edges.
 
-Of transitions whose guards hold at one instant the first listed happens. So a later one is taken only outside of those
-before it: where the hand lets go high above the support, the object drops; where it lets go, it stands. Its guard less
-the earlier ones is no half-space, but a union: each part has the opposite of one row of every earlier guard that
-overlaps it.
+If several guards hold at one instant, the first listed transition happens. So a later one is taken only outside those
+before it: if the hand opens high above the support, the object drops; if it opens just above, the object stands. Its
+guard minus the earlier ones is not a half-space but a union: each part has the complement of one row of every earlier
+guard that overlaps it.
 
-A transition may lead to a state in which the next one fires at once: an almost shut stapler that touches the table is
-already past the place where its contact spreads to a surface. No motion lies between, so the mode between has no states
-for a roadmap and no knots for a transcription. A sequence is one edge from the first mode to the last: its guard is the
-first guard with those after it pulled back through the resets, its reset is that of all. Roll-outs and executions know
-nothing of sequences: they take each transition as it comes.
+A transition may lead to a state in which the next one happens at once: an almost shut stapler that touches the table is
+already past the place where its contact spreads to a surface. There is no motion in between, so the mode in between has
+no states for a roadmap and no knots for a transcription. A sequence is one edge from the first mode to the last: its
+guard is the first guard intersected with the later ones pulled back through the resets, its reset is the composition of
+all. Roll-outs and executions do not use sequences: they take each transition as it comes.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class PlannedEdge(Edge):
     """A transition with further half-spaces in its guard.
 
     Attributes:
-        entered: how many half-spaces of the guard are those of the transition itself: it is they that a motion crosses.
+        entered: number of half-spaces of the guard that belong to the transition itself: a motion crosses these.
         stds: of the threshold of each half-space of the guard, in its unit; `threshold_std` is 0.
     """
 
@@ -66,7 +66,7 @@ def with_zero_time_transitions(problem: Problem, in_parts: bool = False) -> Prob
 
     Args:
         in_parts: whether transitions are divided where others listed before them happen first. Few problems need it: a
-            plan seldom leads to where two guards hold, and every part is one more way for the search.
+            plan seldom leads to where two guards hold, and every part is one more branch of the search.
     """
     automaton = _with_zero_time_edges(
         problem.automaton, "\0".join((_IN_PARTS if in_parts else _WHOLE, *problem.goal.modes))

@@ -21,8 +21,9 @@ def with_missing_modes(
 ) -> tuple[HybridAutomaton, tuple[CoordinateTrace, ...]]:
     """(automaton with the missing modes of the traces, traces on it), if the split is unambiguous.
 
-    It is if a gain or a bias in the new modes alone, which is how they were found, predicts held-out rows no worse than
-    the correction without a name that would stand in their place. Else both are as given.
+    They are added if a gain or a bias in the new modes alone (the effects by which they were found) predicts held-out
+    rows no worse than the unnamed correction that would take their place. Otherwise automaton and effects are returned
+    unchanged.
     """
     split = automaton
     for one in traces:

@@ -1,16 +1,16 @@
 """Commands averaged over neighbouring rows: the signature of a recording that was smoothed, which no object shows.
 
-Poses that a filter without a delay smoothed move as the average of their commands over rows before and after; so does a
-part whose commands were written down with errors, since its own steps are more alike than what was written. No part
-knows commands that are still to come: what an average over both sides explains belongs to the recording, and is not
-added to a model. An effect that looks back (`lag`, `delay`, `follow`) imitates it badly, and is found all the same if
-nothing else competes.
+Poses smoothed by a filter without delay move as the average of the commands in rows before and after. So does a part
+whose commands were recorded with errors, since its own steps vary less than the recorded ones. No part can respond to
+future commands, so what a two-sided average explains is a property of the recording and is not added to a model.
+Effects that depend on earlier commands (`lag`, `delay`, `follow`) imitate it badly, but would be found if nothing else
+competed.
 
-The weights are alike on both sides, found by least squares of measured steps, and add up to 1: how much of a command
-arrives is a gain, which is an effect.
+The weights are symmetric, estimated by least squares from measured steps, and sum to 1: the share of a command that is
+carried out is a gain, which is an effect.
 
 Sources: Savitzky and Golay, "Smoothing and differentiation of data by simplified least squares procedures", Analytical
-Chemistry 1964 (weights alike on both sides delay nothing); Schwarz, Annals of Statistics 1978 (what a weight costs).
+Chemistry 1964 (symmetric weights cause no delay); Schwarz, Annals of Statistics 1978 (penalty per weight).
 """
 
 from __future__ import annotations

@@ -75,8 +75,8 @@ def calibrate(automaton: HybridAutomaton, recording: Recording, progress: Progre
 def _with_revised_effects(kept: Calibration, progress: Progress | None) -> Calibration:
     """The calibration in which effects of an earlier calibration are replaced, if other effects are jointly likelier.
 
-    Fewer effects need not be likelier to be kept; as many must be ahead by as much as an effect more must be. Of two
-    that the earlier recording left tied, the one that is likelier now is.
+    Fewer effects are kept without a gain in evidence; an equal number must be ahead by the evidence that one more
+    effect requires. Of two effects that the earlier recording left tied, the likelier one is used now.
     """
     automaton = kept.nominal
     earlier = estimated_effects(automaton)
@@ -167,7 +167,7 @@ def _without_refused_effects(
 ) -> tuple[HybridAutomaton, dict[Effect, str], str]:
     """(new automaton, effects that it rejects with the reason, remaining error) so that it loads its own recording.
 
-    The last is why it refuses these runs whatever is added; empty if it does not.
+    The last value is the reason why the model refuses these runs even without effects; empty if it does not.
     """
     kept, refusing = list(added), dict[Effect, str]()
 

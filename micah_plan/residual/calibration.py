@@ -26,14 +26,14 @@ class FoundEffect:
     """An identified effect with its uncertainty and alternatives.
 
     Attributes:
-        effect: what the new automaton has.
+        effect: as in the new automaton.
         units: of its parameters.
         interval: (low, high) of each parameter at 95 %; low = high for one that was not fitted.
-        evidence: what held-out predictions lose without it [nats].
+        evidence: loss of held-out predictions without it [nats].
         tied: other effects that would do as well.
-        derived: (name, value) of parameters in other units: times in s of those in steps.
+        derived: (name, value) of parameters in other units: times in s where the effect has steps.
         sentence, source: of its form.
-        experiment: what would tell it from those it is tied with; empty if there are none.
+        experiment: the one that separates it from the effects it is tied with; empty if there are none.
         is_added: whether the new automaton has it; not if it may as well come from earlier commands, if one of few runs
             contradicts it, or if the automaton would refuse the recording.
     """
@@ -85,16 +85,16 @@ class Calibration:
     """Result of a calibration.
 
     Attributes:
-        automaton: the new one; the old one if nothing was found.
+        automaton: the calibrated one; the nominal one if nothing was found.
         effects: strongest first.
         before, after: errors on runs or segments that the parameters were not fitted to.
-        noise_floor, rollout_floor: errors of one step and of roll-outs that noise alone would leave [rad or m].
+        noise_floor, rollout_floor: errors of one step and of roll-outs from noise alone [rad or m].
         unexplained_fraction: share of the explainable error that named effects leave, 0 to 1.
         traces: per coordinate.
-        notes: what can and cannot be concluded, one sentence each.
-        experiment: the next one worth making.
-        nominal, recording: what was calibrated, without runs that were set aside.
-        reviewed: the calibration that keeps what an earlier one added, where this one has other effects in its place.
+        notes: conclusions and their limits, one sentence each.
+        experiment: the most informative next one.
+        nominal, recording: inputs of the calibration, without excluded runs.
+        reviewed: the calibration that keeps the effects of an earlier one, where this one has others in their place.
     """
 
     automaton: HybridAutomaton

@@ -69,7 +69,7 @@ class TermCandidate:
     Attributes:
         starts: (M, size) parameters with gates; those that are not free differ between starts only.
         free: columns within the term that are fitted.
-        scale: (k,) what a large value of each of those is.
+        scale: (k,) large values of the free parameters.
         bounds: (lower, upper) of columns that the data bound more than the form does: beyond them it would be another
             effect (a spring whose rest position is far away is a bias).
     """
@@ -212,7 +212,7 @@ def smooth(data: CoordinateData, *, is_lean: bool = False) -> TermCandidate:
     """Unnamed correction: a smooth function of configuration, direction and speed of the command.
 
     Args:
-        is_lean: of direction and speed alone.
+        is_lean: whether it is a function of direction and speed alone.
     """
     low, high = data.visited
     margin = 0.02 * (high - low) + 1e-6

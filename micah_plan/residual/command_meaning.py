@@ -1,11 +1,11 @@
 """Meaning of commands where the recording does not state it: displacements or positions.
 
-A log's action is the same in both: the place relative to the measured pose. But a displacement says nothing of where
-the part is, and a place does: what the part missed before, it makes up for. Both are compared by what they predict of
-the motion. What was meant is also more regular by itself, the sequence of displacements or that of places, since what
-blurs a measurement is in the other one: that decides where both predict the same (a part that does as it is told, seen
-without noise), and speaks against places that hardly predict better, as measured poses do where the noise of a tracker
-wanders.
+A recorded action is the same in both cases: the commanded place relative to the measured pose. But with places, the
+part makes up for what it missed before; with displacements it does not. Both meanings are compared by their predictions
+of the motion. The meaning is also visible in the commands alone, since measurement noise enters the other sequence:
+true places (or displacements) form the smoother one. That decides where both predict equally well (a part that follows
+exactly, without noise), and counts against places that predict only slightly better, as measured poses do where the
+tracker's noise wanders.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ _FREEDOM = 2.0
 def regularity(data: CoordinateData) -> float:
     """Log-density gain of an autoregression on commanded positions over one on displacements [nats].
 
-    What blurs a measurement is in a displacement that leads to a place, and in the place that a displacement leads to.
+    Measurement noise enters the displacement that leads to a commanded place, and the place that a commanded
+    displacement leads to.
     """
     whole = data.whole or data
     # Commands of rows without a measurement are as regular as the others.

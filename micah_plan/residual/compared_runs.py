@@ -1,7 +1,7 @@
 """Runs of a recording prepared for comparison with a model: contiguous rows and the commands between them.
 
-A row that is missing takes its command with it, so what happened from the row before to the row after is not told:
-those are not consecutive, as time stamps show.
+A missing row takes its command with it, so the motion across the gap is not determined: rows on its two sides are not
+consecutive, as time stamps show.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def read_tracks(automaton: HybridAutomaton, recording: Recording) -> tuple[tuple
     """Every run of a recording from its first to its last measured row, with actions in the rows of their motions.
 
     Returns:
-        The runs, and by how many rows all actions were stored after those rows.
+        The runs, and by how many rows all actions were stored too late.
 
     Raises:
         InputError: see `tracks`.

@@ -1,7 +1,7 @@
 """Competition of effects: singles, pairs on the best, effects with an onset; parameters without evidence are pruned.
 
-What remains is asked of corrections without a name: a smooth function of the command, or of place and command, and one
-of earlier commands.
+The remainder is tested against unnamed corrections: smooth functions of the command, of place and command, and of
+earlier commands.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ class Standings:
     """Result of a competition.
 
     Attributes:
-        nominal: without effects. chosen: with the best. near: those that do as well as it.
-        singles: models of one effect. remaining: corrections that are worth it on top of the chosen; best first.
+        nominal: without effects. chosen: with the best effects. near: models that are as good.
+        singles: models of one effect. remaining: corrections that improve on the chosen model; best first.
         loose: corrections of the nominal model.
     """
 
@@ -185,8 +185,8 @@ class Competition(Contenders):
     def _library(self) -> list[TermCandidate]:
         """The library for this coordinate: position responses where applicable, and effects outside of these.
 
-        A servo moves as a drive does that is told by how far it is from its place: where commands may be places, motion
-        does not tell the two apart, and somebody must say that they are speeds or displacements.
+        A servo moves like a drive that is commanded the distance from its place: where commands may be places, motion
+        does not separate the two, and the recording must state that commands are speeds or displacements.
         """
         places = () if self.has_places or self.data.meaning in ("displacement", "velocity") else follows(self.data)
         others = candidates(self.data)
@@ -354,7 +354,7 @@ class Competition(Contenders):
     def corrected(self, models: Sequence[Contender]) -> list[Contender]:
         """The models with an unnamed correction added.
 
-        Where all runs are alike a function of the place could be one of time, and few rows do not tell one.
+        If all runs are alike, a function of place could be one of time, and few rows do not identify it.
         """
         data = self.data
         is_enough = data.counted.sum() >= _ROWS_FOR_SMOOTH and not data.repeats_one_motion

@@ -2,7 +2,7 @@
 
 Hypotheses are ranked by their evidence (Laplace), and a better one must be so in more than one run.
 
-Sources: Kass and Raftery, "Bayes factors", JASA 1995; Stone, JRSS B 1974 (predictions of what was held out).
+Sources: Kass and Raftery, "Bayes factors", JASA 1995; Stone, JRSS B 1974 (cross-validation).
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class Contender:
     """A model of effects with its evidence.
 
     Attributes:
-        parts: its effects; the starts of each are what was fitted, (1, size).
+        parts: its effects; the starts of each are its fitted parameters, (1, size).
     """
 
     parts: tuple[TermCandidate, ...]
@@ -120,8 +120,8 @@ class Contender:
     def is_special_case_of(self, other: Contender) -> bool:
         """Whether another model has this one as a special case, or as the same effects in an unusual order.
 
-        Of two orders that fit equally well (a gain of a bias, and a bias of a gain) evidence only tells that their
-        parameters are of other sizes.
+        If two orders fit equally well (a gain of a bias, and a bias of a gain), they only differ in the size of their
+        parameters.
         """
         if len(self.names) != len(other.names) or self.rank >= other.rank:
             return False
@@ -148,7 +148,7 @@ class Option:
     """A model to fit.
 
     Attributes:
-        starts: (M, columns) values of its terms, without those that the model itself has.
+        starts: (M, columns) values of its terms, without the terms of the model.
         base: a simpler model, whose noise it begins with; one that fits hardly better than it is not looked at further.
     """
 
@@ -248,7 +248,7 @@ class Contenders:
     def _priors(self) -> list[tuple[int, float, float, float]]:
         """(entry, centre, std, scale) of the priors of log noise, and of the ends that the recording reaches.
 
-        Ends are as uncertain as a measurement: those of a model were measured once.
+        Ends are as uncertain as one measurement: a model's ends were measured once.
         """
         of_noise = zip(self._blur + _NOISE_CENTRE, _NOISE_STD, strict=True)
         entries = [(k, float(centre), float(std), 0.5) for k, (centre, std) in enumerate(of_noise)]
@@ -277,13 +277,14 @@ class Contenders:
     ) -> list[Contender]:
         """The best fit of each option; options that hardly improve on their base are dropped.
 
-        Of a long recording the search goes through some of its rows, and what is best there is fitted to all.
+        In a long recording the search uses some of the rows; the best candidates are then fitted to all rows.
 
         Args:
             first: rounds with the noise of the base, of the `keep` best starts.
             most: options of each base that go on; None: all.
-            restarted: of the best, so many go on from other noise as well, and all that take commands for places.
-            rounds: of those that go on.
+            restarted: number of the best candidates that continue from other noise parameters as well, as do all that
+                take commands as places.
+            rounds: of those that continue.
         """
         if not options:
             return []
@@ -324,7 +325,7 @@ class Contenders:
         """The fits at convergence; the best also restarted with other splits of the noise.
 
         Args:
-            rest: from where each begins as well. again: numbers of those that other noise is tried with.
+            rest: further starts of each. again: indices of those that are restarted with other noise.
         """
         owners, tried = list(range(len(fits))), list(fits)
         for k, others in enumerate(rest):
@@ -343,9 +344,9 @@ class Contenders:
     def polished(self, contender: Contender) -> Contender:
         """The model fitted to convergence, including the tails of its noise.
 
-        Thresholds and delays make steps and kinks in the density that no slope tells of, and the noise covers what a
-        threshold that is a little off leaves. So the fit goes on from where one parameter is elsewhere, and from other
-        noise, until nothing is likelier.
+        Thresholds and delays make steps and kinks in the density that its slope does not show, and a threshold that is
+        slightly wrong is absorbed by the noise. So the fit continues from other values of single parameters, and from
+        other noise, until nothing is likelier.
         """
         if contender not in self._fitted_to_the_end:
             better = self._refitted(contender)
@@ -473,7 +474,7 @@ def is_borne_out(gains: Floats, by_each: Sequence[Floats] = ()) -> bool:
     """Whether held-out gains (G,) of groups of runs [nats] exceed chance, and not in one group only.
 
     Args:
-        by_each: (G,) what they lose without each effect, all else being equal.
+        by_each: (G,) losses without each effect, with everything else unchanged.
     """
     if gains.sum() <= _CHANCE or gains.sum() - gains.max() <= 0.0:
         return False

@@ -70,11 +70,11 @@ class CoordinateData:
         order: (S, T) place in the recording, from 0 to 1.
         mode: (S, T) index of the automaton's mode in which the row is.
         run: (S,) number of the run.
-        action: (S, T, 3) recorded displacement [m]; None if the commands are not those of one part.
+        action: (S, T, 3) recorded displacement [m]; None if the commands are not those of a single part.
         path: that is measured.
         lower, upper: ends of the range, infinite where there is none.
-        ends_of_model: those of the model that was given, where measured rows lie beyond and the range was opened.
-        row_ends: (2, S, T) those of each row, where other coordinates and modes change them; None: always the same.
+        ends_of_model: the model's own, where measured rows lie beyond them and the range was extended.
+        row_ends: (2, S, T) for each row, where other coordinates and modes change them; None: constant.
         release: (2,) size of a command that leaves the lower and the upper end.
         holds: (2,) whether a mode holds the coordinate at the lower and the upper end.
         period: median time from row to row [s].
@@ -82,9 +82,9 @@ class CoordinateData:
         modes: names of the automaton's modes.
         noise: (S, T) variance of each measurement as the model has it, over the mean of the rows that count; `UNSEEN`
             where a row is no measurement.
-        is_outside: whether commands lead from what was believed, and something else measured the part.
+        is_outside: whether commands start from the belief while another sensor measured the part.
         effects: on the motion, that the model has already.
-        meaning: of the commands, as the recording says; None: it does not say.
+        meaning: of the commands, as stated by the recording; None: not stated.
         whole: the same rows in uncut runs, for roll-outs of their full length.
         segment: (S, T) of whole runs: number of the segment in which a row counts, -1 if in none.
     """

@@ -1,8 +1,8 @@
 """Effects from an earlier calibration: whether a new recording replaces them.
 
-What could not be told apart in an earlier recording may be told in the next. So a model whose effects were estimated is
-calibrated twice, as it is and without these; the likelier of the two is kept. Evidence of earlier recordings is in the
-model alone: an effect is only replaced by one that was tied with it, or by itself with other parameters.
+A later recording may separate effects that an earlier one could not. So a model with estimated effects is calibrated
+twice, with and without them, and the likelier result is kept. The evidence of earlier recordings is only in the model:
+an effect can be replaced only by one that it was tied with, or by itself with other parameters.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """A recording evaluated by the unmodified model: the basis of `predict`, and the starting point of `calibrate`.
 
-Noise is told by innovations: what a filter with the model misses of each row, knowing all rows before. Commands of a
-controller depend on what it measured, so errors from one measured row to the next follow the commands of any closed
-loop, even if nothing is missing. Innovations depend on nothing before them if the model is right (Kailath, Sayed and
-Hassibi, "Linear Estimation", ch. 9).
+The test uses innovations: errors of a filter's prediction of each row from all rows before it. Commands of a controller
+depend on its measurements, so in closed loop the errors from one measured row to the next follow the commands even if
+nothing is missing. Innovations of a correct model depend on nothing before them (Kailath, Sayed and Hassibi, "Linear
+Estimation", ch. 9).
 """
 
 from __future__ import annotations
@@ -35,13 +35,14 @@ class Examined:
     """A recording evaluated before effects on the motion are sought.
 
     Attributes:
-        automaton: with what poses and beliefs ask for by themselves, and joints that go on where the recording does.
-        geometry, estimator_bias: those effects.
-        as_read, measured: tracks without and with them, of all runs and of those with two rows or more.
+        automaton: with effects that poses and beliefs show directly, and with joints extended to where the recording
+            goes.
+        geometry, estimator_bias: the former and the latter.
+        as_read, measured: tracks without and with these effects, of all runs and of runs with at least two rows.
         models: of every coordinate that moves; none for a model that is not one input per coordinate.
-        off_joint_error: how poses lie beside the joints, whatever joints have been changed.
+        off_joint_error: deviation of poses from the joints, also of joints that were corrected.
         is_readable: whether each coordinate has an input of its own, and some move.
-        late: by how many rows actions were stored after those that they moved; they were taken back.
+        late: number of rows by which actions were stored too late; they were moved back.
     """
 
     automaton: HybridAutomaton

@@ -1,8 +1,8 @@
 """Runs that deviate from the others: an obstacle, a lost tracker, or a hand that slipped.
 
-What a single run shows no other run can confirm. Left in, it makes the noise of all runs look larger and hides what
-they have in common; so it is set aside, and told. Runs that all come last may be no faults: there something changed,
-and no effect that began there explains what.
+No other run can confirm what a single run shows. If it is kept, it increases the estimated noise of all runs and hides
+what they share; so it is excluded and reported. A last block of such runs may be no fault: something changed there that
+no effect with an onset explains.
 
 Source: the F test of two variances, the run's against that of the run in the middle.
 """
@@ -32,7 +32,7 @@ class FaultyRun:
     """A deviating run, with its one-step error and that of the others [rad or m].
 
     Attributes:
-        is_lasting: whether all runs after it are like it; then it is no fault, but something may have changed.
+        is_lasting: whether all later runs are like it; then something may have changed, and it is no fault.
     """
 
     run: int

@@ -1,13 +1,13 @@
 """Log density of every row of a coordinate under many hypotheses at once.
 
-A hypothesis is a model (terms with their parameters) with noise of its own. The state is the configuration c and a
-measurement error d that wanders: c⁺ = F(c, v, memory) + w, d⁺ = ρ d + e, seen as h(c) + d + ν. Each step is a Kalman
-prediction and update, so every residual is an innovation, white if the hypothesis is right (Kailath, Sayed and Hassibi,
-"Linear Estimation", ch. 9). A row is worth the density of Student's t, and a far one moves the state less (Agamennoni,
-Nieto and Nebot, "Approximate inference in state-space models with heavy-tailed noise", IEEE TSP 2012). Where the log of
-a run begins, the part may still do what it was told before: there a far row leaves the state less certain (Roth, Ozkan
+A hypothesis is a model (terms with parameters) with its own noise. The state is the configuration c and a wandering
+measurement error d: c⁺ = F(c, v, memory) + w, d⁺ = ρ d + e, measured as h(c) + d + ν. Each step is a Kalman prediction
+and update, so every residual is an innovation, white if the hypothesis is true (Kailath, Sayed and Hassibi, "Linear
+Estimation", ch. 9). The density of a row is Student's t, and an outlying row moves the state less (Agamennoni, Nieto
+and Nebot, "Approximate inference in state-space models with heavy-tailed noise", IEEE TSP 2012). At the start of a log
+the part may still respond to commands before it: there an outlying row also increases the state's variance (Roth, Ozkan
 and Gustafsson, "A Student's t filter for heavy tailed process and measurement noise", ICASSP 2013), so that the filter
-finds it again.
+converges again.
 
 All hypotheses of a model go through the rows side by side, in a loop that is compiled (`row_loop`).
 """
@@ -113,7 +113,8 @@ class Rows:
 
     Attributes:
         total: (B,) log density of all rows [nats].
-        error: (K, N) measured minus predicted [rad or m], of those whose errors were wanted. variance: (K, N) of it.
+        error: (K, N) measured minus predicted [rad or m], of the hypotheses that were requested. variance: (K, N) of
+            it.
         freedom: (K,) of the t distribution. anywhere: density of a row that may lie anywhere in the range.
     """
 

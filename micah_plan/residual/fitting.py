@@ -1,9 +1,8 @@
 """Maximum-a-posteriori fits of many hypotheses at once, and their evidence by Laplace's method.
 
-Fisher scoring on exact log densities, with the difference quotients of innovations and variances, and in each round a
-step in every single parameter, which also works where a formula has kinks or plateaus (thresholds). The evidence is
-Laplace's approximation; what a group of runs is worth by the parameters of the others comes from one Newton step
-without it.
+Fisher scoring on exact log densities with difference quotients of innovations and variances, and in each round a line
+search in every single parameter, which also works at kinks and plateaus (thresholds). The evidence is Laplace's
+approximation; the evidence of a group of runs under the parameters of the others comes from one Newton step without it.
 
 Sources: Segal and Weinstein, "A new method for evaluating the log-likelihood gradient, the Hessian, and the Fisher
 information matrix for linear dynamic systems", IEEE Trans. Inf. Theory 1989; Kass and Raftery, "Bayes factors", JASA
@@ -51,7 +50,7 @@ class Free:
 
     Attributes:
         at: columns of the values with the noise behind them.
-        scale: what is large. low, high: bounds. centre, std: of a normal prior.
+        scale: a large value. low, high: bounds. centre, std: of a normal prior.
         of_model: how many are of the model.
         odds: log odds against the model beforehand [nats].
     """
@@ -72,7 +71,7 @@ class Fit:
 
     Attributes:
         model: terms. vector: values of the terms, then the noise.
-        free: what is fitted. freedom: degrees of freedom of the t distribution.
+        free: fitted parameters. freedom: degrees of freedom of the t distribution.
         loss: negative log density of all rows and of the prior [nats].
     """
 
@@ -132,14 +131,14 @@ class _Slopes:
     """Rows of one hypothesis, and their difference quotients by its first k free entries.
 
     Attributes:
-        tried: vectors whose losses were needed for the quotients, its own first; losses: theirs.
+        tried: vectors whose losses were needed for the quotients, its own first; losses: of these.
         gradient: (k,) of the log density of all rows.
-        scores: (k, 2 N) quotients of innovations, then of the logs of variances, each times the root of the Fisher
-            information that it has.
+        scores: (k, 2 N) quotients of innovations, then of the logs of variances, each times the root of its Fisher
+            information.
         root: (N,) of that information of innovations.
         innovations, variance: (N,) themselves. freedom: of the t distribution.
-        rows: of all that were tried; at: those of `tried` among them.
-        below: (k,) which of `tried` the quotients are from; per_width: (k,) inverses of how far apart.
+        rows: of all tried vectors; at: indices of those in `tried`.
+        below: (k,) indices in `tried` that the quotients start from; per_width: (k,) inverses of the differences.
     """
 
     tried: Floats
@@ -300,7 +299,8 @@ class Fitting:
         """(N,) log density of each row under the parameters of the other groups [nats].
 
         Args:
-            without: column of a gate that is shut: what its effect does is left out, all else being equal.
+            without: column of a gate that is closed: the contribution of its effect is left out, with everything else
+                unchanged.
         """
         vectors = self.without_each(weighed).copy()
         if without is not None:
@@ -344,7 +344,7 @@ class Weighed:
     """A fit with its evidence.
 
     Attributes:
-        evidence: log probability of the rows, whatever the parameters are [nats].
+        evidence: log probability of the rows, marginalised over the parameters [nats].
         hessian: (k, k) of the loss. information: (G, k, k) Fisher information of each group's rows.
         pull: (G, k) gradient of each group's density; density: (G,) of each group.
     """
@@ -415,9 +415,9 @@ class _Climb:
     """State of a fit's optimisation.
 
     Attributes:
-        fit: the best so far. count: of its entries, the first so many are free.
+        fit: the best so far. count: number of its first entries that are free.
         steps: of the quotients, and of the search along each entry.
-        line: (b, ...) vectors that are tried beside the one that quotients are asked at.
+        line: (b, ...) vectors that are evaluated together with the one whose quotients are computed.
         gain: of the better of the last two rounds [nats].
     """
 

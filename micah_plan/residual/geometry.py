@@ -1,8 +1,8 @@
 """Corrections of a joint's geometry: measured poses off the joint as functions of the configuration.
 
-A wrong axis or pitch shows beside the motion that orientations tell, whatever was commanded: with the axis moved by d,
-the part's origin is off by (I - R(c)) d, and with a pitch h by h c along the axis. Both are linear, so the fit is a
-regression; errors of a tracker wander, so it is made on a first-order autoregression of the residual.
+A wrong axis or pitch shows across the motion that orientations give, for any commands: with the axis moved by d, the
+part's origin is off by (I - R(c)) d, and with a pitch h by h c along the axis. Both are linear, so the fit is a
+regression; tracker errors wander, so the residual is modelled as a first-order autoregression.
 
 Source: Hamilton, Time Series Analysis, ch. 8 (regression with autocorrelated errors, Cochrane and Orcutt).
 """
@@ -116,8 +116,9 @@ def systematic_transverse_error(automaton: HybridAutomaton, tracks: Sequence[Tra
 def off_joint_error(automaton: HybridAutomaton, track: Track, link: int) -> Floats:
     """(T, 6) measured minus predicted pose of a link without the part along the motion [m, rad], in the part's frame.
 
-    What is along the motion is no part of it: that is in the configuration. The turn is 0 where orientation was not
-    measured. A motion keeps its direction in the part's frame, and so does what a wrong joint leaves.
+    The component along the motion is not part of it, since it is in the configuration. The rotation is 0 where
+    orientation was not measured. A motion keeps its direction in the part's frame, and so does the error of a wrong
+    joint.
     """
     path, position = link_motions(automaton)[link], track.position[:, link]
     rotation = None if track.quaternion is None else Rotation.from_quat(track.quaternion[:, link])
@@ -193,7 +194,7 @@ def off_joint_error_of(coordinate: str, places: Sequence[Floats], away: Sequence
 def _across(joint: Joint, tracks: Sequence[Track], link: int, coordinate: int) -> tuple[_Rows, _Rows]:
     """(along the axis, across the lever arm) pose errors with the regressors that would explain them.
 
-    Where orientation was measured the angle is read from it alone: then a moved axis shows along the motion as well.
+    Where orientation was measured, the angle comes from it alone: then a moved axis also shows along the motion.
     """
     along, out, tangential, c = [], [], [], []
     axis, basis = np.array(joint.axis), axis_basis(joint.axis)

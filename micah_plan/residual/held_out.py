@@ -74,7 +74,7 @@ class HeldOut:
     def noise_floor(self, model: Contender) -> float:
         """Root mean square one-step error due to noise if this model is true [rad or m].
 
-        Never more than what is left: of few rows, tails that only might be heavy would say so.
+        At most the actual error: with few rows, uncertain tails could make it larger.
         """
         unpredicted = float(np.sqrt(np.mean(self.errors(model, "one_step")[self.data.counted] ** 2)))
         return min(_floor(model, self.data, "one_step", self.as_written), unpredicted)
@@ -82,7 +82,7 @@ class HeldOut:
     def rollout_floor(self, model: Contender) -> float:
         """Root mean square roll-out error due to noise if this model is true [rad or m].
 
-        What moves the part adds up from the first row on, as far as the model lets it: ends and places bring it back.
+        Process noise accumulates from the first row on, except where ends or commanded places bound it.
         """
         return _floor(model, self.data.whole or self.data, "rollout", self.as_written.whole or self.as_written)
 
@@ -117,11 +117,10 @@ class HeldOut:
     def intervals(self, model: Contender) -> Floats:
         """(k, 3) lower end, median and upper end at `INTERVAL` of each free parameter, in the order of the parts.
 
-        The likelihood of a threshold is a staircase: between two commands of the recording nothing changes, and past
-        the next one a row is on the wrong side. No slope says how far that may go. But with a flat prior the
-        normalised likelihood is the posterior, and its quantiles hold the truth as often as they say, both where it is
-        a parabola and where it is a staircase. The other parameters follow along the covariance. Rows whose
-        innovations are correlated count as fewer.
+        The likelihood of a threshold is a staircase: between two commands of the recording it is constant, and beyond
+        the next one a row is on the wrong side. Its slope does not give an interval. But with a flat prior the
+        normalised likelihood is the posterior, and its quantiles have the stated coverage, for parabolas and for
+        staircases. The other parameters follow along the covariance. Rows with correlated innovations count as fewer.
 
         Sources: Ibragimov and Has'minskii, Statistical Estimation: Asymptotic Theory, 1981, ch. I.9 and V (flat priors
         where densities jump); Barndorff-Nielsen and Cox, Inference and Asymptotics, 1994, ch. 4 (profile likelihood).
@@ -205,7 +204,7 @@ class HeldOut:
     def innovations(self, model: Contender) -> tuple[Floats, Floats]:
         """(S, T) innovations [rad or m] without drift of the sensor, and their relative stds.
 
-        An error that wanders follows a part wherever it stays behind: what is missing would be called noise.
+        A wandering error would follow a part that lags behind: the missing effect would be taken as noise.
         """
         fit = self.competition.fitting.improved([model.fit.without(_WANDER)], _ROUNDS)[0]
         error, variance = (values[0] for values in errors(self.data, [fit.hypotheses(fit.vector[None])], "filter"))
@@ -234,7 +233,7 @@ class HeldOut:
 def _floor(model: Contender, data: CoordinateData, kind: Kind, as_written: CoordinateData) -> float:
     """Root mean square of the predicted error [rad or m], with the variance of the t distribution.
 
-    What averages of the commands change of what is predicted from those that were written is an error as well.
+    The difference between predictions from recorded and from averaged commands also counts as an error.
     """
     hypothesis, freedom = [model.fit.hypotheses(model.fit.vector[None])], model.fit.freedom
     error, variance = errors(data, hypothesis, kind)

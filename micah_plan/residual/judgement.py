@@ -24,7 +24,7 @@ from micah_plan.residual.residual_test import FEWEST_ROWS, Circumstances, lagged
 class Floor:
     """Noise floors, root mean square: position [m], rotation [rad], configuration [rad or m].
 
-    `coordinates` has those of each coordinate in its own unit; `configuration` puts them together.
+    `coordinates` has the floor of each coordinate in its own unit; `configuration` combines them.
     """
 
     position: float
@@ -48,10 +48,10 @@ class Judgement:
     """Assessment of the errors of predicted runs.
 
     Attributes:
-        one_step, rollout: floors; None where there are too few rows to tell.
-        is_noise: whether the model leaves noise alone (then `calibrate` finds nothing); None where that is not certain.
+        one_step, rollout: floors; None with too few rows.
+        is_noise: whether only noise remains (then `calibrate` finds nothing); None if uncertain.
         sentence: the same in words.
-        follows: (coordinate, what, probability if it were noise) of what innovations follow.
+        follows: (coordinate, function, probability under noise) that innovations follow.
         correlation: of one-step errors with the next; 0 to -0.5 for noise.
         changes: of modes.
     """
@@ -68,8 +68,7 @@ class Judgement:
 def judge(automaton: HybridAutomaton, recording: Recording, runs: Sequence[RunPrediction]) -> Judgement:
     """Assess the errors of predicted runs against their own noise.
 
-    Whether anything is left is asked of innovations, and poses beside the joints, as `calibrate` asks it; and so is
-    what noise alone leaves.
+    The test of innovations and of deviations from the joints is that of `calibrate`, as are the floors of noise.
     """
     changes = tuple(change for run in runs for change in _changes(run))
     errors = [[run.one_step.configuration[:, i] for run in runs] for i in range(automaton.n)]
@@ -142,8 +141,8 @@ def _floors(
 ) -> tuple[Floor | None, Floor | None]:
     """Noise floors of one step and of the roll-out; None unless every coordinate has its own input.
 
-    Along the joints they are those of the models, as `calibrate` has them. Across a joint errors are those of its
-    measured poses, in both.
+    Along the joints, floors are those of the models, as in `calibrate`. Across a joint, errors are those of its
+    measured poses in both.
     """
     of_coordinate = {one.data.coordinate: one for one in coordinates}
     if not all(coordinate.name in of_coordinate for coordinate in automaton.coordinates):

@@ -26,7 +26,8 @@ def robust_log_density(design: Floats, now: Floats, freedom: float, finest: floa
     """Log density of values (N,) under the best linear prediction from a design (N, k), with a fitted scale [nats].
 
     Args:
-        finest: the smallest scale, as a share of the values' std: what is exact but for digits decides nothing.
+        finest: the smallest scale, as a share of the values' std, so that values that are exact to the last digit do
+            not decide.
     """
     least = finest * float(np.std(now)) + ROUND_OFF
     weight, residual, scale = np.ones(len(now)), now, least

@@ -1,9 +1,9 @@
 """Missing modes: changepoints of the residual along the configuration, by the recursion also used for poses.
 
-Rows in order of their configuration are cut by the changepoint recursion. In each piece the innovation is either
-noise, as the model says, or noise about a line in the command (other motion than modelled: a gain and a drift), whose
-coefficients are integrated out. What changes gradually is no mode, so the pieces must predict held-out rows better than
-a smooth function of the configuration does, and better than the effects that were found.
+Rows sorted by configuration are segmented by the changepoint recursion. In each segment the innovation is either noise
+as modelled, or noise about a line in the command (another motion: gain and drift) with its coefficients integrated out.
+A gradual change is not a mode, so segments must predict held-out rows better than a smooth function of the
+configuration, and better than the effects that were found.
 
 Sources: MICAH, CHAMP recursion (`changepoints`); Bishop, Pattern Recognition and Machine Learning,
 section 3.5 (evidence of a linear model).
@@ -41,10 +41,10 @@ class MissingMode:
 
     Attributes:
         coordinate, unit: that was measured.
-        low, high: of the range [rad or m]; infinite where the range has no end in what was seen.
-        gain: what is carried out of a command there; bias: what is added to each step [rad or m].
+        low, high: of the range [rad or m]; infinite where the recording shows no end.
+        gain: share of a command that is carried out there; bias: added to each step [rad or m].
         evidence: by how much held-out rows are predicted better than by a smooth change [nats].
-        modes: names of those that the new automaton has for it; empty: it has none.
+        modes: their names in the new automaton; empty: none were added.
     """
 
     coordinate: str

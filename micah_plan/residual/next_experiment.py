@@ -1,9 +1,9 @@
 """Design of the next experiment: commands that separate hypotheses which a recording left tied.
 
-Each model that is left is in turn taken for true. What a rival then predicts worse of the motion that follows, after
-its parameters are fitted again as far as the recording lets them, is the evidence to expect [nats] (T-optimality:
-Atkinson and Fedorov, "The design of experiments for discriminating between two rival models", Biometrika 1975).
-Commands are chosen a few steps at a time, for all pairs of rivals together.
+Each remaining model is assumed true in turn. The loss of a rival's prediction of the following motion, with its
+parameters fitted again as far as the recording allows, is the expected evidence [nats] (T-optimality: Atkinson and
+Fedorov, "The design of experiments for discriminating between two rival models", Biometrika 1975). Commands are chosen
+a few steps at a time, for all pairs of rivals together.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Designed:
 
     Attributes:
         coordinate: that is moved.
-        expected: (one, other, evidence to expect of the whole experiment [nats]) of each pair that it tells apart.
+        expected: (model, rival, expected evidence of the whole experiment [nats]) of each separated pair.
     """
 
     experiment: Experiment
@@ -84,7 +84,7 @@ def next_experiment(automaton: HybridAutomaton, recording: Recording, calibratio
 def _rivals(trace: CoordinateTrace) -> list[Contender]:
     """The alternatives to separate: ties of the effects found or, if structure remains, the next best.
 
-    Where nothing was found: the model as it is, and what was nearest to being found.
+    If nothing was found: the model as it is, and the closest candidates.
     """
     options = [model for model in best_first(trace.alternatives) if model.names != trace.nominal.names]
     options = options or trace.held_out.competition.alone(candidates(trace.data))

@@ -1,8 +1,8 @@
 """Onsets: an object that changed is modelled as it was before and as it is now.
 
-An effect that began in a run of some recording acts in that run from then on and in all later ones. It is known by the
-rows of that run: in a recording without them, which was made later, it acts from the start. Another kind of effect
-begins anew in every run, so many seconds into it.
+An effect with an onset in a run of some recording acts in that run from then on and in all later ones. The run is
+identified by its rows: in a later recording without them, the effect acts from the start. Effects with an onset
+relative to the run start again in every run, a number of seconds after its beginning.
 """
 
 from __future__ import annotations

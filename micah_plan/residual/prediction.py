@@ -71,10 +71,11 @@ class RunPrediction:
     Attributes:
         time: (K + 1,) of its rows since its first [s]; x: (K + 1, n) measured configuration.
         v: (K, n) commanded displacement of each coordinate from each row to the next, in the modes that move it.
-        believed: (K + 1, n) what the controller believed minus what was measured, NaN where it is not told; None if it
-            never is. Effects of sensors are taken out, see `tracks`.
-        off_joint_error: (K + 1, l, 6) by how much measured poses lie beside the model's joints, see `geometry`.
-        poses: (K + 1, l, 7) measured, as those that are predicted; not turned where orientation was not measured.
+        believed: (K + 1, n) the controller's belief minus the measurement, NaN where it was not recorded; None if it
+            never was. Effects of sensors are removed, see `tracks`.
+        off_joint_error: (K + 1, l, 6) deviation of measured poses from the model's joints, see `geometry`.
+        poses: (K + 1, l, 7) measured poses like the predicted ones; without rotation where orientation was not
+            measured.
     """
 
     run: int
@@ -97,19 +98,18 @@ def predict_recording(
     """Predict every run of a recording with at least two rows.
 
     One step: from the measured pose of a row and its action to the next row, Δ̂_(t+1) = f(f^-1(y_t) + J^-1 a_t) (MICAH,
-    equation 2) through guards and resets, in the mode that the belief filter holds most likely and from within its
-    range. Roll-out: from the first measured pose with all actions of the run, never looking at a measurement
-    again. Where commands are places (`follow`), each is the measured pose plus the action, wherever the roll-out is.
-    A run with gaps in its times is predicted in its consecutive parts, as is one in which an effect began (see
-    `compared_runs`), and joints go on where the recording goes beyond a range that no mode ends
-    (`range_exceeded`). Over rows that
-    are no measurements the prediction goes on, to the next that is one.
+    equation 2) through guards and resets, in the most likely mode of the belief filter and from within its range.
+    Roll-out: from the first measured pose with all actions of the run, without further measurements. Where commands are
+    places (`follow`), each is the measured pose plus the action, independent of the roll-out. A run with gaps in its
+    times is predicted in consecutive parts, as is one with the onset of an effect (see `compared_runs`), and joints are
+    extended where the recording exceeds a range that no mode ends (`range_exceeded`). Predictions continue over rows
+    that are not measurements to the next one that is.
 
     Args:
         automaton: the model.
         recording: with actions.
         progress: called with a message and the fraction done.
-        runs: numbers of those to predict, as a part of the recording; None: all.
+        runs: numbers of the runs to predict, as a part of the recording; None: all.
 
     Raises:
         InputError: if the recording has no actions, parts that the model does not know, no run of two rows, or a run
@@ -166,7 +166,7 @@ def rmse_of_coordinates(errors: Sequence[PredictionError]) -> tuple[float, ...]:
 def estimate_errors(runs: Sequence[RunPrediction]) -> tuple[float, float] | None:
     """(root mean square of estimated minus measured, mean size at the end of each run).
 
-    In the coordinates' unit; None if no run tells what was believed.
+    In the coordinates' unit; None if no run has a recorded belief.
     """
     errors = [run.believed[np.isfinite(run.believed).all(axis=1)] for run in runs if run.believed is not None]
     errors = [error for error in errors if len(error)]

@@ -1,7 +1,7 @@
 """Exceeded ranges: ends of a model's range beyond which a recording continues.
 
-The range of a model is where a demonstration went. Where a mode holds the part, it ends there; elsewhere a recording
-may go on, and then the model's joint goes on as well.
+The range of a model is the range of its demonstration. If a mode holds the part at an end, the range ends there;
+otherwise a recording may go beyond, and the model's joint is extended.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class RangeExceeded:
     Attributes:
         coordinate: its index; name, unit: of the coordinate; side: 0 lower, 1 upper.
         end: of the model [rad or m]; reached: furthest that was measured; onward: end that stands for none.
-        step: longest that was measured: so far beyond what was reached the joint may well go.
+        step: longest measured one; the joint can be expected to go at least that much further.
         is_all: whether all rows lie beyond; std: of a measurement.
     """
 

@@ -1,8 +1,8 @@
 """Residual test: a regression on generic functions that separates noise from structure, without any library of effects.
 
-Whatever the model lacks shows in one-step errors as a function of the command, of earlier commands, of where the part
-is or of time. A linear regression on flexible functions of these takes it out; what is left is the noise floor that the
-data themselves show. It is an upper bound: what follows none of these functions counts as noise.
+Anything that the model lacks appears in one-step errors as a function of the command, of earlier commands, of the place
+or of time. A linear regression on flexible functions of these removes it; the remainder is the noise floor of the data.
+It is an upper bound: errors that follow none of these functions count as noise.
 
 Sources: Draper and Smith, Applied Regression Analysis, ch. 5 and 6 (extra sum of squares, F test); Jones, Mathematical
 and Computer Modelling 2004 (noise variance from data before any model is chosen).
@@ -41,10 +41,10 @@ class ResidualTest:
 
     Attributes:
         floor: (d,) std of the noise, in the residuals' units.
-        remainder: (N, d) what the regression leaves.
-        probability: that noise alone gave as much that the regression explains.
-        follows: (what, probability if it were noise) of each group of functions that explains more than those before.
-        share: of the variance that the regression explains, beyond what noise would give, 0 to 1.
+        remainder: (N, d) residual of the regression.
+        probability: that noise alone explains as much.
+        follows: (name, probability under noise) of each group of functions that explains more than those before.
+        share: of the variance that the regression explains beyond noise, 0 to 1.
         least: smallest probability of a single group, times their number.
     """
 
@@ -75,12 +75,12 @@ class Circumstances:
 
     Attributes:
         place: (N,) configuration at the start of the step, not from the measurement that the residual contains.
-        command: (N, 1 + LAGS) of the step and of those before it, the latest first.
+        command: (N, 1 + LAGS) of the step and of previous steps, the latest first.
         time: (N,) since the start of the run [s].
         order: (N,) place in the recording, 0 to 1.
         errors: (N, k) of the steps before; None where they cannot be independent.
-        away: (N, k) of each end that a part is at, the command that leads away from it; 0 elsewhere.
-        spread: (N,) by which residuals were divided to make them equally precise; None: by nothing.
+        away: (N, k) for each end that a part is at, the command away from it; 0 elsewhere.
+        spread: (N,) divisor of residuals that makes them equally precise; None: 1.
     """
 
     place: Floats
@@ -168,8 +168,8 @@ def lagged_commands(commands: Floats) -> Floats:
 def _orthonormal(groups: Mapping[str, Floats]) -> tuple[Floats, Ints]:
     """(N, r) orthonormal basis of the groups of functions, group after group, and (r,) the group of each direction.
 
-    Of functions that depend on those before none is left, so what a group explains is a sum of squares (regression by
-    QR factorisation with pivoting within a group; Golub and Van Loan, Matrix Computations, ch. 5).
+    Functions are orthogonal to those before, so the explained share of a group is a sum of squares (regression by QR
+    factorisation with pivoting within a group; Golub and Van Loan, Matrix Computations, ch. 5).
     """
     directions, of_group = np.zeros((len(next(iter(groups.values()))), 0)), list[int]()
     for k, functions in enumerate(groups.values()):

@@ -1,7 +1,7 @@
 """Initial values for fits of position responses (`follow`).
 
-A fit finds the nearest optimum, and those of delays and momenta are many: so fits begin at delays up to the longest, at
-slow and fast responses, and at what least squares of measured steps tell.
+A fit finds the nearest optimum, and there are many in delays and momenta: so fits start at delays up to the longest, at
+slow and fast responses, and at least-squares estimates from measured steps.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _Start = Mapping[int, float]
 def follows(data: CoordinateData) -> list[TermCandidate]:
     """Candidates of first order, with delay, of second order, with a dead zone or friction, and with limits.
 
-    None where most commands lead to where the part cannot be, or all are the same: places are then the measured ones.
+    None if most commands lead out of the part's range, or all are the same: places are then the measured ones.
     """
     size, places = data.command_size, (data.z + data.u)[data.counted_starts]
     low, high = data.visited

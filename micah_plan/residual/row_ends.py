@@ -1,8 +1,8 @@
 """Ends of one coordinate's motion in each measured row, from the mode and the other coordinates.
 
-A drawer behind a door goes nowhere while the door is shut, and the door does not shut while the drawer is out. The ends
-are where the automaton's own step leads a coordinate that is pushed too far. Whether another coordinate is in the way
-noise may leave open. That is not held against the model: such ends do not count, nor does a step that depends on them.
+A drawer behind a door cannot move while the door is shut, and the door does not shut while the drawer is out. Ends are
+where the automaton's own step takes a coordinate that is pushed too far. Noise may leave it open whether another
+coordinate blocks it. Then such ends, and steps that depend on them, do not count against the model.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ class RowsSeen:
 def annotated_rows(automaton: HybridAutomaton, track: Track) -> RowsSeen:
     """Modes and noise of the rows of a run: from the configuration if one coordinate moves, else from a filter.
 
-    Where several coordinates move, a place beside a guard may be in either mode, and what came before tells. How
-    precise a measurement is depends on where the part is, not on what is read: so on the place that is predicted.
+    With several moving coordinates, the mode at a place near a guard is ambiguous and follows from the rows before. The
+    precision of a measurement depends on the true place, not on the reading: so it is evaluated at the predicted place.
     """
     sensing = [automaton.sensing(mode) for mode in automaton.modes]
     is_known = automaton.n == 1 and all(sensing.is_uniform for sensing in sensing)
@@ -119,7 +119,7 @@ def _alternatives(automaton: HybridAutomaton, x: Floats, i: int) -> list[Floats]
 def _ends_of_push(automaton: HybridAutomaton, x: Floats, modes: Ints, i: int) -> tuple[Floats, Floats]:
     """(low, high) that coordinate i reaches under a push far beyond the range; infinite where unbounded.
 
-    What a mode holds only an input can move: where it does, what it takes is known (`CoordinateData.release`).
+    A held coordinate moves only by an input: where it does, the required input is known (`CoordinateData.release`).
     """
     lower, upper = range_of(automaton, i)
     x = x.copy()

@@ -1,7 +1,7 @@
 """The compiled loop over rows: instructions of a step for many hypotheses, inside a filter.
 
-Numba compiles it when it is first called, and keeps what it compiled beside this file or in the user's cache. What it
-keeps is thrown away when this file changes and not when another does, so that all of it is here.
+Numba compiles it on the first call and caches the result next to this file or in the user's cache. The cache is
+invalidated by changes of this file only, so the whole loop is here.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Programs(NamedTuple):
         registers: how many there are.
         constants: (c, 2) register and value.
         parameters: (k,) registers of them.
-        lines: (k, 3) first register of each delay line, what it keeps (0 displacements, 1 places), and the register of
+        lines: (k, 3) first register of each delay line, its content (0 displacements, 1 places), and the register of
             its delay.
     """
 
@@ -78,8 +78,7 @@ class RowsGiven(NamedTuple):
 
     Attributes:
         effort: squared commands, over their usual size. moved: (1, S, T), or (B, S, T) of each hypothesis: commands.
-        ends: (2, S, T), or (2, 1, 1) if they are always the same. goes_on: (S,) variance that the second row has
-            beside its own.
+        ends: (2, S, T), or (2, 1, 1) if constant. goes_on: (S,) additional variance of the second row.
         moving: (S,) by how much the part moved on into the first row.
         earlier: (2, S, k) displacements and places that were commanded in the rows before the first, the last first;
             NaN where there are none.
@@ -110,7 +109,8 @@ class Settings(NamedTuple):
     Attributes:
         kind: `FILTER`, `ONE_STEP` or `ROLLOUT`.
         is_bounded: whether there are ends. is_held: whether something may hold the part there.
-        surely: an error that is surely no noise, where `RowsGiven.noise` is 1; unseen: noise of what was not measured.
+        surely: an error that cannot be noise, where `RowsGiven.noise` is 1; unseen: noise of rows without a
+            measurement.
         anywhere: density of a row that may lie anywhere in the range.
         stays: correlation of the wandering error. held_variance: share of the variance that an end leaves.
     """
@@ -309,7 +309,8 @@ def _init_memories(
 ) -> None:
     """Initialise memories at the first row, and delay lines with the earlier commands.
 
-    Where a run begins nothing is known of that: the part rests, but may do anything as long as commands are late.
+    Commands before the start of a run are unknown: the part is assumed at rest, but may move as long as commands are
+    delayed.
     """
     for j in range(r.shape[1]):
         r[MOVED_ON, j] = rows.moving[first + j // hypotheses]
@@ -382,8 +383,8 @@ def _compute_innovation(r: Floats, state: Floats, per_hypothesis: Floats) -> Non
 def _correct_held_state(r: Floats, state: Floats, per_hypothesis: Floats, surely: float) -> None:
     """Correct the held state of parts measured away from a predicted end, or left behind at one.
 
-    Whether a part arrived at an end, and whether a command was just enough to leave it, noise decides. What is
-    measured afterwards tells, as soon as it is no noise; else one wrong guess would last for many rows.
+    Noise decides whether a part arrived at an end and whether a command just left it. Later measurements correct the
+    decision as soon as the error exceeds noise; otherwise one wrong decision would last for many rows.
     """
     for j in range(r.shape[1]):
         state[_IS_GONE, j] = 0.0
@@ -405,8 +406,8 @@ def _correct_held_state(r: Floats, state: Floats, per_hypothesis: Floats, surely
 def _update_state(r: Floats, state: Floats, per_hypothesis: Floats, is_bounded: bool, t: int) -> None:
     """Kalman update, robust against far measurements.
 
-    In the first steps it also leaves the state less certain, as Student's t has it: the part may still do what it was
-    told before the log, as long as commands are late.
+    In the first steps it also increases the state's variance, as Student's t filter does: the part may still respond to
+    commands before the log, as long as commands are delayed.
     """
     for j in range(r.shape[1]):
         steep, error, variance = r[STEEPNESS, j], state[_ERROR, j], state[_VARIANCE, j]

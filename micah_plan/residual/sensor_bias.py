@@ -1,8 +1,8 @@
 """Sensor effects of the controller, from its estimated against the measured pose at rest.
 
-While the part moves a belief may run ahead of the part or behind it. Where both rest it shows what the sensor makes of
-the configuration, if something else measured the part: its readings x and beliefs e then differ by x = k e + o + r t.
-Each run (or segment of few long ones) is one observation, since what is wrong at rest stays wrong while it rests.
+During motion a belief may lead or lag the part. At rest it shows the sensor's error, if another sensor measured the
+part: its readings x and beliefs e then differ by x = k e + o + r t. Each run (or segment of few long ones) is one
+observation, since errors at rest are constant while it rests.
 
 Source: Geisser, The predictive sample reuse method, JASA 1975 (each observation predicted from the others).
 """

@@ -1,6 +1,6 @@
 """Compilation of a model's step to instructions for the loop over rows, layer by layer.
 
-What is uncertain of a configuration grows or shrinks with the exact slope of each formula (`symbolic.formula_lines`).
+The uncertainty of a configuration is propagated with the exact slope of each formula (`symbolic.formula_lines`).
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ class _Assembly:
         """(registers of the command in force, parameters, register that says whether the newest command applies).
 
         Args:
-            earlier: register of what was commanded before the first row, if commands act later.
+            earlier: register of the command before the first row, if commands act later.
         """
         if not is_late(form, neutral) or form.late_by is None:
             return (sent,), values, None

@@ -1,8 +1,8 @@
 """Actions stored in later rows than the motions they cause, as by a logger that writes the latest value read.
 
-A motion tells: what is commanded in a later row foretells it better than its own row's command and those before.
-Displacements are asked for that, and places where they are more regular than displacements: then nothing of a
-measurement is in them, and they cannot foretell its noise.
+The motion decides: actions were stored late if the command of a later row predicts it better than that of its own row
+and earlier ones. Displacements are tested, or places where these are the smoother sequence: then they contain no
+measurement noise and cannot predict it.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ _OWN_SHARE_OF_PLACES = 0.2
 def rows_late(runs: Sequence[Track]) -> int:
     """Number of rows by which actions are stored late.
 
-    The action of a later row foretells a motion better than its own row's and those before it, and with their sign.
-    (Where commands follow what was measured, the next command foretells the noise of a motion with the other sign;
-    where poses were smoothed, commands of rows before and after foretell it alike.)
+    The action of a later row predicts a motion better than its own row's and earlier ones, with their sign. (Where
+    commands are feedback of measurements, the next command predicts the noise of a motion with the opposite sign; where
+    poses were smoothed, commands of rows before and after predict it equally.)
     """
     # Goals that lead on from where the part is foretell where it is: what commands are said to mean is not enough.
     coordinates, late = range(runs[0].x.shape[1]), 0
@@ -77,8 +77,8 @@ def _is_predicted_later(runs: Sequence[Track], late: int, i: int) -> bool:
 def is_regular_in_places(runs: Sequence[Track], i: int) -> bool:
     """Whether a coordinate's commands are more regular as positions than as displacements.
 
-    What blurs a measurement is in a displacement that leads to a place, and in the place that a displacement leads to.
-    The mean root of second differences tells: a few jumps count little in it.
+    Measurement noise enters the displacement that leads to a commanded place, and the place that a commanded
+    displacement leads to. The criterion is the mean root of second differences, in which a few jumps count little.
     """
     bends = [np.concatenate([np.diff(series(track, i), 2) for track in runs]) for series in (_places, _displacements)]
     if min(map(len, bends)) < _FEWEST_STEPS:

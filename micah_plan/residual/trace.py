@@ -38,7 +38,7 @@ class CoordinateFinding:
 
     Attributes:
         part: its term and parameters, gates included; a median where one was fitted, the best fit of several.
-        interval: (size, 2) at `arrays.INTERVAL`; low = high for those that were not fitted.
+        interval: (size, 2) at `arrays.INTERVAL`; low = high for fixed parameters.
         evidence: by how much the recording is likelier with it [nats].
         tied: names of other effects that would do as well in its place.
         is_added: whether the model takes it in; not if it may as well come from earlier commands, nor if one of few
@@ -59,16 +59,16 @@ class CoordinateTrace:
     Attributes:
         held_out: of all models.
         nominal, chosen: the model as it is, and with the effects.
-        final: what a new automaton should have: the chosen model, with a smooth correction if it is worth it.
+        final: model for the new automaton: the chosen one, with a smooth correction if that improves it.
         ranking: (name, evidence [nats], standard error) of every candidate alone, best first, the smooth correction
             among them as ``unexplained``.
-        facts, outcome: what is known, and what is concluded from it.
+        facts, outcome: observations, and the conclusion from them.
         whiteness: largest autocorrelation of the innovations that remain, and how probable it were if they were white.
-        innovation_test: what the innovations that remain follow; None where rows are too few.
-        floor, rollout_floor: errors of one step and of roll-outs that noise alone would leave [rad or m].
+        innovation_test: functions that the remaining innovations follow; None with too few rows.
+        floor, rollout_floor: errors of one step and of roll-outs from noise alone [rad or m].
         missing_modes: that the automaton lacks; a correction without a name is in their place (or see `calibrate`).
-        closest: names of the effects that came closest, where a correction without a name predicts better.
-        alternatives: the models of one effect that came closest.
+        closest: names of the closest effects, where an unnamed correction predicts better.
+        alternatives: the closest models of one effect.
         average: of commands over rows before and after that steps follow; None: they follow commands as written.
     """
 
@@ -214,7 +214,7 @@ def _final(held_out: HeldOut, standings: Standings, chosen: Contender) -> Conten
 def _is_contradicted(held_out: HeldOut, named: Contender) -> bool:
     """Whether one of few runs is evidence against effects fitted to the others.
 
-    Rows of one run share what is particular to it, so few runs show what many rows of them do not.
+    Rows of one run share what is particular to it, so few runs are weak evidence however many rows they have.
     """
     data, base = held_out.data, held_out.nominal
     runs = np.unique(data.run)
@@ -279,8 +279,8 @@ def _modes(held_out: HeldOut, standings: Standings) -> tuple[MissingMode, ...]:
 def may_remember(data: CoordinateData, finding: CoordinateFinding) -> bool:
     """Whether it is undecided if an effect depends on the present or on earlier commands.
 
-    It is tied with one of the other sort; or it depends on the place, and the runs are so alike that what depends on
-    earlier commands looks the same. What a wrong guess does to a plan is worse than doing nothing.
+    It is tied with one of the other kind; or it depends on the place while the runs are so alike that a dependence on
+    earlier commands looks the same. A wrong guess harms a plan more than no correction.
     """
     layer = finding.part.term.form.layer
     if layer == "force" and data.repeats_one_motion:

@@ -21,15 +21,15 @@ class Facts:
         effects: how many have a name; modes: how many the automaton lacks.
         is_open: whether an effect may come from this command or from earlier ones.
         is_contradicted: whether one of few runs is evidence against effects fitted to the others.
-        is_longer: whether roll-outs of held-out rows get longer with what was found.
-        is_noisier: whether single steps of held-out rows get longer with what was found.
-        is_single: whether there is one run of few motions alone, which no other run can confirm.
+        is_longer: whether held-out roll-outs get worse with the effects.
+        is_noisier: whether held-out single steps get worse with the effects.
+        is_single: whether there is only one run with few motions, which no other run can confirm.
         is_following: whether innovations certainly follow something, and by more than a trifle.
-        is_changing: whether effects began at different times: what changed twice may be changing still.
+        is_changing: whether effects have different onsets: it changed twice, so it may still be changing.
         is_averaged: whether steps follow averages of commands over rows before and after.
         smooth: share of the explainable residual that a correction without a name takes out on top; 0: none.
-        is_passing: whether one run alone shows that there is something more, or that it began.
-        is_corrected: whether the model came with a correction without a name.
+        is_passing: whether one run alone shows an additional effect or its onset.
+        is_corrected: whether the nominal model already had an unnamed correction.
     """
 
     effects: int

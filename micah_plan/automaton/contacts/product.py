@@ -1,10 +1,10 @@
 """The product of a learned automaton with the contacts of its moving part, compacted: `with_contacts`.
 
-The state is the hand's position and the joint, (x, y, z, theta); the input is the hand's displacement. Nothing drives
-the joint but contacts. Modes (MICAH, section V-C, for the stapler; here for any joint and face):
+The state is the hand's position and the joint, (x, y, z, theta); the input is the hand's displacement. Only contacts
+move the joint. Modes (MICAH, section V-C, for the stapler; here for any joint and face):
 - *free*: the joint keeps its place except for large noise, it swings;
 - *line*, *surface*: the joint follows the hand's height above the face (a `Tie`), see `touch`;
-- the learned rigid modes, one each: a rigid object moves alike whatever it touches, so contacts do not multiply them.
+- the learned rigid modes, one each: a rigid object moves alike in any contact, so contacts do not multiply them.
 
 Guards follow from geometry and from the learned threshold: contact begins where the hand is as low as the touching
 height, lies flush at the end of a line piece, latches at the configurational changepoint; it ends when the hand
@@ -104,8 +104,8 @@ def with_contacts(
     """The automaton of a held object among bodies.
 
     Raises:
-        InputError: if the learned model has not one joint, nothing tells where its parts' shapes are given, or the hand
-            does not reach where a contact ends.
+        InputError: if the learned model does not have exactly one joint, the frame of its parts' shapes is not defined,
+            or the hand does not reach the end of a contact.
     """
     noise = noise or HandNoise()
     joint = learned_joint(learned, grip)
@@ -308,7 +308,7 @@ class LatchedMode:
     Attributes:
         mode: its name.
         pin: of the joint.
-        threshold: configuration at which it is reached [rad or m]; threshold_std: how well that is known.
+        threshold: configuration at which it is reached [rad or m]; threshold_std: of it.
         direction: +1 if it is reached from smaller values.
     """
 

@@ -2,10 +2,10 @@
 
 The height is a function of the joint. While the hand keeps its orientation the lowest corner of the moving part
 decides: the object touches when the hand's height above the face is S(c) = max over corners v of -n'R(v(c) - p). Where
-one edge stays the lowest and S falls as the joint goes on, pressing moves the joint and the edge slides: a *line*
+one edge stays the lowest and S decreases as the joint moves on, pressing moves the joint and the edge slides: a *line*
 contact. It ends where a face of the part lies flush. From there on the part lies flat, and pressing moves the joint
-further only if the held part turns in the hand: a *surface* contact, in which the hand's height follows from the lever
-between hand and hinge.
+further only if the held part rotates in the hand: a *surface* contact, in which the hand's height follows from the
+lever between hand and hinge.
 
 Both heights are sines of a turning joint. A piece stands for its own by the chord between its ends, so that the
 automaton stays affine and every event of it can be located exactly: at the ends, where parts lie flush and latch, the

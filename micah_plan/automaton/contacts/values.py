@@ -3,10 +3,9 @@
 To hold means here that the hand carries a part, which the grip fixes to it; that a mode fixes a coordinate is called a
 pin (`hybrid.Pin`).
 
-Shapes of a held object are given in a frame that any model of it has, learned from whichever camera:
-its origin lies on the joint's axis, y is the axis, and as the joint's coordinate grows the moving part turns from x
-towards z (with a prismatic joint: moves along z). Both parts are described at one configuration, the datum: where the
-object latches.
+Shapes of a held object are given in a frame that is the same in any model of it, from any camera: its origin lies on
+the joint's axis, y is the axis, and as the joint's coordinate grows the moving part rotates from x towards z (with a
+prismatic joint: moves along z). Both parts are described at one configuration, the datum: where the object latches.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ class Grip:
     Attributes:
         held, moving: the two parts, with their shapes in the hinge frame and the joint at the datum.
         point: of the hand, in the hinge frame [m]. Its position in the base frame is the state (x, y, z).
-        rotation: rotation vector from the hinge frame to the base frame while nothing presses [rad]; the hand keeps it.
+        rotation: rotation vector from the hinge frame to the base frame without contact [rad]; the hand keeps it.
         pivots: whether the held part may turn in the hand about the hinge's direction when it is pressed on.
         travel: how far the joint opens from the datum [rad or m], towards smaller values.
         datum: configuration at which shapes are given; None: where the learned object latches.
@@ -64,7 +63,7 @@ class Face:
 
     Attributes:
         solid: its name.
-        axis: 0, 1 or 2 for x, y, z; sign: +1 or -1, which way it looks.
+        axis: 0, 1 or 2 for x, y, z; sign: +1 or -1, of the outward normal.
         position: along the axis [m].
     """
 

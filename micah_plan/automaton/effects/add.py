@@ -78,7 +78,7 @@ def for_demonstrations(automaton: HybridAutomaton, recording: Recording) -> Hybr
     """The model for recordings whose actions passed through the same channel as the demonstration's.
 
     Raises:
-        InputError: if learning found nothing about the actions.
+        InputError: if learning has no estimate for the actions.
     """
     steps = [np.diff(recording.select(run=run, part=recording.parts[0]).time) for run in recording.runs]
     return with_learned_channel(automaton, float(np.median(np.concatenate(steps))))
@@ -87,9 +87,9 @@ def for_demonstrations(automaton: HybridAutomaton, recording: Recording) -> Hybr
 def with_learned_channel(automaton: HybridAutomaton, period: float) -> HybridAutomaton:
     """The automaton with the learned action channel as effects, for recordings like its demonstration.
 
-    Learning found what stands between a demonstration's actions and the motion. That channel belongs to the recording,
-    not to the object: another hand, or this project's own logs, give their actions in another way. So a model does not
-    have it, and prediction takes it only where it is asked to.
+    Learning estimates the channel between a demonstration's actions and the motion. It belongs to the recording, not to
+    the object: with another hand, or in this project's own logs, actions are given in another way. So a model does not
+    contain it, and prediction uses it only on request.
 
     Args:
         automaton: with the action channel that learning found.

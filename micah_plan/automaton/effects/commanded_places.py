@@ -1,7 +1,7 @@
 """Position commands without further information: the part is at the commanded position after each step.
 
-That is the effect `follow` with all its parameters neutral. It moves roll-outs from wherever they are to the places of
-the log, and is what calibration begins with; a step of the model itself is the same with and without it.
+That is the effect `follow` with neutral parameters. It moves roll-outs from any place to the places of the log, and is
+the starting point of calibration; it does not change a step of the model itself.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from micah_plan.recording.value import Recording
 def as_commanded(automaton: HybridAutomaton, recording: Recording) -> HybridAutomaton:
     """The model for a recording: its coordinates follow positions where the recording says that commands are positions.
 
-    Where it says nothing, the model's own word counts.
+    If the recording does not state it, the model's own setting counts.
 
     Raises:
-        InputError: if the recording says displacements, and the model knows how its machine follows places.
+        InputError: if the recording has displacements, but the model has an effect of a machine that follows places.
     """
     meaning = command_meaning(recording)
     if meaning is None:

@@ -33,11 +33,11 @@ class Drive(EffectForm):
     """Speed commands: the part's speed follows with a first-order lag (time constant `lag` in steps):
 
     e = v - neutral, b = sign(e) max(|e| - width, 0), w = gain b (1 + curve |b|), or gain b / (1 - curve |b|) if the
-    curve is negative, and `backward` times that if it leads backward, at most `speed` in size; ds/dt = (w - s) / lag,
-    and a step is the integral of s over it, v being what was commanded `delay` steps before.
+    curve is negative, times `backward` if it is directed backward, at most `speed` in size; ds/dt = (w - s) / lag, and
+    a step is the integral of s over it, with the command v of `delay` steps before.
 
-    A delay that ends within a step has the older command for a share of it, and then the newer one. A lag behind a dead
-    zone goes on where the command is within it, whereas a dead zone behind a lag (`dead_zone`) stops at once.
+    A delay that ends within a step uses the older command for a share of it, and then the newer one. A lag behind a
+    dead zone goes on where the command is within it, whereas a dead zone behind a lag (`dead_zone`) stops at once.
     """
 
     name = "drive"

@@ -92,8 +92,8 @@ class GuardShift(EffectForm):
 class GuardHysteresis(EffectForm):
     """A reached end is left only by a command larger than `width`.
 
-    Of a coordinate that modes hold at ends of its range, those ends; of one that none holds, every end, which then has
-    a mode that holds it there.
+    It acts at the ends where modes hold the coordinate; if none does, at every end, which then gets a mode that holds
+    it there.
     """
 
     name = "guard_hysteresis"
@@ -172,7 +172,7 @@ def with_end_moved(automaton: HybridAutomaton, i: int, old: float, new: float) -
 def _moved(half_space: HalfSpace, i: int, by: float, at: float | None) -> HalfSpace:
     """A half-space on coordinate i alone, moved if its limit is at a value (None: at any).
 
-    A label that ends with the threshold says the new one; labels that people chose stay.
+    A label that ends with the threshold gets the new one; custom labels are kept.
     """
     bound, label = half_space.bound, half_space.name
     if bound is None or bound.coordinate != i or (at is not None and abs(bound.value - at) > EQUAL):
@@ -199,7 +199,7 @@ def _with_clamps(automaton: HybridAutomaton, i: int, at: float, is_upper: bool) 
 def _with_holds(automaton: HybridAutomaton, i: int, width: float) -> HybridAutomaton:
     """The automaton with a mode in place of each clamp of a coordinate: it holds the part until a command releases it.
 
-    Each takes over what its mode does to the other coordinates.
+    Each has the other coordinates' motion of its mode.
     """
     for side, end in enumerate(range_of(automaton, i)):
         for mode in automaton.modes:

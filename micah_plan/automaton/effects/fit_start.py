@@ -23,7 +23,8 @@ class CoordinateSeries(Protocol):
     Attributes:
         unit: rad or m. z, u: (S, T) measured configuration, and commanded displacement from each row to the next.
         counted, counted_starts: (S, T) whether the step to, or from, a row counts.
-        action: (S, T, 3) recorded displacement [m], None if there is none of this part alone; path: that is measured.
+        action: (S, T, 3) recorded displacement [m], None if there is none of this part alone; path: measured
+            configurations.
         lower, upper: ends of the range, infinite where there is none; clings: whether the part may cling to them.
         visited: smallest and largest measured configuration; command_size: root mean square of the commands.
         period: from row to row [s].
@@ -66,9 +67,9 @@ class FitStart:
     """Starting values of a fit, of which the best is refined.
 
     Attributes:
-        values: (M, parameters) all parameters of each start; those that are not free differ between starts only.
+        values: (M, parameters) all parameters of each start; fixed ones differ between starts only.
         free: columns that are fitted.
-        scale: what a large value of each of those is.
+        scale: a large value of each free parameter.
         bounds: (lower, upper) of columns that the recording bounds more than the form does: beyond them it would be
             another effect (a spring whose rest position is far away is a bias).
     """

@@ -5,9 +5,9 @@ for CasADi expressions. So the identification, the transition of the automaton a
 disagree.
 
 A step of a coordinate c with command v = (B u) of its mode runs through the hooks of `EffectForm` in their order; each
-form changes one of them and leaves the others as they are. What moves guards or joints is taken into the automaton
-itself, once, when the effect is added (`rebuilt`). A form also says where calibration begins to fit it, how plain it is
-beside others, and what would tell it from them: all that there is of an effect is in one class.
+form implements one of them. Effects on guards or joints change the automaton itself, once, when the effect is added
+(`rebuilt`). A form also defines where calibration begins to fit it, its complexity, and experiments that separate it
+from others: everything about an effect is in one class.
 """
 
 from __future__ import annotations
@@ -79,10 +79,10 @@ class Parameter:
     Attributes:
         unit: ``"1"``, ``"step"``, ``"rad"``, or ``"coordinate"`` for the coordinate's own unit (rad or m), which may
             be combined: ``"coordinate/s"``, ``"m/coordinate"``.
-        neutral: value at which the form has no effect whatever the others are; None if another one's decides. Infinite
-            for a limit.
+        neutral: value at which the form has no effect for any values of the others; None if another parameter decides
+            that. Infinite for a limit.
         lower, upper: bounds of a sensible value.
-        is_optional: whether it may be left out, and is neutral then.
+        is_optional: whether it may be left out, which means the neutral value.
     """
 
     name: str
@@ -107,17 +107,17 @@ class EffectForm:
 
     Class attributes:
         name: unique in the registry.
-        sentence: what it does, in plain words.
-        source: where the formula comes from.
+        sentence: its effect in plain words.
+        source: reference of the formula.
         parameters: in order.
         layers: of the hooks that it overrides; one, for a form that can be used, and that is its `layer`.
-        complexity_rank: place among the forms where a recording cannot tell them apart: the smallest is named first.
-        experiments: (name of another effect, what would tell it from this one).
-        in_library: whether `calibrate` tries it among the others; False for effects sought in another way, or added by
-            hand only.
-        late_by: number of the parameter that says how many steps later a command acts; None: it acts at once. Such a
-            form keeps its last commands behind the rest of its memory, `commanded_at_rest` before the first, and its
-            formula is `remember_late` or `respond_late`.
+        complexity_rank: order among the forms that a recording cannot separate: the smallest is named first.
+        experiments: (name of another effect, experiment that separates the two).
+        in_library: whether `calibrate` tries it; False for effects that are found in another way, or added by hand
+            only.
+        late_by: index of the parameter with the delay of a command in steps; None: it acts at once. Such a form keeps
+            its last commands behind the rest of its memory, `commanded_at_rest` before the first, and its formula is
+            `remember_late` or `respond_late`.
     """
 
     name: ClassVar[str]

@@ -48,8 +48,9 @@ class FrameRotation(EffectForm):
     def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
         """Starts only where actions across the joint vary independently.
 
-        A small turn adds to each command a share of the action across the joint. Where that follows the command along
-        it (a hand that always pushes at one angle, the chord of a long step) it adds what a gain or a saturation would.
+        A small rotation adds to each command a share of the action across the joint. If that is proportional to the
+        command along it (a hand that always pushes at one angle, the chord of a long step), it acts like a gain or a
+        saturation.
         """
         if data.action is None:
             return None

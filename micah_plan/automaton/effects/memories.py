@@ -127,8 +127,7 @@ class Ramp(EffectForm):
 class Backlash(EffectForm):
     """Backlash of a given width between drive and part; the memory is the drive's position within it.
 
-    `side` says where it is at first: -1 and 1 at the ends (1: a positive command moves the part at once), 0 in the
-    middle.
+    `side` is the initial place: -1 and 1 at the ends (1: a positive command moves the part at once), 0 in the middle.
     """
 
     name = "backlash"
@@ -189,17 +188,16 @@ class StickSlip(EffectForm):
 class Follow(EffectForm):
     """Position servo: commands are positions r_t = c_t + v_t that the part follows from any configuration:
 
-    w_t = momentum (c_t - c_(t-1)) + the mean of z(gain r + offset - c_t) over the step, r being `delay` steps old,
-    z(e) = sign(e) min(share max(|e| - width, 0), pull, the step from which `acceleration` stops it within that way),
-    c_(t+1) - c_t = sign(w_t) max(|w_t| - friction, 0), at most `acceleration` beside the step before, and at most
-    `speed` in size.
+    w_t = momentum (c_t - c_(t-1)) + the mean of z(gain r + offset - c_t) over the step, with r the command `delay`
+    steps ago, z(e) = sign(e) min(share max(|e| - width, 0), pull, the step from which `acceleration` stops it within
+    that distance), c_(t+1) - c_t = sign(w_t) max(|w_t| - friction, 0), different from the step before by at most
+    `acceleration`, and at most `speed` in size.
 
-    First order without a momentum, second order with one. A place stays where it is in the base frame: what the part
-    missed before is made up for. A delay that ends within a step has the older place for a share of it, and then the
-    newer one. `width` is the controller's dead zone; `friction` (Coulomb's, implicit in the step) brakes what moves and
-    holds what rests. `pull` is what a motor's voltage or torque allows, against damping that `momentum` tells of;
-    `acceleration` and `speed` are those of a profile that a controller keeps to. With all parameters neutral the part
-    is at the place after each step.
+    First order without a momentum, second order with one. A place is constant in the base frame: what the part missed
+    before is made up for. A delay that ends within a step uses the older place for a share of it, and then the newer
+    one. `width` is the controller's dead zone; `friction` (Coulomb's, implicit in the step) brakes motion and holds a
+    part at rest. `pull` is the limit of a motor's voltage or torque, with the damping of `momentum`; `acceleration` and
+    `speed` are limits of a controller's profile. With neutral parameters the part is at the place after each step.
     """
 
     name = "follow"

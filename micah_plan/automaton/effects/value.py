@@ -59,7 +59,7 @@ class InputMemory:
     """Memory of an effect on one input: `size` consecutive values of a state.
 
     Attributes:
-        effect: acts on the input on its way to the modes.
+        effect: acts on the input before the modes.
         input: number of that input.
         coordinate: index of the coordinate that the effect acts on.
         scale: command of the effect's coordinate per unit of the input.

@@ -1,9 +1,9 @@
 """Actions given relative to a measured pose, rotated into the true pose.
 
-A controller that steps on from what it measures points its command along the motion at the *measured* configuration,
-which differs from the true one by the tracker's noise. The noise of a measured step is then known from the direction
-of its action, to a channel with a strong gain across the motion: such a channel explains noise, not motion. So what of
-the directions follows the rows' own errors is taken out, by regression (Frisch and Waugh, Econometrica 1933).
+A controller that steps on from its measurement directs its command along the motion at the *measured* configuration,
+which differs from the true one by the tracker's noise. The noise of a measured step is then known from the direction of
+its action, to a channel with a strong gain across the motion: such a channel explains noise, not motion. So the part of
+the directions that follows the rows' own errors is removed by regression (Frisch and Waugh, Econometrica 1933).
 """
 
 from __future__ import annotations

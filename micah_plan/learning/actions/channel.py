@@ -1,16 +1,17 @@
 """Estimation of the action channel: frame, gain and delay of recorded actions along a joint.
 
 The model is c' = c + g J⁻¹(c) R a(t - delay) + w, measured with white noise (MICAH, equation for the predicted pose,
-with the action seen through a channel). Time counts in shares of the run, and w is a random walk in time, so neither
-the sampling rate nor the unit of time matters. A servo of first order makes each action little by little: then a is
-what it makes of the actions, and the delay that is reported includes the mean of its lag.
+with the action seen through a channel). Time is a share of the run, and w is a random walk in time, so neither the
+sampling rate nor the unit of time matters. A first-order servo carries out each action gradually: then a is the
+filtered action, and the reported delay includes the mean of its lag.
 
-Commanded places are in the frame of the poses, and what they command from row to row is the way from one to the next.
+Commanded places are in the frame of the poses, and the command of a row is the displacement from its place to the next
+one.
 
 Priors: see channel_search for R and g; delay ~ N(0, 0.08²) of the run's duration. Actions before the first and after
-the last row are unknown: steps that they would govern count as moving freely. Noise in the actions themselves, other
-than what the random walk takes up, makes the gain too small, as in every regression. A gain that varies along
-the motion is not in the model: where all actions point along the joint, it passes for a turned frame.
+the last row are unknown: steps that they would govern are modelled as free motion. Noise in the actions themselves,
+beyond the random walk, makes the gain too small, as in every regression. A gain that varies along the motion is not in
+the model: where all actions point along the joint, it is mistaken for a rotated frame.
 """
 
 from __future__ import annotations
@@ -106,9 +107,9 @@ def estimate_channel(
         joint: fitted; prismatic, revolute or screw.
         pieces: first and last row (inclusive, counted within the track) of the stretches that the joint governs.
         track: of the run, with actions.
-        white_std: believed std of one measured configuration [rad or m]; estimated further from the rows.
+        white_std: assumed std of one measured configuration [rad or m]; refined from the rows.
         inlier: (n,) rows of the track that count; None: all.
-        least_log_odds: what the evidence of the channel must exceed that of no channel by [nats].
+        least_log_odds: least evidence of the channel over no channel [nats].
 
     Returns:
         The most probable channel. The rotational part of its covariance is that of a small turn e in the base frame,
@@ -165,11 +166,11 @@ def _initial_channels(
 ) -> _Start:
     """Initial channels, and the command up to where the part follows it.
 
-    Actions jitter. If the part follows that, it tells the delay exactly; if it is an error of the log, a delay that
-    fits it fits by chance, and halfway between two rows, where neighbours average, every delay seems to explain more.
-    So the command is as smooth as explains the steps best, and not smoothed at all only if that explains still more.
-    A servo gets to where it is told little by little: that is a delay, too, but without the lag an arc that it lags
-    behind on would be told as another frame.
+    Actions jitter. If the part follows the jitter, it determines the delay exactly; if it is an error of the log, a
+    delay fits it by chance, and halfway between two rows, where neighbours average, every delay seems to explain more.
+    So the command is smoothed as explains the steps best, and not smoothed at all only if that explains still more. A
+    servo reaches its place gradually: that is a delay too, but without the lag an arc along which it lags would be
+    mistaken for another frame.
     """
 
     def found(filtered: CommandPath, subset: ConfigurationSteps, delays: Floats) -> tuple[float, _Start]:
@@ -286,9 +287,8 @@ def _noises(
 ) -> list[tuple[StepNoise, float]]:
     """Relevant random walks with their log posterior.
 
-    The channel takes up much of what a slow random walk does, so that the walk that fits best with the best channel is
-    too small, often 0; with the channel integrated out, and a flat prior of its std (Gelman, Bayesian Analysis 2006),
-    it is not.
+    The channel absorbs much of a slow random walk, so that the walk that fits best with the best channel is too small,
+    often 0; with the channel integrated out, and a flat prior of its std (Gelman, Bayesian Analysis 2006), it is not.
     """
     noises, density = _noise_posterior(steps, command, white, extra, walk * _WALKS, at)
     i = int(np.argmax(density))

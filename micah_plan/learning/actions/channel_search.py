@@ -1,8 +1,8 @@
 """The posterior of a frame's rotation R and a gain g, where the data's log-likelihood is quadratic in g R.
 
 Given a delay, the likelihood of the steps is exp(b'm - m'N m / 2) with m the nine entries of g R; whatever the number
-of rows, rotations and gains are searched and integrated over N and b alone, for many delays at once. A turn e of R is
-exp(e) R: e is in the base frame, where rotations that no recording tells apart (about the direction of a prismatic
+of rows, rotations and gains are searched and integrated over N and b alone, for many delays at once. A rotation e of R
+is exp(e) R: e is in the base frame, where rotations that no recording separates (about the direction of a prismatic
 joint) lie on a straight line.
 
 Priors: a rotation by θ has density ∝ exp(-θ²/2σ²) on the group of rotations (σ = 1.3 rad where the frame is not
@@ -164,7 +164,7 @@ class Posterior:
         delays: (d,) probabilities of the delays.
         mean: (d, 4) of (e, ln g - ln of the centre) given the delay [rad, 1].
         square: (4, 4) second moments of the same, over all delays.
-        effective: how many draws the estimate is worth.
+        effective: effective sample size of the estimate.
     """
 
     log_evidence: float
@@ -185,14 +185,14 @@ def integrate(
 ) -> Posterior:
     """The posterior by importance sampling of rotations; gains by Laplace's method for each.
 
-    Rotations are drawn (without chance: a lattice) around the most probable one with its covariance, and around the
-    prior; then again with the moments found, and with more draws where the posterior is far from normal.
+    Rotations are placed (a lattice, not random) around the most probable one with its covariance, and around the prior;
+    then again with the moments found, and with more points where the posterior is far from normal.
 
     Args:
         log_weight: (d,) ln prior mass of each delay, with the part of the likelihood that no channel changes.
         rotation: (4,) unit quaternion of the centre; `log_gain`: its ln gain.
         covariance: (3, 3) of the turn about it [rad²].
-        groups: what the likelihood's entries consist of, one after the other: the same delays under so many noises.
+        groups: blocks of the likelihood's entries: the same delays under each noise.
         likely: the most likely group.
     """
     center, first = np.zeros(3), covariance

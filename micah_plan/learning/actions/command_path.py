@@ -29,11 +29,11 @@ class CommandPath:
     Displacements add up to a path in the base frame (k = 3); places are configurations of the joint (k = 1).
 
     Attributes:
-        time: (n,) of the points that are known, as a share of the run's duration: rows are at 0 to 1.
-        path: (n, k) what was commanded until then [m; of places rad or m].
+        time: (n,) of the known points, as a share of the run's duration: rows are at 0 to 1.
+        path: (n, k) sum of all commands until then [m; of places rad or m].
         before, after: (k,) rates before the first and after the last of them [per run].
         row: how long a row usually is [share of the duration].
-        lag: by how much later it is on average than what was commanded [share of the duration].
+        lag: mean delay behind the unfiltered command [share of the duration].
         frame_std: by how much its frame may be turned against that of the poses [rad].
     """
 
@@ -88,9 +88,9 @@ class CommandPath:
 def commanded_places(joint: Joint, track: PartTrack) -> CommandPath | None:
     """The positions along a joint that a run's actions command, each until the next; None if they are displacements.
 
-    An action may be the straight way to a place, or the way along the joint's tangent that is as long as its arc. Read
-    as what it is, a place that is held is the same from row to row, however far the part has come. That tells places
-    where a recording does not: a displacement leads further with each row.
+    An action may be the straight displacement to a place, or the displacement along the joint's tangent that is as long
+    as its arc. Read correctly, a constant place is the same from row to row, however far the part has come. That
+    identifies places where a recording does not state them: a displacement leads further with each row.
     """
     action = _in_base_frame(track)
     if action is None or track.meaning == "displacement":
@@ -122,7 +122,7 @@ def commanded_places(joint: Joint, track: PartTrack) -> CommandPath | None:
 def _unwrapped_near(place: Floats, at: Floats) -> Floats:
     """Commanded angles (n,) [rad], unwrapped to the turn nearest to the part's angles (n,).
 
-    While a part is on a long way to a place, the place is in the turn that it is in when the part is there.
+    While a part is on a long path to a place, the place is in the turn that the part is in when it arrives.
     """
     nearest = at + np.angle(np.exp(1j * (place - at)))
     further = np.angle(np.exp(1j * np.diff(nearest)))
@@ -173,7 +173,7 @@ def leverage(joint: Joint, c: Floats) -> Floats:
 def with_delayed_actions(track: PartTrack, delay: float) -> PartTrack:
     """The track with its actions `delay` [s] later: each row's action is that of the motion to the next row.
 
-    Nothing is commanded before the first and after the last row.
+    The command is zero before the first and after the last row.
     """
     command = command_of(track)
     if command is None or delay == 0:

@@ -40,7 +40,7 @@ class ConfigurationSteps:
         size: (m,) measured c' - c [rad or m].
         leverage: (m, 3) J⁻¹ halfway, of displacements in the base frame [rad or m per m].
         linked: (m - 1,) whether a step begins with the row that the one before it ends with.
-        white: believed white variance of one row [rad² or m²].
+        white: assumed white variance of one row [rad² or m²].
     """
 
     start: Floats
@@ -117,8 +117,8 @@ def configurations_along(
 ) -> list[tuple[Rows, Floats, Floats]]:
     """Per piece: counted rows, their measured configurations, and the smoothed ones.
 
-    A row counts in its average no more than its neighbours do, so what noise is left has nothing to do with that of a
-    step from row to row.
+    A row counts in its average no more than its neighbours, so the remaining noise is independent of that of a step
+    from row to row.
     """
     steps_of_pieces = []
     half = max(1, round(len(track) / (2 * _CALM)))
@@ -136,7 +136,7 @@ def fit_noise(steps: ConfigurationSteps, residual: Floats, extra: Floats) -> Ste
     """The most probable random walk and white noise behind the residuals (m,) of the steps.
 
     Args:
-        extra: (m,) variance known besides [rad² or m²].
+        extra: (m,) additional known variance [rad² or m²].
     """
     scale = max(float(np.mean(residual**2 / (steps.end - steps.start))), steps.white * 1e-6, 1e-24)
 

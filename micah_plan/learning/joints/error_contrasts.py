@@ -1,8 +1,8 @@
 """Error contrasts: components of the pose errors that no configuration of the joint can absorb.
 
-Each row has a configuration of its own, which is estimated with the joint. Combinations of a row's errors that no
-change of its configuration can alter ("error contrasts") are free of it, so their likelihood is that of the joint
-alone: the many configurations bias no noise scale (the problem of Neyman and Scott, 1948).
+Each row has its own configuration, which is estimated with the joint. Combinations of a row's errors that no change of
+its configuration can alter ("error contrasts") are free of it, so their likelihood is that of the joint alone: the many
+configurations do not bias the noise scale (the problem of Neyman and Scott, 1948).
 
 All is written in the joint's own frame, where every derivative is a sine, a cosine or a constant.
 """
@@ -27,7 +27,7 @@ class Contrasts:
 
     Attributes:
         error: (n, k) [rad or m].
-        design: (n, k, 11) derivative of what the model expects there by the frame's numbers (see parametrization).
+        design: (n, k, 11) derivative of the expected values by the frame's parameters (see parametrization).
         position: (n, k, 3) how the contrasts weigh the error of the position, joint's frame; None if they do not.
         rotation: (n, k, 3) the same for the error of the rotation [m/rad where mixed].
         reach: how far a radian of rotation noise counts in metres of position noise; 0 in pure ones.

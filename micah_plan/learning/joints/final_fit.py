@@ -1,8 +1,8 @@
 """Final fit of a joint to all rows of its segments: robust maximum likelihood with an honest covariance.
 
-A mixture with outliers finds the rows to believe, beginning with the likelier of the guess and the closed form;
-generalized least squares on SE(3) under the noise that they leave finds the joint. Whether a hinge advances as it turns
-is told here, by all rows: a wander of the tracker that is assumed hides a thread of a millimetre.
+A mixture with outliers selects the inliers, starting with the likelier of the guess and the closed form; generalized
+least squares on SE(3) under the resulting noise finds the joint. Whether a hinge advances as it turns is decided here,
+by all rows: an assumed tracker wander hides a thread of a millimetre.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class LackOfFit:
     """Evidence of all rows against a fitted joint.
 
     Attributes:
-        screw_log_odds: of a screw against the hinge, as likely before; None where neither was asked for.
+        screw_log_odds: of a screw against the hinge, with equal priors; None where neither was requested.
         deviation: how far the part leaves the joint; None where it does not move, or the rows are too few.
     """
 
@@ -68,13 +68,14 @@ class FittedJoint:
     """A joint fitted to rows.
 
     Attributes:
-        joint: with the covariance of its parameters; without it where the rows are too few to tell noise from motion.
+        joint: with the covariance of its parameters; without it where there are too few rows to separate noise from
+            motion.
         inlier: (n,) probability that a row is no outlier.
         outlier_ratio: γ, the share of outliers.
         position_std: total std of a position per axis [m], white and wandering.
         rotation_std: the same of a rotation [rad]; 0 without orientations.
         log_likelihood: of the mixture, with the prior of γ, rows taken as independent.
-        lack_of_fit: what the rows say against it.
+        lack_of_fit: evidence of the rows against it.
     """
 
     joint: Joint
@@ -97,9 +98,9 @@ def fit_joint(
     """The maximum-likelihood joint of the guess's kind, or the screw that a hinge turns out to be.
 
     Args:
-        guess: a joint of the kind to fit; it competes with the other starts, is the answer where rows are too few, and
-            says where configurations are counted from and in which direction. Where orientations are measured, all rows
-            say whether it is a hinge or a screw; without them a short arc says little of its lead angle (`helix_fit`).
+        guess: a joint of the kind to fit; it competes with the other starts, is the result where there are too few
+            rows, and defines the zero and the direction of configurations. Where orientations are measured, all rows
+            decide between hinge and screw; without them a short arc hardly determines its lead angle (`helix_fit`).
         position, quaternion: (n, 3) [m] and (n, 4) scalar last, of any sign; quaternion None if not measured.
         time: (n,) [s] of the rows, in any order; pauses between segments are welcome.
         weight: (n,) probability that a row can be trusted at all; rows of 0.5 or less are not looked at.
@@ -198,7 +199,7 @@ def _is_off_unweighted_axis(joint: Joint, before: Joint) -> bool:
     """Whether the axis is farther from the unweighted one than its covariance allows.
 
     Where one direction is much noisier than the others, a free configuration along it explains that noise, and the
-    motion passes for wander: a likelihood that knows one noise for all directions then has another, false optimum.
+    motion is taken as wander: a likelihood with one noise for all directions then has another, false optimum.
     """
     if not joint.moves or joint.covariance is None:
         return False

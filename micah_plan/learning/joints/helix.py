@@ -1,8 +1,8 @@
 """A screw parameterised by its positions: Frenet frame at one point, curvature, and lead angle.
 
-A piece of a helix shows its tangent, its curvature and its torsion one after the other, each less clearly than the one
-before. Axis, centre and pitch are made of all of these. In the frame of the path only one number is hard to tell: the
-lead angle, whose tangent is torsion by curvature, and pitch by radius.
+A piece of a helix shows its tangent, its curvature and its torsion, each less clearly than the one before. Axis, centre
+and pitch depend on all of these. In the frame of the path only one number is poorly determined: the lead angle, whose
+tangent is torsion by curvature, and pitch by radius.
 
 Source: do Carmo, Differential Geometry of Curves and Surfaces, 1976, section 1-5 (Frenet's frame).
 """

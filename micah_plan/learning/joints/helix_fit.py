@@ -1,9 +1,9 @@
 """Final fit of a screw from positions only, marginalised over the lead angle.
 
-A short arc of a helix is hardly told from a circle, nor from a tight helix that follows the tracker's wander: the
-likelihood of the lead angle is wide and has several peaks, and each of these, taken for the answer, is too sure of
-itself. So the other numbers are fitted at each of many angles, and these are compared with the noise integrated out:
-what is wander to one is motion to another. The answer is the median angle; its covariance holds all the others.
+A short arc of a helix is hardly distinguishable from a circle, or from a tight helix that follows the tracker's wander:
+the likelihood of the lead angle is wide and has several peaks, and each alone would be overconfident. So the other
+parameters are fitted at each of many angles, and these are compared with the noise integrated out: one angle's wander
+is another's motion. The result is the median angle; its covariance includes all others.
 """
 
 from __future__ import annotations
@@ -195,7 +195,7 @@ def _over_all_leads(
     """A fitted screw relative to a start, with its covariance over all lead angles.
 
     Args:
-        tried: fits in the order of their angles.
+        tried: fits in order of their angles.
         chance: (f,) probabilities of angles between these.
         spread: (6, 6) covariance of the numbers but the angle.
 

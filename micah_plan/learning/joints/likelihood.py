@@ -107,12 +107,12 @@ def error_covariance(
 def pitch_log_odds(fit: JointFit, posterior: ErrorPosterior, typical: float) -> float:
     """Log odds of the fitted screw against the hinge with pitch 0, at even prior odds [nats].
 
-    Both have the other parameters and the errors in common, so the odds are the density of pitch 0 before and after
-    the rows were seen (Dickey, Annals of Mathematical Statistics 1971).
+    Both share the other parameters and the errors, so the odds are the ratio of the densities of pitch 0 before and
+    after the rows (Dickey, Annals of Mathematical Statistics 1971).
 
     Args:
         fit: under the likeliest noise of the posterior.
-        typical: std of the pitch of a screw, before anything is seen [m/rad].
+        typical: prior std of the pitch of a screw [m/rad].
     """
     noise = posterior.likeliest
     information, _, _ = normal_equations(fit, noise)

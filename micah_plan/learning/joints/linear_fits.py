@@ -1,8 +1,8 @@
 """Linear least-squares fits of joints of all kinds to many stretches of rows, as starts.
 
-With orientations every model is linear in the measured rotation matrices: a part-fixed point c_b on the axis stays put,
-p_t + R_t c_b = c_w (+ pitch · angle along the axis), and the axis is the direction the relative rotations share. A
-circle through positions alone (Taubin 1991), and the helix that osculates it, only start the refinement.
+With orientations every model is linear in the measured rotation matrices: a part-fixed point c_b on the axis does not
+move, p_t + R_t c_b = c_w (+ pitch · angle along the axis), and the axis is the common direction of the relative
+rotations. A circle through positions alone (Taubin 1991), and its osculating helix, only start the refinement.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def linear_fits(
         position, quaternion: (n, 3) [m], (n, 4) rows; quaternion None if not measured.
 
     Returns:
-        the joints, and (h,) whether the rows determine them (where not, the joint means nothing).
+        the joints, and (h,) whether the rows determine them (otherwise the joint is meaningless).
     """
     kind_of = np.array(kinds, dtype=object)
     rigid, sliding = kind_of == "rigid", kind_of == "prismatic"

@@ -4,9 +4,9 @@ Rows do not average such a deviation out. It is a random path over the range of 
 
     b(c) = s · sum over j of z_j / j² · sqrt(2) cos(j π u),    u from 0 to 1 over the range, z_j normal,
 
-about as smooth as an integrated random walk. A fit absorbs its slowest modes, and the joint's parameters are wrong by
-them; how large these are (s) is told by the modes that a fit leaves. Source: Wahba, "Bayesian confidence intervals for
-the cross-validated smoothing spline", JRSS B 1983.
+about as smooth as an integrated random walk. A fit absorbs its slowest modes, which make the joint's parameters wrong;
+their size (s) is estimated from the remaining modes. Source: Wahba, "Bayesian confidence intervals for the
+cross-validated smoothing spline", JRSS B 1983.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def without_misfit(products: Floats, contrasts: list[slice], tried: Floats) -> t
 
     Args:
         products: (g, k, k) of the columns of all contrasts and, behind them, of the modes.
-        contrasts: which columns are those of each of equally many; each has a misfit of its own.
+        contrasts: columns of each of several blocks of equal size; each has its own misfit.
         tried: (s,) variances.
 
     Returns:

@@ -55,7 +55,7 @@ def fit_mixtures(sorts: list[Sort], weight: Floats, outlier_weight: float) -> Mi
     """Expectation maximization from the medians of the errors.
 
     Args:
-        weight: (n,) probability, before anything is seen, that a row can be an inlier at all.
+        weight: (n,) prior probability that a row can be an inlier.
         outlier_weight: w of p(γ) ∝ exp(-w γ).
     """
     h = len(sorts[0].squares)

@@ -1,9 +1,9 @@
 """Local parameters of a joint: their names, and the joint after a step.
 
-A joint has fewer freedoms than named parameters, for its origin may be counted from any pose of the motion. A
-`JointChart` spans those freedoms at one joint without singularity: tilts of the axis about the directions of
-`axis_basis`, turning about the centre (about the origin where there is none); shifts of the centre along them; the
-pitch; turn and shift of the origin, save the one along the motion.
+A joint has fewer freedoms than named parameters, since its origin may be at any pose of the motion. A `JointChart`
+spans those freedoms at one joint without singularity: tilts of the axis about the directions of `axis_basis`, rotation
+about the centre (about the origin where there is none); shifts of the centre along them; the pitch; rotation and shift
+of the origin, except the one along the motion.
 
 Rows in a joint's own frame: u1 towards the part at configuration 0, u2 = axis x u1, and the axis.
 

@@ -79,7 +79,7 @@ def compare_arrays(
         joints: the h joints.
         position, quaternion: (n, 3) [m] and (n, 4) rows, or (h, n, 3) and (h, n, 4) of each joint its own; quaternion
             None if not measured.
-        rotation_length: what weighs rotation against position in "closest" [m/rad], one number or one per joint (h, 1).
+        rotation_length: weight of rotation against position in "closest" [m/rad], one number or one per joint (h, 1).
     """
     turning, moving = joints.turning, joints.moving
     arm = joints.position - joints.center

@@ -3,8 +3,8 @@
 A small move of it (v, w) and a factor 1 + s of lengths move the axis by w x axis, a point p of it by v + w x p + s p,
 and the pitch by s pitch.
 
-Neighbours are wrong alike, so the fit knows as little as if it had seen one pose at the start, one in the middle and
-one at the end of the motion: its covariance is that of three such poses, each at a configuration of its own.
+Errors of neighbours are equal, so the information of a fit is that of one pose at the start, one in the middle and one
+at the end of the motion: its covariance is that of three such poses, each with its own configuration.
 """
 
 from __future__ import annotations

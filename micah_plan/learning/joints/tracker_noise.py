@@ -103,11 +103,11 @@ def noise_of(
     """Posterior of the noise and of the joint's misfit; None with too few rows.
 
     Args:
-        contrasts: what a fit leaves.
+        contrasts: residuals of a fit.
         within: (11, p) the parameters that were fitted (`Chart.in_frame`).
         time, configuration: (n,) of the fitted rows [s], [rad or m].
         stds: rough ones, of a rotation [rad] and a position [m].
-        scales: what is believed beforehand.
+        scales: prior values.
     """
     tried = memories(time)
     modes = misfit_modes(configuration)
@@ -165,7 +165,7 @@ def log_evidence(
     rows.
 
     Args:
-        contrasts, configuration, scales: those of `noise_of`.
+        contrasts, configuration, scales: as in `noise_of`.
         within: (11, r) of the r numbers that were fitted.
         tried: `wanders` at the times of the rows.
     """

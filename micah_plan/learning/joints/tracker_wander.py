@@ -2,8 +2,8 @@
 misfit.
 
 The precision of an Ornstein-Uhlenbeck process sampled at any times is tridiagonal (it is Markov), so everything here
-costs O(n). Scales come from the restricted likelihood (Patterson and Thompson, 1971), which pays for the parameters.
-Their posterior over a grid is kept: what the data cannot tell of the wander then widens the covariance of a fit.
+costs O(n). Scales come from the restricted likelihood (Patterson and Thompson, 1971), which accounts for the
+parameters. Their posterior over a grid is kept: uncertainty about the wander then widens the covariance of a fit.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class NoisePosterior:
     Attributes:
         log_likelihood: (f,) restricted, the ratios of wander and misfit to white noise integrated out.
         white, wander: (f,) mean variances, given each correlation time.
-        chance, misfit: (s, f) probabilities of the sizes of a misfit that were tried, and mean variances there.
+        chance, misfit: (s, f) probabilities of the tried sizes of a misfit, and mean variances there.
     """
 
     log_likelihood: Floats
@@ -95,7 +95,7 @@ def noise_posterior(
         scale: smallest variance to believe in, and that of a typical misfit.
 
     Returns:
-        the posterior; None where the rows are too few to tell noise from parameters.
+        the posterior; None with too few rows to separate noise from parameters.
     """
     n, k = error.shape
     columns = _independent(design.reshape(n * k, -1))
@@ -170,7 +170,7 @@ def _spline(points: int) -> Floats:
 def _prior(slowness: Floats) -> Floats:
     """(f, 1 + f) prior of correlation times and ratios.
 
-    Likelihoods underrate slow wander, for a fit absorbs it: the prior leans that way, as reference priors of
+    Likelihoods underrate slow wander, since a fit absorbs it: the prior compensates, as reference priors of
     autoregressions do (Berger and Yang, 1994).
     """
     slow = slowness**_LEANING

@@ -2,13 +2,14 @@
 
 Source: Edmonds, "Optimum branchings", 1967. SciPy's spanning trees are of undirected graphs.
 
-Which parts can be attached to which others, from their motion in the base frame alone; it spares half of the pairs.
+Pairs of parts that may be attached to each other, from their motion in the base frame alone; half of the pairs are
+excluded.
 
-A part that is attached to another is carried along. So where one moves in the base frame and the other rests, the other
-does not belong to it: it could only by moving at the same time just so that it stays where it is. Time is cut into
-windows, and a part can be attached to another if it moves in at least half of the windows in which the other does. A
-part that never moves carries nothing that the base does not carry as well. Only what is certain is left out: slow drift
-of a tracker counts as motion, and then the pair is learned and judged by its evidence.
+A part that is attached to another is carried along. So if one moves in the base frame while the other rests, the other
+is not attached to it: it would have to compensate exactly. Time is cut into windows, and a part can be attached to
+another if it moves in at least half of the windows in which the other does. A part that never moves carries nothing
+that the base does not carry as well. Only certain cases are excluded: slow drift of a tracker counts as motion, and
+then the pair is learned and judged by its evidence.
 """
 
 from __future__ import annotations

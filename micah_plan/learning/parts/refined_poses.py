@@ -22,8 +22,8 @@ def branch_poses(edge: KinematicEdge, relative: RelativeRows, poses: RigidTransf
     """Poses in which those of an edge's child are projected on the edge.
 
     A part on a joint can only be where its joint allows: projected onto it (f ∘ f⁻¹) a measured pose keeps one of its
-    six errors, and that one is made small: what the actions do not say of the segment's configurations is smoothed. A
-    rigid segment keeps none. Where no joint explains how the part moves, all six are smoothed.
+    six errors, and that one is reduced by smoothing the part of the segment's configurations that the actions do not
+    explain. A rigid segment keeps none. If no joint explains how the part moves, all six are smoothed.
 
     Args:
         edge: learned from `relative`; its rows count within `relative.recording`.

@@ -101,8 +101,8 @@ def relative_to(recording: Recording, base: str) -> Recording:
         the rows of the other parts, in their order, while the base was tracked; poses, actions and forces in its frame.
 
     Raises:
-        InputError: no such part, none beside it, its orientation was not measured, or a part was never tracked
-            together with it.
+        InputError: no such part, no other part, no measured orientation, or a part that was never tracked together with
+            it.
     """
     children = [name for name in recording.parts if name != base]
     if not children:
@@ -136,10 +136,10 @@ def in_whole_recording(edge: KinematicEdge, relative: RelativeRows, child: str) 
 def displacements_within(frames: RigidTransform, position: Floats, action: Floats) -> Floats:
     """Commanded displacements of points relative to a frame that moves too.
 
-    What is asked of the point relative to the frame is not the action alone: the frame carries the point along. So from
-    where the command wants the point next, in the next row's frame, the point's place in this row's frame is
-    subtracted (MICAH, section IV-A: the intended displacement of the relative transform). A knob that is led along
-    with its door is asked for nothing relative to the door.
+    The command of the point relative to the frame is not the action alone: the frame carries the point along. So the
+    point's place in this row's frame is subtracted from its commanded place in the next row's frame (MICAH, section
+    IV-A: the intended displacement of the relative transform). A knob that moves along with its door has no command
+    relative to the door.
 
     Args:
         frames: (n,) poses of the frame in the base frame, in the rows' order in time.

@@ -4,14 +4,14 @@ Sources: Sturm, Stachniss and Burgard, "A probabilistic framework for learning k
 objects", JAIR 2011 (spanning tree of greatest posterior); MICAH, section IV-A (edges of several models). Why evidences
 of different parents can be compared is written in docs/concepts/joints.md, "The tree".
 
-The parent is put where its own edge says that it was (`refined_poses.branch_poses`), which leaves the child's noise,
-the same for every parent. Its edge belongs to a tree, so this starts with all parts on the base and is repeated along
-the tree found, until the tree stays. An edge with as many rows of free motion as that of the base is left out: free
-motion follows poses without noise closer than any joint may.
+The parent is placed where its own edge predicts it (`refined_poses.branch_poses`), which leaves the child's noise, the
+same for every parent. Its edge belongs to a tree, so this starts with all parts on the base and is repeated along the
+tree found, until the tree no longer changes. An edge with as many rows of free motion as that of the base is left out:
+free motion follows poses without noise closer than any joint may.
 
-Parts that are rigid to each other at all times are one body, decided within the pair; of its parts the first by name
-takes part in the search. Not learned are pairs that `carriers` excludes, those with a part that is rigid to the base,
-and all if orientation was not measured.
+Parts that are rigid to each other at all times are one body, decided within the pair; the first of its parts by name
+takes part in the search. Pairs that `carriers` excludes are not learned, nor those with a part that is rigid to the
+base, nor any if orientation was not measured.
 
 The edges returned are learned from measured poses, as a later observer measures them.
 """
@@ -77,14 +77,14 @@ def learn_tree(recording: Recording, learn_pair: PairLearner, progress: Progress
     Args:
         recording: of one or several parts.
         learn_pair: learns one edge from a recording of one part, whose poses and actions are relative to the parent;
-            the segments' rows count within that recording. It is called once for every pair that it is asked about.
+            the segments' rows count within that recording. It is called once for every tested pair.
         progress: called with a message and the fraction done.
 
     Returns:
         Edges in the order of the recording's parts, but parents first; rows count within the whole recording.
 
     Raises:
-        InputError: a part named like the base, or what `learn_pair` raises.
+        InputError: a part named like the base, or as raised by `learn_pair`.
     """
     if BASE in recording.parts:
         problem = f"a part is named {shown(BASE)}, as the body that the tree stands on"
@@ -249,7 +249,7 @@ def _searched(able: Mapping[str, tuple[str, ...]], pairs: _Pairs) -> tuple[dict[
 def _tree_probability(evidence: Mapping[Arc, float], tree: Mapping[str, str]) -> float:
     """Posterior probability of a tree among all spanning trees (Tutte's matrix-tree theorem).
 
-    Log odds of parents are overstated as those of kinds are: noise and joints are fitted to the rows that judge them.
+    Log odds of parents are overestimated like those of kinds: noise and joints are fitted to the rows that judge them.
     """
     index = {child: i for i, child in enumerate(tree)}
     laplacian, log_weight = np.zeros((len(tree), len(tree))), 0.0

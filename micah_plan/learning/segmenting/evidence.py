@@ -5,10 +5,10 @@ noise.py). Rigid is the joint without motion. A row's density given the rows bef
 the segment's start only through how many rows there are to predict from, and beyond noise.MEMORY not at all; so the
 evidence of a segment is a sum of tabled terms. A revolute joint that rests is no likelier than a rigid one.
 
-A step in which a part is caught by a stop, or let go by it, does not do what the action asks of it: its poses are a
-mean of rest and motion. So the step with which a segment begins or ends may be led, or not.
+A step in which a part is caught by a stop, or released by it, does not follow its action: its poses are a mean of rest
+and motion. So the first or last step of a segment may follow its action, or not.
 
-A segment may go on where the row before it was, as far as that row lies on its joint as well: a part goes over from one
+A segment may continue from the row before it, as far as that row lies on its joint as well: a part changes from one
 joint to another at a pose that both have.
 
 Source: MICAH, ln L ≈ ln p(y | M, θ̂, a) - k/2 ln(t - s).
@@ -65,7 +65,7 @@ class EvidenceTable:
     def sums(self) -> Floats:
         """(h, n, n) log evidence of every segment (first, last row), excluding the cost of its joint's parameters.
 
-        What is said of last rows before the first means nothing.
+        Values of last rows before the first are meaningless.
         """
         return segment_sums(self.log_density, self.ending)
 
@@ -101,7 +101,7 @@ def tabulated(
     """The densities of all rows under all hypotheses.
 
     Args:
-        rest: prior probability that a part on a moving joint rests in a step, where actions do not tell.
+        rest: prior probability that a part on a moving joint rests in a step, where actions are uninformative.
         likelihood_power: power of the likelihood (`likelihood_power.likelihood_power_of`).
         begun: whether the part has moved before the first row.
     """
@@ -161,7 +161,7 @@ def all_tabulated(
 def _transverse_densities(pool: Pool, noise: NoiseModel) -> tuple[Floats, Floats, Floats]:
     """(p + 1, h, n) log densities across the joints, and (h, n) relative std of each row's noise.
 
-    And (h, n) by how much less likely than a row on the joint usually is each of them is, alone [nats, at most 0].
+    And (h, n) by how much less likely each row is than a usual row on the joint, alone [nats, at most 0].
     """
     direction = pool.seen.direction
     h, d, n = direction.shape
@@ -199,8 +199,8 @@ def best_of(layers: Iterable[Floats]) -> Floats:
 def segment_sums(log_density: Floats, ending: Floats) -> Floats:
     """(h, n, n) evidence of rows s to t (s <= t) under every hypothesis, from densities (p + 1, n, h).
 
-    The first p rows of a segment have their own densities; those after them are differences of one running sum. What a
-    row is more probable by as the last one (p + 1, n, h) is added.
+    The first p rows of a segment have their own densities; those after them are differences of one running sum. The
+    gain in log probability of a row as the last one (p + 1, n, h) is added.
     """
     p, n, h = len(log_density) - 1, log_density.shape[1], log_density.shape[2]
     running = np.zeros((h, n + 1))

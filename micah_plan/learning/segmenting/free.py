@@ -1,7 +1,7 @@
 """Free motion: the alternative to joints (two degrees of freedom, a path that deforms).
 
-Every channel goes on at a nearly constant velocity: a local linear trend under white noise, filtered row by row, with
-one scale of noise and one of acceleration for positions, and one each for rotations. A joint foretells all but one of
+Every channel continues at a nearly constant velocity: a local linear trend under white noise, filtered row by row, with
+one scale of noise and one of acceleration for positions, and one each for rotations. A joint predicts all but one of
 six channels to within noise, so it wins wherever there is one. Source: Harvey, "Forecasting, structural time series
 models and the Kalman filter", Cambridge 1989, section 2.3.
 """
@@ -45,7 +45,7 @@ def free_log_probability(track: PartTrack, noise: NoiseModel, likelihood_power: 
     """Log evidence of a track as free motion, comparable with that of segments.
 
     Args:
-        noise: as the roughness of the rows tells it.
+        noise: estimated from the roughness of the rows.
         likelihood_power: power of the likelihood.
     """
     path = _path(track)

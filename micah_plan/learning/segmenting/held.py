@@ -1,10 +1,10 @@
 """Detection of rests: all intervals at which a joint was held, from actions without motion.
 
-In every step the part either follows what the action asks of it along the joint, not quite, or it is held and does not
-move; which of the two is a hidden state that rarely changes. A filter of the configuration weighs them row by row
-(generalised pseudo-Bayes of first order), a pass back tells them by all rows. The action channel is fitted to the steps
-that followed, by expectation maximisation begun at the steps that moved: with pushes against a stop among them, the
-actions would seem to say little, and no stop would be seen.
+In every step the part either follows the action along the joint, approximately, or it is held and does not move; this
+is a hidden state that rarely changes. A filter of the configuration weighs the two row by row (generalised pseudo-Bayes
+of first order), and a backward pass smooths them. The action channel is fitted to the steps that followed, by
+expectation maximisation starting from the steps that moved: with pushes against a stop among them, the actions would
+seem uninformative, and no stop would be found.
 """
 
 from __future__ import annotations

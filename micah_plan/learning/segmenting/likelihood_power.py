@@ -1,8 +1,8 @@
 """Likelihood power: tempering of the likelihood by the suspected misfit of the model.
 
-No hinge is ideal and no tracker errs as a noise model says. Where noise is far below such misfits, rows claim
-more than they know, and the smallest systematic deviation, recorded long enough, would become a second joint. Where
-noise is far above them, misfits do not show, and a row tells what the noise model says.
+No hinge is ideal and no tracker's errors follow a noise model exactly. Where noise is far below such misfits, the
+likelihood of rows is overconfident, and the smallest systematic deviation, recorded long enough, would become a second
+joint. Where noise is far above them, misfits do not matter, and the noise model holds.
 
 Source: Miller and Dunson, "Robust Bayesian inference via coarsening", JASA 2019.
 """
@@ -21,7 +21,7 @@ def likelihood_power_of(noise: NoiseModel, settings: LearnSettings) -> float:
     """Power of the likelihood, from 0.5 (misfits rule) to 1 (noise rules).
 
     Args:
-        noise: as the roughness of the rows tells it, so that all answers for a track are judged with one power.
+        noise: estimated from the roughness of the rows, so that all hypotheses for a track are judged with one power.
     """
     if settings.likelihood_power is not None:
         return settings.likelihood_power

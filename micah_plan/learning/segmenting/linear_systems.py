@@ -11,7 +11,7 @@ def least_norm(normal: Floats, pull: Floats, least: float) -> Floats:
     """(..., k) x of least norm with normal x = pull, for symmetric positive normal (..., k, k) and pull (..., k).
 
     Args:
-        least: information, relative to that of the best known direction, below which x is 0.
+        least: information, relative to that of the best-known direction, below which x is 0.
     """
     values, vectors = np.linalg.eigh(normal)
     is_determined = values > least * values[..., -1:]

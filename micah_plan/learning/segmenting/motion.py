@@ -1,16 +1,16 @@
 """Motion along a joint: step models of the latent configuration given the actions.
 
 c_{t+1} = c_t + h·a_t + w_t. Without actions (CHAMP) h = 0, and w_t is 0 with probability ρ, the prior share of rest,
-and N(μ, q) otherwise, with μ the typical step of the demonstration. With them w_t is what the action leaves
-unexplained: nothing while the part follows exactly, N(0, q |a_t|²) while it does so loosely, two states that rarely
-change; a few steps are others than those asked for. So a part that is left alone is explained at no cost, however long
-it rests, and a slow push that moves nothing tells a stop as a quick one does. A part may also wait for the hand,
-whatever that does, but the hand has it the sooner, the further it gets the way that the part then goes: pushed in vain
-for longer, it is locked. That holds where actions explain too little to predict steps from, too.
+and N(μ, q) otherwise, with μ the typical step of the demonstration. With them w_t is the residual of the action: 0
+while the part follows exactly, N(0, q |a_t|²) while it does so loosely, two states that rarely change; a few steps are
+outliers. So a part that is left alone is explained at no cost, however long it rests, and a slow push that moves
+nothing indicates a stop as a quick one does. A part may also wait for the hand, whatever that does, but the hand takes
+it the sooner, the further it moves in the part's later direction: if it is pushed without effect for longer, it is
+locked. That also holds where actions explain too little to predict steps from.
 
-The action channel h is linear in three numbers whatever frame, gain or side of the joint the actions were given at: in
-the part's frame every joint's direction of motion is constant, so J⁻¹ R g is one row vector (MICAH, equation for the
-predicted pose, with the measured configuration replaced by its filtered estimate).
+The action channel h is linear in three numbers for any frame, gain or side of the joint in which the actions were
+given: in the part's frame every joint's direction of motion is constant, so J⁻¹ R g is one row vector (MICAH, equation
+for the predicted pose, with the measured configuration replaced by its filtered estimate).
 
 All hypotheses are filtered together over all rows; the parameters are fitted to each one's own rows.
 """
@@ -66,7 +66,7 @@ class StepModels:
     Attributes:
         log_density: (h, n) of the configuration at a row, given those before [1/rad or 1/m]; 0 for rigid.
         unled: (h, n) the same of a step that the action does not lead, as one within which a part is caught or let go.
-        gain: (h, 3) h [rad or m per m of action in the part's frame]; 0 where actions say nothing.
+        gain: (h, 3) h [rad or m per m of action in the part's frame]; 0 where actions are uninformative.
         parameters: (h,) how many numbers were fitted.
     """
 
@@ -88,8 +88,8 @@ def fit_motion(
     Args:
         action: (n, 3) in the part's frame [m]; None for CHAMP.
         rest: ρ where actions explain nothing.
-        scale: (h, n) how much wider than usual the noise of a row is, by what it leaves across the joint.
-        begun: whether the part has moved before; else it may not have started yet.
+        scale: (h, n) factor on the std of a row, from its error across the joint.
+        begun: whether the part has moved before; otherwise it may not have started yet.
     """
     count, n = pool.seen.configuration.shape
     members = np.flatnonzero(pool.moving)
@@ -144,7 +144,7 @@ def fit_motion(
 def _step_variances(grid: Floats, action: Floats | None, n: int) -> tuple[Floats, Floats, Floats]:
     """Variances (n - 1, h, g) of steps without an action, with one, and of a part that has not moved yet.
 
-    The more an action asks for, the further the part may miss it; where nothing is asked, it hardly moves.
+    The larger an action, the further the part may miss it; without a command it hardly moves.
     """
     free = np.broadcast_to(grid, (n - 1, *grid.shape))
     still = np.zeros((n - 1, len(grid), 1))
@@ -176,8 +176,8 @@ def log_step_density(innovation: Floats, quiet: Floats, mean: Floats, variance: 
 def innovations_of(signals: Floats, along: NoiseScales, steps: Floats, scale: Floats) -> tuple[Floats, Floats]:
     """Innovations (k, n-1, h, g) of signals (h, n, k) and their variances without a step (n-1, h, g).
 
-    A Kalman filter of the configuration, which takes steps of the variances `steps` (n-1, h, g) and with which the slow
-    wander goes, and of the fast wander, which is forgotten.
+    A Kalman filter of the configuration, with steps of the variances `steps` (n-1, h, g) and the slow wander in its
+    state, and of the fast wander, which is forgotten.
     """
     n, g = signals.shape[1], steps.shape[2]
     noise = (along.white[:, None] * scale).T[1:, :, None]
@@ -326,11 +326,12 @@ def _action_driven_model(
     """Gains along the levers (h, 3), and in any direction, each for the best E[w²] of the grid.
 
     Args:
-        steps, commanded: (n - 1, h, g) and (3, n - 1, h, g) innovations of the configuration and of what was commanded.
+        steps, commanded: (n - 1, h, g) and (3, n - 1, h, g) innovations of the configuration and of the command.
         action: (n, 3) in the part's frame [m].
         unled: (n - 1, h) ln density of a step that actions do not lead, with how rare it is.
-        contact_rate: (h,) with which a hand has the part [per rad or m that it gets], signed as the part then goes.
-        enough: (h,) how many steps there are to tell from.
+        contact_rate: (h,) rate at which a hand makes contact with the part [per rad or m of its motion], signed as the
+            part then moves.
+        enough: (h,) number of informative steps.
     """
     pushes = commanded.transpose(2, 3, 0, 1)
     weighted = pushes * (weight / (quiet + grid)).transpose(1, 2, 0)[:, :, None]

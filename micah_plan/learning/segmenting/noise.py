@@ -81,7 +81,7 @@ class NoiseModel(NoiseScales):
         correlation: (m, d, d) of the channels' innovations; 1 is the mean of its diagonal over the axes of a vector.
         dof: (m,) degrees of freedom of the innovations' tails.
         coefficients: (m, p + 1, p, d) predictions of an error from 0, 1, ... p errors before it, latest first.
-        left: (m, p + 1, d) variances of what they leave.
+        left: (m, p + 1, d) variances of the innovations.
     """
 
     correlation: Floats
@@ -133,7 +133,7 @@ class NoiseModel(NoiseScales):
     def predicted_back(self, errors: Floats) -> Iterator[Floats]:
         """Errors (h, d, n) less their prediction from 0, 1, ... p rows before.
 
-        By the lattice form: a row's error and that of the row before them, both told from the rows between.
+        By the lattice form: a row's error and that of the row before them, both predicted from the rows between.
         """
         ahead = behind = errors
         yield ahead

@@ -48,7 +48,7 @@ def fit_noise_to_residuals(
     """Noise estimated from the residuals of each answer for a track: white, fast drift, correlation and tails.
 
     Args:
-        answers: joints as they see the rows, and which of them (n,) explains a row.
+        answers: joints with their errors, and which of them (n,) explains a row.
         any_slow: whether the slow wander may be smaller than it is expected to be.
     """
     shares = _ANY_SLOW if any_slow else _ANY_SLOW[:1]
@@ -69,9 +69,9 @@ def _scales(
     """Maximum-likelihood scales of errors (m, n, d), isotropic for rotations and for positions.
 
     Args:
-        free: (m, n, d) directions of the motion, in which nothing is known of the errors.
-        correlation: (m, d, d) what is known of them so far.
-        slow_shares: stds of the slow wander that are tried, in the expected one.
+        free: (m, n, d) directions of the motion, in which errors are unknown.
+        correlation: (m, d, d) current estimate.
+        slow_shares: tried stds of the slow wander, relative to the expected one.
     """
     m, n, d = errors.shape
     order = min(MEMORY, n - 1)
@@ -117,8 +117,8 @@ def misses(pool: Pool, which: Ints) -> tuple[Floats, Floats]:
 def correlated(innovation: Floats, free: Floats) -> tuple[Floats, Floats]:
     """Regularised correlation matrices and tails of scaled innovations (m, n, d).
 
-    Their scale is that of a whole vector: what a tracker has of axes of its own is in the matrix. Along free directions
-    (m, n, d) nothing is known; expectation maximisation fills in what the matrix itself expects.
+    Their scale is that of a whole vector: a tracker's own axes are in the matrix. Along free directions (m, n, d)
+    errors are unknown; expectation maximisation fills in their expectation under the matrix.
     """
     m, n, d = innovation.shape
     length = np.sqrt((free**2).sum(axis=2))

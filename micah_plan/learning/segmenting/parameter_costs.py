@@ -1,8 +1,8 @@
 """Parameter costs of joints: log ratio of prior to posterior volume (Laplace's approximation).
 
 ln p(y | M) ≈ ln p(y | θ_fit) - 1/2 ln det(I + Σ₀ F), with the parameters' prior covariance Σ₀ and Fisher information F.
-The term k/2 ln n of MICAH's ln L is its limit for many rows, but leaves out by how much one row tells: with wide priors
-and a tracker good to millimetres that is most of it.
+The term k/2 ln n of MICAH's ln L is its limit for many rows, but leaves out the information of one row: with wide
+priors and a tracker precise to millimetres that is most of it.
 """
 
 from __future__ import annotations

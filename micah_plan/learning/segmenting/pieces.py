@@ -56,7 +56,7 @@ def best_segmentation(
         prior: of segment lengths.
         kinds: number of candidate kinds, equally probable.
         members: hypotheses to choose among; None: all.
-        paid: those whose parameters cost a segment nothing (whoever chose them pays).
+        paid: hypotheses whose parameters cost a segment nothing (they were paid for when chosen).
     """
     chosen = np.arange(len(table.rows)) if members is None else np.array(members)
     if members is None and not paid:
@@ -77,7 +77,7 @@ def length_priors(track: PartTrack, settings: LearnSettings) -> list[LengthPrior
 
     Where it moves once there and back, a segment lasts half of the track. Where it moves there and back many times it
     may be one segment as before, or segments may last as long as they do there, or anything between: each halving is a
-    hypothesis of its own. A mean that was set is the only one.
+    separate hypothesis. A mean in the settings is the only one.
     """
     if settings.mean_length is not None:
         means = [settings.mean_length / max(track.duration, 1e-12)]

@@ -55,11 +55,11 @@ class _Fits:
     """State of a batched fit: joints with their rows and residuals.
 
     Attributes:
-        joints, place: the h joints, and which of all those to be fitted they are.
-        position, quaternion: (h, n, 3), (h, n, 4) the used rows of each joint first; others count nothing.
-        coefficients, scale: (lags, h, d, n), (h, d, n) predictions from the rows before and 1/std of what they leave.
+        joints, place: the h joints, and their indices among all those to be fitted.
+        position, quaternion: (h, n, 3), (h, n, 4) the used rows of each joint first; others have no weight.
+        coefficients, scale: (lags, h, d, n), (h, d, n) predictions from the rows before and 1/std of their errors.
         decorrelation, dof, rotation_length: (h, d, d), (h, 1), (h, 1) of the noise of each joint.
-        seen, innovation, cost: of the rows under the joints: innovations (h, d, n) in stds and what they cost (h,).
+        seen, innovation, cost: of the rows under the joints: innovations (h, d, n) in stds and their costs (h,).
         damping: (h,) of the next step.
     """
 
@@ -157,7 +157,7 @@ def _start(joints: JointArrays, used: Booleans, track: PartTrack, noise: NoiseMo
 def parameter_design(joints: JointArrays, compared: Compared, position: Floats) -> Floats:
     """(h, d, 13, n) derivative of the model's pose by `JointArrays.moved`'s step, free of the motion along the joint.
 
-    Where all joints are rigid (h, d, 6, n): both sides would say the same.
+    Where all joints are rigid (h, d, 6, n): both sides are equivalent.
 
     Args:
         position: (n, 3) or (h, n, 3) measured positions of the rows that were compared [m].

@@ -53,9 +53,8 @@ def changepoint_posterior(worth: Floats, apart: Floats, prior: LengthPrior, chan
     """Posterior summed over segmentations with up to a few changepoints more than the best.
 
     Args:
-        worth: (h, n, n) evidence of every segment (first, last row) under h hypotheses, less what it pays for using it
-            [nats].
-        apart: (h, h) what it costs that a segment of one hypothesis is followed by one of another; inf if it cannot.
+        worth: (h, n, n) evidence of every segment (first, last row) under h hypotheses, minus its cost [nats].
+        apart: (h, h) cost of a segment of one hypothesis followed by one of another; inf if it is impossible.
         prior: of segment lengths.
         changepoints: c, of the most probable segmentation.
     """

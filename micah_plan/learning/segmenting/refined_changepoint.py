@@ -31,9 +31,9 @@ class RefinedChangepoint:
     Attributes:
         row: first row of the later segment, in the track.
         rows: (k,) rows at which it may be.
-        log_probability: (k,) of each, unnormalised. Not tempered as evidence for joints is: that these are not ideal
-            speaks against another joint, but not for another row when both joints are known. A row counts by how often
-            a reading is a new one, since rows that are read on a grid repeat its error.
+        log_probability: (k,) of each, unnormalised. Not tempered like the evidence for joints: that joints are not
+            ideal is a reason against another joint, but not against another row when both joints are known. A row
+            counts by the share of readings that are new, since rows that are read on a grid repeat its error.
     """
 
     row: int
@@ -54,7 +54,7 @@ def refine_changepoint(
 
     Args:
         joints: the joint before and the joint after.
-        row, size: where the changepoint is known to be, and how many rows a step had that told so.
+        row, size: the coarse changepoint, and the number of rows of the steps that determined it.
         limits: first row of the earlier segment, and first row after the later one.
         track, inlier: all rows, and which count.
     """

@@ -33,7 +33,7 @@ OTHER_MECHANISM = 0.1
 def posterior_of(answer: Segmented, settings: LearnSettings) -> ChangepointPosterior:
     """The posterior over segmentations; joints of the best are charged once, others per segment.
 
-    Its joints are those of the most probable one, their rivals on the same rows, and rests in the end of any length.
+    Its joints are those of the most probable one, their rivals on the same rows, and final rests of any length.
     """
     table, pieces = answer.table, answer.segmentation.pieces
     used = sorted({piece.hypothesis for piece in pieces})
@@ -102,7 +102,7 @@ def kind_probabilities(
 
     Args:
         free: log odds of free motion against all segments together [nats].
-        lack_of_fit: what all rows say against the joint, as its last fit has them.
+        lack_of_fit: evidence of all rows against the joint, from its last fit.
     """
     table, pieces = answer.table, answer.segmentation.pieces
     names, moving = table.pool.hypotheses.joints.kinds, table.pool.moving

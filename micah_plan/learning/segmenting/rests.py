@@ -1,8 +1,8 @@
 """Rests on a joint: the joint is learned from the other rows.
 
-What the actions say of a joint is fitted to all rows that it explains. If rows at which the part was pushed against a
-stop are among them, the actions seem to say little, and so the stop is not seen. Here the rests that there may be are
-taken for granted, and the channel is learned from the rows beside them.
+The action channel of a joint is fitted to all rows that the joint explains. If rows in which the part was pushed
+against a stop are among them, the actions seem uninformative, and so the stop is not found. Here the candidate rests
+are assumed, and the channel is learned from the other rows.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _LONGEST = 0.6  # of the rows
 def with_rests(answer: Segmented, priors: Sequence[LengthPrior], settings: LearnSettings) -> Segmented | None:
     """The most probable segments with the rests on the main joint that the actions indicate.
 
-    What there is already stays among what is chosen from. None if the actions say so nowhere, or if no joint moves it.
+    Existing hypotheses stay among the choices. None if the actions indicate a rest nowhere, or if no joint moves it.
     """
     table, track = answer.table, answer.track
     used, rows = rows_of_joints(answer)
@@ -62,7 +62,7 @@ def with_rests(answer: Segmented, priors: Sequence[LengthPrior], settings: Learn
 def final_rests(table: EvidenceTable, moves: list[int], track: PartTrack, noise: NoiseModel, rest: float) -> Floats:
     """(r, n, n) evidence of every segment (first, last row) under rigid joints fitted to some of the last rows.
 
-    What a segment pays for its pose is taken off.
+    The cost of a segment's pose is subtracted.
 
     Args:
         moves: moving hypotheses of the table, on which the part may be held.

@@ -39,11 +39,11 @@ _CONVERGED = 0.2  # nats
 def segment_track(track: PartTrack, settings: LearnSettings, start: Segmented | None = None) -> Segmented:
     """The most probable segments of a track without outliers.
 
-    Two noises start: a fine one (under which there may be many segments) and that which a single joint would leave
-    (under which there may be one). What each proposes settles on its own, and the most probable outcome is taken.
+    Two initial noises: a fine one (under which there may be many segments) and that which a single joint would leave
+    (under which there may be one). Each converges separately, and the most probable result is taken.
 
     Args:
-        start: what was found for the same poses with other actions: then its joints and noise start, alone.
+        start: result for the same poses with other actions: then its joints and noise are the only start.
     """
     priors = length_priors(track, settings)
     if start is None:
@@ -112,7 +112,7 @@ def _singles(
 ) -> tuple[list[Hypotheses], list[NoiseModel]]:
     """A joint of every kind fitted to all rows under a noise, with its residual noise.
 
-    Where something moves, what a rigid model leaves is motion, not noise.
+    Where something moves, the residual of a rigid model is motion, not noise.
     """
     kinds: list[JointKind] = [kind for kind in settings.kinds if kind != "rigid"]
     kinds = kinds or list(settings.kinds)

@@ -1,7 +1,8 @@
 """Selection of segments where a joint's parameters are charged once, regardless of returns to it.
 
-The recursion over changepoints lets every segment pay for its own joint. Here a few joints are chosen first, at a cost,
-and the recursion runs with them alone: joints are dropped while that pays, and one joint with rests is always tried.
+The recursion over changepoints charges every segment for its own joint. Here a few joints are chosen first, at a cost,
+and the recursion runs with them alone: joints are dropped while that increases the evidence, and one joint with rests
+is always tried.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ def selections(table: EvidenceTable, prior: LengthPrior, settings: LearnSettings
 def shared(table: EvidenceTable, members: list[int], prior: LengthPrior, settings: LearnSettings) -> Segmentation:
     """The most probable segments of a few joints charged once, with their probability over all places.
 
-    So is the choice of their kinds: a part that returns to a joint returns to one of those of the answer.
+    So is the choice of their kinds: a part that returns to a joint returns to one of those of the result.
     """
     segmentation = best_segmentation(table, prior, 1, members, members)
     return _charged_once(segmentation.pieces, table, prior, settings)

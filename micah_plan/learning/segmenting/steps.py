@@ -1,9 +1,9 @@
 """Steps: rows averaged to a resolution set by the motion, independent of the sampling rate.
 
-What learning assumes of neighbouring rows (how fast a tracker wanders, how often a part rests, how long a segment is)
-it assumes of neighbouring steps. So the same motion sampled 16 times as often gives the same segments, at the same
-cost, and white noise is averaged before it is looked at. A rest counts at most as long as the motion from end to end:
-however early the tracker was switched on, a motion has its steps. Changepoints are then found again to the row.
+Assumptions about neighbouring rows (how fast a tracker wanders, how often a part rests, how long a segment is) are made
+about neighbouring steps. So the same motion sampled 16 times as often gives the same segments, at the same cost, and
+white noise is averaged first. A rest counts at most as long as the motion from end to end: however early the tracker
+was switched on, a motion has its steps. Changepoints are then refined to the row.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ class Steps:
     """A track at the resolution at which it is segmented.
 
     Attributes:
-        track: (m,) steps: means of the poses of a few rows; actions command the way from a step to the next one.
+        track: (m,) steps: means of the poses of a few rows; actions command the displacement from a step to the next
+            one.
         counted: (n,) rows that steps are means of.
         first: (m + 1,) first row of every step in the track of all rows, and the number of rows.
         size: mean number of rows that a step is the mean of.
@@ -84,9 +85,9 @@ class Activity:
     """Activity of a part: the steps in which it moves.
 
     Attributes:
-        rows: (k,) those that count, fewer of long rests: as many as a motion from end to end takes.
-        moving: how many of them are of motion, of slow strides as many as quick ones take; all, where motion cannot be
-            told from noise.
+        rows: (k,) rows that count, fewer of long rests: as many as a motion from end to end takes.
+        moving: number of rows in motion, of slow strides as many as quick ones take; all, where motion cannot be
+            separated from noise.
         sweeps: how often the part moves there and back: its path over that of once there and back.
     """
 
@@ -131,7 +132,7 @@ def _is_pushed(track: PartTrack) -> Booleans:
 def averaged(track: PartTrack, inlier: Booleans, first: Ints) -> PartTrack:
     """Means of the rows that count from `first[i]` to before `first[i + 1]`; there is one in each of them.
 
-    Actions are summed: each step's commands the way from its mean to the next one's.
+    Actions are summed: each step's commands the displacement from its mean to the next one's.
     """
     used = np.flatnonzero(inlier[first[0] : first[-1]]) + first[0]
     begins = np.searchsorted(used, first[:-1])
@@ -203,8 +204,8 @@ def _path(rows: Floats) -> _Path:
 def _noise(values: Floats, whole: float) -> tuple[int, float]:
     """(decorrelation length in rows, std) of the noise of rows (n, k).
 
-    How far rows are from the middle of those `lag` before and after grows with the lag where that is motion, and where
-    rows were interpolated between noisy ones; it stays where it is noise that the rows between have forgotten.
+    The distance of rows from the middle of those `lag` before and after grows with the lag where there is motion, and
+    where rows were interpolated between noisy ones; it is constant where it is noise that is uncorrelated over the lag.
     """
     stds: list[float] = []
     lags = [2**i for i in range(16) if 4 * 2**i <= len(values)]

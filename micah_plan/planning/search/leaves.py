@@ -1,10 +1,9 @@
 """Leaves of a mode: the affine subspaces that its inputs cannot leave.
 
-A mode moves x along the range of its input matrix B. What is left of x, functionals F with F B = 0, stays as it was
-when the mode was entered: the place of an object that nobody holds, or the distance between a hand and the rod that it
-carries. The states with one value of F are a leaf of the mode: only they can be connected in it (manipulation planning
-speaks of foliations; Siméon, Laumond, Cortés and Sahbani, IJRR 2004). A mode that moves all that it leaves free is one
-leaf.
+A mode moves x along the range of its input matrix B. The complement, functionals F x with F B = 0, keeps its value from
+when the mode was entered: the place of an object that is not held, or the distance between a hand and the rod that it
+carries. The states with one value of F x are a leaf of the mode: only they can be connected in it (a foliation; Siméon,
+Laumond, Cortés and Sahbani, IJRR 2004). A mode that moves all its free coordinates is one leaf.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ class Leaves:
         mode: which.
         speed: (n,) of the limits.
         along: (n, r) orthonormal: the directions in which inputs move x.
-        kept: (k, n) orthonormal: the functionals F that they keep, without those that pins and ties of the mode fix.
+        kept: (k, n) orthonormal functionals F that are constant, without those fixed by pins and ties of the mode.
     """
 
     mode: Mode

@@ -1,9 +1,9 @@
 """Paths through roadmaps with detours for localisation, ranked by length and predicted uncertainty.
 
-A detour costs steps, but may leave a belief narrow enough for the goal. The cheapest path makes none. So paths are also
-routed through any one vertex of the roadmaps (a wall to touch, a place in the light), then through a second one, and
-compared by cost and remaining uncertainty. With v vertices a round is two shortest-path trees and one filter over v
-beliefs; it visits no combination of modes that its paths do not lead through.
+A detour costs steps, but may make a belief narrow enough for the goal. The cheapest path has none. So paths are also
+routed through any one vertex of the roadmaps (a wall to touch, a lit place), then through a second one, and compared by
+cost and remaining uncertainty. With v vertices a round takes two shortest-path trees and one filter over v beliefs; it
+visits only combinations of modes on these paths.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class ScoredPath:
         vertices: of the joined roadmap, from start to goal.
         stops: places in `vertices` (start and goal included) between which the path is as short as possible.
         length: its steps, transitions and the goal error left [steps].
-        uncertainty: what the predicted uncertainty costs: guards to be entered deeply, final variance [steps].
+        uncertainty: cost of the predicted uncertainty: guards to be entered deeply, final variance [steps].
     """
 
     vertices: tuple[int, ...]

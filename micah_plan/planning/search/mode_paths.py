@@ -59,7 +59,7 @@ def cheapest_sequences(
 
     Args:
         revisits: how many times a sequence may come back to a mode that it has been in.
-        is_over: asked now and then; what was found until it says so is returned.
+        is_over: polled; when it returns True, the sequences found so far are returned.
     """
     search, paths = _Search(roadmap), list[VertexPath]()
     queue: list[tuple[float, int, int, float, _Prefix, bool]] = []

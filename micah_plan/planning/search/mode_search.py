@@ -61,7 +61,7 @@ class ModeSequence:
         waypoints: per mode (w, n) corners of the path, w >= 1, from entering to leaving the mode [rad or m].
         cost: length of the path in steps of the largest input, one per transition, and the goal error left, in steps.
         uncertainty: cost of the predicted uncertainty, in steps; the sum of both ranks sequences.
-        purposes: why it visits its modes, as far as the search can tell.
+        purposes: of its modes, as far as the search could determine.
     """
 
     modes: tuple[str, ...]
@@ -102,8 +102,8 @@ def search_modes(
     Args:
         deadline: of the search; detours are left out where it passes while they are compared.
 
-    Of an automaton with many modes those near a shortest sequence of transitions are searched first: roadmaps of all
-    the others cost most of the time and hardly ever matter.
+    In an automaton with many modes, those near a shortest sequence of transitions are searched first: roadmaps of all
+    others take most of the time and rarely matter.
 
     Raises:
         TimeLimitError: if it passes before there is a mode sequence.

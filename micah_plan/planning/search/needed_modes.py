@@ -33,7 +33,7 @@ class PathsWithoutMode:
 
     Attributes:
         problem, limits, samples, roadmap, beliefs: of the search.
-        deadline: of the search; modes are told nothing of once it has passed.
+        deadline: of the search; once it has passed, no purposes are determined.
     """
 
     problem: Problem
@@ -119,7 +119,8 @@ def blocking_constraints(
 ) -> tuple[str, ...]:
     """Constraints and guards without any one of which the samples connect start and goal.
 
-    That nothing connects them is certain; what is in the way is not told where the deadline passes.
+    That nothing connects start and goal is certain; the constraints in the way are not determined once the deadline has
+    passed.
     """
     found = []
     for name, graphs in easier.items():

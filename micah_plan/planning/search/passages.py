@@ -3,11 +3,11 @@
 Random states of a mode with many leaves (`leaves`) lie on as many leaves, and almost none of them on one that leads on.
 But modes, guards and resets are affine: for a given sequence of transitions the states in which they are taken, one
 input per mode leading from each to the next, form a polytope. A point of it is a *passage* from start to goal, except
-for what lies in the way inside the modes, which the roadmaps go around. So a value that is to be kept, such as the
-place where an object is released, comes from all that is to follow, and whether any value serves is known at once.
+for obstacles inside the modes, which the roadmaps avoid. So a value that stays constant, such as the place where an
+object is released, is determined by all later transitions, and infeasible sequences are detected at once.
 
-Sequences are taken in the order of the shortest inputs that lead through them and what then is left to the goal, which
-counts more, so that one hand that moves many things does not try them in all orders first (weighted A*: Pohl, 1970).
+Sequences are expanded in the order of the shortest inputs through them plus the remaining distance to the goal, which
+has more weight, so that a hand that moves many things does not try them in all orders first (weighted A*: Pohl, 1970).
 """
 
 from __future__ import annotations

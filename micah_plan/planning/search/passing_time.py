@@ -1,9 +1,9 @@
 """Time as an input of the search: by waiting, a plan reaches any state along a drift.
 
-A gate that rises, a lid that falls shut, a belt that carries a box away are moved by no input. To a search over inputs
-they would stand still for ever: what is in the way now would always be. Here waiting is one more input, which moves
-them as far in one of its steps as they drift in a step of time, forwards only. It costs what other steps cost, and
-nothing beside a motion that goes on meanwhile.
+A rising gate, a falling lid or a belt that carries a box moves without any input. In a search over inputs they would
+stand still, and an obstacle would stay where it is. Here waiting is one more input, which moves them in one of its
+steps as far as they drift in one time step, forwards only. It costs as much as other steps, but nothing during other
+motion.
 """
 
 from __future__ import annotations

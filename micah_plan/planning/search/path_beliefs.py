@@ -155,7 +155,7 @@ class PathBeliefs:
 def steps_to_correct_start(problem: Problem, limits: Limits, mode: Mode) -> int:
     """Steps needed to correct an initial deviation of k standard deviations by feedback.
 
-    At most those that a plan may have: where an effect takes nearly all of an input, there would be no end of them.
+    At most as many as a plan may have: where an effect takes nearly all of an input, the number would be unbounded.
     """
     off = problem.settings.sigmas * np.array(problem.start.std) / limits.speed
     return int(min(np.max(off, where=mode.driven, initial=0.0), problem.settings.max_knots))

@@ -2,8 +2,8 @@
 
 The roadmaps are OMPL's PRM* over the coordinates that a mode leaves free (Karaman and Frazzoli, IJRR 2011). All states
 come from our own generator through a valid-state sampler and growth stops by count, so that the result depends on the
-seed alone, not on what the process did before. OMPL is given no other callback: motions are checked afterwards in one
-NumPy batch.
+seed alone, not on earlier calls in the process. OMPL has no other callback: motions are checked afterwards in one NumPy
+batch.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class ModeMotion:
         speed: (n,) scale of each coordinate [rad or m per step].
         obstacles: guards on x alone that leave the mode: a motion may end on the boundary of one, where the transition
             happens, but not enter it.
-        outside: what the mode's invariant excludes, a region for each of its half-spaces on x.
+        outside: complements of the mode's invariant, a region for each of its half-spaces on x.
         forwards: (m,) inputs that cannot be negative.
         admits: (k,) whether constraints on the path let states (k, n) be passed; None: there are none.
         held: (k, m) inputs that keep states (k, n) where they are; None: none are needed.
@@ -175,7 +175,7 @@ def _crossing_interval(guard: Region, x: Floats, y: Floats, depth: float) -> tup
 def _runs_between_obstacles(motion: ModeMotion, x: Floats, y: Floats) -> Booleans:
     """(k,) whether a motion runs along a face shared by two obstacles, where there is no clearance.
 
-    What a mode's invariant excludes is one more of them; but a mode may be as thin as its invariant alone makes it.
+    The complement of a mode's invariant is an obstacle too; but a mode may be as thin as its invariant alone makes it.
     """
     obstacles = (*motion.obstacles, *motion.outside)
     found = np.zeros(len(x), dtype=bool)
@@ -254,7 +254,7 @@ class JoinedRoadmap:
     def to_goal(self) -> tuple[Floats, Ints]:
         """(V,) cheapest cost from each vertex to the goal [steps], with revisits, and (V,) next vertex.
 
-        Next of a vertex of the goal comes V, which lies behind all goals.
+        A vertex of the goal is followed by V, which lies behind all goals.
         """
         last = self.graph.shape[0] - 1
         costs, following = dijkstra(self.graph.T.tocsr(), indices=last, return_predecessors=True)

@@ -79,7 +79,7 @@ class _Sampler:
 
     Attributes:
         start, target: (n,) the start's mean, and the same with the goal's values.
-        states: by mode, the set of its states; goals: the set within the goal, of those modes that have one.
+        states: set of states by mode; goals: its intersection with the goal, for modes that have one.
         exits: see `Samples`.
     """
 
@@ -215,7 +215,7 @@ class _Sampler:
     def _draw(self, states: Polytope, leaves: Leaves, count: int, base: Floats | None = None) -> Floats:
         """(count, n) random states, on the leaf of a state if it is given.
 
-        Coordinates that inputs move by themselves take values that the problem or the model names now and then.
+        Coordinates that inputs move independently take values named by the problem or the model now and then.
         """
         random = states.sample(self._rng, count) if base is None else leaves.sample(states, base, self._rng, count)
         named = np.stack([self._rng.choice(values, count) for values in self._landmarks], axis=1)

@@ -41,7 +41,7 @@ class Side:
     """One side of a boundary along a phase of N steps: sign * (a'mean - c) >= 0.
 
     Attributes:
-        row: what the mean must meet, at the first knot of the phase.
+        row: constraint on the mean at the first knot of the phase.
         normal, offset: sign * a (n,) and sign * c.
         scale: length of one step across it [its unit].
         spreads: (N+1,) variance across it by which the estimate wanders in closed loop and that of the boundary itself
@@ -64,7 +64,7 @@ class CorridorRow(NamedTuple):
     Attributes:
         side: of the boundary.
         step: knot within the phase, from 1.
-        uncertain: whether it should hold at k-sigma; else (a clamp) for the mean only.
+        uncertain: whether it holds at k-sigma; otherwise (a clamp) for the mean only.
     """
 
     side: Side
@@ -124,7 +124,7 @@ def _nearest(outside: Iterable[HalfSpace], stds: Mapping[HalfSpace, float]) -> l
     """The nearest half-space of each direction, which implies those behind it.
 
     Args:
-        stds: of those thresholds that are uncertain; only those that are equally so stand for each other.
+        stds: of uncertain thresholds; only half-spaces with equal ones can replace each other.
     """
     nearest = dict[tuple[tuple[float, ...], float], HalfSpace]()
     for h in outside:
@@ -190,8 +190,8 @@ def _obstacles(automaton: HybridAutomaton, mode: Mode, exit_edge: int | None) ->
 def _entered_before(mode: Mode, leaving: Edge, guess: PhaseGuess) -> tuple[HalfSpace, ...]:
     """Half-spaces of a guard that hold at the start of the phase's last step.
 
-    The transition happens within that step, at the instant at which the last half-space is entered: where the mode
-    ends, or else the one that the guess enters last. The others must hold until then, not only at the next knot.
+    The transition happens within that step, when the last half-space is entered: the end of the mode, or otherwise the
+    one that the guess enters last. The others must hold until then, not only at the next knot.
     """
     if leaving.guard.on_input or guess.steps < 2:
         return ()
@@ -202,8 +202,8 @@ def _entered_before(mode: Mode, leaving: Edge, guess: PhaseGuess) -> tuple[HalfS
 def mixed_guards(automaton: HybridAutomaton, guess: PhaseGuess) -> dict[tuple[HalfSpace, ...], Edge]:
     """The guards on x and u of transitions that a phase does not take, with the first edge of each.
 
-    Whole ones, though planned edges are divided where others come first: those are on the input as well, and no input
-    of the phase takes them either.
+    Undivided guards, although planned edges are divided where others happen first: the parts are on the input as well,
+    and no input of the phase takes them either.
     """
     guards = dict[tuple[HalfSpace, ...], Edge]()
     for index, edge in enumerate(automaton.edges):
@@ -217,8 +217,8 @@ def mixed_guards(automaton: HybridAutomaton, guess: PhaseGuess) -> dict[tuple[Ha
 def avoided_half_spaces(guard: tuple[HalfSpace, ...], guess: PhaseGuess, k: float) -> list[HalfSpace]:
     """(N,) half-space of a guard on x and u that each step avoids.
 
-    One on x alone where the guess is clearly outside, at both ends of the step; else the one on u that its input misses
-    by most, or is inside of by least.
+    One on x alone where the guess is clearly outside at both ends of the step; otherwise the one on u whose margin the
+    input violates most.
     """
     on_state, on_input = ([h for h in guard if h.on_input == which] for which in (False, True))
     a, b = np.array([h.a for h in on_input]), np.array([h.b for h in on_input])
@@ -240,16 +240,16 @@ def _obstacle_sides(
 ) -> list[list[HalfSpace | None]]:
     """The half-space of each obstacle that each step avoids.
 
-    A step stays out of a convex set if both its ends are outside of the same half-space: of the one that they are
-    outside of by most standard deviations. Where that is too little, obstacles would contradict each other: of two
-    boxes that share a face each asks for its own side of it. So all are asked at the nearest place that is k-sigma out
-    of all of them (an inflated region, as in Deits and Tedrake, "Computing large convex regions of obstacle-free space
-    through semidefinite programming", WAFR 2014).
+    A step stays out of a convex set if both its ends are outside the same half-space: the one that they are outside of
+    by most standard deviations. Where that is not enough, obstacles would contradict each other: two boxes that share a
+    face each require their own side of it. So all constraints use the nearest place that is k-sigma outside all of them
+    (an inflated region, as in Deits and Tedrake, "Computing large convex regions of obstacle-free space through
+    semidefinite programming", WAFR 2014).
 
     None for a last step that leaves the mode and ends inside: of transitions at one instant the first listed happens.
 
     Args:
-        inside: complements of what the mode may not leave; they are no obstacles of their own.
+        inside: complements of the mode's invariant; they are not obstacles.
     """
     rows = [[h for h in guard if h.on_state] for guard in (*obstacles, *inside)]
     if not obstacles:
@@ -279,7 +279,7 @@ class _ObstaclesAroundStep:
     Attributes:
         far: (r,) standard deviations by which the step is outside of each half-space of all obstacles.
         slopes: (r, m) by how much that is less with each input.
-        ways: (w, m) inputs away from half-spaces that are near, each by one standard deviation.
+        ways: (w, m) inputs away from nearby half-spaces, each by one standard deviation.
         firsts: number of the first half-space of each obstacle.
         k: standard deviations to be kept.
     """
@@ -365,7 +365,7 @@ class PathRows:
     """Steps of a phase that path constraints apply to.
 
     Attributes:
-        terms: what.
+        terms: CasADi expressions.
         knots: (j,) within the phase, where the steps end.
         inputs: (j,) (number of the phase, number of the input in it) of the inputs that lead there.
         covariances: ((n + m)², j) Σ of each.

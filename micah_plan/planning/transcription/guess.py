@@ -69,7 +69,7 @@ def guess(problem: Problem, limits: Limits, sequence: ModeSequence, stretch: flo
 
     Args:
         stretch: multiplies the number of steps (within max_knots), for problems that need more time than the path's
-            length tells.
+            length suggests.
 
     Raises:
         NoWayError: if the path needs more than max_knots.
@@ -240,7 +240,7 @@ def _belief(pair: Any) -> tuple[Floats, Floats]:
 def _localising_steps(problem: Problem, phase: PhaseGuess, spare: int) -> int:
     """Steps to append to the last phase until the belief is narrow enough for the goal.
 
-    What counts is the belief before the last measurement: that one comes too late for any input.
+    The belief before the last measurement counts: that measurement comes too late for any input.
     """
     k, rest = problem.settings.sigmas, np.zeros(problem.automaton.m)
     mode = compiled_mode(problem.automaton, phase.mode)
@@ -263,7 +263,7 @@ def _state_inside_guard(
 ) -> Floats:
     """A state near x at which a guard holds with the planned confidence, reachable by B from a start.
 
-    But for what faces the half-space that is crossed: that holds when it is.
+    Except for half-spaces that face the crossed one: they hold when it is crossed.
     """
     k = problem.settings.sigmas
     moved = x.copy()
@@ -287,9 +287,9 @@ def crossed(
 ) -> tuple[list[HalfSpace], list[HalfSpace], list[HalfSpace]]:
     """Half-spaces on the state of a guard: all, those that a motion enters last, and those that face these.
 
-    A transition happens at the instant at which the last half-space is entered: where the mode ends, or else the one
-    that the motion from one state (n,) to another enters last. What faces it (the far side of a plate) holds then,
-    however far the step would go on.
+    A transition happens when the last half-space is entered: the end of the mode, or otherwise the one that the motion
+    from one state (n,) to another enters last. Half-spaces that face it (the far side of a plate) hold then, however
+    far the step would continue.
 
     Args:
         k: standard deviations of both thresholds that must lie between a half-space and one that faces it.
@@ -338,9 +338,9 @@ def guard_condition(
 ) -> ChanceConstraint:
     """The half-space, or the same without coordinates that no input moves, at the worst value of their range.
 
-    Of a coordinate that no input moves a plan need not fear more than its range: lower arms that hang down further than
-    they can open do not have to be touched. The one that asks for less at a belief (mean (n,), covariance (n, n)) is
-    enough.
+    For a coordinate that no input moves, a plan need not assume more than its range: lower arms that hang down further
+    than they can open need not be touched. The condition that requires less at a belief (mean (n,), covariance (n, n))
+    is enough.
 
     Args:
         mode: that the guard leaves.

@@ -1,13 +1,13 @@
 """Constraints on the input of each step, including the executed feedback.
 
-What is executed is not the planned input u but u + G (estimate - mean), and the true state lies around the estimate. So
-a half-space a'x + b'u >= c is planned to hold as
+The executed input is not the planned u but u + G (estimate - mean), and the true state lies around the estimate. So a
+half-space a'x + b'u >= c is planned as
 
     a'mean + b'u - c >= k sqrt(||L'a||² + (a + G'b)' Λ (a + G'b)),
 
-with G the gains and Λ the spread of the estimate in closed loop. Admissible inputs are met whatever the feedback asks
-for, since what is executed is cut off there: they bound the planned input alone. So do guards on the input alone that
-nothing leads back from (`avoided_inputs`).
+with G the gains and Λ the spread of the estimate in closed loop. Admissible inputs are met for any feedback, since the
+executed input is clipped there: they bound the planned input alone. So do guards on the input alone without a
+transition back (`avoided_inputs`).
 """
 
 from __future__ import annotations
@@ -31,12 +31,13 @@ class InputRow(NamedTuple):
 
     Attributes:
         step: of the phase, from 0.
-        row: what the planned input must meet.
+        row: constraint on the planned input.
         a, b, c: (n,), (m,) and the threshold, times the sign of the side.
         spread: variance across it of estimate and input together in closed loop [its unit²].
         scale: length of one step across it [its unit].
-        is_sent: whether it bounds what is sent; else what arrives, where the model remembers inputs.
-        uncertain: whether it should hold at k-sigma; else for the planned input only.
+        is_sent: whether it bounds the sent input; otherwise the input that arrives, where the model has a memory of
+            inputs.
+        uncertain: whether it holds at k-sigma; otherwise for the planned input only.
         slack: that makes the guess feasible [steps].
     """
 

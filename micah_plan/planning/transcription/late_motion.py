@@ -1,14 +1,14 @@
 """Motion lost to late transitions: only the mode before a guard makes it.
 
-A transition happens when its guard holds, not at the knot that a plan has for it. A phase that moves on across its
-guard, or comes close to it for several steps, has changed its mode by then with some probability. What a step moves and
-the next mode would not move is lost with that probability: a cap no longer turns with the hand that comes up, a jar
-is not drawn out any more by the time that the door has swung back. The expected square of it, in steps, is
+A transition happens when its guard holds, not at its planned knot. A phase that moves on beyond its guard, or comes
+close to it for several steps, has changed its mode by then with some probability. Motion that the next mode would not
+make is lost with that probability: a cap no longer turns with the hand that comes up, a jar is not pulled out after the
+door has swung back. Its expected square, in steps, is
 
     sum over steps k, coordinates i of  P_k ((B - B') u_k / speed)_i²
 
-with P_k the probability that the state is inside of the guard, on average over the step, B the input matrix of the mode
-and B' that of the next one. Coordinates that the next mode puts somewhere (pins, ties) lose nothing.
+with P_k the probability that the state is inside the guard, on average over the step, B the input matrix of the mode
+and B' that of the next one. Coordinates that the next mode pins or ties lose nothing.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def lost_motion(
 def _lost_per_input(automaton: HybridAutomaton, edge: Edge, speed: Floats) -> Floats | None:
     """(n, m) difference of each coordinate's motion per input before and behind a guard on the state [steps].
 
-    A turn is crossed in one known step (`automaton.input_reversal`) and loses nothing.
+    A boundary where inputs reverse is crossed in one known step (`automaton.input_reversal`) and loses nothing.
     """
     if edge.guard.on_input or input_reversal_of(automaton, edge) is not None:
         return None

@@ -66,13 +66,13 @@ class Transcription:
     """The nonlinear programme of a mode sequence, with named constraints.
 
     Attributes:
-        problem, limits: what it is made of.
+        problem, limits: its inputs.
         guess: the phases with their start point.
         pattern: of the factors.
         phases: the symbols of each phase.
         cost: expression.
         w, w_lower, w_upper, w_start: decision variables, bounds and start point, in blocks.
-        g, rows: constraint expressions and what they are, in the same order.
+        g, rows: constraint expressions and their descriptions, in the same order.
         stds: std of the true margin of every row that is to hold with a confidence, NaN of the others, as `g`.
     """
 

@@ -26,13 +26,13 @@ class Row(NamedTuple):
     Attributes:
         mode: the mode of the phase that it belongs to.
         knot: knot of the whole plan, from 0.
-        name: what must hold, e.g. ``"'door <= 1.2'"``.
+        name: of the constraint, e.g. ``"'door <= 1.2'"``.
         unit: of g; empty if none applies.
         lower, upper: bounds; infinite if open.
-        kind: what kind of thing it bounds.
+        kind: of the bounded quantity.
         half_space, sign: the boundary, to stay inside of (+1) or outside of (-1), for boundaries and guards.
         confidence: with which it is to hold; None: for the mean only.
-        coordinate: of the goal that it asks for.
+        coordinate: of the goal's target.
     """
 
     mode: str
@@ -103,8 +103,8 @@ class Shortfall:
 
     Attributes:
         row: which.
-        amount: by how much [unit of the row]; infinite if it is not a number.
-        std: of the true margin, where the row is to hold with a confidence; None elsewhere [unit of the row].
+        amount: of the violation [unit of the row]; infinite if it is not a number.
+        std: of the true margin, where the row must hold with a confidence; None elsewhere [unit of the row].
         width: between this boundary and one that faces it at the same knot, if there is one [unit of the row].
     """
 

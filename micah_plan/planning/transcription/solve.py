@@ -61,7 +61,7 @@ def violated_constraints(nlp: Transcription, time_limit_s: float) -> list[Shortf
     """The violated constraints of an infeasible programme, worst first.
 
     Constraints on the path, and by how much each must be relaxed at all knots, if that is enough: the row is that of
-    the knot where it is tightest. Else the worst rows where the summed violation of all but the dynamics is least
+    the knot where it is tightest. Otherwise the worst rows where the summed violation of all but the dynamics is least
     ("elastic mode", Gill, Murray and Saunders, SIAM Review 2005). Empty if the solver finds no such point or no
     violation.
     """
@@ -93,7 +93,7 @@ def _relaxed_programme(programme: Programme, rows: Floats, loose: list[int], amo
 
     Args:
         rows: (r,) values at the start.
-        loose, amounts: numbers of the rows, and of the amount of each.
+        loose, amounts: indices of the rows, and of the amount of each.
     """
     lower, upper = programme.row_bounds
     fixed = np.setdiff1d(np.arange(len(lower)), loose).tolist()

@@ -1,9 +1,9 @@
 """Stops against drift, which are part of the step that a plan is based on.
 
-A latch that a spring turns back rests on its stop while nobody turns it. The flow of its mode alone would take it
-further with every step, and no input could hold it: the plan would seem to contradict itself. So the mean of a
-coordinate that drifts beyond a stop is kept at it, smoothly, since an optimiser needs a slope. What the stop tells of
-the state is left to the filter: the covariance is that of the flow.
+A latch with a return spring rests on its stop when nobody turns it. The flow of its mode alone would take it further
+with every step, and no input could hold it, so the plan would be infeasible. So the mean of a coordinate that drifts
+beyond a stop is kept at it, smoothly, since an optimiser needs a slope. The information from the stop is left to the
+filter: the covariance is that of the flow.
 """
 
 from __future__ import annotations
