@@ -82,7 +82,7 @@ class CalibrationResult(Result):
     def experiment(self) -> Experiment | None:
         """The motions that would separate the open alternatives, for `execute`; None if motion cannot.
 
-        They are designed when they are first asked for, which takes some seconds.
+        They are designed on first use, which takes some seconds.
         """
         from micah_plan.residual.next_experiment import next_experiment
 

@@ -139,7 +139,7 @@ class RunsResult(Result):
         """The runs beside the plan in 3-D, with deviations and reasons of failure.
 
         Args:
-            before: runs of the same plan before a change, shown beside these; all are judged by their last rows then.
+            before: runs of the same plan before a change, for comparison; all are then judged by their last rows.
         """
         from micah_plan.view.plan_page import plan_page
 
@@ -200,16 +200,16 @@ def execute(
     """The runs of a plan in closed loop, or of an experiment in open loop.
 
     Args:
-        plan: a path or what `solve` returned; or an experiment, as `CalibrationResult.experiment` is one, or its path.
+        plan: a path or the result of `solve`; or an experiment, such as `CalibrationResult.experiment`, or its path.
         plant: ``"nominal"`` (the model itself), ``"mujoco"``, or a plant of your own: a class or an object.
         trials: how many, 1 if not given; of an experiment: repetitions of its motions.
         seed: of everything random; each trial has its own stream.
-        replan_every: steps after which the rest of the plan is optimised again; 0: never; None: as the problem says.
+        replan_every: steps after which the rest of the plan is optimised again; 0: never; None: as in the problem.
         plant_parameters: physical parameters that differ from the problem's, e.g. ``{"friction": 25.0}``.
-        start: where simulated trials truly start, by coordinate, whatever is believed [rad or m].
-        anyway: whether to execute a plan that was found but not verified, too, to see how it fails; in simulation only.
+        start: true start of simulated trials, by coordinate, independent of the belief [rad or m].
+        anyway: also execute an unverified plan, to see how it fails; in simulation only.
         progress: called with a message and the fraction done.
-        keep: called with the log of every trial, also when an error or Ctrl-C breaks it off.
+        keep: called with the log of every trial, also if an error or Ctrl-C ends it.
 
     Raises:
         InputError: if the plan is no solution, or the plant cannot be used.

@@ -92,7 +92,7 @@ def carry_out_experiment(
     """Carry out an experiment: its commands do not depend on measurements.
 
     Args:
-        experiment: a value or the path of one. repetitions: of all of its motions; None: as it says.
+        experiment: a value or the path of one. repetitions: of all of its motions; None: its own number.
         plant, seed, progress, keep: as of `execute`.
 
     Raises:

@@ -114,9 +114,10 @@ def explore(
     """Open an unknown object by its handle, and learn its model.
 
     Args:
-        scene: a path, or what the hand may do.
-        plant: ``"nominal"`` or ``"mujoco"``, with the object that the scene names; or what makes a plant of the scene.
-        seed: of the plant's start and noise; decisions draw nothing.
+        scene: a path, or the limits of the hand.
+        plant: ``"nominal"`` or ``"mujoco"``, with the object that the scene names; or a function that makes a plant
+            from the scene.
+        seed: of the plant's start and noise; decisions are deterministic.
         progress: called with a message and the fraction done.
 
     Raises:

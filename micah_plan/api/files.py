@@ -25,13 +25,13 @@ def load(source: Source | DataFrame | Mapping[str, Any], **conventions: Any) -> 
     """Load a file of any kind: a recording, model, problem, plan, sweep, experiment or shapes of parts.
 
     Args:
-        source: the file; a table with the columns of a recording CSV; or data with the keys of a model file, which is
-            how a model is made by hand, with names, or with those of a problem file.
+        source: the file; a table with the columns of a recording CSV; or data with the keys of a model file (a model
+            made by hand, with names), or with those of a problem file.
         **conventions: of a recording, how it is meant (`Conventions`), as in ``columns={"t": "Time", "x": "TX"},
             length="mm", up="y"``.
 
     Raises:
-        InputError: if it cannot be used; one line says where, what was expected and found, and what to do.
+        InputError: if it cannot be used; one line with the place, expected and found content, and a remedy.
     """
     if isinstance(source, Mapping) and not inputs.is_table(source) and "columns" not in conventions:
         return inputs.problem_of(source) if "goal" in source else inputs.automaton_of(source)
@@ -83,9 +83,9 @@ def show(value: Any, path: str | Path | None = None, *, before: Any = None) -> P
     """The page of a recording, a model, a problem or a result: opened in the browser, or within a notebook.
 
     Args:
-        value: what to show.
-        path: where to write the page, and nothing is opened; None: a temporary file.
-        before: runs before a change, as a result or a recording, to show beside those that `execute` returned.
+        value: to show.
+        path: of the page to write, without opening it; None: a temporary file.
+        before: runs before a change, as a result or a recording, to compare with those that `execute` returned.
 
     Raises:
         InputError: if there is no page of such a value, or there are no runs to compare.

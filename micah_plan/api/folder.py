@@ -38,9 +38,9 @@ class FileInFolder:
 
     Attributes:
         file: where it is.
-        group: what it is in the work.
-        words: what matters of it, or what is wrong with it, in a few lines.
-        value: what it holds; None: it cannot be used, or is too large to be read here.
+        group: its role in the work.
+        words: its main facts or errors, in a few lines.
+        value: its content; None: it cannot be used, or is too large to be read here.
         pages: of it, in the same folder.
     """
 
@@ -59,7 +59,7 @@ class Folder:
         folder: where it is.
         files: sorted by name, those of work.
         pages: that belong to no file.
-        step: the next command, and why; empty where nothing is to be done.
+        step: the next command with its reason; empty if there is none.
     """
 
     folder: Path

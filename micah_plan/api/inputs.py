@@ -70,7 +70,8 @@ def recording_of(source: Measured, *, minimum_rows: int = 1, conventions: Conven
     """A recording with validated rows; the conventions apply to paths.
 
     Raises:
-        InputError: for what `recording.checks` refuses, such as a quaternion of zeros, and for anything else.
+        InputError: for recordings that `recording.checks` refuses, such as a quaternion of zeros, and for anything
+            else.
     """
     from micah_plan.exchange.load import load_recording
 

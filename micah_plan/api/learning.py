@@ -42,14 +42,14 @@ class LearningResult(Result):
     """Result of `learn`: the measured segments, the automaton built from them, and the duration.
 
     Attributes:
-        recording: what it was learned from.
+        recording: the data.
         graph: the segments of every part, with their joints.
-        automaton: None if some rows follow no single joint; `graph` says which.
+        automaton: None if some rows follow no single joint; see `graph`.
         seconds: wall-clock time.
-        reason: why there is no automaton and what to do; empty if there is one.
-        warnings: what looks like a mistake in the recording (units, order of columns), or too little, one line each.
-        base: what poses are relative to: the part that was taken for the base, else "base".
-        seed: what was given; learning draws nothing.
+        reason: why there is no automaton, with a remedy; empty if there is one.
+        warnings: likely mistakes in the recording (units, order of columns), or too little data, one line each.
+        base: reference of the poses: the part used as base, else "base".
+        seed: as given; learning is deterministic.
     """
 
     recording: Recording
@@ -95,8 +95,8 @@ class LearningResult(Result):
     def json(self) -> dict[str, Any]:
         """Segments, changepoints and actions of the part, seconds, seed.
 
-        For several parts the first three are in `edges`, and `tree_probability` is that of this tree of parts. What was
-        not estimated is null.
+        For several parts the first three are in `edges`, and `tree_probability` is that of this tree of parts. Missing
+        estimates are null.
         """
         edges = [{"parent": edge.parent, "child": edge.child, **_edge(edge)} for edge in self.graph.edges]
         tree = {"edges": edges, "tree_probability": self.graph.probability}
@@ -140,12 +140,13 @@ def learn(
     Args:
         recording: a path, a recording, or executed runs, of at least `learning.settings.FEWEST_ROWS` rows per run.
         method: ``"act-champ"`` uses the actions, ``"champ"`` the poses alone.
-        seed: noted in the result, as of every command; learning draws nothing, so the same rows give the same model.
+        seed: stored in the result, as of every command; learning is deterministic, so the same rows give the same
+            model.
         parts: shapes and handles of the parts, for drawing and physics: a path or values.
         settings: None: the defaults, which are meant for every recording.
         base: a tracked part on which the object stands, as a door on a cart that is pushed: the model is in its frame,
             and the rows that are returned are those of the other parts.
-        conventions: how the file is meant; None: as it says, or a file beside it.
+        conventions: of the file; None: its own, or those of a file next to it.
         progress: called with a message and the fraction done.
         **changes: settings by name, e.g. ``kinds=("rigid", "prismatic")``.
 

@@ -30,7 +30,7 @@ class PlanningResult(Result):
     """Result of `solve`: the plan and its problem.
 
     Attributes:
-        notes: what to know of the problem, one line each.
+        notes: remarks on the problem, one line each.
     """
 
     plan: Plan
@@ -171,13 +171,13 @@ def solve(
 
     Args:
         problem: a path, a problem, data with the keys of a problem file, or an earlier result whose problem is solved
-            again; a model, or what learned one, is moved most of its way where no start and goal are given.
-        model: to use instead of the problem's: a path, an automaton, or what `learn` or `calibrate` returned.
+            again; a model, or the result of learning one, is moved most of its way if no start and goal are given.
+        model: to use instead of the problem's: a path, an automaton, or the result of `learn` or `calibrate`.
         start, start_mode, goal, modes, noise: instead of the problem's, by name, as in ``start={"door": (0.4, 0.05)},
             goal={"door": (1.2, 0.03)}, modes=["rigid"]`` (`Problem.replace`).
         seed: of everything random.
         advise: whether remedies name numbers, which takes further solutions.
-        planner: another one than POMDP-HD, whose plans are checked alike (`planning.solver.solve`).
+        planner: an alternative to POMDP-HD, whose plans are checked in the same way (`planning.solver.solve`).
         progress: called with a message and the fraction done.
         **changes: settings by name, e.g. ``confidence=0.99, max_knots=80``.
 

@@ -154,8 +154,8 @@ def predict(
         model: a path of a model, problem or plan; an automaton; or a result that has one.
         recording: a path, a recording, or executed runs, with actions.
         actions_as_learned: whether actions act as they did in the demonstration that the model was learned from.
-        commands: what the actions mean: ``"displacement"``, the way to a commanded ``"position"``, or ``"velocity"``
-            [m/s]; None: as the recording says.
+        commands: meaning of the actions: ``"displacement"``, the displacement to a commanded ``"position"``, or
+            ``"velocity"`` [m/s]; None: as in the recording.
         progress: called with a message and the fraction done.
 
     Raises:

@@ -85,7 +85,7 @@ class Result(Summarised):
         """Show the page in the browser, or within a notebook.
 
         Args:
-            path: where to write it, and nothing is opened; None: a temporary file.
+            path: of the page to write, without opening it; None: a temporary file.
         """
         return Page(self.page()).opened(path)
 

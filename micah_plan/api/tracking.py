@@ -32,7 +32,7 @@ class _Tracking(RecordedResult):
     """Poses that a camera shows, with the track as figure and page.
 
     Attributes:
-        tracked: what was found.
+        tracked: the result.
     """
 
     tracked: Tracked | TrackedPoints
@@ -183,9 +183,9 @@ def track_bodies(
 
     Args:
         tracks: NPZ, TRC, C3D or table of markers, or array (points, frames, 3), NaN where a point is not seen.
-        rate: frames per second; None: as the file says.
+        rate: frames per second; None: from the file.
         axes: order of the first two axes of a file's array; None: the one along which points move less is of frames.
-        units: of lengths; None: as the file says, else m.
+        units: of lengths; None: from the file, else m.
         camera: of tracks in pixels with depths, where the file does not hold its intrinsics.
 
     Raises:
@@ -220,12 +220,12 @@ def track(
         tags: which tags are on which part, a file (YAML) or value.
         camera: file or value; None: its focal length is found from the tags.
         base: part in whose frame poses are; default: the one called base, else the first.
-        rate: frames per second, in place of what the video says.
-        actions: a recording of what a robot was commanded meanwhile, in any frame.
+        rate: frames per second, in place of the video's own.
+        actions: a recording of the commands to a robot at that time, in any frame.
         offset: time of the actions minus time of the video [s]; None: found from the motion.
 
     Raises:
-        InputError: if a file cannot be used, no part is seen together with the base, or none moves as was commanded.
+        InputError: if a file cannot be used, no part is seen together with the base, or none moves as commanded.
         MissingDependencyError: without OpenCV (extra ``vision``).
     """
     layout = tags if isinstance(tags, TagLayout) else load_tags(tags)

@@ -1,10 +1,10 @@
 """Gaussians during one step: the cuts at guards, and the crossing part behind a transition.
 
 As in the automaton's own transition logic, a step is a straight path from a start to an end, an event lies where the
-path meets the guard, and the rest of the step follows the new mode. So what travels is the joint Gaussian of start and
-end, (2n,), and an event maps it to the joint Gaussian of the event's state and the new end.
+path meets the guard, and the rest of the step follows the new mode. So the joint Gaussian of start and end (2n,) is
+propagated, and an event maps it to the joint Gaussian of the event's state and the new end.
 
-What a transition makes of Gaussians that cross a guard: the reset where their paths meet it, the rest of the step in
+The effect of a transition on Gaussians that cross a guard: the reset where their paths meet it, the rest of the step in
 the new mode, and the information of that mode's pins.
 """
 
@@ -123,7 +123,7 @@ def _leave_at_once(
     """Move pieces through exits that open before the state moves: entirely, by the first exit that holds.
 
     Args:
-        sure: (p,) the exit that the input alone opens; those before it take what lies inside of them at that instant.
+        sure: (p,) the exit that the input alone opens; earlier exits take the mass inside them at that instant.
     """
     parts = [(pieces, free, sure)]
     for number, candidate_exit in enumerate(mode.exits):
@@ -163,7 +163,7 @@ def _leave_at_once(
 def _divided_at_start(pieces: Pieces, candidate_exit: Exit) -> tuple[Pieces, list[Pieces]]:
     """(shares inside a guard at the start of the step, shares outside each of its half-spaces).
 
-    Of several half-spaces each gives those that are inside of the ones before it and outside of it.
+    Each of several half-spaces takes the mass that is inside the earlier ones and outside it.
     """
     inside, outside = pieces, list[Pieces]()
     for a, offset in zip(candidate_exit.on_state.a, candidate_exit.on_state.offsets(pieces.u), strict=True):
@@ -188,10 +188,10 @@ def _conditioned(pieces: Pieces, margin: Floats, row: Floats, chance: Floats) ->
 def _reachable_exits(exit_bounds: ExitBounds, pieces: Pieces, events: int) -> Booleans:
     """(e, p) whether a piece lies inside all half-spaces of each exit with probability above 1e-15.
 
-    The std of a margin is bounded by those of the coordinates; what turns out to be far nevertheless stays whole.
+    The std of a margin is bounded by those of the coordinates; a mass that turns out to be far is not divided.
 
-    Within a step only the first event may be due to noise: after it, the tails of what crossed are those of a fit, and
-    the mean must be inside the guard or move towards it. And a coordinate that was just pinned lies at its pin: the
+    Within a step only the first event may be due to noise: after it, the tails of the crossing mass are those of a fit,
+    and the mean must be inside the guard or move towards it. And a coordinate that was just pinned is at its pin: the
     pin's std does not put it behind a guard that begins there.
     """
     offset = exit_bounds.rows.offsets(pieces.u)
@@ -271,8 +271,8 @@ def _within_others(shares: Shares, candidate_exit: Exit, binding: Binding, u: Fl
     place.
 
     A half-space that the path leads out of must hold where it crosses the binding one, any other at the end: a hand
-    that may take hold now has done so, wherever it goes in that step. The probability is the product of those of one
-    after the other, each given the ones before.
+    that may grasp now has done so, for any further motion in that step. The probability is the product of the
+    conditional ones, each given the ones before.
     """
     mean, factor = shares.mean[0], shares.factor[0]
     within = np.ones(mean.shape[-1])
@@ -304,10 +304,10 @@ def _blocked(pieces: Pieces, number: int, candidate_exit: Exit) -> Booleans:
 def _projected_on_blocked(mode: ModeLayout, pieces: Pieces) -> Pieces:
     """The pieces with ends projected on the boundaries of blocked exits.
 
-    Where one input moves a coordinate forth in a mode and back in the next, the step that enters the next mode would
+    Where an input moves a coordinate forth in a mode and back in the next, the step that enters the next mode would
     lead straight back; where a transition back to its own mode resets another coordinate than led to it, the step goes
-    on into its guard. Nothing happens twice at one instant (`automaton.transition`), so the boundary is a wall: the
-    end of the step is put on it, and nothing is left of the spread across.
+    on into its guard. Nothing happens twice at one instant (`automaton.transition`), so the boundary is a wall: the end
+    of the step is put on it, and the spread across becomes 0.
     """
     for number, candidate_exit in enumerate(mode.exits):
         if len(candidate_exit.on_state):
@@ -454,7 +454,7 @@ def _in_new_mode(
 ) -> Pieces:
     """The pieces in their new mode, with pinned coordinates fixed and process noise on freed ones.
 
-    A pin that the guard locates replaces what was known of its coordinate, any other pin adds to it.
+    A pin at the guard replaces the estimate of its coordinate, any other pin is fused with it.
 
     Args:
         pieces: with arrays of their own, which are written to; their factors have columns to fill from that number on.

@@ -1,8 +1,8 @@
 """The hybrid Gaussian filter: one EKF per mode, guards that move probability from mode to mode, moment matching.
 
-It runs over many beliefs at once: the time of a step goes into calls of NumPy rather than into arithmetic, and each
-call serves all of them. A single belief is a batch of one. All functions are pure and deterministic; none changes the
-belief it is given.
+It runs over many beliefs at once: a step's time is spent in NumPy calls rather than in arithmetic, and each call serves
+all of them. A single belief is a batch of one. All functions are pure and deterministic; none changes the belief it is
+given.
 
 Sources: Jain and Niekum, "Efficient hierarchical robot motion planning under uncertainty and hybrid dynamics", CoRL
 2018; Blom and Bar-Shalom, "The interacting multiple model algorithm", 1988, for the mixing.
@@ -115,10 +115,10 @@ def predict_belief(automaton: HybridAutomaton, belief: Belief, u: ArrayLike) -> 
 def update(automaton: HybridAutomaton, belief: Belief, z: ArrayLike) -> Belief:
     """The belief, or beliefs, after measuring z, NaN where there is no measurement.
 
-    Each mode measures as `HybridAutomaton.sensing` says, where its mean is. Mode weights move by the likelihood. A
-    mode's state lies outside the guards that leave it, else it would have left: what is measured is a Gaussian that is
-    cut there, see `truncation`. A belief whose every mode excludes what is measured is lost, and begins anew from it,
-    see `reinitialise`.
+    Each mode measures as `HybridAutomaton.sensing` defines, at its mean. Mode weights are multiplied by the likelihood.
+    A mode's state lies outside the guards that leave it, otherwise it would have left: the measured density is a
+    Gaussian truncated there, see `truncation`. A belief whose every mode excludes the measurement is lost, and restarts
+    from it, see `reinitialise`.
 
     Args:
         z: (n,) [rad or m]; of many beliefs (t, n).
@@ -160,8 +160,8 @@ def update_each(automaton: HybridAutomaton, beliefs: Sequence[HybridBelief], z: 
 def explains(automaton: HybridAutomaton, belief: HybridBelief, z: Floats) -> bool:
     """Whether a measurement z (n,) agrees with the likeliest mode within noise.
 
-    What remains of it scatters by less than the noise of a measurement. Where it is so far away that noise would have
-    less than the probability that filters drop, the model does not describe what is measured, however sure the belief.
+    The remainder has a smaller spread than the measurement's noise. Where it is so far away that noise would have less
+    than the probability that filters drop, the model does not describe the measurement, however certain the belief.
     """
     apart, sensed = _innovation_and_std(automaton, belief, z)
     away = np.abs(apart) / np.maximum(sensed, SMALLEST_STD)
@@ -171,7 +171,7 @@ def explains(automaton: HybridAutomaton, belief: HybridBelief, z: Floats) -> boo
 def innovations(automaton: HybridAutomaton, belief: HybridBelief, z: Floats) -> Floats:
     """(k,) innovations of a measurement z (k,) under the likeliest mode of the prior belief, in stds.
 
-    Of a model that holds they are independent, with mean 0 and std 1. NaN where nothing was measured.
+    Of a correct model they are independent, with mean 0 and std 1. NaN where nothing was measured.
     """
     apart, sensed = _innovation_and_std(automaton, belief, z)
     std = np.linalg.norm(belief.factors[belief.most_likely, : len(z)], axis=1)
@@ -330,11 +330,11 @@ def _uncut_at_guards(
     """Gaussians whose truncations outside the mode-ending guards have the moments (n, p), (n, n, p).
 
     Args:
-        likely: (p,) which are worth it; the others stay as they are, and guards say nothing of them.
+        likely: (p,) which are processed; the others are unchanged, without truncation at guards.
 
     Returns:
-        their means and factors, (l, p) the log probability of lying outside of each guard given those behind it, and
-        what lies on a guard's boundary instead.
+        their means and factors, (l, p) the log probability of lying outside each guard given those behind it, and
+        the mass on a guard's boundary.
     """
     margins = _margins(layout, mode, mean, factor)
     chances, near, piled = log_probability(*margins), is_cut(*margins) & likely, list[_BoundaryMass]()
@@ -359,9 +359,9 @@ def _cut_at_guards(
     """Means and factors of Gaussians truncated outside the guards of their modes, and the log probability (p,).
 
     Args:
-        says: (l, p) whether a guard says so. One behind which all of the belief before lies does not: the automaton
-            itself put the state there, where it takes no transition twice at one instant, and what has no probability
-            is no condition.
+        says: (l, p) whether a guard truncates. One behind which all of the prior belief lies does not: the automaton
+            itself put the state there, where it takes no transition twice at one instant, and an event without
+            probability cannot be conditioned on.
     """
     margins, rows = _margins(layout, mode, mean, factor)
     near = says & ((margins < 0.0) | is_cut(margins, rows))

@@ -1,8 +1,8 @@
 """Square-root algebra of Gaussians, many at once: measurements, pins, and factors made triangular again.
 
 A Gaussian is a mean and a factor F of its covariance P = F F'. P itself is never formed, so it stays positive
-semi-definite at any scale, and what is known exactly has rows of zeros. Any F will do on the way through a step; only
-what a belief keeps is the lower Cholesky factor.
+semi-definite at any scale, and exactly known directions have rows of zeros. Within a step any F is used; only the
+stored belief has the lower Cholesky factor.
 
 Here and in the modules that build on it, p Gaussians lie side by side with their number as the **last** index: means
 (n, p), factors (n, k, p). So every operation runs over all of them, and one belief is the case p = 1.
@@ -159,8 +159,8 @@ def condition_on_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tu
 def replaced_at_pins(means: Floats, factors: Floats, pins: Sequence[Pin]) -> tuple[Floats, Floats]:
     """Means and factors (n, k + pins, p) after pinned coordinates are replaced by their guard's position.
 
-    Where the state was before tells nothing of where exactly it is pinned, so the pin replaces what was known of the
-    coordinate, whereas `condition_on_pins` adds to it. A place that follows another coordinate varies with that one.
+    The previous state has no information about where exactly it is pinned, so the pin replaces the estimate of the
+    coordinate, whereas `condition_on_pins` fuses the two. A pin that follows another coordinate varies with that one.
     """
     n, k, count = factors.shape
     means, factors = means.copy(), np.concatenate([factors, np.zeros((n, len(pins), count))], axis=1)

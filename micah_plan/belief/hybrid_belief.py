@@ -14,8 +14,8 @@ from micah_plan.arrays import Floats, Ints
 class BeliefBatch:
     """t hybrid beliefs of one automaton. A mode without weight has no Gaussian: its numbers are meaningless.
 
-    Where thresholds are uncertain the Gaussians are over states and boundaries together: what passes a boundary, or
-    does not, tells where it lies. The states x come first.
+    Where thresholds are uncertain the Gaussians are over states and boundaries together: a state that passes a
+    boundary, or does not, is information about it. The states x come first.
 
     Attributes:
         weights: (t, q) probabilities of the modes, in the automaton's order; they sum to 1.
@@ -81,8 +81,8 @@ class HybridBelief:
         weights: (q,) probabilities of the modes, summing to 1.
         means: (q, n) [rad or m].
         factors: (q, n, n) lower Cholesky factors of the covariances.
-        shifts: (q, b) by how much the uncertain boundaries are believed to lie elsewhere, in the order of
-            `thresholds.threshold_stds`; None: nothing has been learned of them.
+        shifts: (q, b) estimated displacements of the uncertain boundaries, in the order of `thresholds.threshold_stds`;
+            None: no estimate yet.
         shift_rows: (q, b, n + b) their rows of the joint lower Cholesky factors.
         was_reinitialised: whether it was lost and began anew from the last measurement, see `filter`.
     """

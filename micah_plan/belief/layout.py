@@ -62,7 +62,7 @@ class Exit:
 
     Attributes:
         target: number of its mode; is_self: whether that is the mode itself.
-        on_state, on_input: the guard's half-spaces, those on the input alone apart.
+        on_state, on_input: the guard's half-spaces, with those on the input alone separate.
         reset: A (n, n), B (n, m), c (n,); None: the identity.
         located, met: the target's pins that the guard locates, and others that add information.
         freed: coordinates (c,) that have process noise in the target only, and (c, 1) its std; None: an uncertain gain
@@ -113,10 +113,10 @@ class ModeLayout:
 
     Attributes:
         mode: itself; index: its number.
-        pinned: coordinates that it pins; still: those and the added ones, which nothing moves.
+        pinned: coordinates that it pins; still: those and the additional ones, which nothing moves.
         process: (n, 1) std of the process noise; gain: whether an uncertain gain adds to it.
         noisy: coordinates that noise moves.
-        exits: in the order in which they are tried, self transitions last.
+        exits: in the order in which they are tested, self transitions last.
         exit_bounds: the guards of the exits from the first, from the second ... on.
     """
 
@@ -139,7 +139,7 @@ class Layout:
         automaton: over states and boundaries (`with_boundary_states`), of n states of which the first `own` are x.
         stds: (b,) of its uncertain boundaries in the model.
         modes: in the automaton's order.
-        sensing: how each mode measures; std: (n, q) of that where it is the same everywhere in all modes, else None.
+        sensing: of each mode; std: (n, q) of it where it is the same everywhere in all modes, else None.
         outside: weights (l, n, q) and offsets (l, q): a mode's states lie where weights @ x >= offset, outside of its
             guards of one half-space on the state alone. Modes with fewer have offsets of minus infinity.
     """

@@ -1,8 +1,7 @@
 """Recovery of lost beliefs: after a contradicting measurement the state is at the measurement, in any mode.
 
-Beside the automaton's modes stands one more hypothesis, as improbable as what filters drop: something happened that the
-model does not know, and nothing is left of what was believed. Then the state lies anywhere that the modes allow, and
-the measurement is all that is known of it.
+One more hypothesis is added to the automaton's modes, as improbable as what filters drop: an unmodelled event made the
+previous belief useless. Then the state lies anywhere that the modes allow, and only the measurement is known of it.
 
 Source: Thrun, Burgard and Fox, Probabilistic Robotics, 2005, section 8.3.5 (recovering from failures by augmentation).
 """
@@ -43,8 +42,8 @@ def most_evidence(layout: Layout, z: Floats) -> Floats:
 def reinitialise(layout: Layout, belief: BeliefBatch, z: Floats) -> tuple[BeliefBatch, float]:
     """(a belief that keeps only what z (own,) does not measure, its log evidence).
 
-    In every mode that allows it the state is where it is measured, and at the mode's pins and ties. Where it would have
-    collided it is nowhere: that is said of a way, not of a place.
+    In every mode that allows it the state is at the measurement, and at the mode's pins and ties. Modes of collision
+    are excluded: they follow from a path, not from a place.
     """
     n, q, widths = layout.n, len(layout.modes), _widths(layout)
     modes = [index for index, mode in enumerate(layout.modes) if mode.mode.name != COLLIDED]
@@ -74,7 +73,7 @@ def _conditioned_on_mode(mode: Mode, mean: Floats, covariance: Floats, density: 
     """Mean (n,) and covariance (n, n) conditioned on a mode's pins and ties, and the measurement's log density.
 
     Args:
-        density: (n,) log density of each measured coordinate where the mode does not say where it is.
+        density: (n,) log density of each measured coordinate where the mode does not determine its place.
     """
     score = float(density.sum())
     for coordinate, row, value, std in _pin_and_tie_rows(mode, mean.size):

@@ -43,7 +43,7 @@ def merged_by_mode(
 
     Args:
         arrived: with the numbers of their modes.
-        remembered: (n, t) the values of the memories of inputs, which are known; None: there are none.
+        remembered: (n, t) known values of the memories of inputs; None: there are none.
     """
     q, n = len(layout.modes), layout.n
     weights, means, factors = np.zeros(q * count), np.zeros((n, q * count)), np.zeros((n, n, q * count))

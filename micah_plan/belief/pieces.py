@@ -42,7 +42,7 @@ class Pieces:
     Attributes:
         owner: (p,) number of the belief that each is a share of.
         probability: (p,) of the share.
-        mean, factor: (2, n, p), (2, n, k, p) of start and end of what is left of the step.
+        mean, factor: (2, n, p), (2, n, k, p) of start and end of the remaining step.
         u: (m, p) inputs that reach the mode.
         fraction: (p,) expected share of the step that is left.
         displacement: (n, p) nominal motion from start to end, without noise.
@@ -129,7 +129,7 @@ class Binding:
 
     Attributes:
         terms: (coordinate, weight or weights (p,)) of its margin.
-        offset: (p,) what their sum is compared with, or (1,).
+        offset: (p,) threshold of their sum, or (1,).
         number: (p,) which one of the guard's it is; None: the only one.
     """
 

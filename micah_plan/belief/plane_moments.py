@@ -1,7 +1,7 @@
 """Moments of a standard Gaussian in the plane over half-planes and wedges, in closed form, many at once.
 
-Moments are arrays whose first index says of what: 1, x, y, xx, xy, yy (`MASS` to `YY`), not normalised. A wedge lies on
-the left of an upright line, above a line that crosses it.
+Moments are arrays whose first index is the moment: 1, x, y, xx, xy, yy (`MASS` to `YY`), not normalised. A wedge lies
+on the left of an upright line, above a line that crosses it.
 
 Sources: Rosenbaum, "Moments of a truncated bivariate normal distribution", JRSS B 1961, written here with Stokes'
 theorem; Owen, "Tables for computing bivariate normal probabilities", Annals of Mathematical Statistics 1956.
@@ -40,7 +40,7 @@ def wedge(place: Floats, slope: Floats, spread: Floats, offset: Floats) -> tuple
         place, slope, spread, offset: (p,), spreads above 0.
 
     Returns:
-        moments, and (p,) the probability that lies beyond the two lines, seen from the origin: masses are exact to
+        moments, and (p,) the probability beyond the two lines, seen from the origin: masses are exact to
         1e-16 times it.
     """
     # Owen's T wants to know on which side of the origin a line runs: the point is moved by a negligible amount, along a

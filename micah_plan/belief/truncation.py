@@ -1,13 +1,13 @@
 """Truncation of Gaussians by half-spaces: split at a boundary, or conditioned on one side.
 
-A state that is still in its mode lies in front of the guards that leave it. So what a belief's mean and covariance
-describe ends at the guard, and is skewed: a Gaussian that is cut there (`truncated`), of which these are the moments.
-`uncut` finds it.
+A state that is still in its mode lies in front of the guards that leave it. So the density that a belief's mean and
+covariance describe ends at the guard, and is skewed: a truncated Gaussian (`truncated`) with these moments. `uncut`
+finds it.
 
 The state before a step has margin m0 to a guard and the state after it m1; both are Gaussian and correlated. Crossing
 is m0 <= 0 and m1 > 0: a state that is outside and comes inside. Only two directions of the noise move the margins:
-about their means m0 = s0 ζ0 and m1 = k ζ0 + t ζ1. In the plane of (ζ0, ζ1) what crosses is a wedge, whose moments are
-known in closed form. Where those lose digits, quadrature over ζ0 with closed forms over ζ1 replaces them.
+about their means m0 = s0 ζ0 and m1 = k ζ0 + t ζ1. In the plane of (ζ0, ζ1) the crossing mass is a wedge, whose moments
+are known in closed form. Where those lose digits, quadrature over ζ0 with closed forms over ζ1 replaces them.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Margins:
     def can_cross(self, probability: Floats) -> Booleans:
         """(p,) whether the crossing share can exceed the filter's threshold, for shares (p,) of beliefs.
 
-        No more does than ends inside, and nothing where all of it stays where it is.
+        At most the mass that ends inside crosses, and none if all of it stays where it is.
         """
         (start, end), (before, after) = self.mean, self.row
         spread = np.sqrt(np.einsum("kp,kp->p", after, after)) + SMALLEST_STD
@@ -71,7 +71,7 @@ class Shares:
     """Crossing (first index 0) and remaining (1) shares of p Gaussians.
 
     Attributes:
-        probability: (2, p), of sum 1; 0 for what filters drop, which has the moments of the whole.
+        probability: (2, p), of sum 1; 0 for a mass that filters drop, which has the moments of the whole.
         mean, factor: (2, ..., p), (2, ..., k, p) of the shares as Gaussians of their own.
     """
 
@@ -83,8 +83,8 @@ class Shares:
 def split(mean: Floats, factor: Floats, margins: Margins) -> Shares:
     """Crossing and remaining shares of Gaussians whose densities end at the half-spaces at the start of the step.
 
-    Moments are exact up to rounding or quadrature (1e-9). Only what has its mean behind the half-space is there: all
-    that is inside crosses.
+    Moments are exact up to rounding or quadrature (1e-9). If the mean is behind the half-space, the whole mass is
+    there: all that is inside crosses.
 
     Args:
         mean, factor: (..., p) and (..., k, p).
@@ -133,9 +133,9 @@ def is_cut(margin: Floats, row: Floats) -> Booleans:
 def uncut(mean: Floats, factor: Floats, margin: Floats, row: Floats) -> tuple[Floats, Floats, Floats]:
     """Inverse of `truncated`: means and factors before truncation at margin > 0.
 
-    A Gaussian that is cut at its own mean has a mean `_STEEPEST` stds ahead. Where states pile up on a boundary the
-    mean is nearer: then a share of them has that shape, and together with those on it (`onto_boundary`) the mean and
-    the std.
+    A Gaussian truncated at its own mean has a mean `_STEEPEST` stds ahead. Where states pile up on a boundary the mean
+    is nearer: then a share of them has that shape, and together with those on it (`onto_boundary`) the mean and the
+    std.
 
     Args:
         mean, factor: (..., p) and (..., k, p).
@@ -201,7 +201,8 @@ def log_probability(margin: Floats, row: Floats) -> Floats:
 def _moments_before(plane: _Plane) -> Floats:
     """Moments (6, 2, p) of crossing and remaining shares, of densities that end at the half-spaces before the step.
 
-    What has its mean in front of a half-space has all of it there: a part lies on it, the rest is a Gaussian cut by it.
+    If its mean is in front of a half-space, the whole mass is there: a part lies on it, the rest is a Gaussian
+    truncated by it.
     """
     inside = plane.m0 > 0
     is_whole = inside | (plane.s0 == 0)
@@ -271,7 +272,7 @@ def _whitened(margins: Margins) -> tuple[Floats, Floats, _Plane]:
 def _moments_of_shares(plane: _Plane, inside: Booleans) -> Floats:
     """Moments (6, 2, p) of crossing and remaining shares.
 
-    `inside`: the mass that starts behind the guard crosses; else there is none.
+    `inside`: the mass that starts behind the guard crosses; otherwise there is none.
     """
     # The smaller angle between the lines that bound the wedge and where both margins move as one, roughly.
     wedged = plane.t > _SINE * (np.abs(plane.k) + 2 * plane.s0)
@@ -304,7 +305,7 @@ def _from_known_start(plane: _Plane, inside: Booleans) -> Floats:
 def _closed_form_moments(plane: _Plane, inside: Booleans) -> tuple[Floats, Booleans]:
     """As `_moments_of_shares`, for margins that both move; and whether the closed forms are sure (p,).
 
-    What crosses is the wedge of m0 < 0 and m1 > 0.
+    The crossing mass is the wedge of m0 < 0 and m1 > 0.
     """
     place, moments = -plane.m0 / plane.s0, np.empty((6, 2, len(inside)))
     moments[:, 0], beyond = wedge(place, plane.k, plane.t, plane.m1)

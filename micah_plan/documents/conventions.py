@@ -66,7 +66,7 @@ def load_conventions(path: str | Path) -> Conventions:
     """The conventions that a file describes.
 
     Raises:
-        InputError: if it cannot be used; one line names file, line, key, what was expected and found, and the remedy.
+        InputError: if it cannot be used; one line with file, line, key, expected and found content, and the remedy.
     """
     located = read_yaml_file(path)
     meanings = validated(located, ConventionsDocument).meanings(located, {})

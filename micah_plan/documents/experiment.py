@@ -68,7 +68,7 @@ def load_experiment(path: str | Path) -> Experiment:
     """The experiment that a file describes, with its model.
 
     Raises:
-        InputError: if it cannot be used; one line names file, line, key, what was expected and found, and the remedy.
+        InputError: if it cannot be used; one line with file, line, key, expected and found content, and the remedy.
     """
     located = read_yaml_file(path)
     document = validated(located, ExperimentDocument)

@@ -92,7 +92,7 @@ def load_scene(path: str | Path) -> Scene:
     """The scene that a file describes.
 
     Raises:
-        InputError: if it cannot be used; one line names file, line, key, what was expected and found, and the remedy.
+        InputError: if it cannot be used; one line with file, line, key, expected and found content, and the remedy.
     """
     located = read_yaml_file(path)
     scene: Scene = validated(located, SceneDocument).read(located, {})

@@ -1,6 +1,6 @@
 """Kinds of files: detection by path, and the JSON Schema of each kind for editors and other programs.
 
-YAML files say in their key `format` what they are, other files by their ending.
+YAML files are identified by their key `format`, other files by their ending.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def kind_of(path: str | Path) -> FileKind:
 def files_named_by(path: str | Path) -> list[Path]:
     """A file and all files linked to it by name: the model of a problem, the problem of a scene.
 
-    Whatever is wrong with them is left to their readers.
+    Errors in them are left to their readers.
     """
     kinds: dict[str, Path] = {}
     waiting = [Path(path)]

@@ -1,8 +1,8 @@
 """Layouts of files, and values read and written by them.
 
-A layout is a class with a field per key. Its annotation says of what kind the entry is in the file, and marks in
-`Annotated` what it means: the name of a coordinate is its number in the value, a list of half-spaces a region. Reading,
-writing and the JSON Schema all follow from that.
+A layout is a class with a field per key. Its annotation is the kind of the entry in the file, and marks in `Annotated`
+are its meaning: the name of a coordinate is its number in the value, a list of half-spaces a region. Reading, writing
+and the JSON Schema all follow from that.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ Scope = Mapping[str, Sequence[str]]
 class Document(BaseModel):
     """Base of every layout: unknown keys are errors, types are not converted, numbers are finite.
 
-    Keys are called like the attributes of the value that the entry describes, or as `renamed` says, wherever both mean
-    the same. Where they do not, a layout has a `read` and a `written` of its own, each of which undoes the other.
+    Keys are called like the attributes of the value that the entry describes, or as in `renamed`, wherever both mean
+    the same. Where they do not, a layout has its own `read` and `written`, which are inverses.
     """
 
     # Validators are built when a file is first read with them, and only those that this file needs.
@@ -49,7 +49,7 @@ class Document(BaseModel):
             scope: the names that it may refer to.
 
         Raises:
-            InputError: for an unknown name, and for what does not agree with itself.
+            InputError: for an unknown name or inconsistent entries.
         """
         return type(self).makes(**self.meanings(at, scope))
 
@@ -78,8 +78,8 @@ def doc(description: str, default: Any = ..., **further: Any) -> Any:
     """A key of a layout with its description and default.
 
     Args:
-        description: what it means, with its unit.
-        default: what holds where it is left out, a type for what calling it makes; none: the key is required.
+        description: its meaning, with its unit.
+        default: value of a missing key, a type for the result of calling it; none: the key is required.
         further: as of `pydantic.Field`.
     """
     made = {"default_factory": default} if isinstance(default, type) else {"default": default}
@@ -91,8 +91,8 @@ class Mark:
     """Conversion of an entry whose value differs from its text in the file; put into `Annotated`.
 
     Attributes:
-        read: what an entry at a place means; raises an InputError if it has no meaning.
-        written: what a file says of it again.
+        read: meaning of an entry at a place; raises an InputError if it has none.
+        written: the inverse.
     """
 
     read: Callable[[Any, Located, Scope], Any]
@@ -105,7 +105,7 @@ class _Kind:
 
     Attributes:
         type: without Annotated and `| None`.
-        marks: those in Annotated.
+        marks: of Annotated.
         keys, entries: of a mapping, `entries` also of a list; None for others.
     """
 
@@ -157,8 +157,8 @@ def plain_data(layout: type[Document], value: object, scope: Scope | None = None
     """Plain data of a value in the layout's order, without entries equal to their defaults.
 
     Args:
-        value: one that the layout describes, or a mapping of what to write under its keys. A mapping in the place of an
-            inner value is plain data and taken as it is.
+        value: one that the layout describes, or a mapping of values by key. A mapping in the place of an inner value is
+            plain data and used as it is.
         scope: the names that are written instead of numbers.
     """
     scope, left_out = scope or {}, _left_out(layout)

@@ -79,7 +79,7 @@ class Located:
         """A name checked against the existing ones.
 
         Raises:
-            InputError: if it is none of them; the message says what they are names of.
+            InputError: if it is none of them; the message states the kind of names.
         """
         if name not in names:
             raise self.error(f"unknown {what} {shown(name)}", choices(name, names))
@@ -106,11 +106,10 @@ class Located:
 def overridden(located: Located, key: str, value: Any) -> Located:
     """The data with another value at a dotted key such as ``start.std.door`` or ``goal.modes.0``.
 
-    Keys that are not there are added (a layout that does not know them says so when it is validated); entries of lists
-    must be there.
+    Missing keys are added (unknown ones are reported by validation); entries of lists must exist.
 
     Raises:
-        InputError: if there is a plain value on the way.
+        InputError: if the path leads through a plain value.
     """
     data = copy.deepcopy(located.data)
     current, path = data, list[str | int]()

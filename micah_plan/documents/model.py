@@ -228,7 +228,7 @@ def load_model(path: str | Path) -> HybridAutomaton:
     """The automaton that a model file holds.
 
     Raises:
-        InputError: if it cannot be used; one line names file, line, key, what was expected and found, and the remedy.
+        InputError: if it cannot be used; one line with file, line, key, expected and found content, and the remedy.
     """
     return usable_model(read_bytes(path, LARGEST_TEXT_BYTES), str(path))
 
@@ -261,7 +261,7 @@ def model_of(data: Mapping[str, Any]) -> HybridAutomaton:
         data: dicts, lists, texts and numbers; `format` may be left out.
 
     Raises:
-        InputError: with the key, what was expected and found, and the remedy.
+        InputError: with the key, the expected and the found content, and the remedy.
     """
     return _usable(Located({"format": MODEL_FORMAT, **data}, "model"))
 

@@ -16,7 +16,7 @@ class Difference:
 
     Attributes:
         place: keys from the top of the file, joined by dots; parts of a list by their names, or by number.
-        before, after: what is there, as in the file; None where there is nothing.
+        before, after: the values as in the file; None where missing.
     """
 
     place: str

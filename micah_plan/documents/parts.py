@@ -53,7 +53,7 @@ def load_parts(path: str | Path) -> tuple[Part, ...]:
     """The parts that a file of parts describes; `learn` adds them to a model.
 
     Raises:
-        InputError: if it cannot be used; one line names file, line, key, what was expected and found, and the remedy.
+        InputError: if it cannot be used; one line with file, line, key, expected and found content, and the remedy.
     """
     located = read_yaml_file(path)
     parts: tuple[Part, ...] = validated(located, PartsDocument).meanings(located, {})["parts"]

@@ -1,7 +1,7 @@
 """Plan files (JSON): a plan with the problem that it solves.
 
-A plan file holds all that executing, viewing and explaining the plan needs. Times are not in it but beside it, so that
-the same problem and seed give the same bytes.
+A plan file has everything for executing, viewing and explaining the plan. Times are in a separate file, so that the
+same problem and seed give the same bytes.
 """
 
 from __future__ import annotations
@@ -308,7 +308,7 @@ def write_timings(plan: Plan, path: str | Path) -> None:
     """Write the plan's times [s] by stage next to the plan file at `path`.
 
     Raises:
-        InputError: if the file cannot be written, or what lies there is none of times.
+        InputError: if the file cannot be written, or the existing file has no times.
     """
     check_timings(path)
     replace_file(timings_path(path), timings_text(plan).encode())

@@ -169,8 +169,8 @@ def load_problem(
         model: to use instead of the one that the file names.
 
     Raises:
-        InputError: if the file or its model cannot be used; one line names file, line, key, what was expected and
-            found, and the remedy.
+        InputError: if the file or its model cannot be used; one line with file, line, key, expected and found content,
+            and the remedy.
     """
     return ProblemReader(path, model).load(overrides)
 
@@ -194,7 +194,7 @@ def problem_of_data(data: Mapping[str, Any], model: HybridAutomaton | None = Non
         data: dicts, lists, texts and numbers; `format` may be left out, and `model`, which is a path, if one is given.
 
     Raises:
-        InputError: with the key, what was expected and found, and the remedy.
+        InputError: with the key, the expected and the found content, and the remedy.
     """
     unnamed = {"format": PROBLEM_FORMAT} | ({} if model is None else {"model": ""})
     located = Located(unnamed | dict(data), "problem")
@@ -231,7 +231,7 @@ def _check_possible(problem: Problem, located: Located) -> None:
 class ProblemReader:
     """Reads one problem file repeatedly with different overrides.
 
-    The files are read anew every time. What is made of their content is kept until it changes: parsing takes a hundred
+    The files are read every time. The values of their content are cached until it changes: parsing takes a hundred
     times as long as replacing a value, and the contacts of a held object take seconds.
     """
 
@@ -296,7 +296,7 @@ def problem_of_document(document: ProblemDocument, automaton: HybridAutomaton, l
     Args:
         document: the validated layout.
         automaton: the model that it names.
-        located: the data that the document was validated from; the robot and meshes are looked for beside its file.
+        located: the data that the document was validated from; the robot and meshes are searched relative to its file.
 
     Raises:
         InputError: for unknown names of coordinates, inputs, modes, parts or path functions, for missing values, and
@@ -319,7 +319,7 @@ def problem_data(problem: Problem, model: str) -> dict[str, Any]:
 
     Args:
         problem: its noise is that of its automaton and not repeated here.
-        model: what to write as the name of the model file.
+        model: name of the model file to write.
     """
     data = plain_data(
         ProblemDocument, {**ProblemDocument.written(problem, {}), "model": model}, scope_of(problem.automaton)

@@ -70,7 +70,7 @@ def load_tags(path: str | Path) -> TagLayout:
     """The tags of a file: our format, or apriltag_ros for ROS 1 or 2.
 
     Raises:
-        InputError: if it cannot be used; one line names file, line, key, what was expected and found, and the remedy.
+        InputError: if it cannot be used; one line with file, line, key, expected and found content, and the remedy.
     """
     located = read_yaml_file(path)
     with located_in(path):

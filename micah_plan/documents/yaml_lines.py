@@ -1,11 +1,11 @@
 """YAML text <-> plain data with the line and column of every value. The only importer of PyYAML and ruamel.yaml.
 
-YAML 1.2 with its core schema (so ``1e-3`` is a number and ``on`` a string), less what a hostile file could use: no
-tags, directives or second documents, and bounds on size, number of values and depth. A value with an anchor (``&name``)
-is written once and meant wherever its alias (``*name``) stands; what aliases stand for counts as if it were written
-out. The reader works on the parser's events and stops at the first that is not allowed, before anything is built from
-it. libyaml parses, as PyYAML binds it, twenty times faster than a parser in Python; ruamel.yaml writes, since it keeps
-remarks beside their keys.
+YAML 1.2 with its core schema (so ``1e-3`` is a number and ``on`` a string), without features that a hostile file could
+use: no tags, directives or second documents, and bounds on size, number of values and depth. A value with an anchor
+(``&name``) is written once and used wherever its alias (``*name``) stands; aliases count as if they were written out.
+The reader works on the parser's events and stops at the first that is not allowed, before anything is built from it.
+libyaml parses, as PyYAML binds it, twenty times faster than a parser in Python; ruamel.yaml writes, since it keeps
+comments with their keys.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def read_yaml(content: bytes, source: str, until: str | None = None) -> Located:
     Args:
         content: of the file, UTF-8.
         source: the file's name, for messages.
-        until: a key after which nothing is read.
+        until: a key at which reading stops.
 
     Raises:
         InputError: if it is not YAML, not a mapping, or uses what the module's docstring excludes.

@@ -86,13 +86,13 @@ def convert(
     Args:
         source, target: the files.
         part, run: of a recording, which to write; None: all.
-        poses_only: leave out what is no pose, such as actions, so that formats of trajectories can hold the rest.
+        poses_only: leave out everything but poses, such as actions, so that formats of trajectories can hold the rest.
         density: of the shapes of a model, for the masses of bodies [kg/m^3].
         packages: of a URDF or SDF, folder by package name of its meshes.
-        conventions: of a recording; None: those that lie beside it, if any.
+        conventions: of a recording; None: those next to its file, if any.
 
     Returns:
-        What it was, and what of it is not in the target, one line each.
+        The kind of file, and what the target does not contain, one line each.
 
     Raises:
         InputError: if the one cannot be read, or the other cannot hold it.
@@ -143,7 +143,7 @@ def write_model(
         density: of its shapes, for the masses of bodies [kg/m^3].
 
     Returns:
-        What of it is not in the file, one line each.
+        What the file does not contain, one line each.
 
     Raises:
         InputError: for another ending, and for a model that the format cannot hold.

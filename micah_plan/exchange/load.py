@@ -20,7 +20,7 @@ def load_recording(path: str | Path, *, minimum_rows: int = 1, conventions: Conv
 
     Args:
         path: the recording; of ``door.csv`` the conventions are in ``door.conventions.yaml``.
-        minimum_rows, conventions: those of `read_recording`.
+        minimum_rows, conventions: see `read_recording`.
 
     Raises:
         InputError: if a file cannot be used.

@@ -1,8 +1,8 @@
 """Models as MJCF (MuJoCo's XML): nested bodies on hinges and slides, with handles as sites and a motor per coordinate.
 
-MuJoCo has no screw: it is a hinge and a slide that an equality joins. Joints are damped a little, so that the object
-comes to rest, and there is no gravity: the base frame of a learned model is seldom level.
-Source: MuJoCo documentation, "XML reference".
+MuJoCo has no screw: it is a hinge and a slide joined by an equality. Joints are damped a little, so that the object
+comes to rest, and there is no gravity: the base frame of a learned model is seldom level. Source: MuJoCo documentation,
+"XML reference".
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ def load_mjcf(path: str | Path) -> tuple[HybridAutomaton, tuple[str, ...]]:
     """(model of an MJCF file, its losses and suspicions, one line each).
 
     Raises:
-        InputError: if it is no MJCF, MuJoCo refuses it, nothing moves, or something moves on a ball joint.
+        InputError: if it is not MJCF, MuJoCo refuses it, nothing moves, or something moves on a ball joint.
         MissingDependencyError: if MuJoCo is not installed.
     """
     root = parse_xml(read_xml(path, "MJCF"), str(path))

@@ -1,6 +1,6 @@
 """A tree of moving parts as a model: one mode, in which every coordinate stops at the limits of its joint.
 
-What URDF and MJCF say comes to this; they have no modes, no guards but limits, and no noise.
+URDF and MJCF are read through this; they have no modes, no guards but limits, and no noise.
 """
 
 from __future__ import annotations
@@ -75,10 +75,10 @@ def one_mode(
         moving: the joints, from the base outwards.
         parts: base first.
         followers: by name of the joint in the file. Its coordinate is tied to that of its leader, and has no input.
-        method: what made it, for the provenance.
+        method: for the provenance.
 
     Raises:
-        InputError: if nothing moves, too much does, or a joint follows itself or one that does not move.
+        InputError: if nothing moves, too much moves, or a joint follows itself or one that does not move.
     """
     if len(moving) > MOST_JOINTS:
         problem = f"expected at most {MOST_JOINTS} joints that move, found {len(moving)}"

@@ -1,8 +1,8 @@
 """Recordings as `.rrd` files of the viewer Rerun (extra `rerun`). The only importer of `rerun`.
 
 Every part of every run is an entity ``run_R/PART`` with its pose over the time line ``time`` [s]; actions, forces and
-columns of numbers are scalars below it. Its axes and, beside it, the track ``run_R/tracks/PART`` are what is seen: of
-poses alone the viewer draws nothing. Rerun stamps files with the time of writing, so bytes differ from run to run.
+columns of numbers are scalars below it. Its axes and the track ``run_R/tracks/PART`` are visible: of poses alone the
+viewer draws nothing. Rerun stamps files with the time of writing, so bytes differ from run to run.
 """
 
 from __future__ import annotations

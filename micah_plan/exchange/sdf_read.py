@@ -1,8 +1,8 @@
 """Models from SDF (Gazebo, Drake), converted to a URDF of the same joints.
 
-In SDF a joint has a frame of its own, and every pose says what it is relative to; in URDF a joint's frame is that of
-its child. So each moving link gets a further one that turns on the joint and that it is fixed to, as `urdf_text` makes
-them. What has no parent stands in the model's frame, as what is fixed to the world does.
+In SDF a joint has its own frame, and every pose names the frame that it is relative to; in URDF a joint's frame is that
+of its child. So each moving link gets a further one that rotates on the joint and that it is fixed to, as `urdf_text`
+makes them. Links without a parent are in the model's frame, like links fixed to the world.
 
 Source: http://sdformat.org/tutorials (pose semantics, version 1.7 on) and /spec.
 """
@@ -39,7 +39,7 @@ def load_sdf(path: str | Path, packages: Mapping[str, str] | None = None) -> tup
         packages: folder by the name behind ``model://``, for meshes.
 
     Raises:
-        InputError: if it is no SDF, has several models or joints of another kind, or nothing moves.
+        InputError: if it is not SDF, has several models or joints of another kind, or nothing moves.
     """
     root = parse_xml(read_xml(path, "SDF"), str(path))
     if root.tag != "sdf":

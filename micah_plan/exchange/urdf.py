@@ -146,7 +146,7 @@ def load_urdf(path: str | Path, packages: Mapping[str, str] | None = None) -> tu
         packages: folder by package name, for meshes; others are looked for among the folders above the file.
 
     Raises:
-        InputError: if it is no URDF, or nothing moves.
+        InputError: if it is not URDF, or nothing moves.
     """
     root = parse_xml(read_xml(path, "URDF"), str(path))
     if root.tag != "robot":

@@ -35,10 +35,10 @@ def make_plant(problem: Problem, kind: str | PlantMaker) -> Plant:
     """A plant for a problem.
 
     Args:
-        kind: name of one that comes with the package, or a class or function that is called with the problem.
+        kind: name of a plant of the package, or a class or function that is called with the problem.
 
     Raises:
-        InputError: if there is none of that name, it cannot be made, or what is made is no plant.
+        InputError: if there is none of that name, it cannot be made, or the result is not a plant.
         MissingDependencyError: if it needs a library that is not installed.
         PlantError: if the machine does not answer.
     """
@@ -171,7 +171,7 @@ def checked_measurement(answer: object, parts: Sequence[str], after: float = -np
     """A validated measurement with copies of its arrays.
 
     Args:
-        answer: what `reset` or `apply` returned.
+        answer: returned by `reset` or `apply`.
         parts: (l,) name of each link's child part, in the automaton's order of links.
         after: time of the measurement before this one [s].
 
@@ -237,7 +237,7 @@ def error_in_user_code(error: BaseException, file: str | None, what: str) -> Inp
 
     Args:
         file: theirs; None: unknown.
-        what: what was being called.
+        what: the name of the called function.
     """
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if frame.filename == file]

@@ -1,7 +1,7 @@
 """Closed-loop execution: measure, filter, decide, command and log, until the goal is believed reached or steps end.
 
-`Episode` decides and logs; it calls neither a plant nor the filter. `execute_episode` joins it with both. Episodes are
-independent, so many can share one batched step of the filter.
+`Episode` decides and logs; it calls neither a plant nor the filter. `execute_episode` connects it with both. Episodes
+are independent, so many can share one batched step of the filter.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ class TrialResult:
 
     Attributes:
         recording: the log; `learn` and `predict` accept it.
-        success: whether the state at the end lies in the goal set, and no state on the way broke a constraint on the
-            path: the true ones or, where nobody knows them, the believed ones, at the end with the problem's
+        success: whether the state at the end is in the goal set, and no state before violated a constraint on the path:
+            by the true states, or where these are unknown by the believed ones, at the end with the problem's
             confidence. False where the machine failed.
-        believed: whether that and the final values are what the belief says, since the plant has no referee.
+        believed: whether success and final values are from the belief, since the plant has no referee.
         reason: one sentence.
         final_error: largest distance of a constrained coordinate from its target at the end [rad or m].
         final_mode, final_x: the state at the end, in the model's terms; (n,) [rad or m].
@@ -56,9 +56,9 @@ class TrialResult:
         continuations: how often the rest of the plan was optimised again.
         refusals: why new plans were not followed.
         beliefs: after each measurement, steps + 1 of them.
-        released: whether the object was released and stands in the goal on its own, where the problem asks for it;
-            then this is the success, and the final values are of the object at rest. None: it stays in the hand. Log,
-            steps and beliefs end where the hand begins to put it down: what holds of an object in a hand ends there.
+        released: whether the object was released and stands in the goal on its own, where the problem requires it; then
+            this is the success, and the final values are of the object at rest. None: it stays in the hand. Log, steps
+            and beliefs end where the hand begins to put it down, since the model of an object in a hand ends there.
     """
 
     recording: Recording
@@ -87,9 +87,9 @@ class Episode:
         command = episode.decide(b, measurement, truth)           # None: the execution has ended
         b = filter.predict(automaton, b, command.input)
 
-    Every step the updated belief is looked at. The execution stops when the plan is done and the belief is in the goal
-    set with the problem's confidence: stopping earlier ends at its edge. A new plan is asked for where a belief leaves
-    it, misses a transition or ends short of the goal; where none leads on, it stops. Where the problem releases the
+    Every step the updated belief is evaluated. The execution stops when the plan is done and the belief is in the goal
+    set with the problem's confidence: stopping earlier would end at its edge. A new plan is requested where a belief
+    leaves it, misses a transition or ends short of the goal; if none is found, it stops. Where the problem releases the
     object, the hand then puts it down and withdraws, see `release`.
     """
 
@@ -111,7 +111,7 @@ class Episode:
                 the object at rest.
             trajectory: the plan.
             arm: joints of the arm along the trajectory; None: there is no arm.
-            replanning: where new plans come from; None: none are asked for.
+            replanning: source of new plans; None: none are requested.
             max_steps: control steps at most; None: twice the plan's plus 20.
             run: the run's number in the log.
             release: how the object is released in the end; None: it stays in the hand.
@@ -152,7 +152,7 @@ class Episode:
         """(n,) the configuration in a measurement [rad or m]; NaN where it shows none.
 
         Args:
-            belief: before it, to tell whole turns apart and for the joints of the most likely mode.
+            belief: before it, to choose whole turns and the joints of the most likely mode.
         """
         if self._is_away:
             return np.full(self.automaton.n, np.nan)  # the parts are no longer where the hand is
@@ -210,7 +210,7 @@ class Episode:
         """The outcome of the execution.
 
         Args:
-            failure: what the machine failed with after the last command; empty if it did not.
+            failure: of the machine after the last command; empty without one.
         """
         pilot, truth, released = self._pilot, self._truth, self._is_released()
         goal = self._rest_goal if self._is_open else self._problem.goal
@@ -318,15 +318,15 @@ class Episode:
 def execute_episode(episode: Episode, plant: Plant | CheckedPlant, rng: np.random.Generator) -> TrialResult:
     """Execute an episode on a plant after a reset.
 
-    If the plant is also a `Referee`, the result is scored by the truth; else by the belief, and says so.
+    If the plant is also a `Referee`, the result is scored by the truth; otherwise by the belief, and marked so.
 
     Args:
         rng: feeds the plant's start and noise.
 
     Raises:
         PlantError: if the machine cannot be reset. One that fails later ends the episode as a failure.
-        InputError: if the plant's code raised something else, or what it answered is no usable measurement. What was
-            logged until then is `episode.recording`.
+        InputError: if the plant's code raised another error, or its answer is not a usable measurement. The log until
+            then is `episode.recording`.
     """
     return execute_batch([episode], [plant], [rng])[0]
 
@@ -339,8 +339,8 @@ def execute_batch(
 ) -> list[TrialResult]:
     """Execute episodes of one model in lockstep, each on its own plant; equivalent to `execute_episode` for each.
 
-    What the filter computes for all of them at once costs little more than for one. Several only in simulations: a
-    machine does not wait for others.
+    Filtering all of them at once takes little more time than one. Several only in simulations: a machine does not wait
+    for others.
 
     Args:
         ended: called with each result when its episode ends.
@@ -384,7 +384,7 @@ def execute_batch(
 def goal_probability(automaton: HybridAutomaton, goal: Goal, belief: HybridBelief) -> float:
     """A lower bound of the probability that the state is in the goal set.
 
-    Within a mode, coordinates may be correlated; Bonferroni's bound 1 - Σ P(outside) holds whatever the correlation.
+    Within a mode, coordinates may be correlated; Bonferroni's bound 1 - Σ P(outside) holds for any correlation.
     """
     coordinates, values, tolerances = np.array(goal.target, dtype=float).reshape(-1, 3).T
     index = coordinates.astype(int)
@@ -411,8 +411,8 @@ def true_state(automaton: HybridAutomaton, truth: Truth) -> tuple[str, Floats]:
     """The truth in the terms of the executing side's model: its mode and x (n,).
 
     A plant may be another model or physics. Then x follows from the true poses by the model's inverse kinematics, and
-    the mode is the one that pins what is latched, with the largest margin inside its invariant among those. A collision
-    stays one, though the model may have no mode for it.
+    the mode is the one that pins the latched joints, with the largest margin inside its invariant among those. A
+    collision remains one, though the model may have no mode for it.
     """
     if truth.mode in automaton.mode_names:
         return str(truth.mode), truth.x

@@ -35,11 +35,11 @@ _FIRST_SECONDS = 60.0
 def check_plant(plant: Plant, problem: Problem, seed: int = 0) -> tuple[str, ...]:
     """Refuse a plant that violates an assumption of executions.
 
-    It is reset twice, moved along every input by the fewest steps that show above the noise, if the start's mode allows
-    them, and told to stand still. On a real machine, stand by. Checked: methods, types, shapes, unit quaternions, time;
-    that poses fit the model's joints and the problem's start; that commands move the parts where they say; that nothing
-    moves by itself; and of a simulation (a `Referee`) that its truth is what it shows, and that the same seed gives the
-    same start.
+    It is reset twice, moved along every input by the fewest steps that exceed the noise, if the start's mode allows
+    them, and commanded to stand still. On a real machine, stand by. Checked: methods, types, shapes, unit quaternions,
+    time; that poses fit the model's joints and the problem's start; that commands move the parts as intended; that
+    nothing moves by itself; and for a simulation (a `Referee`) that measurements match its truth, and that the same
+    seed gives the same start.
 
     Args:
         plant: stays open.
@@ -47,10 +47,10 @@ def check_plant(plant: Plant, problem: Problem, seed: int = 0) -> tuple[str, ...
         seed: of the start and noise of a simulation.
 
     Returns:
-        What could not be tried, one sentence each.
+        What could not be tested, one sentence each.
 
     Raises:
-        InputError: says what is wrong; its `each()` gives all that was found.
+        InputError: with the fault; its `each()` gives all of them.
         PlantError: if the machine failed.
     """
     check_methods(plant, type(plant).__name__)

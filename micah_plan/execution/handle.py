@@ -37,11 +37,11 @@ def make_handle_plant(scene: Scene, kind: str | Callable[[Any], Plant]) -> Plant
     """A plant for a scene.
 
     Args:
-        kind: ``"nominal"`` or ``"mujoco"``, with the object of the scene's `simulated`; or what is called with the
-            scene.
+        kind: ``"nominal"`` or ``"mujoco"``, with the object of the scene's `simulated`; or a function that is called
+            with the scene.
 
     Raises:
-        InputError: if the scene names no object, it cannot be made, or what is made is no plant.
+        InputError: if the scene names no object, it cannot be made, or the result is not a plant.
         MissingDependencyError: if it needs a library that is not installed.
     """
     if not isinstance(kind, str):
@@ -63,7 +63,7 @@ def make_handle_plant(scene: Scene, kind: str | Callable[[Any], Plant]) -> Plant
 class HandlePlant:
     """A plant with checked answers that may lack a pose: a tracker may lose the handle or be late.
 
-    As a context it closes the plant at its end, whatever happened.
+    As a context manager it closes the plant at its end in any case.
     """
 
     def __init__(self, plant: Plant) -> None:
@@ -99,7 +99,7 @@ def checked_handle_measurement(answer: object) -> Measurement:
     """A validated answer; poses or forces with a NaN become NaN throughout.
 
     Raises:
-        InputError: if anything else is wrong with it.
+        InputError: if it has any other fault.
     """
     if not isinstance(answer, Measurement):
         return checked_measurement(answer, [HANDLE])

@@ -33,7 +33,7 @@ class RunLog:
         """Append a sample.
 
         Args:
-            belief: after the measurement: what the action was chosen with.
+            belief: after the measurement, with which the action was chosen.
             true_x: (n,) [rad or m]; None in every sample of a run if it is unknown.
             action: (l, 3) [m]; None in the run's last sample.
         """

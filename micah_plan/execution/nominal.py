@@ -84,7 +84,7 @@ class NominalPlant:
     def _let_go(self, command: Command, disturbance: Floats, release: Release, rest: Rest) -> None:
         """A step of a hand that puts the object down: it stops at the support, where the object settles.
 
-        What stands stays, wherever the hand goes."""
+        An object that stands stays when the hand moves away."""
         if self._stands:
             return
         if command.opens:

@@ -36,10 +36,11 @@ def carry_out(
         keep: called with the log of every run when it ends, also when an error or Ctrl-C breaks it off.
 
     Returns:
-        The logs, and (run, reason) of those that the machine did not finish.
+        The logs, and (run, reason) of runs that the machine did not finish.
 
     Raises:
-        InputError: if there is no such plant, or its code raised an error or answered with what is no measurement.
+        InputError: if there is no such plant, or its code raised an error or returned something that is not a
+            measurement.
         MissingDependencyError: if the plant needs a library that is not installed.
         PlantError: if the machine cannot be reset.
     """

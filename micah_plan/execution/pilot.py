@@ -54,9 +54,9 @@ class Advice:
 class PlanFollower:
     """Follows one trajectory knot by knot, as in the roll-outs of its verification.
 
-    A belief in another mode than the knot's may still be on its way: transitions come a little earlier or later than
-    planned, and that a plan passes a guard by more than once is what makes them sure. So the plan goes on as long as
-    its rest takes the estimate to the goal; where it does not, the last transition is tried again.
+    A belief in another mode than the knot's may still be in transition: transitions come a little earlier or later than
+    planned, since plans go deeper into a guard than necessary. So the plan continues as long as its rest takes the
+    estimate to the goal; otherwise the last transition is tried again.
     """
 
     def __init__(self, problem: Problem, trajectory: Trajectory) -> None:
@@ -137,8 +137,8 @@ class PlanFollower:
     def _input_at_end(self, belief: HybridBelief, knot: int) -> Floats:
         """The input at the end of the plan: repeat the last transition while it may not have occurred, else hold.
 
-        A door that is believed shut is pressed once more: if it was, nothing changes, and else it now is. Where the
-        press would move what reached its goal, it is not repeated.
+        A door that is believed shut is pressed once more: if it was shut, nothing changes, otherwise it now is. If the
+        press would move a coordinate away from its goal, it is not repeated.
         """
         plan, number = self._trajectory, belief.most_likely
         mode, estimate = self._automaton.modes[number].name, belief.means[number]
@@ -178,11 +178,11 @@ class Replanning:
     """Sources of new trajectories during an execution, and their acceptance test.
 
     Attributes:
-        replan: gives a trajectory from a belief, or None if there is none, told the trajectory that is followed and the
-            knot that the next input belongs to; None: never replan.
+        replan: returns a trajectory from a belief, or None if there is none, given the trajectory that is followed and
+            the knot of the next input; None: never replan.
         continue_plan: the rest of a trajectory from a knot on, optimised again every `replan_every` steps; None: never.
-        ask_arm: gives the arm's joints along a new trajectory, from the joints that it is at, or what stands in the
-            way: such a trajectory is refused. None: new trajectories are followed without asking.
+        ask_arm: returns the arm's joints along a new trajectory, from the current joints, or its failure: such a
+            trajectory is refused. None: new trajectories are followed unchecked.
     """
 
     replan: Replan | None = None
@@ -196,7 +196,7 @@ class Pilot:
     Attributes:
         replans, continuations: how many new plans, and optimised rests of plans, are and were followed.
         refusals: why others were not.
-        is_lost: whether the belief has left the plan for good: none of the new plans asked for leads on.
+        is_lost: whether the belief has left the plan for good and no new plan was found.
     """
 
     def __init__(

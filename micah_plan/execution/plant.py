@@ -1,7 +1,7 @@
 """The interface of machines: `Plant`, its commands and measurements; and, separate from it, `Referee`.
 
 A plant is a machine with an object: a robot, a simulation, the model itself. It need not know the true state. One that
-does is a referee; only scores and logs may ask it.
+does is a referee; only scores and logs use it.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from micah_plan.task.problem import Problem
 class PlantError(MicahError):
     """The machine failed: it stopped, lost the object or does not answer.
 
-    A plant raises it with one sentence for people. From `apply` it ends the trial as a failure, and the next trial asks
-    the plant for a reset; from `reset` it ends the execution. Nothing is commanded in between.
+    A plant raises it with one sentence for people. From `apply` it ends the trial as a failure, and the next trial
+    resets the plant; from `reset` it ends the execution. There are no commands in between.
     """
 
 
@@ -37,9 +37,9 @@ class Measurement:
         force: (l, 3) [N], base frame, that the hand exerts at each part's handle; None if forces are not measured. An
             object that is released needs that at the part in the hand, with its weight or without; after a step with a
             limit of force at least that at which the hand stopped.
-        joints: (J,) what the encoders of the arm say [rad or m]; None if there is no arm.
-        unseen: (l,) parts that this measurement does not show, with their last pose. A plant need not tell: it answers
-            NaN for the pose of such a part.
+        joints: (J,) from the encoders of the arm [rad or m]; None without an arm.
+        unseen: (l,) parts that were not measured, with their last pose. It is optional: a plant may return NaN for the
+            pose of such a part.
     """
 
     time: float
@@ -54,16 +54,16 @@ class Measurement:
 class Command:
     """One control step's command, in the forms in which plants and logs take it.
 
-    The first three say the same thing for the model that the command was computed with: move from the estimate x by u.
-    A plant carries out the one that suits it; a hand or arm takes `handle`.
+    The first three are equivalent under the model that the command was computed with: move from the estimate x by u. A
+    plant carries out the one that suits it; a hand or arm takes `handle`.
 
     Attributes:
         input: (m,) u of the automaton [rad or m].
-        origin: (l, 3) [m], base frame: displacement of each part's origin. It is what the log calls the action.
-        handle: (l, 3) [m], base frame: displacement of each part's handle, what a hand that holds it is told.
+        origin: (l, 3) [m], base frame: displacement of each part's origin, logged as the action.
+        handle: (l, 3) [m], base frame: displacement of each part's handle, the command of a hand that holds it.
         posture: (J,) joints at which the plan has the arm after the step [rad or m]; None: any will do.
-        force_limit: force on the hand, compared with that at the beginning of the step, at which it stops where it is
-            [N]; None: it goes on. Only where a problem releases the object, which is lowered so.
+        force_limit: change of the force on the hand since the beginning of the step at which it stops [N]; None: no
+            limit. Only for the lowering of an object that is released.
         opens: whether the gripper is opened in this step; it then stays open.
     """
 
@@ -80,13 +80,13 @@ class Truth:
     """The true state, for scores and logs only: no decision may use it.
 
     Attributes:
-        mode: the true mode; None if the plant has no modes (physics), then `latched` says what is latched.
+        mode: the true mode; None if the plant has no modes (physics), then `latched` is used.
         x: (n,) true configuration [rad or m], in the coordinates of the plant's own automaton.
         position, quaternion: (l, 3) [m] and (l, 4), the true poses of the parts in the base frame.
         latched: (n,) whether a latch has caught each coordinate.
-        incident: what went wrong in between and cannot be seen at the end, such as a collision; empty if nothing.
-        stands: after the gripper was opened, whether the object stands on its own as it should, touched by nothing that
-            moves the hand; x then is the state in which a hand would hold it there.
+        incident: a failure that the final state does not show, such as a collision; empty without one.
+        stands: after the gripper was opened, whether the object stands on its own as intended, without contact to the
+            hand; x then is the state in which a hand would hold it there.
     """
 
     mode: str | None
@@ -102,14 +102,14 @@ class Truth:
 class Plant(Protocol):
     """Interface of a machine. `conformance.check_plant` tests whether a plant conforms.
 
-    One that may take longer than a minute to answer says so by an attribute ``patience`` [s]; None: however long. What
+    A plant that may take longer than a minute to answer has an attribute ``patience`` [s]; None: unlimited. One that
     does not answer by then has failed.
     """
 
     def reset(self, rng: np.random.Generator) -> Measurement:
         """Bring the object to the start of a trial and measure it.
 
-        A simulation draws the start and all its noise with `rng`. A real machine may leave `rng` alone.
+        A simulation draws the start and all its noise from `rng`. A real machine may ignore it.
 
         Raises:
             PlantError: if it cannot be brought there.
@@ -120,7 +120,7 @@ class Plant(Protocol):
         """Carry out one control step, wait for its end, and measure.
 
         Raises:
-            PlantError: if the machine failed; it must be standing still by then.
+            PlantError: if the machine failed; it must have stopped by then.
         """
         ...
 

@@ -24,8 +24,8 @@ from micah_plan.execution.plant import Command, Measurement
 def moving_mode(automaton: HybridAutomaton, mode: str, coordinate: int) -> Mode:
     """The mode whose joint and inputs move a coordinate, as seen from `mode`.
 
-    That is the mode itself; if it does not move the coordinate, the next mode that its edges lead to, else the first of
-    the automaton that moves it, else (nothing ever does) the mode itself.
+    That is the mode itself; if it does not move the coordinate, the next mode along its edges, else the first of the
+    automaton that moves it, else (if none does) the mode itself.
     """
     here = automaton.mode(mode)
     neighbours = [automaton.mode(edge.target) for edge in automaton.edges_from(mode)]
@@ -91,11 +91,11 @@ def configuration(
     Args:
         mode: whose joints are used; a rigid joint does not show the configuration, so a moving one replaces it.
         position, quaternion: (l, 3) [m] and (l, 4), base frame.
-        near: (n,) estimate, to tell whole turns apart.
+        near: (n,) estimate, to choose whole turns.
         unseen: (l,) links whose pose is none; None: none of them.
 
     Returns:
-        (n,) [rad or m]; NaN for coordinates of no link, and of links that are not seen, or whose parent is not.
+        (n,) [rad or m]; NaN for coordinates without a link, and of links that are not seen, or whose parent is not.
     """
     x, joints = np.full(automaton.n, np.nan), moving_joints(automaton, mode)
     poses = relative(automaton, position, quaternion)
@@ -117,7 +117,7 @@ def reading(automaton: HybridAutomaton, belief: HybridBelief, measurement: Measu
 
     Args:
         automaton: the model without memories of inputs, of n coordinates.
-        belief: before it, to tell whole turns apart and for the joints of the most likely mode.
+        belief: before it, to choose whole turns and the joints of the most likely mode.
 
     Returns:
         (k,) of the coordinates of the belief, of which there may be more than n.

@@ -1,7 +1,7 @@
 """Execution of releases: step down until contact is felt, open the gripper, step away.
 
-What the hand feels ends the way down: it knows the height of the support by its force, not by its place. A hand that
-feels nothing down to the lowest place where the support may be releases nothing.
+Contact ends the way down: the hand finds the height of the support by force, not by position. A hand that feels nothing
+down to the lowest place where the support may be releases nothing.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class ReleaseController:
     """Issues the commands after the last knot of a plan with a release.
 
     Attributes:
-        phase: what it is doing.
+        phase: current phase.
         felt: whether contact was felt.
     """
 
@@ -51,7 +51,7 @@ class ReleaseController:
         """The next command; None when the release is complete.
 
         Args:
-            belief: after the measurement, or for what follows the opening, before it.
+            belief: after the measurement, or after the opening, before it.
 
         Raises:
             InputError: if the plant does not measure the force.

@@ -44,9 +44,9 @@ class TrialStatistics:
 
     Attributes:
         trials, successes: counts.
-        believed: whether success and error are what the belief says, since the plant has no referee.
+        believed: whether success and error are from the belief, since the plant has no referee.
         final_error: of the state at the end, over all trials [rad or m].
-        failures: (trial, reason) of those that did not end in the goal set.
+        failures: (trial, reason) of those that did not reach the goal set.
         recording: the logs of all trials; the run is the trial's number.
         results: one per trial.
         released: after how many the object stands in the goal on its own; None where it stays in the hand.
@@ -78,11 +78,11 @@ def run_trials(
     """Execute a plan several times; trial i has its own random stream, independent of earlier trials.
 
     Args:
-        plant: name of one that comes with the package, or what makes one from the problem: it is closed at the end,
-            whatever happens. Or a plant, which stays open.
+        plant: name of a plant of the package, or a function that makes one from the problem: it is closed at the end in
+            any case. Or a plant, which stays open.
         max_steps: control steps per trial at most; None: twice the plan's plus 20.
-        replans: whether new plans are made where one fails, and the rest of one is optimised again every so many steps
-            as the problem's settings ask for.
+        replans: whether new plans are made after failures, and the rest of a plan is optimised again as often as the
+            problem's settings require.
         anyway: whether a plan that is not verified is executed, too: by a plant of the package, which is no machine.
         progress: called with a message and the fraction done.
         keep: called with the log of every trial when it ends (of trials in step, when all of them have), and also when
@@ -90,7 +90,7 @@ def run_trials(
 
     Raises:
         InputError: if the plan is not a solution, `trials` is less than 1, there is no such plant, or the plant's code
-            raised an error or answered with what is no measurement.
+            raised an error or returned something that is not a measurement.
         MissingDependencyError: if the plant needs a library that is not installed.
         PlantError: if the machine cannot be reset.
     """

@@ -1,12 +1,12 @@
 """Validity of measurements: readings that the belief excludes, or that are missing, are repeated first.
 
-A tracker leaps, freezes, answers in millimetres or sees nothing. The filter then begins anew from what was measured,
-or goes on without it, and is as sure as before. So the machine holds still and measures again. What stays where it was
-is believed, as of a part that is elsewhere than planned; what goes on leaping, or stays unseen, ends the execution.
+A tracker may leap, freeze, measure in millimetres or see nothing. The filter then restarts from the measurement, or
+continues without it, and is as certain as before. So the machine holds still and measures again. A constant measurement
+is believed, as of a part that is elsewhere than planned; further leaps, or an unseen part, end the execution.
 
-A belief can also be wrong without any measurement that it excludes: commands go half as far as the model says, or
-measurements come a step late. Then the filter is behind the state for as long as it moves, always to the same side. The
-sum of its innovations shows it (Page, "Continuous inspection schemes", Biometrika 1954); at rest it catches up.
+A belief can also be wrong without excluding any measurement: commands go half as far as modelled, or measurements come
+a step late. Then the filter lags behind the state for as long as it moves, always on the same side. The sum of its
+innovations shows it (Page, "Continuous inspection schemes", Biometrika 1954); at rest it catches up.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Watch:
     def record_innovation(self, belief: HybridBelief, z: Floats) -> None:
         """Record a measurement z (n,) [rad or m] and the belief before it; only steps with a command count for bias.
 
-        Nor does what is measured with a noise that depends on the place: in the dark, another look tells nothing.
+        Measurements with a noise that depends on the place are ignored: in the dark, another look is uninformative.
         """
         self._is_off = False
         if not self._is_uniform(belief):
@@ -71,7 +71,7 @@ class Watch:
     def record_pose_error(self, belief: HybridBelief, off: float) -> None:
         """Record by how much parts were measured off their joints [m].
 
-        Where noise depends on the place, which is not known, this says nothing.
+        Ignored where noise depends on the unknown place.
         """
         usual = float(np.median(self._off)) if len(self._off) >= _FEWEST else np.inf
         self._is_off = self._is_uniform(belief) and off > _BESIDE * usual + _BESIDE_ANYHOW
@@ -84,7 +84,7 @@ class Watch:
             belief: after the measurement.
             is_lost: whether the belief excludes the measurement still, though it began anew.
             unseen: (l,) parts that were not measured; None: all were.
-            ends: whether the goal would be believed now.
+            ends: whether the goal is believed reached.
         """
         is_excluded = self._is_uniform(belief) and (is_lost or belief.was_reinitialised or self._is_off)
         self._excluded = self._excluded + 1 if is_excluded else 0

@@ -1,10 +1,10 @@
 """Kinematic chains of the handle: slides and hinges in sequence, fitted to poses and to the force odometer.
 
-With s the way of the handle [m], a joint turns it by w per metre, from the direction t at its beginning; w = 0 is a
-slide, w normal to t a hinge with its axis along w at the distance 1/|w|. A joint goes on where the one before ends, at
-a way that is fitted as well. Tracker and odometer say where along the chain each row is; what is left of both normal to
-it, and the orientations, are the residuals. Pose and force are one fit so: where the hand's force has a part that no
-friction explains, the handle did not go there.
+With s the path length of the handle [m], a joint rotates it by w per metre, from the direction t at its beginning; w =
+0 is a slide, w normal to t a hinge with its axis along w at the distance 1/|w|. A joint continues where the one before
+ends, at a path length that is fitted as well. Tracker and odometer determine each row's place along the chain; their
+residuals are the components normal to it, and the orientations. Pose and force are fused in this way: where the hand's
+force has a component that no friction explains, the handle did not move there.
 
 Chains are compared by their evidence: Laplace's approximation, each under the noise of the tracker that it leaves.
 """
@@ -58,14 +58,14 @@ class Chain:
     """n joints in sequence that move the handle. Position to rate may have leading axes for batches of chains.
 
     Attributes:
-        hinges: (n,) whether each joint is a hinge; else it is a slide.
+        hinges: (n,) whether each joint is a hinge; otherwise it is a slide.
         place, turn: (3,) and (3, 3), pose of the handle at s = 0.
-        begin: (n,) way at which each joint begins [m]; of the first 0, but that reaches back.
-        direction: (n, 3) unit vectors in which the handle goes there.
-        rate: (n, 3) rotation per metre of way, normal to the direction; 0 for a slide.
+        begin: (n,) path length at which each joint begins [m]; 0 for the first, which also extends backwards.
+        direction: (n, 3) unit vectors of the handle's motion there.
+        rate: (n, 3) rotation per metre of path, normal to the direction; 0 for a slide.
         way: (k,) s of each row [m].
-        place_std, turn_std: of the tracker, as what is left says [m, rad].
-        moved_share: std of the odometer, as a share of what it states itself.
+        place_std, turn_std: of the tracker, from the residuals [m, rad].
+        moved_share: std of the odometer, relative to its own estimate.
         covariance: of the numbers, in the order of `numbers`.
         loss: negative log likelihood of the rows [nats].
         evidence: log evidence against other chains for the same rows [nats].
@@ -107,7 +107,7 @@ class Chain:
     def numbers(self) -> tuple[Floats, Floats]:
         """Free parameters: (p, q) directions of change for `changed`, and (p,) their prior stds.
 
-        The place along the first direction is none of them: the way of the first row is 0.
+        The place along the first direction is not one of them: the first row is at 0.
         """
         n = len(self.hinges)
         every = np.eye(6 + 7 * n)
@@ -223,7 +223,7 @@ def fitted(chain: Chain, rows: StepRows, rounds: int = 1) -> Chain:
     """The maximum-likelihood chain of these kinds, from a guess whose `way` may be shorter than the rows.
 
     Args:
-        rounds: of placing the rows along the way and improving the chain; one will do from a good guess.
+        rounds: of placing the rows along the path and refining the chain; one is enough from a good guess.
     """
     missing = len(rows) - len(chain.way)
     if missing > 0:

@@ -22,7 +22,7 @@ def with_joint(
     """Chains in which a new joint moves the handle from a row on, as a slide and as a hinge.
 
     Args:
-        before: the chain until then; None: nothing had moved.
+        before: the chain so far; None: nothing had moved.
         pose: (3,) and (3, 3), of the handle before it moved at all.
         along: (3,) how it has moved since that row [m].
     """

@@ -1,9 +1,9 @@
 """Decisions of an exploration: the belief after each measurement, and the next command.
 
-First six small pushes tell the hand's stiffness. Then each push is the one with the best chance of a motion per force;
-what should have moved and did not is ruled out. Once the handle moves it is led along the chain of joints that fits
-all that was seen, two centimetres ahead of what friction takes. If it stops, the same belief says where to push next:
-harder, elsewhere, where another joint may begin, or back, since it may have been ajar.
+First, six small pushes determine the hand's stiffness. Then each push is the one with the best chance of a motion per
+force; directions that should have moved and did not are ruled out. Once the handle moves it is led along the chain of
+joints that fits all rows, two centimetres ahead of what friction takes. If it stops, the same belief determines the
+next push: harder, elsewhere, where another joint may begin, or back, since it may have been ajar.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Moment:
         force: (3,) measured [N].
         lead: (3,) of the hand's equilibrium before it [m].
         kinds: probabilities by name: fast, unknown, and the kinds of joint.
-        fan: (k, 3) directions in which it is most believed to move.
+        fan: (k, 3) most probable directions of motion.
         way: of the handle along its chain of joints [m].
     """
 

@@ -1,8 +1,8 @@
 """The hand: a spring of unknown stiffness, whose force measures the displacement of the handle.
 
-A command u puts the spring's equilibrium at E = r + u, with r the place of the handle: where it is or, with plants that
-know no better, where it was measured. When all rests again the hand exerts F = K (E - p) at the handle's new place p,
-so p = E - c F with c = 1/K: with c known, force is an odometer.
+A command u puts the spring's equilibrium at E = r + u, with r the place of the handle: where it is or, for plants that
+only know that, where it was measured. At rest again the hand exerts F = K (E - p) at the handle's new place p, so p = E
+- c F with c = 1/K: with c known, force is an odometer.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class Hand:
         spread: its std as a share of it.
         force_std: per axis of a measured force [N].
         from_measured: whether commands count from the measured place of the handle, noise included.
-        perhaps_measured: whether they may: pushes tell neither.
+        perhaps_measured: whether commands may count from measured places, which pushes do not decide.
         stiffest: largest stiffness that pushes showed in any direction [N/m]; 0 before any.
-        complaint: what contradicts the meaning of forces; empty if nothing does.
+        complaint: contradiction of the meaning of forces; empty without one.
     """
 
     compliance: float
@@ -71,8 +71,8 @@ def hand_of(commands: Floats, places: Floats, forces: Floats) -> Hand:
     """The hand's properties from pushes of a handle that stays within some millimetres.
 
     Force is a linear map of the command, F = K (1 - a t tᵀ) u: a joint yields along one line t at most, so two singular
-    values of three are the stiffness, whatever moves. The middle one is taken, the largest being that with most noise.
-    The same holds of E = measured place + u, if that is from where commands count; what fits better is true.
+    values of three are the stiffness for any motion. The middle one is taken, since the largest has most noise. The
+    same holds of E = measured place + u, if commands count from there; the better fit is used.
 
     Args:
         commands: (k, 3) [m], k at least 4.

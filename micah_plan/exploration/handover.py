@@ -1,8 +1,8 @@
 """Conversion of an explored chain of joints to a hybrid automaton for planning.
 
-Segments of the way become local models along one coordinate, as those of a demonstration do. A latch is a rigid model
+Segments of the path become local models along one coordinate, as those of a demonstration do. A latch is a rigid model
 where the handle was found, left by a pull. Dry friction is a dead zone of the commands: a hand that is a spring loses
-as much of each.
+the same amount of each.
 """
 
 from __future__ import annotations

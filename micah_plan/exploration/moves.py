@@ -1,11 +1,11 @@
 """Belief over motions of the handle: directions, thresholds, and friction under side forces.
 
-A hypothesis says: the handle can go along t (and not back), once the pull along t exceeds a threshold τ (dry friction,
-or a latch on top of it) by more than μ times the force across; or it is fast. Every push tells, the ones without motion
-too.
+A hypothesis: the handle can move along t (and not back), once the pull along t exceeds a threshold τ (dry friction, or
+additionally a latch) by more than μ times the force across; or it is fixed. Every push is informative, also those
+without motion.
 
-With c the compliance of the hand [m/N] and v its lead (equilibrium minus handle [m]), the handle goes as soon as
-v·t - μ |v - (v·t) t| > c τ, and then somewhere between the excess and v·t, since friction in motion may be less.
+With c the compliance of the hand [m/N] and v its lead (equilibrium minus handle [m]), the handle moves as soon as v·t -
+μ |v - (v·t) t| > c τ, and then by a distance between the excess and v·t, since friction in motion may be less.
 """
 
 from __future__ import annotations
@@ -133,9 +133,9 @@ def moves_after_motion(tangents: Floats, friction: float, turn: Floats, change: 
     """The belief after a motion: it continues along the path against similar friction, or all is new.
 
     Args:
-        tangents: (k, 3) equally probable directions of its way.
+        tangents: (k, 3) equally probable directions of motion.
         friction: that held it last [N].
-        change: probability that what moved it until now does so no longer.
+        change: probability that the previous force no longer moves it.
     """
     ratio = np.geomspace(0.5, 4.0, 8)
     prior = np.exp(-0.5 * ((np.log(ratio) - np.log(1.1)) / 0.3) ** 2) + 0.02

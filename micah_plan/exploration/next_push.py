@@ -1,7 +1,7 @@
 """Choice of the next push: the largest probability of motion per force.
 
-A step costs some newtons whatever it pushes with, so weak pushes in many directions come first, and stronger ones when
-the weak ones have been in vain: what they ruled out is no longer worth a push.
+A step costs some newtons at any force, so weak pushes in many directions come first, and stronger ones when the weak
+ones had no effect: directions that they ruled out are no longer worth a push.
 """
 
 from __future__ import annotations

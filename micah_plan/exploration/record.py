@@ -1,7 +1,7 @@
 """Record of actions and observations, with faults of tracker and grip.
 
 A tracker may be out (no pose, a late answer, or the same pose to the last digit), leap once, or see the handle
-elsewhere for good: then the grip has slipped on it, or the hand is off it.
+elsewhere for good: then the grip has slipped on it, or the hand has lost it.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ class Record:
     """Rows of one exploration, with the estimates derived from them.
 
     Attributes:
-        hand: as well as it is known.
+        hand: current estimate.
         slips: whether the grip has slipped on the handle.
         places, turns: (3,) and (3, 3) measured, one more than commands; NaN where not seen.
         commands, leads: (3,) as given, and from the estimated place of the handle to the hand's equilibrium [m].
         forces: (3,) [N]; 0 where not measured.
         moved, moved_std: (3,) displacement by the odometer alone, and its std [m].
         shifted: (3,) displacement by odometer and tracker [m].
-        led: whether a command led on along a known chain; else it was a push to find one.
+        led: whether a command continued along a known chain; otherwise it was a push to find one.
         place, variance: (3,) where the handle is, and the variance per axis.
         place_std: noise of the tracker per axis [m].
         blind: steps since the tracker saw the handle.
-        lost, doubtful: whether the hand surely is, or may be, off the handle: no command meets a force, and it does not
-            follow them.
-        notes: what went wrong, one sentence each.
-        first_seen, last_seen: (3,) places as the tracker told them, whatever was made of them since [m].
+        lost, doubtful: whether the hand certainly, or possibly, has lost the handle: no command meets a force, and it
+            does not follow them.
+        notes: faults, one sentence each.
+        first_seen, last_seen: (3,) places as measured, without later corrections [m].
     """
 
     def __init__(self, first: Measurement) -> None:
@@ -249,8 +249,8 @@ class Record:
     def support_compliance(self) -> Floats:
         """(3, 3) compliance of the handle's support [m/N], from how far it springs back.
 
-        Bayesian regression; before, it is isotropic, by how much most pushes displace the handle per change of force:
-        what only a few pushes do is a motion.
+        Bayesian regression; its prior is isotropic: the displacement of the handle per change of force in most pushes,
+        since what only a few pushes do is a motion.
         """
         change = np.diff(np.array([np.zeros(3), *self.forces]), axis=0)
         size = np.linalg.norm([np.zeros(3), *self.leads], axis=1)

@@ -28,20 +28,21 @@ class Exploration:
     """Result of an exploration.
 
     Attributes:
-        outcome: ``"opened"``: the handle went the way that the scene asks for, and the tracker saw it; ``"held"``:
-            nothing moves it within the force; ``"gave_up"``: neither can be said.
+        outcome: ``"opened"``: the handle moved as far as the scene requires, and the tracker saw it; ``"held"``:
+            nothing moves it within the force; ``"gave_up"``: undecided.
         reason: one sentence.
-        notes: faults on the way, one sentence each.
-        scene: what was asked.
-        kinds: of the joints, from where it was found on; empty where nothing moved.
+        notes: faults, one sentence each.
+        scene: the task.
+        kinds: of the joints, from where it was found; empty where nothing moved.
         probability: that these are the joints; of ``held``: that nothing moves it within the force.
-        travel: largest way of the handle from where it was found, as far as the tracker agreed [m].
+        travel: largest displacement of the handle along its path from where it was found, as far as the tracker agreed
+            [m].
         largest_force: measured [N].
-        tried: the largest force that was pushed with where nothing moved [N].
+        tried: the largest force of a push without motion [N].
         hand: stiffness and meaning of commands, as found.
         chain: the most probable chain of joints; None where nothing moved.
         moments: one per step.
-        model: the automaton of it; None where nothing moved, or the hand lost the handle.
+        model: its automaton; None where nothing moved, or the hand lost the handle.
         seconds: wall-clock time of all; thinking: CPU time of the longest step [s].
     """
 
@@ -76,12 +77,12 @@ def explore(
 
     Args:
         plant: checked; it is reset first, and not closed here.
-        rng: feeds the plant's start and noise. Decisions draw nothing.
+        rng: of the plant's start and noise. Decisions are deterministic.
         progress: called with a message and the fraction done.
 
     Raises:
         PlantError: if the machine cannot be reset. One that fails later ends the exploration, which gives up.
-        InputError: if the plant's code raised something else, or an answer is no usable measurement.
+        InputError: if the plant's code raised another error, or an answer is not a usable measurement.
     """
     begin, thinking = time.perf_counter(), 0.0
     first = plant.reset(rng)

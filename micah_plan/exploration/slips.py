@@ -1,11 +1,11 @@
 """Detection of slips of the grip: likelihood-ratio test over the tracker's readings.
 
-A slip is a sudden and lasting offset between where the odometer says that the handle is and where the tracker sees it;
-a leap is an offset of one look. Each hypothesis, that nothing happened or that the grip slipped just before a certain
-look, is a Kalman filter; the likelihoods of all later looks decide between them, so that several looks show an offset
-that one look at a noisy tracker does not. What the force explains is no slip: the error of the hand's compliance is
-part of the state, and a panel that bends alike in all directions looks like one. Every filter learns the noise of the
-tracker by itself.
+A slip is a sudden and lasting offset between the handle's place by the odometer and by the tracker; a leap is an offset
+of a single measurement. Each hypothesis, that nothing happened or that the grip slipped just before a certain
+measurement, is a Kalman filter; the likelihoods of all later measurements decide between them, so that several show an
+offset that one noisy measurement does not. Offsets that the force explains are no slip: the error of the hand's
+compliance is part of the state, and a panel that bends alike in all directions has the same effect. Every filter
+estimates the noise of the tracker itself.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ class Slips:
     """A bank of Kalman filters: one without a slip, and one for a slip before each look.
 
     Attributes:
-        hand: what is reckoned with.
+        hand: the assumed one.
         state: (n, 7) place of the point that was held first [m], share by which the compliance is more than that of
             the hand, and from that point to the one that is held [m].
         covariance: (n, 7, 7) of it.
         row: (n,) of the look before which it slipped.
         odds: (n,) log odds against the first.
-        leapt: whether the last look was none of the handle, if nothing happened.
+        leapt: whether the last measurement was not of the handle, if nothing happened.
     """
 
     def __init__(self, place: Floats, hand: Hand) -> None:
@@ -75,7 +75,7 @@ class Slips:
     def update_contact(self, equilibrium: Floats, force: Floats, along: Floats | None) -> None:
         """Process an equilibrium position (3,) [m] in the tracker's frame: it relates all hypotheses to one position.
 
-        So the next looks tell no more of them; how the handle must have moved does.
+        So the next measurements have no further information on them; the inferred motion of the handle has.
 
         Args:
             along: (3,) unit vector in which it was led; None if it was pushed to see whether it moves.

@@ -1,7 +1,7 @@
 """Joining a robot's commands to a recording with another clock, including the clock offset.
 
-Where nobody says the offset, it is the one at which the part moves when something is commanded: the speeds of both are
-compared, whatever frame the commands are in (correlation; its std is that of a shift of a signal in white noise).
+If the offset is not given, it is estimated from the correlation of the part's speed and the commanded speed, which does
+not depend on the frame of the commands; its std is that of the shift of a signal in white noise.
 """
 
 from __future__ import annotations

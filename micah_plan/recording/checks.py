@@ -52,7 +52,7 @@ def checked_recording(recording: Recording, *, minimum_rows: int = 1, place: Pla
 
     Args:
         recording: the rows as they were found.
-        minimum_rows: how many rows every run needs of each of its parts (what a fit on it needs).
+        minimum_rows: rows that every run needs of each of its parts.
         place: how messages name a row and column.
 
     Raises:

@@ -73,7 +73,7 @@ def recording_from(values: Mapping[str, NDArray[Any]], others: Columns, meant: C
 
     Args:
         values: (n,) numbers of those with numbers, of targets, and of ``run``.
-        others: ``part``, and those that mean nothing here.
+        others: ``part``, and columns without a meaning.
         meant: where an orientation is no quaternion, the unit of its angles.
     """
     arrays: dict[str, Any] = {
@@ -105,7 +105,7 @@ def columns_by_name(
 
     Args:
         raw: names in the order of the columns.
-        meant: says how they are called.
+        meant: the file's conventions, with their names.
         where: place of the names, for messages.
 
     Raises:

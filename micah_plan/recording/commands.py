@@ -1,12 +1,12 @@
 """Meaning of recorded commands: a displacement, a position, or a velocity.
 
-The action of a row is a vector (ax, ay, az). Of a machine that is told *displacements* it is the way that the part is
-to move from where it is. Of one that is told *positions* it is the way from the measured pose to the commanded place:
-the machine goes after that place wherever the part is, so that what it missed before is made up for. Of one that is
-told *velocities* it is a velocity [m/s], which over the time to the next row is a displacement.
+The action of a row is a vector (ax, ay, az). For a machine that follows *displacements* it is the commanded
+displacement from the part's current place. For one that follows *positions* it is the displacement from the measured
+pose to the commanded place: the machine goes to that place from wherever the part is, so that earlier errors are made
+up for. For one that follows *velocities* it is a velocity [m/s], which over the time to the next row is a displacement.
 
-A recording says which of the first two it is in a column `command_meaning`, the same in all rows; velocities become
-displacements when they are read. Where nothing is said, calibration compares both (`residual.command_meaning`).
+A recording states which of the first two it is in a column `command_meaning`, the same in all rows; velocities are
+converted to displacements on reading. Without a statement, calibration compares both (`residual.command_meaning`).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def command_meaning(recording: Recording) -> Meaning | None:
     """The meaning of a recording's actions; None where it is not stated.
 
     Raises:
-        InputError: if its column says something else, or not the same in all rows.
+        InputError: if its column has another value, or different ones.
     """
     texts = recording.extra.get(MEANING_COLUMN)
     if not texts:
@@ -52,7 +52,7 @@ def with_commands(recording: Recording, kind: CommandKind) -> Recording:
     """The recording with a stated kind of commands; velocities [m/s] become displacements [m].
 
     Raises:
-        InputError: if it has no actions, or says itself that they are of another kind.
+        InputError: if it has no actions, or states another kind.
     """
     if kind not in get_args(CommandKind):
         raise InputError(f"commands: expected one of {', '.join(get_args(CommandKind))}, found {shown(str(kind))}")

@@ -1,14 +1,14 @@
 """Continuity of a track: which rows measure one continuous motion.
 
-A tracker that is lost writes zeros or its last pose again; one that mistakes a marker, an edge or another body reads
-poses that the part cannot get to and back from. Two questions are asked of every row before anything is fitted:
+A tracker that loses a part writes zeros or its last pose again; one that mistakes a marker, an edge or another body
+measures poses that the part cannot reach and return from. Two tests are made for every row before any fit:
 
 - **Is it the same reading as before?** See `repeats.repeated_readings`.
 - **Can the part get there?** A step to the next reading is a *jump* if it is several times as fast as nearly all steps
-  of the track and as the steps next to it that go the same way, and no action commands it. Jumps cut the track into
-  pieces, of which the most rows are kept that follow one another: past a piece that the part gets around in the time,
-  or over a jump, which costs some rows. So a piece from which the track comes back is left out, and one from which it
-  does not is kept, but told: rows may be missing there, or the tracker was started anew with an offset.
+  of the track and as the steps next to it in the same direction, and no action commands it. Jumps cut the track into
+  pieces, of which the sequence with most rows is kept: past a piece that the part can pass in the time, or over a jump,
+  which costs some rows. So a piece from which the track comes back is left out, and one from which it does not is kept
+  with a warning: rows may be missing there, or the tracker was restarted with an offset.
 """
 
 from __future__ import annotations
@@ -59,8 +59,9 @@ class Continuity:
 
     Attributes:
         is_measured: (n,) rows to learn from.
-        repeats: (n,) rows that say again what the one before says.
-        rests: (n,) those of them in which the part rests: no tracker read these poses, which might have lost it.
+        repeats: (n,) rows that repeat the one before.
+        rests: (n,) repeated rows in which the part rests: the poses were not measured by a tracker, which might have
+            lost it.
         strays: (first, last) rows that are left out since the part cannot get there, with those that repeat them.
         jumps: steps that are kept though the part does not move so.
     """
@@ -119,7 +120,7 @@ class _Steps:
         time: (k,) in rows of the usual pause; position: (k, 3) [m]; quaternion: (k, 4), or None.
         lengths: (k-1,) of steps of position [m] and, if measured, rotation [rad].
         over_two: (k-2,) length of two steps together, of position and, if measured, rotation.
-        usual: what nearly all steps stay below, per row.
+        usual: bound of nearly all steps, per row.
     """
 
     time: Floats
@@ -164,8 +165,8 @@ class _Steps:
     def comes_back(self, leaves: Ints, first: Ints, last: int, back: int) -> Booleans:
         """Whether readings from each of `first` to `last` lie on the path between the rows before and behind them.
 
-        The part must get from there to here in the time, and the way over them must be much longer: what lies on the
-        way was measured, though rows are missing before and behind it.
+        The part must get from there to here in the time, and the path over them must be much longer: rows in between on
+        the direct path were measured, though rows are missing before and behind it.
         """
         rows, straight = self.time[back] - self.time[leaves], self.between(leaves, back)
         floor, usual = np.array(FLOORS)[:, None], np.array([*self.usual, 0.0])[:2, None]

@@ -1,7 +1,7 @@
 """Conventions of foreign files: names of columns, units, rate, upward axis, quaternions.
 
-A recording is in metres, radians and seconds, with z upwards and the scalar of a quaternion last. What a laboratory
-logs is not. `Conventions` say how to read it; nothing of them is guessed but by formats that state it themselves.
+A recording is in metres, radians and seconds, with z upwards and the scalar of a quaternion last. Logs of laboratories
+often are not. `Conventions` define how to read them; nothing is guessed, except for formats that state it themselves.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ class Conventions:
     """Conventions of a file; None: those of recordings, or of the file's format.
 
     Attributes:
-        columns: what the file calls a column of a recording (`NAMEABLE`), by the name here, as in ``{"t": "Time"}``.
+        columns: the file's names of a recording's columns (`NAMEABLE`), by the name here, as in ``{"t": "Time"}``.
             Besides those of a recording: ``rx,ry,rz`` (a rotation vector) and ``roll,pitch,yaw`` (about the fixed axes
             x, y, z in that order), in place of a quaternion. ``-Y`` and ``0.001*dX`` are numbers of a column times a
-            factor, ``0.0015*(pos-2048)`` those less an offset. ``target x,target y,target z`` are commanded places, in
+            factor, ``0.0015*(pos-2048)`` those minus an offset. ``target x,target y,target z`` are commanded places, in
             place of actions. Of a robot's joints ``joint NAME`` and ``target NAME``.
         length, angle, time: units: ``LENGTHS``, ``ANGLES``, ``TIMES``.
         rate: rows per second [Hz]; then ``t`` counts frames, and rows are counted where there is none.
@@ -61,13 +61,14 @@ class Conventions:
         name: of the only part.
         topics: of a ROS log, topics with poses or child frames of transforms, one part each; none: all of them.
         frame: of a ROS log, in which the poses are wanted; None: that in which they are given.
-        robot: whose joints the file has, a URDF or MJCF file, or the name of an installed robot; the poses are then
+        robot: a URDF or MJCF file, or the name of an installed robot, whose joints the file has; the poses are then
             those of its tool in the frame of its base.
         tool: the frame of the robot that moves with the part.
         joint_ranges: file of the calibrated ranges in percent of which the joints are logged: LeRobot's
             ``calibration.json``.
-        commands: what ``ax,ay,az`` are: a displacement, the way to a commanded position, or a velocity [m/s].
-        positions_only: leave orientations out, as where a hand turns on what it holds.
+        commands: the meaning of ``ax,ay,az``: a displacement, the displacement to a commanded position, or a velocity
+            [m/s].
+        positions_only: ignore orientations, e.g. where a hand rotates on the object.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -176,7 +177,7 @@ def as_recorded(rows: Recording, conventions: Conventions) -> Recording:
     """The rows converted to the units, order and frame of a recording, including rows without a pose.
 
     Raises:
-        InputError: if a name is given to several parts, or commands that are not there are said to mean something.
+        InputError: if a name is given to several parts, or a meaning to commands that are not there.
     """
     from scipy.spatial.transform import Rotation
 
@@ -218,7 +219,7 @@ def as_recorded(rows: Recording, conventions: Conventions) -> Recording:
 def without_gaps(rows: Recording) -> tuple[Recording, Ints]:
     """(rows with a pose and a note on the others, their indices (k,)).
 
-    What was commanded in a row without a pose is part of the displacement to the next one that has.
+    The command of a row without a pose is added to the displacement to the next row with one.
 
     Raises:
         InputError: if none has.

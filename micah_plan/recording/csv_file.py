@@ -51,7 +51,7 @@ def read_csv(path: str | Path, *, minimum_rows: int = 1, conventions: Convention
     """`read_recording` of a CSV file, also as Motive and Vicon write it.
 
     Raises:
-        InputError: with file, line, column and remedy, for whatever is not as the format says.
+        InputError: with file, line, column and remedy, for any violation of the format.
     """
     with located_in(path):
         lines, meant = read_lines(path), conventions or Conventions()

@@ -1,6 +1,6 @@
 """Exact poses: written by a simulator, or computed from the joint that moves the part.
 
-They err nowhere, or along the motion alone. Digits that were left out are no errors.
+They have no errors, or only along the motion. Rounding does not count as an error.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ class FrameEdge:
     def without_lost(self) -> str:
         """Remove samples with missing numbers or zero quaternions; returns the note.
 
-        Where all quaternions are zero, orientations were not measured, as of a point. Nothing may be left.
+        If all quaternions are zero, orientations were not measured, as for a point. The result may be empty.
         """
         poses = np.array([pose for _, pose in self.samples])
         placed, turns = np.isfinite(poses[:, :3]).all(axis=1), poses[:, 3:]
@@ -153,12 +153,12 @@ def moves(edges: Sequence[FrameEdge]) -> bool:
 def displacements_between(stamps: Ints, vectors: Floats, at: Ints) -> Floats:
     """(n, 3) displacement commanded between consecutive times, NaN at the last.
 
-    Each command acts evenly from its stamp to the next one, at most for as long as it usually takes, so that all that
-    falls between two times is theirs and nothing is counted twice.
+    Each command acts evenly from its stamp to the next one, at most for the usual interval, so that commands between
+    two times are counted exactly once.
 
     Args:
         stamps: (k,) of the commands, in order [ns].
-        vectors: (k, 3) displacements that they ask for.
+        vectors: (k, 3) commanded displacements.
         at: (n,) times in order [ns].
     """
     begin = min(stamps[0], at[0])

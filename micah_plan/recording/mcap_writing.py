@@ -3,8 +3,8 @@
 For every part there is ``geometry_msgs/PoseStamped`` on ``/PART/pose`` in the frame ``base``, or ``PointStamped`` where
 no orientation was measured, and, where there are any, actions and forces as ``Vector3Stamped`` on ``/PART/action`` and
 ``/PART/force``. Columns ``joint NAME`` become ``sensor_msgs/JointState`` on ``/joint_states``, all others
-``std_msgs/Float64``, ``Int64`` or ``String`` on ``/PART/COLUMN``. Several runs stand beside each other, as
-``/run_R/PART``. Times are kept to the nanosecond.
+``std_msgs/Float64``, ``Int64`` or ``String`` on ``/PART/COLUMN``. Several runs are ``/run_R/PART``. Times are kept to
+the nanosecond.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ def mcap_bytes(recording: Recording, path: str | Path) -> bytes:
     """The content of a recording as MCAP.
 
     Raises:
-        InputError: if the recording has what the messages cannot hold: times before 0, columns called as the topics of
-            a part. Nothing is left out silently.
+        InputError: if the recording has data that the messages cannot represent: times before 0, columns called like
+            the topics of a part. Nothing is left out silently.
         MissingDependencyError: without the extra ``ros``.
     """
     with located_in(path):

@@ -1,9 +1,9 @@
 """Tables that Motive and Vicon Nexus or Tracker export: several header rows, a group of columns for each rigid body.
 
-Motive: one line of keys and values (rate, unit, kind of rotation), then lines `Type`, `Name`, `ID`, and two that name
-the columns. Its y points upwards unless it was told otherwise, and the file does not say so.
-Vicon: a line `Segments`, `Objects` or `Trajectories`, one with the rate, one with the names of bodies, one with columns
-(`RX,RY,RZ` is a rotation vector, with `RW` a quaternion) and one with units.
+Motive: one line of keys and values (rate, unit, kind of rotation), then lines `Type`, `Name`, `ID`, and two with the
+names of the columns. Its y points upwards unless set otherwise, which the file does not state. Vicon: a line
+`Segments`, `Objects` or `Trajectories`, one with the rate, one with the names of bodies, one with columns (`RX,RY,RZ`
+is a rotation vector, with `RW` a quaternion) and one with units.
 
 Sources: https://docs.optitrack.com/motive/data-export/data-export-csv and
 https://docs.vicon.com/display/Nexus/ASCII+export.
@@ -36,10 +36,10 @@ class CaptureTable:
         columns: texts by name, in the order of the file, of each line of an export the bodies in their order.
         line_numbers: of each row, from 1.
         sources: where the numbers of a column come from, by name; the others are taken as they are.
-        called: what the file calls a column that it names otherwise.
+        called: the file's names of columns that it names otherwise.
         numbers: names of further columns that hold numbers: orientations in place of a quaternion, targets.
-        conventions: what the file says of units and rate.
-        notes: what was assumed, one line each.
+        conventions: units and rate stated by the file.
+        notes: assumptions, one line each.
     """
 
     columns: dict[str, tuple[str, ...]]
@@ -56,7 +56,7 @@ def motion_capture_table(lines: Sequence[str], *, is_upright: bool = False) -> C
 
     Args:
         lines: of the file.
-        is_upright: whether it was said which axis points upwards, so that nothing is assumed of it.
+        is_upright: whether the upward axis was given, so that nothing is assumed.
 
     Raises:
         InputError: if it is one of these, and has no poses of bodies.

@@ -33,7 +33,7 @@ def read_npz(path: str | Path, *, minimum_rows: int = 1, conventions: Convention
     """`read_recording` for NPZ archives; pickled objects and archives above 256 MiB unpacked are refused.
 
     Raises:
-        InputError: with file, row (from 0), column and remedy, for whatever is not as the format says.
+        InputError: with file, row (from 0), column and remedy, for any violation of the format.
     """
     data = read_bytes(path)
     if not data:

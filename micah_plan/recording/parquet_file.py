@@ -1,11 +1,11 @@
 """Recordings from Parquet files: tables with the columns of a recording CSV, and episodes of LeRobot data sets.
 
 A LeRobot file (format 2.x or 3.0, ``data/chunk-000/*.parquet``) has an episode in ``episode_index``, its time in
-``timestamp``, and vectors whose entries ``meta/info.json`` of the data set names. Entries of ``observation.*`` that are
-called ``x, y, z`` and ``qx, qy, qz, qw`` or ``wx, wy, wz`` (a rotation vector) are the pose of a part, those of
-``action`` called ``x, y, z`` the place that was commanded, or, called ``delta_x, delta_y, delta_z``, the displacement.
-What stands before the last dot names the part: ``ee.x`` is the x of the part ``ee``. All other numbers are further
-columns, images are left out. Reads with pyarrow (extra ``parquet``).
+``timestamp``, and vectors whose entries ``meta/info.json`` of the data set names. Entries of ``observation.*`` called
+``x, y, z`` and ``qx, qy, qz, qw`` or ``wx, wy, wz`` (a rotation vector) are the pose of a part, those of ``action``
+called ``x, y, z`` the commanded place, or, called ``delta_x, delta_y, delta_z``, the displacement. The text before the
+last dot is the name of the part: ``ee.x`` is the x of the part ``ee``. All other numbers are further columns, images
+are left out. Reads with pyarrow (extra ``parquet``).
 """
 
 from __future__ import annotations

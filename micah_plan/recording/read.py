@@ -30,14 +30,14 @@ _REMEDY = (
 def read_recording(path: str | Path, *, minimum_rows: int = 1, conventions: Conventions | None = None) -> Recording:
     """Read a recording from a .csv, .tum, .txt, .npz, .parquet, .mcap, .db3 or .bag file.
 
-    A ``.txt`` file is read as what it looks like: as CSV if its first line that is no comment has commas, otherwise as
-    TUM trajectory. Quaternions whose norm is within 1 % of one are normalised.
+    A ``.txt`` file is read as CSV if its first line that is not a comment has commas, otherwise as TUM trajectory.
+    Quaternions whose norm is within 1 % of one are normalised.
 
     Args:
         path: the file.
         minimum_rows: how many rows every run needs of each of its parts, e.g. for a fit.
-        conventions: units, upward axis and the like of the file, if they are not those of a recording; names of columns
-            of tables alone, the rate of tables and trajectories, topics and frame of ROS logs alone.
+        conventions: units, upward axis etc. of the file, if they are not those of a recording; names of columns only
+            for tables, the rate for tables and trajectories, topics and frame for ROS logs.
 
     Raises:
         InputError: one line with file, place, what was expected and found, and a remedy.
@@ -67,10 +67,10 @@ def read_columns(path: str | Path, topics: Collection[str] = ()) -> tuple[dict[s
 
     Args:
         path: the file.
-        topics: of a ROS log, those with measured joints; none: those whose names do not say that they are commands.
+        topics: of a ROS log, those with measured joints; none: those whose names are not those of commands.
 
     Returns:
-        The columns, and what was assumed, one line each.
+        The columns, and the assumptions, one line each.
 
     Raises:
         InputError: if the file has none.

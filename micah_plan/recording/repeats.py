@@ -1,19 +1,20 @@
 """Repeated rows: a lost reading, or a part at rest.
 
-A tracker that loses the part, or is slower than the log, writes its last pose again. An encoder does the same whenever
-the part rests. What is equal to the bit is lost only if it is improbable under *motion and encoder together*:
+A tracker that loses the part, or is slower than the log, repeats its last pose. An encoder does the same whenever the
+part rests. An exactly equal reading counts as lost only if it is improbable under *motion and encoder together*:
 
     log odds = -log P(equal | read anew) + sum over repeats of log p(step after | lost) / p(step after | at rest)
 
-The first term compares the grid on which values lie with the white noise of the other rows. The second looks at the
-first new reading after a repeat: if readings were lost, it makes up for all the rows in between at the speed beside
-them; if the part was at rest, it is a step like the others, or the beginning of one.
+The first term compares the grid of the values with the white noise of the other rows. The second uses the first new
+reading after a repeat: if readings were lost, it makes up for all the rows in between at the speed beside them; if the
+part was at rest, it is a step like the others, or the beginning of one.
 
 A tracker that is slower than the log leaves no steps of one row to compare with. It has a clock instead:
 
     log odds = -log P(equal | read anew) + sum over new readings of log p(rows since the last | clock) / p(... | rests)
 
-where rests end at any time, and a clock ticks every so many rows, a few ticks of which may show nothing new.
+where rests end at any time, and a clock ticks at a fixed number of rows, a few ticks of which may be without a new
+reading.
 """
 
 from __future__ import annotations
@@ -95,7 +96,7 @@ class _Waits:
     def actions_in_all_waits(self, action: Floats) -> bool:
         """Whether actions (n, 3) ask for motion in several rows of each wait.
 
-        A part that is told to go now and then, and is there at once, rests by a clock as well.
+        A part that is commanded to move now and then, and arrives at once, also rests periodically.
         """
         asks = np.linalg.norm(np.nan_to_num(action), axis=1)[: self.first[-1] + self.rows[-1]]
         if not asks.any():
@@ -121,7 +122,7 @@ class _Waits:
 def _log_odds_of_steps(vector: Floats, same: Booleans) -> float:
     """Log odds that readings (n, k) were lost in repeated rows (n,), rather than the part at rest [nats].
 
-    Only repeats count beside which the part moves by more than speeds usually change: elsewhere both are the same.
+    Only repeats next to a motion larger than the usual changes of speed count: elsewhere both are the same.
     """
     new = np.flatnonzero(~same)
     step, rows = np.diff(vector[new], axis=0), np.diff(new)
@@ -160,9 +161,9 @@ def _step_density(error: Floats, scale: Floats | float) -> Floats:
 def _chance_of_equal(vector: Floats) -> float:
     """Probability that two independent readings (n, k) of one place are equal.
 
-    By the grid and the noise of each column. Columns may lie on no grid though the tracker reads on one, as angles that
-    became quaternions, and positions in another frame. Then readings are equal where the rest of the pose is not, or
-    change by the same again after they changed by something else, and by noise this would be a miracle.
+    By the grid and the noise of each column. Columns may not lie on a grid though the tracker reads on one, as angles
+    that became quaternions, and positions in another frame. Then readings are equal while the rest of the pose is not,
+    or repeat a difference after another one, and by noise this would be a miracle.
     """
     chance = float(np.prod([_chance_on_grid(column) for column in vector.T]))
     steps = np.round(np.diff(vector, axis=0) / ROUND_OFF)
@@ -177,7 +178,7 @@ def _chance_of_equal(vector: Floats) -> float:
 def _chance_on_grid(column: Floats) -> float:
     """Probability that two independent readings (n,) of one value are equal, from their grid and noise.
 
-    Noise is what differences of every order show, and what turns back in the next row; the rest is motion.
+    Noise is what differences of every order show, and what reverses in the next row; the rest is motion.
     """
     noise = min(*(float(white_std(column, order)) for order in _ORDERS), _alternating_std(column))
     levels = np.unique(column)

@@ -1,7 +1,7 @@
 """ROS logs of every kind as those of `log`: MCAP files, ROS 1 bags (`.bag`), rosbag2 (`.db3`) and its folders.
 
-A `.db3` is a SQLite database with messages as ROS 2 writes them; `metadata.yaml` beside it is not needed. Of both kinds
-only messages of `log.MESSAGE_TYPES` are looked at, read by definitions that do not come from the file.
+A `.db3` is a SQLite database with messages as ROS 2 writes them; its `metadata.yaml` is not needed. Of both kinds only
+messages of `log.MESSAGE_TYPES` are read, by definitions that do not come from the file.
 """
 
 from __future__ import annotations

@@ -1,12 +1,11 @@
 """Recordings from ROS logs: MCAP files, bags of ROS 1 (.bag) and rosbag2 (.db3), and folders of rosbag2.
 
 Poses are those of ``PoseStamped``, ``PoseWithCovarianceStamped``, ``PoseArray`` and ``PointStamped``, named after their
-topic (of several runs, as ``/run_3/door/pose``, all must be called so), and of
-``TFMessage``, ``TransformStamped`` and ``Odometry``, named after their child frame. Where they are wanted in another
-frame, transforms are composed at the stamps of the part's own. Actions and forces are ``Vector3Stamped`` on
-``/PART/action`` and ``/PART/force``, at the stamps of the poses or joined to them. Positions of ``JointState`` become
-columns ``joint NAME``, each row with the last message until its time; so do ``Float64``, ``Int64`` and ``String`` on
-``/PART/COLUMN``.
+topic (with several runs, all as ``/run_3/door/pose``), and of ``TFMessage``, ``TransformStamped`` and ``Odometry``,
+named after their child frame. For another frame, transforms are composed at the stamps of the part's own. Actions and
+forces are ``Vector3Stamped`` on ``/PART/action`` and ``/PART/force``, at the stamps of the poses or joined to them.
+Positions of ``JointState`` become columns ``joint NAME``, each row with the last message until its time; so do
+``Float64``, ``Int64`` and ``String`` on ``/PART/COLUMN``.
 """
 
 from __future__ import annotations
@@ -82,17 +81,17 @@ def read_ros_log(path: str | Path, *, minimum_rows: int = 1, conventions: Conven
 def joint_columns(path: str | Path, topics: Collection[str] = ()) -> tuple[dict[str, Any], tuple[str, ...]]:
     """The positions of joints in a log, at the stamps of the topic that has most of them.
 
-    A log may have the joints as they were measured and as they were commanded, both as JointState. Commands are on the
-    topics that are not chosen or, where none is, on those whose names say so (`/joint_command`). Commands of
-    ros2_control's group controllers are Float64MultiArray, without names and stamps: they are targets at the times at
-    which they were logged, of the joints that they are nearest to.
+    A log may have measured and commanded joints, both as JointState. Commands are on the topics that are not chosen or,
+    without a choice, on those named like commands (`/joint_command`). Commands of ros2_control's group controllers are
+    Float64MultiArray, without names and stamps: they are targets at the times at which they were logged, of the joints
+    that they are nearest to.
 
     Args:
-        topics: with measured joints; none: all whose names do not say that they are commands.
+        topics: with measured joints; none: all that are not named like commands.
 
     Returns:
         ``t`` [s], ``joint NAME`` and ``target NAME`` as they are in the log, each value held until the next one; and
-        which topics were taken for what, where there are several.
+        the used topics, where there are several.
 
     Raises:
         InputError: if it is no log, has none, or lacks a topic.
@@ -193,7 +192,7 @@ class _Log:
     Attributes:
         edges: by topic and part or child frame.
         vectors: samples by topic without slashes at its ends, and the frame that they are in.
-        joints: positions by run, as ``run_3/`` or empty where that is not said, and joint.
+        joints: positions by run, as ``run_3/`` or empty where not stated, and joint.
         columns: texts by topic.
     """
 

@@ -1,7 +1,7 @@
 """MCAP files with ROS 2 messages. The only importer of `mcap`, `lz4` and `zstandard`.
 
-Messages are bytes (CDR) that become values and back by the definitions of the library `rosbags`, not by those that a
-file brings along; only messages of `MESSAGE_TYPES` are looked at.
+Messages are bytes (CDR) that are converted to values and back by the definitions of the library `rosbags`, not by those
+in the file; only messages of `MESSAGE_TYPES` are read.
 
 Chunks are unpacked here, so that a file cannot ask for more memory than its stated limit.
 """
@@ -51,7 +51,7 @@ class Logged:
         topic: its name, such as ``/door/pose``.
         kind: type of the message.
         time: at which it was logged [ns], at least 0.
-        message: what it says: to write, a dict by field; as read, an object with the fields as attributes.
+        message: its content: to write, a dict by field; as read, an object with the fields as attributes.
     """
 
     topic: str

@@ -1,10 +1,10 @@
 """Shared errors: errors of all rows of a recording, which averaging does not reduce.
 
-All rows have the frame wrong that they are given in, and the scale of their lengths: a camera that stands sees its base
-the same in all frames, and a wrong focal length or tag size stretches everything. Neighbours have their pose wrong
-alike: what lens and sharpness do to a tag changes slowly on its way. A fit of rows cannot see either, so it must be
-told. They are kept as columns, filled in the first row of each part and run: ``frame_covariance`` and
-``pose_covariance`` (upper triangle of a 6 x 6 matrix, row by row) and ``scale_std``.
+All rows share the error of the frame that they are given in, and of the scale of their lengths: a fixed camera sees its
+base the same in all frames, and a wrong focal length or tag size stretches everything. Neighbours share the error of
+their pose: the effect of lens and sharpness on a tag changes slowly along its path. A fit of rows cannot detect either,
+so they are given as columns, filled in the first row of each part and run: ``frame_covariance`` and ``pose_covariance``
+(upper triangle of a 6 x 6 matrix, row by row) and ``scale_std``.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ class SharedError:
 
     Attributes:
         frame: (6, 6) covariance of the frame's position [m] and of a small turn of it [rad], along its own axes.
-        pose: (6, 6) covariance of what neighbouring poses have wrong alike: position [m], turn [rad], along these axes.
+        pose: (6, 6) covariance of the shared error of neighbouring poses: position [m], rotation [rad], along these
+            axes.
         scale: std of the factor that all lengths are wrong by.
     """
 
@@ -59,7 +60,7 @@ def shared_error_of(recording: Recording, part: str) -> SharedError | None:
     """The shared error of a part's rows, averaged over independent runs; None if not stated.
 
     Raises:
-        InputError: if a column holds something else.
+        InputError: if a column has other content.
     """
     if not {FRAME_COLUMN, POSE_COLUMN, SCALE_COLUMN} & recording.extra.keys():
         return None

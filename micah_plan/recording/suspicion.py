@@ -1,9 +1,9 @@
 """Plausibility of readable recordings: units of length and time, order and signs of quaternions.
 
-Nothing is corrected: each suspicion is one line that says what was seen and what to do. What `Conventions` state is not
+Nothing is corrected: each suspicion is one line with the observation and a remedy. What `Conventions` state is not
 doubted; units that they leave open are, and then nothing should be learned (`require_conventions`).
 
-Rules, each of them with what it cannot see:
+Rules, each of them with its limits:
 
 - **Length.** A part of an articulated object stays within a room and within the reach of a tracker. The largest room
   that is granted is 10 m in each direction, 17 m across. A part that moves over more than `LARGEST_EXTENT_M` (70 % of
@@ -93,8 +93,8 @@ class Misreading:
     """Numbers that suggest other units than those of a recording.
 
     Attributes:
-        sentence: what is odd, with its amount.
-        remedy: how the numbers are read, and the option that says otherwise.
+        sentence: the observation, with its amount.
+        remedy: how the numbers are read, and the option that changes it.
     """
 
     sentence: str
@@ -118,7 +118,7 @@ def require_conventions(recording: Recording) -> None:
     """Refuse a recording that looks misread.
 
     Raises:
-        InputError: for the first of `suspected_misreadings`, with the options that say how it is meant.
+        InputError: for the first of `suspected_misreadings`, with the options that define its meaning.
     """
     for misreading in suspected_misreadings(recording):
         raise InputError(misreading.sentence, remedy=messages.or_as_read(misreading.remedy))

@@ -1,12 +1,12 @@
 """Symmetric objects: equivalent orientations of one pose are unified.
 
-A tracker of a box, a cup or a handle may read it turned by half a turn from one row to the next, and back. Its place
-goes on, so the part did not turn; the tracker took it for its likeness. Whatever the symmetry, such a jump is a turn in
-the part's own frame by the same share of a whole turn about the same axis, each time. A part that really turned so far
-between two rows would hardly do so by 1/2, 1/3, 1/4 or 1/6 of a turn within the noise, there and back.
+A tracker of a box, a cup or a handle may read it turned by half a turn from one row to the next, and back. Its position
+continues, so the part did not rotate; the tracker confused symmetric orientations. For any symmetry, such a jump is a
+rotation in the part's own frame by the same share of a whole turn about the same axis, each time. A part that really
+rotated so far between two rows would hardly do so by 1/2, 1/3, 1/4 or 1/6 of a turn within the noise, there and back.
 
-The turn of a jump is read from straight lines through the rows before and after it, and all jumps of a track together
-tell the axis; an axis of the part's frame is taken for exact if it is within the noise.
+The rotation of a jump is read from straight lines through the rows before and after it, and all jumps of a track
+together determine the axis; an axis of the part's frame is taken as exact if it is within the noise.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ def _turns_of_jumps(turned: Rotation, edges: Ints, usual: float) -> tuple[Floats
     """((j, 3) rotation vectors of the jumps at inner edges in the part's frame, (j,) errors [rad]).
 
     Args:
-        usual: what nearly all other steps stay below [rad].
+        usual: bound of nearly all other steps [rad].
     """
     ends = [
         (_at_edge(turned, int(a), int(b), at_end=True), _at_edge(turned, int(b), int(c), at_end=False))

@@ -21,7 +21,7 @@ class PlacedTag:
     Attributes:
         part: that it is on.
         size: length of an edge of the black square [m].
-        position: of its middle in the frame of the part [m]; None: not known.
+        position: of its middle in the frame of the part [m]; None: unknown.
         quaternion: tag to part, scalar last. Of a tag x points right, y up and z out of the paper.
     """
 

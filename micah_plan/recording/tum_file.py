@@ -1,7 +1,7 @@
 """TUM trajectory text: ``t x y z qx qy qz qw`` per line, separated by blanks, ``#`` starting a comment.
 
 Source: Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012. It holds the poses of one run
-of one part and nothing else. What the part is called, and the number of the run, stand in comments: ``# part: door``.
+of one part and nothing else. The name of the part, and the number of the run, are in comments: ``# part: door``.
 
 Lines of 12 numbers are KITTI's: the upper three rows of the homogeneous matrix, without times, which `rate` gives.
 Source: Geiger, Lenz and Urtasun, "Are we ready for autonomous driving? The KITTI vision benchmark suite", CVPR 2012.
@@ -32,7 +32,7 @@ def read_tum(path: str | Path, *, minimum_rows: int = 1, conventions: Convention
     """`read_recording` of a TUM trajectory, by conventions on its units, axes and quaternions.
 
     Raises:
-        InputError: with file, line, column and remedy, for whatever is not as the format says.
+        InputError: with file, line, column and remedy, for any violation of the format.
     """
     with located_in(path):
         return _parsed(read_lines(path), minimum_rows, conventions or Conventions())
@@ -42,8 +42,8 @@ def tum_bytes(recording: Recording, path: str | Path) -> bytes:
     """The content of a TUM trajectory with the poses.
 
     Raises:
-        InputError: if the recording has what the format cannot hold: several runs or
-            parts, actions, forces, further columns, or no orientation. Nothing is left out silently.
+        InputError: if the recording has data that the format cannot represent: several runs or parts, actions, forces,
+            further columns, or no orientation. Nothing is left out silently.
     """
     with located_in(path):
         recording = checked_recording(recording)

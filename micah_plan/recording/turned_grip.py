@@ -1,9 +1,10 @@
 """A hand that turns on the object: positions on a joint with orientations that contradict it.
 
-A robot whose fingers pivot on a handle, or a person whose wrist turns, moves its tool round a circle and turns it by
-something else; or along a line, and turns it about another axis. The positions are right then, and the orientations are
-not those of the part ("Recognizing Orientation Slip in Human Demonstrations", arXiv 2108.04695). Compared is what each
-leaves of the motion of the origin: a circle or a line through the positions, and p = c + R r with the orientations.
+A robot whose fingers pivot on a handle, or a person whose wrist rotates, moves its tool round a circle and rotates it
+by another angle; or along a line, and rotates it about another axis. The positions are right then, but the orientations
+are not those of the part ("Recognizing Orientation Slip in Human Demonstrations", arXiv 2108.04695). The residuals of
+the motion of the origin are compared: of a circle or a line through the positions, and of p = c + R r with the
+orientations.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ class TurnedGrip:
     """A slipping tool with the joint of its positions.
 
     Attributes:
-        radius: of the circle that it goes round [m]; None of a line.
-        angle: that it goes round [rad], or its way [m].
+        radius: of the circle of its positions [m]; None of a line.
+        angle: on that circle [rad], or the length of the line [m].
         turned: by how much it turns meanwhile [rad].
     """
 

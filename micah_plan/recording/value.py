@@ -1,6 +1,6 @@
 """The recording: measured poses, applied actions and forces, in rows of runs and parts.
 
-A demonstration and an executed run are the same type, so what comes out of the end can go in at the front.
+A demonstration and an executed run have the same type, so logs of executions can be learned from.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ class Recording(Summarised):
         part: (n,) name of the part of each row.
         has_run, has_part: whether the file had these columns (a writer keeps what was there).
         extra: further columns by name, as the text that the file held, preserved untouched.
-        conventions: how its file was said to be meant (`conventions.Conventions`), as texts by name.
-        notes: what reading it left out or put together, one line each.
+        conventions: of its file (`conventions.Conventions`), as texts by name.
+        notes: omissions and assumptions of reading it, one line each.
     """
 
     time: Floats

@@ -40,7 +40,7 @@ class Clearance(NamedTuple):
     """The smallest distance at one configuration, with its pair.
 
     Attributes:
-        distance: [m]; negative: depth of penetration. Infinite if there is nothing to meet.
+        distance: [m]; negative: depth of penetration. Infinite without a pair.
         pair: names of the two: links of the arm, parts of the object, bodies of the scene.
     """
 
@@ -140,9 +140,9 @@ class ClearanceModel:
     def overlap(self, pair: Pair) -> tuple[tuple[Floats, float], ...]:
         """Half-spaces (direction (3,), bound [m]) of tool positions at which the pair overlaps.
 
-        Of the last configuration that was asked about. Directions are the sides of the boxes around both solids: where
-        the tool, as it is turned now, is further along any of them, a plane keeps the two apart. Empty unless one of
-        the pair is a link that moves with the tool and the other stands still: else the posture counts, too.
+        For the last evaluated configuration. Directions are the sides of the bounding boxes of both solids: where the
+        tool, with its current orientation, is further along any of them, a plane separates the two. Empty unless one of
+        the pair is a link that moves with the tool and the other stands still: otherwise the posture counts too.
         """
         of_pair = [k for k, name in enumerate(self.names) if name == pair]
         return self._overlap(min(of_pair, key=lambda k: float(self._results[k].min_distance)))
@@ -179,7 +179,7 @@ class ClearanceModel:
         """(k, s) distance [m] between the solids of a pair with the tool at poses (k,), for any posture.
 
         Args:
-            pair: something that moves with the tool and something that stands still, as `overlap` tells.
+            pair: something that moves with the tool and something that stands still, as in `overlap`.
         """
         numbers = [k for k, name in enumerate(self.names) if name == pair]
         frame = self.arm.model.frames[self.arm.tool]
@@ -214,8 +214,8 @@ def clearance_model(
     """Arm, scene and the object's parts, with the pairs that must not meet.
 
     Checked are: links of the arm against each other, the scene and the parts; parts against the scene. Not checked are
-    links that a joint connects or nothing moves, pairs that an SRDF excludes, that touch in every posture or, two
-    joints apart, in none, the hand against the first of the held parts, and parts against each other.
+    links that share a joint or do not move, pairs that an SRDF excludes, that touch in every posture or, two joints
+    apart, in none, the hand against the first of the held parts, and parts against each other.
 
     Args:
         scene: bodies that do not move.

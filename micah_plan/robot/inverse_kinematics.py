@@ -48,7 +48,7 @@ def reach_pose(arm: Arm, target: Floats, q: Floats, limits: tuple[Floats, Floats
     """The configuration near q (n,) with the tool at pose `target` (4, 4), or the closest approach.
 
     Args:
-        limits: lower and upper, (n,) each; q lies within them.
+        limits: lower and upper, (n,) each; q is within them.
     """
     stopped = np.zeros(arm.n, dtype=bool)
     error = pose_error(target, arm.matrix(q))

@@ -49,12 +49,12 @@ def tool_recording(
 ) -> Recording:
     """The rows of a log of joints, as the poses of the arm's tool in the frame of its base.
 
-    Where the log has targets of all joints too, the action of a row is the way from the measured place of the tool to
-    that which the targets mean.
+    If the log has targets of all joints too, the action of a row is the displacement from the measured place of the
+    tool to the commanded one.
 
     Args:
-        columns: of the log, by the names that it has. Those of a joint are ``joint NAME`` in `meant.columns`, or whose
-            last word, ``.pos`` aside, is the joint's name; its targets ``target NAME``, or such a column that begins
+        columns: of the log, by its own names. Those of a joint are ``joint NAME`` in `meant.columns`, or those whose
+            last word, without ``.pos``, is the joint's name; its targets ``target NAME``, or such a column that begins
             with ``action.``.
         arm: whose joints these are.
         meant: names of columns, units of angles and of joints that slide, times, rate, and the name of the part.
@@ -110,7 +110,7 @@ def _positions(
 ) -> Floats | None:
     """(n, joints) positions or targets [rad or m], NaN where unknown; None if no joint has any.
 
-    A joint whose column has a factor or an offset of its own is read by these, whatever its range is.
+    A joint whose column has a factor or an offset is read by these, independent of its range.
 
     Raises:
         InputError: if only some have, or a column has no numbers.

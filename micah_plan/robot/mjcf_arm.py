@@ -1,8 +1,8 @@
 """MJCF files compiled by MuJoCo, as Pinocchio models with solids.
 
-MJCF has many ways to say one thing: orientations as quaternions, axes and angles or Euler angles in a chosen order,
+MJCF can express one thing in many ways: orientations as quaternions, axes and angles or Euler angles in a chosen order,
 classes of defaults, degrees for hinges but not for slides, frames within frames, reference positions. Only MuJoCo's own
-compiler knows them all; what it makes of them is a tree of bodies, each with a pose, joints and solids.
+compiler handles them all; its result is a tree of bodies, each with a pose, joints and solids.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class _Arm:
     """Builds Pinocchio's model of a compiled file, body by body.
 
     Attributes:
-        model, geometry: what has been built so far.
+        model, geometry: built so far.
         carried: of each body the number of the joint that moves it, and its pose in that joint's frame.
     """
 

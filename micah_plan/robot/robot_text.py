@@ -1,9 +1,9 @@
 """Validation of robot files before Pinocchio or MuJoCo load them: structure, numbers, mesh paths, by line.
 
-Pinocchio's parsers read over some mistakes (a mass that is no number, a joint from a link to itself), join mesh paths
-without looking where they lead, and complain on stderr. Of a URDF they get only links and joints, continuous joints
-turned into revolute ones without limits. MuJoCo gets of an MJCF what kinematics and solids need, and no inclusion of
-other files. Mesh paths are resolved within their folder or package.
+Pinocchio's parsers ignore some mistakes (a mass that is not a number, a joint from a link to itself), join mesh paths
+without checking where they lead, and complain on stderr. From a URDF they get only links and joints, continuous joints
+converted to revolute ones without limits. From an MJCF, MuJoCo gets the elements of kinematics and solids, without
+inclusion of other files. Mesh paths are resolved within their folder or package.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class CheckedRobot:
         text: clean, with absolute mesh paths.
         colors: of the shapes of each link, as ``"#rrggbb"``; the last serves further shapes.
         mimics: joints that follow another one, and how.
-        left_out: what an object has and its model has not, one line each.
+        left_out: elements of the object that its model does not have, one line each.
     """
 
     kind: Literal["urdf", "mjcf"]
@@ -85,10 +85,10 @@ def check_urdf(root: Element, folder: str, packages: Mapping[str, str], *, is_ar
 
     Args:
         root: the file's root element; not changed.
-        folder: where the file lies.
+        folder: of the file.
         packages: folder by package name; others are looked for among the folders above the file.
-        is_arm: whether what is not there is a mistake. An arm without a mesh would meet what it should not, and one
-            with a joint that cannot move would not reach; an object is the same, without what is told of.
+        is_arm: whether missing elements are errors. An arm without a mesh would collide unnoticed, and one with a joint
+            that cannot move would not reach; an object can be used without them, with a note.
 
     Raises:
         InputError: for the first mistake.

@@ -27,8 +27,8 @@ class Swept(NamedTuple):
     """Result of a continuous collision check.
 
     Attributes:
-        clearance: the smallest distance that was met. Where it is above the margin, the whole motion keeps the margin
-            within 1 mm; without a margin, nothing is nearer than this less 1 mm or a fifth of it.
+        clearance: the smallest distance found. Where it is above the margin, the whole motion keeps the margin within 1
+            mm; without a margin, nothing is nearer than this less 1 mm or a fifth of it.
         share: where it was met, 0 to 1.
     """
 
@@ -45,7 +45,7 @@ class MotionBound:
         radii: (g,) radius of the sphere around each geometry [m].
         centers: (g, 3) its centre, in the frame of the joint or of the part [m].
         joints: (g,) number of the joint that moves it; 0 for none.
-        turning: (n,) 1 for joints that turn, 0 for those that slide.
+        turning: (n,) 1 for joints that rotate, 0 for those that slide.
     """
 
     def __init__(self, model: ClearanceModel) -> None:

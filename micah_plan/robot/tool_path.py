@@ -1,9 +1,9 @@
 """Joint trajectories that carry the tool along a path: `follow`.
 
-From several start postures (the seed chooses them) the path is followed in small steps: damped least squares onto the
-next pose, and within the null space downhill in `posture_cost` (Liégeois, "Automatic supervisory control of the
-configuration and behavior of multibody mechanisms", IEEE T-SMC 1977). Each step between knots is then checked as it
-will be driven, straight in the joints: limits, jumps, singularities, and clearance all along the way.
+From several start postures (chosen by the seed) the path is followed in small steps: damped least squares onto the next
+pose, and within the null space downhill in `posture_cost` (Liégeois, "Automatic supervisory control of the
+configuration and behavior of multibody mechanisms", IEEE T-SMC 1977). Each step between knots is then checked as
+executed, straight in the joints: limits, jumps, singularities, and clearance all along the way.
 """
 
 from __future__ import annotations
@@ -66,13 +66,13 @@ class ArmFailure:
 
     Attributes:
         knot: where it ends.
-        kind: what ended it.
+        kind: of the failure.
         names: the joint at its limit, or the pair that meets; empty for others.
-        amount: how far the tool stays behind, how deep the pair meets, or how far a joint would jump [m or rad].
+        amount: distance of the tool from its pose, depth of the collision, or jump of a joint [m or rad].
         sentence, remedy: the same in words.
         overlaps: of a collision that no posture changes, where the tool is while it lasts (`ClearanceModel.overlap`),
             and while others that move with the tool meet the same.
-        short: of a place that is not reached, by how much the tool stays behind (base frame) [m]; else None.
+        short: of an unreachable place, the missing displacement of the tool (base frame) [m]; else None.
     """
 
     knot: int
@@ -134,7 +134,7 @@ def follow(
         path: K knots.
         seed: of the start postures; the same seed gives the same trajectory.
         settings: None: the defaults.
-        deadline: where it passes, the best of the complete trajectories found by then is taken.
+        deadline: when it passes, the best of the complete trajectories so far is returned.
         start: (n,) posture that the arm is in near the first knot; None: one is sought.
 
     Raises:

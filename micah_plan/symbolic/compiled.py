@@ -1,14 +1,14 @@
 """The hybrid automaton as CasADi functions, one set per mode and per edge.
 
 Inputs and outputs: x, mean (n, 1); u (m, 1); factor (n, n), structurally lower triangular: the lower Cholesky factor L
-of the covariance P = L L', entries above the diagonal ignored on input and zero on output. Units as in the automaton.
-u is what is commanded; guards and motion see what of it comes out of the automaton's memories of inputs.
+of the covariance P = L L', entries above the diagonal ignored on input and zero on output. Units as in the automaton. u
+is the command; guards and motion use the output of the automaton's memories of inputs.
 
-Noise and pins: the process noise acts on the coordinates that a mode leaves free, so a pinned one gets none. That the
-mode pins it at a value is one piece of information (N(value, std²)), counted once, when the mode is entered
-(`CompiledEdge.belief_reset`) or when a belief starts in it (`CompiledMode.condition`). Counting it at every step would
-shrink the belief without end. Entering through a guard on the coordinate itself, the pin replaces the belief: where
-the state was before says nothing of where exactly it is pinned.
+Noise and pins: the process noise acts on the coordinates that a mode leaves free, so a pinned one has none. A pin at a
+value is one piece of information (N(value, std²)), counted once, when the mode is entered (`CompiledEdge.belief_reset`)
+or when a belief starts in it (`CompiledMode.condition`). Counting it at every step would shrink the belief without end.
+If the mode is entered through a guard on the coordinate itself, the pin replaces the belief: the previous state has no
+information about where exactly it is pinned.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ class CompiledMode:
     """CasADi functions of one mode; those that depend on boundaries are compiled on demand.
 
     Attributes:
-        automaton, mode: what was compiled.
+        automaton, mode: of the functions.
         step: (x, u) -> x_next: the mode's flow, without guards.
         invariant: (x, u) -> margins (k, 1), positive inside, of its half-spaces in their order; k may be 0.
         inputs: (x, u) -> margins (k, 1) of the half-spaces of the admissible inputs; k may be 0.
         predict: (mean, factor, u) -> (mean_next, factor_next): flow and process noise.
         belief_step: (mean, factor, u) -> (mean_next, factor_next): predict, then update with the most likely
-            observation, as precise as one is at the predicted mean.
+            observation, with the precision of a measurement at the predicted mean.
         condition: (mean, factor) -> (mean_next, factor_next): given that the mode's pins hold.
     """
 
@@ -79,13 +79,13 @@ class CompiledEdge:
     """The CasADi functions of one transition.
 
     Attributes:
-        edge: what was compiled.
+        edge: of the functions.
         guard: (x, u) -> margins (k, 1) of its half-spaces in their order, positive where the transition is taken.
         guard_belief: (mean, factor, u) -> (margin, std), each (k, 1): std is that of the margin, ||L'a||.
-        belief_reset: (mean, factor, u) -> (mean_next, factor_next): of a mean that a whole step led behind the guard,
-            what the target mode turns back within that step (`automaton.input_reversal`); the affine reset through the
-            covariance; then the pins of the target mode (a contact is information): put there if the guard locates
-            them, else conditioned on.
+        belief_reset: (mean, factor, u) -> (mean_next, factor_next): for a mean behind the guard after a whole step, the
+            part of that step that the target mode reverses (`automaton.input_reversal`); the affine reset through the
+            covariance; then the pins of the target mode (a contact is information): replaced if the guard locates them,
+            otherwise conditioned on.
     """
 
     edge: Edge

@@ -24,11 +24,11 @@ def check_form(form: EffectForm) -> None:
 
     Checked: sentence and source; that the hooks which it overrides are those of one layer, and that `calibrate` tries
     that layer; that the formulas give one finite value per state and command, for arrays as for numbers, and the same
-    when CasADi evaluates them; that a memory keeps its shape, and is at rest where nothing moved; that with all neutral
-    values nothing changes; that a reading is a straight line in the configuration, as it is taken out of logs.
+    when CasADi evaluates them; that a memory keeps its shape, and is at rest without motion; that neutral values have
+    no effect; that a reading is linear in the configuration, since it is inverted for logs.
 
     Raises:
-        InputError: says what is wrong with the form.
+        InputError: with the fault of the form.
     """
     if not form.parameters or not form.sentence.endswith(".") or not form.source:
         raise InputError(f"effect {form.name}: must have parameters, a sentence and a source")
@@ -94,7 +94,7 @@ def _checked(form: EffectForm, p: list[float]) -> dict[str, Floats]:
 def _by_casadi(form: EffectForm, p: list[float]) -> list[dict[str, Floats]]:
     """Values of all hooks with numeric parameters, as in plans, and symbolic ones, as in calibrations.
 
-    Delays are numbers throughout: calibrations ask for the formula of what is in force.
+    Delays are numbers throughout: calibrations use the formula of the command in force.
     """
     c, v = ca.SX.sym("c"), ca.SX.sym("v")
     symbols = [ca.SX.sym(parameter.name) for parameter in form.parameters]

@@ -1,6 +1,6 @@
 """Formulas of effects as instructions with exact derivatives, traced once by CasADi.
 
-Parameters are symbols, but for those that are neutral: they are numbers, of which a formula leaves little.
+Parameters are symbols, except neutral ones: they are numbers, which simplify a formula.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ def _memory(form: EffectForm, p: Sequence[Value]) -> list[ca.SX]:
 def begun_line(form: EffectForm, neutral: Neutral) -> StraightLine:
     """The memory of a part that has just moved by a step to c.
 
-    Of one whose commands act later, what was commanded before is last of it: what left it at rest before the step.
+    For a form whose commands act later, the command before the first step is the last of it: the one that left it at
+    rest.
     """
     (c, step), symbols, p = _symbols(form, neutral, "c", "step")
     kept = [form.commanded_at_rest(c - step, p)] if is_late(form, neutral) else []

@@ -1,8 +1,8 @@
 """Gaussian arithmetic on lower Cholesky factors, as CasADi SX expressions without a matrix inverse.
 
 The factor itself is the state (Maybeck, "Stochastic Models, Estimation and Control", vol. 1, ch. 7: square-root
-filtering; Carlson, AIAA Journal 1973, for the triangular update). Nothing squares the factor and takes its Cholesky
-decomposition again, so no pivot can become negative by rounding, whatever the scale of the belief.
+filtering; Carlson, AIAA Journal 1973, for the triangular update). The factor is never squared and decomposed again, so
+no pivot can become negative by rounding, at any scale of the belief.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def observe(
     factor is known in closed form: partial sums of v² from the last entry to the first (Carlson 1973).
 
     Args:
-        above: another coordinate; what is measured is how far `index` lies above it.
+        above: another coordinate; the measurement is the height of `index` above it.
     """
     n = factor.shape[0]
     noise = std if isinstance(std, ca.SX) else max(std, SMALLEST_STD)

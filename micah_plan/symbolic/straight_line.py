@@ -1,6 +1,6 @@
 """A CasADi function as instructions on numbered registers, for evaluation in a compiled loop.
 
-What depends on parameters alone is apart from what has to be evaluated in every row.
+Operations on parameters alone are separate from those of every row.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ Instruction = tuple[int, int, int, int]
 class Operation(IntEnum):
     """Operations of instructions: CasADi's scalar ones by name, and four additional ones.
 
-    Their numbers are their own and stay: compiled code that is kept on disk has them in it, and outlives a release of
-    CasADi. `SELECT` leaves its result as it is where the first argument is 0, and else takes the second. `IN_MODES`
-    says whether the row's mode is one of a set of modes, whose number is its first argument. `KEEP` takes a value into
-    a delay line, whose first register is its result; `EARLIER` gives the value of a delay line (its first argument)
-    from so many rows ago.
+    Their numbers are fixed: compiled code that is cached on disk contains them, and outlives a release of CasADi.
+    `SELECT` leaves its result unchanged where the first argument is 0, and otherwise takes the second. `IN_MODES` is
+    whether the row's mode is one of a set of modes, whose number is its first argument. `KEEP` writes a value into a
+    delay line, whose first register is its result; `EARLIER` is the value of a delay line (its first argument) so many
+    rows ago.
     """
 
     ASSIGN = 0
@@ -87,7 +87,7 @@ class StraightLine:
     Attributes:
         once: (n, 4) instructions that are evaluated once for the parameters. each: (m, 4), in every row.
         inputs, parameters, kept, results, passing: how many registers of each kind there are, in this order.
-        constants: (c, 2) register and value of what is kept and is a number.
+        constants: (c, 2) register and value of constants.
     """
 
     once: Ints
@@ -115,7 +115,7 @@ def straight_line(
 class _Reading:
     """Conversion state of a CasADi function, whose work registers are reused.
 
-    Values are numbered as they come up, inputs and parameters first; each gets its register at the end.
+    Values are numbered in order of appearance, inputs and parameters first; registers are assigned at the end.
     """
 
     def __init__(self, function: ca.Function, inputs: int, parameters: int) -> None:

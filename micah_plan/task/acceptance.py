@@ -24,7 +24,7 @@ def least_trials(confidence: float) -> int:
 def least_share(confidence: float, trials: int) -> float:
     """The smallest success rate at which a plan is accepted.
 
-    It lies two standard errors below the confidence, those of a plan whose true probability is the confidence: the
+    It is two standard errors below the confidence, those of a plan whose true probability is the confidence: the
     standard error of the observed share would vanish where nothing succeeds.
     """
     return confidence - _STANDARD_ERRORS * math.sqrt(confidence * (1.0 - confidence) / max(trials, 1))

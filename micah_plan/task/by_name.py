@@ -23,12 +23,12 @@ def with_start(start: Start, automaton: HybridAutomaton, values: Mapping[str, Sp
     """A start with new values of some coordinates; tied coordinates are updated.
 
     Args:
-        start: what the other coordinates keep; a value alone keeps its standard deviation.
+        start: new values; others are unchanged, and a value alone keeps its standard deviation.
         values: (mean, std) by coordinate [rad or m].
         mode: that it is in; None: the first whose invariant holds the mean, if values are given.
 
     Raises:
-        InputError: for an unknown name, and for what is no number.
+        InputError: for an unknown name, or a value that is not a number.
     """
     mean, std = list(start.mean), list(start.std)
     for name, value in _items(values, "start"):
@@ -58,7 +58,7 @@ def with_goal(
         modes: to end in; none: any that is no collision. None: as they are, or any where there is another target.
 
     Raises:
-        InputError: for an unknown name, for what is no number, and without a tolerance.
+        InputError: for an unknown name, a value that is not a number, or a missing tolerance.
     """
     if modes is None:
         wanted = goal.modes if values is None else ()
@@ -88,7 +88,7 @@ def with_noise(noise: Noise, automaton: HybridAutomaton, values: Mapping[str, Ma
     """Noise with new standard deviations of some coordinates, by `process_std` and `observation_std`.
 
     Raises:
-        InputError: for an unknown name, and for what is no standard deviation.
+        InputError: for an unknown name, or a value that is not a standard deviation.
     """
     for kind, by_name in _items(values, "noise"):
         if kind not in _NOISES:

@@ -1,10 +1,10 @@
 """Settled poses: poses of the parts at a belief's mean under contact.
 
-A belief's mean may lie where no object can be: while it is unsure whether the lower arm touches yet, the mean of the
-joint is that of the free one although the hand is low; where it is unsure whether it latched, the mean closes further
-than the latch. For drawing and for an arm's clearances the hand's place counts, and the rest follows from contact: the
-joint as the hand's height above the face asks for, flat parts flat, a latched object that rests turned in the hand.
-Only where the joint is closed does the object stop the hand.
+A belief's mean may lie where no object can be: while contact of the lower arm is uncertain, the mean of the joint is
+that of the free one although the hand is low; while latching is uncertain, the mean closes further than the latch. For
+drawing and for an arm's clearances the hand's place counts, and the rest follows from contact: the joint from the
+hand's height above the face, flat parts flat, a resting latched object rotated in the hand. Only where the joint is
+closed does the object stop the hand.
 """
 
 from __future__ import annotations

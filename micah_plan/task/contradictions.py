@@ -1,7 +1,7 @@
 """Consistency of solved plans: whether their numbers can be a solution of the problem.
 
-A file may have been written by anything, so a digest that fits says little. Nothing is simulated here: a share of
-successes below the confidence, a last state that is not where the plan says, a step that the model does not make.
+A matching digest proves little, since any program may have written the file. Without simulation, this finds: a share of
+successes below the confidence, a last state other than stated, a step that the model does not make.
 """
 
 from __future__ import annotations

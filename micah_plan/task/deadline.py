@@ -18,7 +18,7 @@ class TimeLimitError(Exception):
     """The time limit was reached.
 
     Attributes:
-        reason: in which stage, how far that was, and what to do.
+        reason: the stage, its progress, and the remedy.
     """
 
     def __init__(self, limit_s: float, stage: str, state: str, remedy: str) -> None:

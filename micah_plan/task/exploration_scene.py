@@ -16,11 +16,11 @@ class Scene:
 
     Attributes:
         largest_force: that the hand may exert [N].
-        largest_stiffness: of the hand, as its controller is set [N/m]; None: not known, as pushes tell it.
-        largest_step: largest displacement that one command may ask for [m].
+        largest_stiffness: of the hand, as set in its controller [N/m]; None: unknown, estimated from pushes.
+        largest_step: largest displacement of one command [m].
         steps: commands allowed.
-        opening: way of the handle that counts as open [m].
-        position, quaternion: where the hand holds, base frame [m]; None: wherever the first measurement says.
+        opening: displacement of the handle that counts as open [m].
+        position, quaternion: where the hand holds, base frame [m]; None: from the first measurement.
         low, high: corners of the workspace, base frame [m]; the handle is not led out of it. None: no limit.
         simulated: the problem whose object the plants of the package put into the hand; plants of your own ignore it.
     """

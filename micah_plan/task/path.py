@@ -1,6 +1,6 @@
 """Path constraints and costs: registered functions of a user, evaluated by NumPy and CasADi.
 
-A path function is asked about one step of control, and answers with what it requires and what it costs:
+A path function gets one step of control, and returns what it requires and what it costs:
 
     @path_function
     def slow_near_frame(ops, step, *, largest):
@@ -8,9 +8,9 @@ A path function is asked about one step of control, and answers with what it req
         room = ops.maximum(0.0, 1.0 - step.x["door"])
         return [Require("slow near the frame", largest + 0.1 * room - ops.abs(step.u["door"]), "rad")]
 
-A problem asks for it by name, ``PathConstraint("slow_near_frame", (("largest", 0.01),))``: files can name a function,
-but never bring one along. Planning requires each margin with the problem's confidence, as a boundary of the model;
-roll-outs and executions fail where the true state breaks it.
+A problem uses it by name, ``PathConstraint("slow_near_frame", (("largest", 0.01),))``: files can name a function, but
+not define one. Planning requires each margin with the problem's confidence, like a boundary of the model; roll-outs and
+executions fail where the true state violates it.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def check_constraint(constraint: PathConstraint, automaton: HybridAutomaton) -> 
     """Refuse a constraint that does not fit the model.
 
     Raises:
-        InputError: for an unknown function, mode, coordinate or argument, and for what is not one number per state.
+        InputError: for an unknown function, mode, coordinate or argument, or a result that is not one number per state.
     """
     for mode in constraint.modes:
         automaton.mode(mode)

@@ -21,16 +21,16 @@ class Finding:
 
     Attributes:
         level: where it was found; start and goal are checked first.
-        code: what is wrong, for programmes; empty in files of older versions.
-        sentence: the same with its amount.
+        code: of the obstacle, for programmes; empty in files of older versions.
+        sentence: the obstacle with its amount.
         remedy: the nearest change that could help.
         modes: the mode sequence that it is about; empty if it is about all.
         mode, knot: the place in it.
         constraint: the name of the one that does not hold.
-        amount: by how much [unit].
+        amount: of the violation [unit].
         room, need: available and required room, where the belief's spread is the cause [unit].
         unit: of the three.
-        ways: of which the remedy is one, changes that were not tried yet among them; no part of a plan file.
+        ways: candidates of the remedy, untested changes among them; not in plan files.
     """
 
     level: Level
@@ -77,9 +77,9 @@ class ModePurpose:
     Attributes:
         mode: not the one that the plan starts in, which every plan visits.
         is_goal: whether the goal is in no other mode.
-        why: why there is no way without it; empty if there is one.
+        why: the reason why there is no path without it; empty if there is one.
         without: the cheapest mode sequence without it; empty if there is none.
-        steps_without: what the search expects that to cost, as `Candidate.search_cost` [steps].
+        steps_without: expected cost of that sequence, as `Candidate.search_cost` [steps].
     """
 
     mode: str
@@ -150,9 +150,9 @@ class ReleasePlan:
     """Release after the last knot: the hand lowers until contact is felt, opens, and withdraws.
 
     Attributes:
-        steps: at most so many go down; contact is felt earlier.
+        steps: largest number of steps down; contact is felt earlier.
         contact: (n,) state in which it is expected [rad or m].
-        rest: (n,) state of the object at rest that is expected then: where a hand would hold it there [rad or m].
+        rest: (n,) expected state of the object at rest: where a hand would hold it there [rad or m].
         withdrawal: (W, 3) displacements of the hand, base frame [m].
         lowering, withdrawing: the arm meanwhile, from the last knot down to the lowest place where contact may be felt,
             and from the expected contact away with the gripper open; None without one.
@@ -171,8 +171,8 @@ class Plan(Summarised):
     """Result of planning. Failed plans have no trajectory, so they cannot be executed by mistake.
 
     Attributes:
-        outcome: ``"solved"``, ``"no_plan"`` (nothing found; `reason` says why) or ``"not_verified"`` (found, but the
-            roll-outs succeed too rarely for the asked confidence; it has a trajectory for viewing only).
+        outcome: ``"solved"``, ``"no_plan"`` (with the `reason`) or ``"not_verified"`` (found, but the roll-outs succeed
+            too rarely for the required confidence; it has a trajectory for viewing only).
         reason: one sentence, with the remedy if it failed.
         trajectory: None unless one was found.
         candidates: all mode sequences tried, cheapest search cost first.
@@ -184,17 +184,16 @@ class Plan(Summarised):
         seed: the seed of search and verification.
         timings: seconds by stage; kept out of the plan file.
         success_interval: 95 % interval of the probability of success, given that share; None if it was not verified.
-        findings: what stands in the way, most important first; of a solved plan, which boundaries it keeps only in
-            part.
+        findings: obstacles, most important first; of a solved plan, boundaries that it satisfies only in part.
         arm: the robot along the trajectory; None if the problem has none.
         release: how the hand releases the object in the end; None if it keeps the object.
         warnings: one line for each thing in the model that the plan does not take into account, or that learning
             was not sure of.
-        purposes: why it visits its modes, as far as the search can tell.
-        alternatives: plans along the other candidates, to be tried in this order where roll-outs refuse this one; kept
-            out of the plan file.
-        before_remedy: what of the reason stands before the remedy of the first finding; None: it is not made like
-            that. Kept out of the plan file.
+        purposes: of its modes, as far as the search could determine.
+        alternatives: plans along the other candidates, to be verified in this order if roll-outs refuse this one; not
+            in plan files.
+        before_remedy: beginning of the reason, up to the remedy of the first finding; None: the reason has no remedy.
+            Not in plan files.
     """
 
     outcome: Outcome
@@ -233,7 +232,7 @@ class Plan(Summarised):
         """The plan refused for an additional finding, whose sentence and remedy become the reason.
 
         Args:
-            before: what the reason begins with.
+            before: beginning of the reason.
         """
         said, findings = f"{before}{finding.sentence}; ", (finding, *self.findings)
         return replace(self, outcome=outcome, reason=f"{said}{finding.remedy}", findings=findings, before_remedy=said)

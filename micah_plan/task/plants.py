@@ -1,6 +1,6 @@
 """The built-in plants: the single list of names for files, commands and functions.
 
-A file may name a plant of this list and nothing else. Other code is loaded only where the command line names it
+A file may name a plant of this list and nothing else. Other code is loaded only if named on the command line
 (`micah_plan.cli.planning`), or passed in Python.
 """
 
@@ -18,8 +18,8 @@ class BuiltInPlant:
     """A plant that comes with the package.
 
     Attributes:
-        maker: ``module:name`` of what makes it when called with a problem, as an entry point would say it.
-        sentence: what it is, for help texts.
+        maker: ``module:name`` of the function that makes it from a problem, in the form of an entry point.
+        sentence: its description for help texts.
         abreast: whether many of them may run in step with each other: they are cheap, and no time passes in them.
     """
 

@@ -1,9 +1,9 @@
 """Plausibility of usable problems, scenes and experiments: nothing is refused, each suspicion is one line.
 
 Every number is compared with the scale that the rest of the file gives it (`automaton.plausible`). A tolerance, a
-spread or a step that is wider than all that a coordinate can do makes what it states empty: every place is in the goal,
-and nothing is known of any. Where a coordinate has no end, the hand's reach stands for its range, and else where many
-of the planner's largest steps lead.
+spread or a step that is wider than the range of a coordinate is meaningless: every place is in the goal, and nothing is
+known of any. For a coordinate without an end, the hand's reach or many of the planner's largest steps are used as its
+range.
 """
 
 from __future__ import annotations

@@ -41,12 +41,12 @@ class Release:
 
     Attributes:
         support: body of the scene on whose upper side it is put.
-        support_std: how well the height of that side is known [m].
-        step: how far the hand goes down per control step while it feels for the support [m].
+        support_std: of the height of that side [m].
+        step: displacement of the hand down per control step while it feels for the support [m].
         force: at which the contact is felt [N].
         shift_std: how far the object moves along x and along y when the gripper opens [m].
         fingers: (joint of the robot, position when open [rad or m]); empty: a gripper without an arm.
-        withdraw: how far the hand goes away from the object [m].
+        withdraw: displacement of the hand away from the object [m].
     """
 
     support: str
@@ -69,10 +69,10 @@ class Problem(Summarised):
         digests: SHA-256 of the problem, model and robot files, by role.
         scene: bodies around the object.
         robot: the arm that holds the object; None: none is planned for.
-        grasp: what it holds.
+        grasp: the held part.
         hold: how a hand holds the object by one part; None: it stands, and its joints are moved.
-        release: how a held object is released in the end, which the goal then speaks of; None: it stays in the hand.
-        constraints: what is asked of the path, beyond the boundaries of the model.
+        release: how a held object is released at the end, which the goal then describes; None: it stays in the hand.
+        constraints: on the path, beyond the boundaries of the model.
     """
 
     automaton: HybridAutomaton
@@ -110,7 +110,7 @@ class Problem(Summarised):
             noise: standard deviations by `process_std` and `observation_std` and by coordinate [rad or m].
 
         Raises:
-            InputError: for an unknown name, for what is no number, and for a goal without a tolerance.
+            InputError: for an unknown name, a value that is not a number, or a goal without a tolerance.
         """
         automaton = self.automaton
         if noise is not None:

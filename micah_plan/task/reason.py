@@ -30,11 +30,11 @@ class Offer:
 
     Attributes:
         words: of the remedy, which name the change without a number.
-        named: what takes their place, with the number behind.
-        kind: what it changes.
+        named: the words that precede the number.
+        kind: of the change.
         values: (coordinate, value [its unit]) of tolerances, targets and starts; (axis, place [m]) of the robot's root;
             (0, number) of confidence and revisits; (0, factor) of others.
-        growth: by what a factor that does not suffice is multiplied (one below 1: divided) the next time.
+        growth: factor on a change by a factor that is not enough (its inverse for factors below 1).
     """
 
     words: str
@@ -55,9 +55,9 @@ class Reason:
     """Why something is impossible, with remedies.
 
     Attributes:
-        code: what is wrong, for programmes.
-        sentence: the same with its amount.
-        ways: out of it, each in words or as a change that can be tried; at least one.
+        code: of the obstacle, for programmes.
+        sentence: the obstacle with its amount.
+        ways: remedies, each in words or as a change that can be tried; at least one.
     """
 
     code: Code

@@ -1,8 +1,8 @@
 """Release of held objects: the resting pose without a hand.
 
 A placement ends with the object released. The hand carries it to a place above its support and lowers it until contact
-is felt; the gripper opens, and the object turns until a side lies flat. It turns about the fingers: as they loosen,
-friction lets it turn between them before it lets it slide, and the edge that touched slides. Where it then is follows
+is felt; the gripper opens, and the object rotates until a side lies flat. It rotates about the fingers: as they loosen,
+friction lets it rotate between them before it lets it slide, and the edge that touched slides. Its final place follows
 from where the hand was, except for the height: that is the support's.
 
 The goal of a problem with a release speaks of the object at rest: of the state in which a hand would hold it there.
@@ -45,7 +45,7 @@ class Rest:
         mode: of the object.
         top: height of the support [m].
         touching: height of the hand above the support as the first edge touches [m].
-        shift: how far the hand's point on the object moves from there until it lies flat [m].
+        shift: displacement of the hand's point on the object from there until it lies flat [m].
         turn: rotation vector of the object meanwhile [rad].
     """
 
@@ -77,7 +77,7 @@ def resting_place(problem: Problem) -> Rest:
     """The resting pose of a problem's object after its release.
 
     Raises:
-        InputError: if it cannot be released there: it is not latched, would tip over, or is not what the goal says.
+        InputError: if it cannot be released there: it is not latched, would tip over, or contradicts the goal.
     """
     release, hold = problem.release, problem.hold
     if release is None or hold is None:
@@ -118,8 +118,8 @@ def support_height(problem: Problem) -> float:
 def pre_release_problem(problem: Problem) -> Problem:
     """The problem of the hand before the release, with a goal above the support; unchanged without one.
 
-    The place is that from which the object comes to rest at the target. The room for the shift as the gripper opens is
-    taken from the tolerance; the height keeps clear of the support, as high as that may be.
+    The place is the one from which the object comes to rest at the target. The margin for the shift as the gripper
+    opens is taken from the tolerance; the height keeps clear of the support, as high as that may be.
     """
     if problem.release is None:
         return problem

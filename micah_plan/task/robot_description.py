@@ -26,7 +26,7 @@ class RobotDescription:
         rest: (joint, value [rad or m]) of a posture to prefer; empty: the middle of the ranges.
         packages: (name, folder, relative to `root`) that ``package://name/`` in mesh paths stands for.
         srdf: content of a file with pairs of links that need no check (``disable_collisions``); empty: none.
-        folder: where the robot's file lies; its meshes must lie in it or in a package. Does not count in comparisons.
+        folder: of the robot's file; its meshes must be in it or in a package. Does not count in comparisons.
         root: folder that packages are relative to. Does not count in comparisons.
     """
 

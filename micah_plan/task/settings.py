@@ -12,8 +12,8 @@ class PlannerSettings:
     Attributes:
         confidence: probability with which guards and invariants must hold, and roll-outs reach the goal.
         samples_per_mode: roadmap states per mode of the high-level search.
-        search_limit: linear programmes that the search solves at most where the hand may leave objects anywhere; where
-            the limit ended it without a sequence of modes, the answer says so.
+        search_limit: largest number of linear programmes of the search where the hand may leave objects anywhere; a
+            search that reaches it without a mode sequence reports that.
         candidates: how many of the cheapest mode sequences are optimised.
         revisits: how many times a mode sequence may come back to a mode that it has been in.
         max_step: largest input per step and input coordinate [rad or m]; None: from the automaton's admissible inputs,

@@ -25,7 +25,8 @@ class Start:
         mean, std: (n,) of the Gaussian over x [rad or m].
         mode: the mode the object is in; None: the first mode whose invariant holds the mean.
         posture: (J,) joints that an arm starts with [rad or m], as a plan has them; None: any that hold the object.
-        true: (coordinate, value [rad or m]) where simulated trials truly start, whatever is believed; others are drawn.
+        true: (coordinate, value [rad or m]) of simulated trials' true start, independent of the belief; others are
+            drawn.
     """
 
     mean: tuple[float, ...]
@@ -75,8 +76,8 @@ def start_regions(automaton: HybridAutomaton, mode: Mode) -> tuple[Region, ...]:
 def sample_start(automaton: HybridAutomaton, start: Start, rng: np.random.Generator) -> tuple[str, Floats]:
     """A sampled true start: (mode, x (n,)) from the Gaussian conditioned on the mode's invariant (and Init).
 
-    Where the invariant is all but improbable under the belief, the mean is taken. Pinned coordinates are at their pins.
-    Coordinates that truly start elsewhere do, in the mode that is believed if it allows that, else in one that does.
+    Where the invariant is very improbable under the belief, the mean is taken. Pinned coordinates are at their pins.
+    Coordinates with a true start are there, in the believed mode if it allows that, else in one that does.
 
     Raises:
         InputError: if the start, or the true one, is in no mode.

@@ -19,8 +19,8 @@ def surroundings_of(
 
     Args:
         scene: the bodies.
-        contacts: (body, axis, sign) of the faces that may be touched. Such a body is no obstacle: what else touches it
-            rests on it.
+        contacts: (body, axis, sign) of the faces that may be touched. Such a body is no obstacle: other contacts with
+            it are resting on it.
         lower, upper: corners of where the hand may go [m].
     """
     touched = {body for body, _, _ in contacts}

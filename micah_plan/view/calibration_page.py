@@ -218,7 +218,7 @@ def motion_charts(calibration: Calibration) -> list[Chart]:
 def _motion(trace: CoordinateTrace) -> tuple[Chart, ...]:
     """Measured motion of some runs with roll-outs before and after, and the commands below.
 
-    First those whose roll-outs became better most, then runs evenly over the recording.
+    First the runs whose roll-outs improved most, then runs evenly over the recording.
     """
     whole = trace.data.whole or trace.data
     counted = whole.counted

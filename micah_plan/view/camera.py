@@ -46,7 +46,7 @@ def viewing_direction(motion: Floats, target: Floats, radius: float, blockers: F
     """(3,) unit vector from the target (3,) [m] to an elevated camera that shows the motion (k, 3) best.
 
     Args:
-        radius: of what the camera looks at [m].
+        radius: of the visible scene [m].
         blockers: as for `camera`.
     """
     toward = _directions(_ELEVATION)

@@ -25,7 +25,7 @@ class Curve:
 
     Attributes:
         label: in the legend of a figure.
-        run: of an execution that it belongs to; a page may show that one alone.
+        run: of the execution that it belongs to; a page may show that one alone.
     """
 
     x: Floats
@@ -144,7 +144,7 @@ class Chart:
     """Panels in a column over a common x axis.
 
     Attributes:
-        described: what it shows, for screen readers.
+        described: its content, for screen readers.
         x_label: of the axis below the last panel; it goes from `first` to `last`.
         places: (place, name) of ticks on that axis; empty: numbers.
         whole: whether these are whole, as of steps.

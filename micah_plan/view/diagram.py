@@ -36,7 +36,7 @@ class TransitionArrow:
         path, head: of the line, and of its point, in SVG's words [px].
         label: the guard as far as it fits; of several the first.
         title: all of them.
-        x, y, anchor: where the label stands [px], and which of its ends is there.
+        x, y, anchor: place of the label [px], and which of its ends is there.
     """
 
     path: str

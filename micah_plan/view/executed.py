@@ -36,8 +36,8 @@ class ExecutedRun:
         reached: whether it ended in the goal.
         ending: how it ended, in one sentence.
         leaving: where it left the plan, in one sentence; empty if it never did.
-        recording: what its recording is called, where runs of two are compared; else empty.
-        number: of all runs on the page, by which its curves are known.
+        recording: name of its recording, where runs of two are compared; else empty.
+        number: among all runs on the page, the key of its curves.
         color: of its ghost and its curves.
     """
 
@@ -75,10 +75,10 @@ def executed_runs(
     """All runs of a recording, in order.
 
     Args:
-        problem: what was to be done.
+        problem: of the plan.
         trajectory: the plan, of the object's coordinates alone.
         recording: with the parts of the problem's model.
-        failures: why runs failed, as execution said it, by run; None: success is judged by the last row.
+        failures: reasons of failed runs from the execution, by run; None: success is judged by the last row.
 
     Raises:
         InputError: if the recording has other parts than the model.
@@ -170,9 +170,9 @@ def _ending(problem: Problem, modes: tuple[str, ...], x: Floats) -> str:
 def _spread(problem: Problem, trajectory: Trajectory) -> Floats:
     """(K, n) predicted std of the state around the plan's mean before measurements [rad or m].
 
-    The belief says how well the state is known around its estimate, P. The estimate strays from the plan as far as
-    measurements moved it, S, and feedback brings it back: S⁺ = (1 + B K) S (1 + B K)' + (P + Q - P⁺), from S = 0. The
-    sum P + S is what roll-outs show.
+    The belief's covariance P is around its estimate. The estimate deviates from the plan by measurement updates, S, and
+    feedback brings it back: S⁺ = (1 + B K) S (1 + B K)' + (P + Q - P⁺), from S = 0. The sum P + S is the spread of
+    roll-outs.
     """
     automaton, n = problem.automaton, problem.automaton.n
     process = np.diag(np.square(automaton.noise.process_std))

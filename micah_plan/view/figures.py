@@ -1,6 +1,6 @@
 """Charts as Matplotlib figures; figures of planned beliefs over steps and in the plane; writing of figures.
 
-Figures are made without pyplot, so nothing global is opened or left open.
+Figures are made without pyplot, so there is no global state.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ def chart_figure(charts: Sequence[Chart], *, across: bool = False) -> Figure:
 
     Args:
         charts: at least one.
-        across: whether they stand beside each other and share their ranges of y; then all have the same panels.
+        across: whether they are side by side and share their ranges of y; then all have the same panels.
     """
     rows = [panel.height for chart in (charts[:1] if across else charts) for panel in chart.panels]
     size = max(8.0, 3.4 * len(charts)) if across else 8.0, 1.2 + _INCH_OF_PIXEL * sum(rows)
@@ -158,8 +158,8 @@ def chart_figure(charts: Sequence[Chart], *, across: bool = False) -> Figure:
 def belief_figure(problem: Problem, plan: Plan, runs: Recording | None = None) -> Figure:
     """The planned belief against the executed trajectories, one panel per coordinate, as on the page of the plan.
 
-    Of a point in the plane, one more axes shows the plane itself, with the belief's ellipses. The executed trajectories
-    are the columns ``true_<coordinate>`` of `runs` where it has them, else the measured configurations.
+    For a point in the plane, one more axes shows the plane itself, with the belief's ellipses. The executed
+    trajectories are the columns ``true_<coordinate>`` of `runs` where it has them, else the measured configurations.
 
     Raises:
         InputError: if the plan has no trajectory.

@@ -15,9 +15,9 @@ class Card:
 
     Attributes:
         name: of the file.
-        words: what matters of it, in a few lines.
-        badge: in a word whether it is good; None: nothing is to be said.
-        pages: names of pages beside it.
+        words: its main facts, in a few lines.
+        badge: one word on whether it is good; None: none.
+        pages: names of its pages.
     """
 
     name: str

@@ -179,7 +179,7 @@ class RunPicture:
         rows, time: (n,) rows of the recording, and when they were measured [s].
         position: (n, 3) of the part's origin in the frame of its parent [m].
         stretches: its segments.
-        quantity, unit: what `measured` counts: ``"configuration"`` or ``"displacement"``, in rad, m, "rad or m".
+        quantity, unit: of `measured`: ``"configuration"`` or ``"displacement"``, in rad, m, "rad or m".
         evidence_rows, evidence: (k,) rows and the models; empty if not traced.
         changepoints: where a segment may start; empty if not traced.
         counts: probabilities of 0, 1, 2, ... changepoints; empty if not estimated.

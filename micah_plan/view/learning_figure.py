@@ -1,6 +1,6 @@
 """The figure of learning: for each part and run the track, configuration, evidence and changepoints.
 
-Sizes are in inches: panels have fixed places, so that every block looks the same whatever it shows.
+Sizes are in inches: panels have fixed places, so that every block looks the same for any content.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ class _Block:
 def learning_figure(recording: Recording, graph: KinematicGraph | None = None) -> Figure:
     """Per part and run: the track by segment with its joints, configuration, evidence, posteriors, and words.
 
-    What learning did not estimate (evidence over time, posteriors, the action channel) has no panel. Without a graph:
+    Missing estimates of learning (evidence over time, posteriors, the action channel) have no panel. Without a graph:
     the track and its coordinates.
 
     Args:
         recording: at least one row.
-        graph: what was learned from it.
+        graph: learned from it.
     """
     runs = () if graph is None else learned_runs(recording, graph)
     if not runs:

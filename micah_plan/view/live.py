@@ -61,8 +61,8 @@ class PageServer(ThreadingTCPServer):
     def answer(self, path: str, host: str) -> tuple[int, str, str]:
         """Status, media type and body of a request.
 
-        A web site may let its own name point to the loopback address, to read what is served there. Its requests
-        still carry that name as their host, and are refused.
+        A web site may resolve its own name to the loopback address to read the served pages. Its requests still carry
+        that name as their host, and are refused.
         """
         if host not in (f"{LOOPBACK}:{self.port}", f"localhost:{self.port}"):
             return 403, "text/plain", "served to this machine only\n"

@@ -106,7 +106,7 @@ class Block:
         chart: None for none.
         bars: small bar charts below it.
         notes: sentences at the end.
-        alarm: whether the title says that something is wrong.
+        alarm: whether the title reports an error.
         keyframes: (time on the player [s], x of the chart) of the line that follows the player.
     """
 
@@ -126,7 +126,7 @@ class RunEntry:
     Attributes:
         label: in the list to choose from.
         words: sentences about it, shown while it is chosen.
-        layer: of the scene with what belongs to it alone; empty: nothing does.
+        layer: of the scene with its own objects; empty: none.
         readouts: as of `Timeline`, shown below these while it is chosen.
         drawn_as: number by which curves of the charts belong to it.
     """
@@ -143,10 +143,10 @@ class ScenePage:
     """The content of a page with a 3-D scene, without the scene.
 
     Attributes:
-        title, kind: name of the thing, and what sort of thing it is.
+        title, kind: name of the shown object, and its kind.
         camera: of `view.camera`.
         badge: the outcome in a few words, with its status.
-        task: a sentence below the title: what is asked for.
+        task: a sentence on the task below the title.
         message: a sentence below the badge.
         facts: (label, value) pairs.
         chips: (text, colour), e.g. the mode sequence.
@@ -157,11 +157,11 @@ class ScenePage:
         shows_all_runs: whether all runs are shown at first, and not the first of them.
         charts: shown in a column of their own, below the panel where the window is narrow.
         runs: to choose from; the first is shown at first.
-        pictures: (time on the player [s], JPEG) of what a camera saw, shown beside the scene.
-        is_within: whether it is shown within another page, which has its title and says what its colours are.
+        pictures: (time on the player [s], JPEG) of a camera, shown next to the scene.
+        is_within: whether it is shown within another page, which has its title and its legend of colours.
         open_details: headings of details that are not folded away.
         diagram: of the automaton, whose box of the current mode is filled.
-        fade: what is below the layers of runs that a slider goes between, e.g. before and after.
+        fade: layers of runs between which a slider fades, e.g. before and after.
         is_tinted: whether the object takes on the colour of the band that plays.
     """
 

@@ -73,8 +73,8 @@ def joint_axis(joint: Joint, length: float) -> Floats | None:
 def coordinate_range(automaton: HybridAutomaton, mode: Mode, coordinate: int) -> tuple[float, float, bool]:
     """Lower and upper end of a coordinate in a mode, and whether the automaton states both.
 
-    Looked for in the mode's invariant, then in its clamps (self transitions), then in its guards; an end that none
-    states is put 1 rad or 0.2 m away from the other end, or from 0.
+    Taken from the mode's invariant, then its clamps (self transitions), then its guards; a missing end is put 1 rad or
+    0.2 m away from the other end, or from 0.
     """
     lower, upper = mode.invariant.interval(coordinate)
     for is_first in (True, False):

@@ -32,7 +32,7 @@ class DrawnRun:
     Attributes:
         number: by which its curves and its entry on the page belong together.
         x: (T, n) configurations, true or measured [rad or m].
-        recording: what its recording is called, where there are several; empty: it is the only one.
+        recording: name of its recording, where there are several; empty: it is the only one.
         color: of its curves.
     """
 
@@ -86,7 +86,7 @@ def belief_chart(
         problem: with the confidence that the margin stands for: ± k σ with Phi(k) = confidence.
         trajectory: the belief.
         runs: that were executed.
-        spreads: whether σ alone stands below each coordinate.
+        spreads: whether σ alone is drawn below each coordinate.
     """
     panels: list[Panel] = []
     shown = problem.automaton.coordinates[:MOST_COORDINATES]

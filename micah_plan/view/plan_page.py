@@ -71,8 +71,8 @@ def plan_page(
     Args:
         plan, problem: what is planned.
         title: of the page.
-        executed: runs of the plan, which are shown beside it; or those of several recordings, by what these are called.
-        failures: why runs failed, by run, as execution said it; None: success is judged by their last rows.
+        executed: runs of the plan; or those of several recordings, by their names.
+        failures: reasons of failed runs from the execution, by run; None: success is judged by their last rows.
 
     Raises:
         InputError: if the runs have other parts than the model, or there is no trajectory that they could follow.
@@ -375,7 +375,7 @@ def settled_over_time(problem: Problem, keys: Keyframes) -> Moved:
 def with_shown_points(problem: Problem) -> Problem:
     """The problem with handles for a held object: the grasped point, and the far end of the moving part.
 
-    The belief of the joint is seen at the far end, that of the hand at the hand. Other problems come back as they are.
+    The belief of the joint is drawn at the far end, that of the hand at the hand. Other problems are unchanged.
     """
     if problem.hold is None:
         return problem

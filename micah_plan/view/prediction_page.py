@@ -55,9 +55,9 @@ def prediction_page(
 
     Args:
         automaton: that predicts.
-        recording: what was measured.
+        recording: the measurements.
         runs: its predictions, of the same recording.
-        judged: what their errors are worth.
+        judged: evaluation of their errors.
     """
     worst = sorted(runs, key=lambda run: -rmse([run.rollout.position]))[:MOST_RUNS]
     scene, scale, longest = _scene_of(automaton, worst)

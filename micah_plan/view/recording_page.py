@@ -48,8 +48,8 @@ def recording_page(
     Args:
         recording: at least one row.
         graph: the segments learned from it; None shows the track alone.
-        pictures: (time [s], JPEG) of the camera that saw a recording of one run; shown beside the scene.
-        points: (k, 3) that were tracked on each part, in its frame [m]; of what is no part, in the base frame.
+        pictures: (time [s], JPEG) of the camera of a recording with one run, shown next to the scene.
+        points: (k, 3) tracked on each part, in its frame [m]; those of no part, in the base frame.
     """
     scene = DrawnScene()
     scene.reserve(recording.position)

@@ -35,7 +35,7 @@ class ReleaseMotion:
     """The release after a plan, as it is shown.
 
     Attributes:
-        keys: the states of the hand at the frames that follow; the belief stays what it was.
+        keys: the states of the hand at the following frames; the belief is constant.
         moved: poses of the parts there.
         bands: on the timeline.
         arm_times, arm: (K,) [s] and (K, J) joints of the arm at them; empty without one.

@@ -1,8 +1,8 @@
 """The 3-D scene of a page as MeshCat commands. The only importer of meshcat.
 
-MeshCat's own `Visualizer` starts a server that listens on all interfaces. Here its commands go to a list instead of
-to a server, and the page carries the list: no process, no port. MeshCat's package imports that server (tornado, pyzmq,
-IPython, Pillow) whatever one asks of it, so its modules of geometry and commands are loaded here without the package.
+MeshCat's own `Visualizer` starts a server that listens on all interfaces. Here its commands go to a list instead of to
+a server, and the page carries the list: no process, no port. MeshCat's package imports that server (tornado, pyzmq,
+IPython, Pillow) in any case, so its modules of geometry and commands are loaded here without the package.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Sub-pixel corners of a printed tag by alignment with its whole pattern, to hundredths of a pixel.
 
-The pattern is known: it is moved, blurred, brightened and shaded until it is the picture (Gauss-Newton over the four
+The known pattern is moved, blurred, brightened and shaded until it matches the picture (Gauss-Newton over the four
 corners; Lucas and Kanade, 1981; Baker and Matthews, "Lucas-Kanade 20 years on", IJCV 2004). Every edge between two
-cells counts, so what blur and a bright border do to the outer edge alone hardly moves the corners.
+cells counts, so the effect of blur and of a bright border on the outer edge alone hardly moves the corners.
 """
 
 from __future__ import annotations

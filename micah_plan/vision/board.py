@@ -39,7 +39,7 @@ def board_of(text: str) -> Board:
     """The board of a description such as ``9x6,30mm,22mm``: squares, edge of a square, edge of a marker.
 
     Raises:
-        InputError: if it says none.
+        InputError: if it defines none.
     """
     found = _BOARD.fullmatch(text.replace(" ", ""))
     if found is not None:

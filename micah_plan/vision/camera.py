@@ -31,8 +31,8 @@ class Camera:
     Attributes:
         matrix: (3, 3) intrinsic matrix [px].
         distortion: (k,) k1, k2, p1, p2, k3 and so on; k may be 0.
-        size: width and height of its pictures [px]; None: not said.
-        uncertainty: std of the focal length as a share of it; 0 where a calibration says it.
+        size: width and height of its pictures [px]; None: not stated.
+        uncertainty: std of the focal length as a share of it; 0 for a calibrated one.
     """
 
     matrix: Floats
@@ -58,7 +58,7 @@ def load_camera(path: str | Path) -> Camera:
     """The camera that a file describes.
 
     Raises:
-        InputError: if it is of no known kind, or cannot be used.
+        InputError: if it is of an unknown kind, or cannot be used.
     """
     content = read_bytes(path)
     if content.lstrip().startswith(b"%YAML:1.0"):

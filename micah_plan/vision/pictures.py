@@ -51,7 +51,7 @@ def drawn_pictures(
     """Frames of the video that was tracked, evenly thinned.
 
     Args:
-        footage: what the camera saw; its video is read once more.
+        footage: of the camera; its video is read once more.
         color_of: colour of a part's tags at a time [s].
         strokes: drawn into the frames in which the base is seen.
         axes: colours of x, y and z; none: frames of parts are not drawn.

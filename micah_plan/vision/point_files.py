@@ -44,7 +44,7 @@ class PointTracks:
 
     Attributes:
         places: (N, T, 3) [m], NaN where a point is not seen.
-        rate: frames per second; None: the file does not say it.
+        rate: frames per second; None: not stated in the file.
         names: of markers; () where points have none.
     """
 
@@ -84,11 +84,11 @@ def load_points(
 
     Args:
         axes: order of the first two axes of an array; None: the one along which points move less is of frames.
-        unit: of lengths; None: what the file says, else m.
+        unit: of lengths; None: from the file, else m.
         camera: of pixels with depths; None: the one in the file.
 
     Raises:
-        InputError: if it cannot be used; one line with what was expected and found.
+        InputError: if it cannot be used; one line with the expected and the found content.
         MissingDependencyError: for C3D without ezc3d.
     """
     suffix = Path(path).suffix.lower()

@@ -1,8 +1,8 @@
 """Rigid bodies in tracks of points: which point moves with which, and the pose of each body in each frame.
 
-Points of one body keep their distances. Groups of points whose distances vary least are where bodies begin; then each
-body has a shape and poses, every point goes to the body that explains it best, and two bodies that one explains as well
-are one. Noise is that of Student's t, its scale that of the points in their bodies.
+Points of one body keep their distances. Groups of points whose distances vary least start the bodies; then each body
+has a shape and poses, every point is assigned to the body that explains it best, and two bodies that one explains as
+well are merged. Noise is Student's t, with the scale of the points in their bodies.
 
 Sources: Yan and Pollefeys, "A general framework for motion segmentation", ECCV 2006 (rigid groups by affinities);
 Kabsch, Acta Crystallographica 1976, and Lange, Little and Taylor, JASA 1989 (t distribution by weights).
@@ -229,8 +229,8 @@ def _regrouped(tracks: Floats, seen: Booleans, bodies: Sequence[RigidBody], volu
 def _union(groups: Sequence[Ints], density: Floats, bodies: Sequence[RigidBody]) -> tuple[int, int | None] | None:
     """(removed body, remaining body) of the best merge; None if all bodies are needed.
 
-    A body that goes saves its poses, three numbers for where and three for how in each frame (half a log of its points
-    each; Schwarz, Annals of Statistics 1978).
+    Removing a body saves its poses, three numbers for position and three for orientation in each frame (half a log of
+    its points each; Schwarz, Annals of Statistics 1978).
     """
     found, most = None, 0.0
     for less, group in enumerate(groups):

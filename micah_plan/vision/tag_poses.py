@@ -1,8 +1,8 @@
 """Poses of parts in the camera and in the frame of the base, from the corners of their tags.
 
 A square seen nearly head-on has two poses with nearly the same picture (Schweighofer and Pinz, "Robust pose estimation
-from a planar target", PAMI 2006). Both are kept, and one of each frame is chosen by the likeliest sequence: corners as
-precise as they are, parts that turn as fast as hands move them (Viterbi). What is uncertain of a pose follows from its
+from a planar target", PAMI 2006). Both are kept, and one of each frame is chosen by the likeliest sequence: with the
+corners' precision, and parts that rotate as fast as hands move them (Viterbi). A pose's uncertainty follows from its
 corners.
 """
 
@@ -39,7 +39,7 @@ class Pose:
     Attributes:
         turn: (3, 3) part to frame. position: (3,) of its origin [m].
         covariance: (6, 6) of position [m] and a small turn in the frame [rad].
-        misfit: sum of squares of what its corners are off [px^2].
+        misfit: sum of squares of its corners' errors [px^2].
     """
 
     turn: Floats
@@ -83,9 +83,8 @@ def corners_of(tag: PlacedTag, pose: Pose | None = None) -> Floats:
 def placed_corners(layout: TagLayout, frames: Sequence[Corners], camera: Camera) -> dict[str, dict[int, Floats]]:
     """(4, 3) corners in the frame of each part, by part and tag.
 
-    The first tag of a part that says nothing of its place is where the frame of the part is; others that say nothing
-    are placed by the median of what frames that show both say. Tags that are never seen beside one with a place are
-    left out.
+    The first tag of a part without given places defines the part's frame; others without one are placed by the median
+    over frames that show both. Tags that are never seen together with a placed one are left out.
     """
     placed = {}
     for part in layout.parts:

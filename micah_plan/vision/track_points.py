@@ -37,7 +37,7 @@ class TrackedPoints:
         body: (N,) number of the body that each point is on; -1: on none.
         noise: std of a measurement [m]. frames: how many.
         stds: (position [m], turn [rad]) of the poses of each body but the base, median.
-        notes: what to know of it, one sentence each.
+        notes: remarks, one sentence each.
     """
 
     recording: Recording
@@ -117,8 +117,8 @@ def _largest_way(body: RigidBody) -> float:
 def _is_static(base: RigidBody) -> bool:
     """Whether a body is static before the camera: its pose is constant within noise.
 
-    Means over parts of the frames differ by no more than noise, a single one's divided by how many there are; poses by
-    the same points are wrong alike, by as much as noise leaves of all frames.
+    Means over parts of the frames differ by no more than noise, the noise of one divided by their number; poses by the
+    same points share their errors, as large as the noise of all frames together.
     """
     frames = np.flatnonzero(base.is_seen)
     if len(frames) < 2 * _PARTS:
@@ -160,9 +160,9 @@ def _relative(base: RigidBody, body: RigidBody, first: int | None) -> tuple[Ints
 def _shared_error(base: RigidBody, body: RigidBody, frames: Ints, first: int | None) -> SharedError:
     """Errors that averaging over frames does not reduce.
 
-    Before a camera that moves all poses are brought to that of the first frame, of which that frame alone tells where
-    it was. And each point has its place in a body from as many frames as it is seen in, so poses by much the same
-    points are wrong alike.
+    With a moving camera all poses are transformed to that of the first frame, whose place is known from that frame
+    alone. And each point's place in a body is estimated from all frames in which it is seen, so poses by nearly the
+    same points share their errors.
     """
     if first is None:
         of_body = np.mean([body.covariance(int(k)) for k in frames], axis=0)

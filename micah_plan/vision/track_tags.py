@@ -1,7 +1,7 @@
 """From a video with printed tags to a recording of the parts' poses in the frame of the base.
 
-Where no file says it, the focal length is what makes the squares square: it is found from the tags themselves, and how
-uncertain it is is told, since all lengths are as uncertain.
+If no file states it, the focal length is the one that makes the squares square: it is estimated from the tags
+themselves, and its uncertainty is reported, since all lengths share it.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Footage:
     """The detections of a video, frame by frame.
 
     Attributes:
-        video, rate: what was read, and the frames per second that were said in place of its own.
+        video, rate: the file, and the frames per second that replace its own.
         layout: which tags are on which part.
         camera: that was used, with its focal length if that was found from the tags.
         times: (n,) of all frames [s], from 0. corners: of the tags that each frame shows.
@@ -84,11 +84,11 @@ class Tracked:
 
     Attributes:
         recording: poses of the parts in the frame of the base's tags; frames that do not show a part are left out.
-        footage: what it was made of.
+        footage: its source.
         noise: std of a corner [px].
         is_fixed: whether the camera stood still, so that the base is known in all frames.
         base: part in whose frame the poses are. stds: (position [m], turn [rad]) of the poses of each part, median.
-        notes: what to know of it, one sentence each.
+        notes: remarks, one sentence each.
     """
 
     recording: Recording
@@ -128,7 +128,7 @@ def track_tags(
     Args:
         camera: that made it; None: its focal length is found from the tags.
         base: part whose frame the poses are in; default: the part called base, else the first.
-        rate: frames per second, in place of what the video says.
+        rate: frames per second, in place of the video's own.
 
     Raises:
         InputError: if a file cannot be used, or the base or all parts are never seen.

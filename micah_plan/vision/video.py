@@ -29,7 +29,7 @@ def frames(path: str | Path, rate: float | None = None) -> Iterator[tuple[float,
     """(time [s], picture in grey or blue, green, red) of every frame, one after the other.
 
     Args:
-        rate: frames per second, in place of what the file says.
+        rate: frames per second, in place of the file's own.
 
     Raises:
         InputError: if it is no video and no folder of pictures, or holds no frame.

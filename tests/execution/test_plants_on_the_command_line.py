@@ -210,7 +210,8 @@ def test_a_machine_that_fails_is_a_failed_trial(run):
     assert done.returncode == 0
     found = json.loads(done.stdout)
     assert found["successes"] == 1
-    assert found["failures"] == [{"trial": 0, "reason": "the machine failed in step 3: the gripper lost the handle"}]
+    reason = "the machine failed in step 3: the gripper lost the handle"
+    assert found["failures"] == [{"trial": 0, "reason": reason, "code": "machine_failed", "missed": []}]
 
 
 @pytest.mark.slow

@@ -84,7 +84,8 @@ def test_a_narrow_corridor_tells_its_width_and_what_the_belief_needs(repository)
     assert 0.012 < finding.need < 0.03
     # Both sides together miss what the corridor lacks.
     assert 0 < finding.amount <= finding.need - finding.room + 1e-6
-    assert "is 12 mm wide, the belief needs" in finding.sentence
+    assert finding.sentence.code == "corridor_too_narrow"
+    assert "is 12 mm wide, but the belief needs" in finding.sentence
     # Room and need speak of a confidence of 0.89, but roll-outs touch a wall more often: it is not offered.
     assert finding.remedy.endswith("or lower `confidence`")
     assert solve(problem).findings[0].remedy == "lower the noise (half of it suffices)"

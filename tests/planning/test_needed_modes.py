@@ -90,7 +90,7 @@ def test_the_stapler_is_shut_since_it_would_meet_the_shaft(repository: Path, tmp
     assert load_plan(tmp_path / "plan.json").plan.purposes == result.plan.purposes
     page = show(result, tmp_path / "page.html").text
     assert "lead to the goal only without" in page
-    assert "is there for the same reason as line" in page
+    assert messages.same_reason("line") in page
 
 
 def test_what_became_of_the_way_without_a_mode_is_said() -> None:

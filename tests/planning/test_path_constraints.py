@@ -246,7 +246,8 @@ def test_room_too_narrow_for_the_belief_is_not_verified_and_named() -> None:
     assert by_level["verification"].constraint == "'door stays below 0.995'"
     planned = by_level["optimisation"]
     assert (planned.constraint, planned.unit) == ("'door stays below 0.995' at 95 %", "rad")
-    assert planned.sentence.startswith("the mean has ")
+    assert planned.code == "too_little_room"
+    assert planned.sentence.code == "margin_too_small"
     assert planned.need is not None
     assert planned.room is not None
     assert planned.need - planned.room == pytest.approx(planned.amount)

@@ -333,11 +333,13 @@ def test_a_start_far_outside_says_how_far() -> None:
 @pytest.mark.slow
 def test_a_start_or_a_goal_inside_a_body_is_named() -> None:
     within = solve(held(x=0.45, z=0.15), advise=False)
-    assert "the start lies inside 'lower_arm at book_1, book_2, book_3, book_4'" in within.reason
+    assert within.findings[0].code == "start_in_obstacle"
+    assert "'lower_arm at book_1, book_2, book_3, book_4'" in within.reason
     problem = held()
     goal = tuple((i, 0.15 if i == 2 else value, tol) for i, value, tol in problem.goal.target)
     placed = solve(replace(problem, goal=replace(problem.goal, target=goal), release=None), advise=False)
-    assert "the goal lies inside 'lower_arm at book_1, book_2, book_3, book_4'" in placed.reason
+    assert placed.findings[0].code == "goal_in_obstacle"
+    assert "'lower_arm at book_1, book_2, book_3, book_4'" in placed.reason
 
 
 def test_a_goal_inside_two_bodies_together_is_named() -> None:

@@ -60,7 +60,7 @@ def test_what_the_fingers_do_not_let_the_hand_put_down_is_not_planned() -> None:
     """Deep on the plinth they meet it in all of the goal; less deep, in the part that plans then stay out of."""
     refused = solve(load_problem(BOX, {"goal.target.x.value": 0.5}), advise=False)
     assert refused.outcome == "no_plan"
-    assert refused.reason.startswith("wherever in the goal the hand puts the object down, left_finger meets plinth")
+    assert refused.reason.startswith("wherever in the goal the hand sets the object down, left_finger meets plinth")
     tolerant = load_problem(BOX, {"goal.target.x": {"value": 0.47, "tolerance": 0.025}})
     plan = solve(tolerant, advise=False)
     assert plan.outcome == "solved", plan.reason

@@ -42,15 +42,15 @@ def attach_arm(
 ) -> Callable[[PhysicalPlant], Carrier]:
     """Add a problem's robot to a world, with a position-controlled motor at each joint of its arm.
 
-    The motors bear the robot's own weight, as those of real arms do, within the efforts that its file states.
+    The motors compensate the robot's own weight, as those of real arms do, within the efforts of its file.
 
     Args:
         hand: body of another world that the robot's tool grasps.
         posture: (J,) joints of the arm near which it starts; None: one is sought.
-        fingers: joints beside the arm's that get motors, of the force of a grip, instead of being locked.
+        fingers: joints besides the arm's that get motors with the force of a grip, instead of being locked.
 
     Returns:
-        What makes the carrier of a plant in this world.
+        The carrier of a plant in this world.
 
     Raises:
         InputError: if MuJoCo cannot use the robot's file, or the arm cannot start.

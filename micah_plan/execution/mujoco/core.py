@@ -41,16 +41,17 @@ def check_stable(mujoco: ModuleType | Any, data: Any) -> None:
 class PhysicalPlant:
     """A stepped world with latches and a tracker: the base of plants in MuJoCo.
 
-    Most of the time nothing happens that the engine does not know of, and it can take many steps alone: it leaps. What
-    its sensors showed in every one of them is looked at afterwards, so nothing is missed. Where something happened it
-    goes back, leaps up to there only, and takes careful steps until nothing has happened for a while. Both ways the
-    engine takes the same steps: how far it leaps changes only the computing time.
+    Most of the time there is no event that the engine does not handle, and it can take many steps alone: it leaps. The
+    sensors of every step are checked afterwards, so nothing is missed. After an event it goes back, leaps up to there
+    only, and takes single steps until there has been no event for a while. In both cases the engine takes the same
+    steps: leaps change only the computing time.
 
     Attributes:
         automaton, parameters: the model, and the physics.
         mujoco, model, data: the library, and its model and state of this world.
         latches: of this world.
-        shares: (steps,) share of its way that the hand's target has gone after each physics step of a control step.
+        shares: (steps,) share of the displacement that the hand's target has completed after each physics step of a
+            control step.
     """
 
     def __init__(
@@ -176,7 +177,7 @@ class PhysicalPlant:
         """Step under controls (k, nu), with all else constant; it may end early, after at least one step.
 
         Returns:
-            (taken, sensors) what the sensors showed: places as a step began, forces and contacts in it.
+            (taken, sensors) of each step: places at its start, forces and contacts in it.
 
         Raises:
             InputError: if the physics became unstable.
@@ -248,7 +249,7 @@ class Carrier:
     """Moves the hand by position-controlled joints: three slides here, those of an arm in `ArmCarrier`.
 
     Attributes:
-        complaint: why it could not go where it was told to since it was put; empty if it could.
+        complaint: why it could not follow commands since it was placed; empty if it could.
     """
 
     def __init__(self, plant: PhysicalPlant, joints: Sequence[str]) -> None:

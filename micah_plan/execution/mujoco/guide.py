@@ -1,9 +1,9 @@
 """Motion along paths in MuJoCo, which offers only hinges and slides.
 
-A runner slides as far as the configuration says. The part has three slides and three hinges, and each is tied to the
-runner by a polynomial, one set of them for every stretch between knots of the path; as the runner goes from one stretch
-to the next, the plant puts in the next set. Positions are exact, for a path is a cubic between its knots; of the angles
-the polynomials are interpolations at five places, which meet at the knots.
+A runner slides as far as the configuration. The part has three slides and three hinges, and each is tied to the runner
+by a polynomial, one set of them for every interval between knots of the path; as the runner goes from one interval to
+the next, the plant sets the next polynomials. Positions are exact, since a path is a cubic between its knots; for
+angles the polynomials interpolate at five places, continuous at the knots.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Guide:
     def find(self, mujoco: Any, model: Any) -> None:
         """Look up the addresses in the compiled world.
 
-        The engine makes constraints on a joint as stiff as its own inertia asks for; the runner carries the part's.
+        The engine scales constraints on a joint by the joint's own inertia; the runner has the part's.
         """
         names = [f"{self.part}/{number}" for number in range(6)]
         self._equalities = np.array([model.equality(name).id for name in names])
@@ -106,7 +106,7 @@ class Guide:
     def lever(self, c: float) -> Floats:
         """(3,) factor from a force on the handle to one on the runner, in the frame of the parent.
 
-        Along the path, and as long as at c = 0: what a latch holds against is a force at the handle.
+        Along the path, and as long as at c = 0: a latch resists a force at the handle.
         """
         velocity, arm = handle_velocity(self.joint, self.handle, c), handle_velocity(self.joint, self.handle, 0.0)
         return np.asarray(velocity * (np.linalg.norm(arm) / np.linalg.norm(velocity)))

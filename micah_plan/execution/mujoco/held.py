@@ -1,7 +1,7 @@
 """An object in a hand among bodies, in MuJoCo: contact, friction, a joint that moves freely, latches, and a carrier.
 
-The plant reads the problem's geometry and where the learned model latches, but none of the model's modes or contact
-kinematics: what touches, slides, folds, catches and falls is physics.
+The plant uses the problem's geometry and where the learned model latches, but none of the model's modes or contact
+kinematics: contacts, sliding, folding, latching and falling are physics.
 """
 
 from __future__ import annotations
@@ -54,12 +54,12 @@ class HeldPlant(PhysicalPlant):
         """Build the simulation.
 
         Args:
-            parameters: of the physics; None: those of the problem.
+            parameters: of the physics; None: from the problem.
             posture: (J,) joints of the arm near which it starts, as a plan has them; None: one is sought.
 
         Raises:
             MissingDependencyError: if MuJoCo is not installed.
-            InputError: if the problem does not say how the object is held, or its model, scene or robot cannot be
+            InputError: if the problem does not define how the object is held, or its model, scene or robot cannot be
                 simulated.
         """
         if problem.hold is None:
@@ -116,7 +116,7 @@ class HeldPlant(PhysicalPlant):
     def apply(self, command: Command) -> Measurement:
         """One control step: the hand's target moves by the input from the hand's true position, then rests.
 
-        Where it may push with no more than a force, it stops when it does.
+        With a limit on the force, it stops when the limit is reached.
         """
         displacement = self._displacement_per_input @ command.input
         if self._released is not None and (self._is_open or command.opens):

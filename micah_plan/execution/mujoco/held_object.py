@@ -60,8 +60,8 @@ class HeldObject:
         """Add the two parts to a world, the first one carried by the body `hand`, or free.
 
         Raises:
-            InputError: if the part cannot turn in the hand as the model says, or if nothing says at which configuration
-                the shapes are given.
+            InputError: if the part cannot rotate in the hand as the model requires, or if the configuration at which
+                the shapes are given is not defined.
         """
         grip, mass = self._grip, self._parameters.mass
         rotation, joint = Rotation.from_rotvec(grip.rotation), _joint(self._automaton, self.parts[1])
@@ -104,7 +104,7 @@ class HeldObject:
     def _add_joint(self, world: World, body: Any, joint: Joint) -> None:
         """The joint of the other part.
 
-        Latches at its end stops catch it as it comes to them, and none ever opens.
+        Latches at its end stops catch it as it arrives, and none ever opens.
         """
         automaton, grip, parameters = self._automaton, self._grip, self._parameters
         coordinate = automaton.links[self.parts[1]].coordinate

@@ -47,7 +47,7 @@ class PhysicalParameters:
         contact_friction: coefficient, of a held object and the scene.
         spread: share by which friction and a held object's mass vary from trial to trial.
         joint_friction, joint_damping: of a held object's joint, [N m or N] and [N m s/rad or N s/m]; dry friction holds
-            the part up while nothing touches it.
+            the part up without contact.
         pivot_stiffness, pivot_damping: of the part in the hand where it turns there, [N m/rad] and [N m s/rad].
         joint_deflection: error at which a joint of an arm pushes with all its effort [rad or m].
         joint_effort: of joints of an arm whose file states none [N m or N].

@@ -1,8 +1,8 @@
 """A released object in MuJoCo: a free body, held by friction until the fingers open.
 
-While a hand carries an object, the grip is no question: the object is a part of the hand. To release it, the world is
-built a second time with the object free and the fingers on motors. It takes over where everything is, the fingers close
-until they press on the object, then they open, not quite at once, and what the object does is physics.
+While a hand carries an object, the object is a part of the hand. To release it, the world is built a second time with
+the object free and the fingers on motors. It starts from the current state, the fingers close until they press on the
+object, then they open, not quite at once, and the object's motion is physics.
 """
 
 from __future__ import annotations
@@ -88,9 +88,9 @@ class Handover:
     """The state of the world in which the hand still holds the object.
 
     Attributes:
-        world, carrier: the world, and what moves its hand.
+        world, carrier: the world, and the mover of its hand.
         held: number of the body of the part in the hand.
-        raised: how much higher the support is than the problem says [m].
+        raised: how much higher the support is than in the problem [m].
         weight, roughness: factors of the object's mass and of friction in this trial.
     """
 
@@ -106,14 +106,14 @@ class ReleasedPlant(PhysicalPlant):
     """The world with the object free and motorised fingers, compiled on demand.
 
     Attributes:
-        incident: what must not happen and did; empty if nothing.
+        incident: a forbidden event; empty without one.
     """
 
     def __init__(self, problem: Problem, parameters: PhysicalParameters, posture: Floats | None) -> None:
         """Args: posture: as in `held.HeldPlant`.
 
         Raises:
-            InputError: if the problem does not say how the robot's gripper opens.
+            InputError: if the problem does not define how the robot's gripper opens.
         """
         self._problem, self._own, self._posture = problem, parameters, posture
         if problem.robot is not None and problem.release is not None and not problem.release.fingers:

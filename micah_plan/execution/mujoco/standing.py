@@ -1,6 +1,7 @@
 """An object that stands, in MuJoCo: rigid bodies, friction, end stops, latches, and a hand that pulls at each part.
 
-The plant reads the model's geometry, but none of its dynamics: what moves, sticks, latches or springs back is physics.
+The plant uses the model's geometry, but none of its dynamics: motion, sticking, latching and springing back are
+physics.
 """
 
 from __future__ import annotations
@@ -36,16 +37,16 @@ _UNLIMITED = 1e3
 class StandingPlant(PhysicalPlant):
     """Any automaton with one moving joint per part, as a mechanism in MuJoCo.
 
-    Each part's handle is pulled by a compliant hand (spring, critical damping, limited force) that is told
-    displacements relative to where it is. Within a control step its target moves on a straight line and then rests. Its
-    law is that of motors in the world, so that the engine can take steps alone as long as no hand is too strong.
+    Each part's handle is pulled by a compliant hand (spring, critical damping, limited force), commanded by
+    displacements relative to its place. Within a control step its target moves on a straight line and then rests. Its
+    law is that of motors in the world, so that the engine can take steps alone as long as no hand exceeds its limit.
     """
 
     def __init__(self, automaton: HybridAutomaton, start: Start, parameters: PhysicalParameters | None = None) -> None:
         """Build the simulation.
 
         Args:
-            automaton: the object; its shapes if it has any, else boxes.
+            automaton: the object, with its shapes or else boxes.
             start: the belief from which true starts are drawn.
             parameters: of the physics; None: the defaults.
 
@@ -189,8 +190,8 @@ def standing_world(automaton: HybridAutomaton, parameters: PhysicalParameters) -
     """The world of a standing object whose joint positions are the configurations, without collisions.
 
     Each part has a hand: three motors along the axes of the base frame, whose lengths are the place of its handle [m].
-    Sensors show the lengths of all motors, then their forces [N], then of each joint that can latch position, anchor
-    and axis.
+    Sensors are the lengths of all motors, then their forces [N], then of each joint that can latch position, anchor and
+    axis.
 
     Returns:
         the world, how far each part's handle moves per unit of its joint (l,) [m/rad], or 1 for a slide, and the guides

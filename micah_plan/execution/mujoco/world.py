@@ -1,8 +1,7 @@
 """Building of worlds with MuJoCo's model editor (MjSpec): bodies on joints with latches, in radians and SI units.
 
 MuJoCo is imported here alone. Bodies of the scene are called `scene/NAME` in the world, those of a held object
-`object/NAME`.
-Source: MuJoCo documentation, "XML reference": what the attributes of elements mean.
+`object/NAME`. Source: MuJoCo documentation, "XML reference".
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ class LatchState:
         free_down, free_up: whether the joint can move away downwards and upwards.
         armed: whether it would catch now.
         equality, joint, sensor: in the compiled world, the constraint that locks the joint, the joint's address, and
-            the column of its position among what the sensors show.
+            the column of its position in the sensors.
         coordinate: of the model, which it holds.
     """
 
@@ -94,7 +93,7 @@ class WorldJoint:
         name: in the world.
         coordinate: of the model; the joint's position is scale * x[coordinate] + zero.
         latches: where it may be locked.
-        is_shown: whether the coordinate is read from it; else it follows a joint from which it is.
+        is_shown: whether the coordinate is read from it; otherwise it follows a joint that is.
     """
 
     name: str
@@ -110,7 +109,7 @@ class World:
 
     Attributes:
         mujoco, spec: the library, and the world in its editor.
-        joints: those that show coordinates, in the order in which they were added.
+        joints: those that coordinates are read from, in the order in which they were added.
     """
 
     def __init__(self) -> None:
@@ -185,7 +184,7 @@ def add_hand(world: World, parameters: PhysicalParameters, *, slides: bool) -> A
     """The body "hand" at the origin of a world.
 
     Args:
-        slides: whether it moves on three position-controlled slides; else an arm is to carry it.
+        slides: whether it moves on three position-controlled slides; otherwise on an arm.
     """
     hand = world.spec.worldbody.add_body(name="hand", gravcomp=1)
     if not slides:
