@@ -81,8 +81,8 @@ def _all_clear(original: Instead, *arguments: Any) -> Any:
 GATES: dict[str, Gate] = {
     "evidence": Gate(contenders, "_LEAST", 0.0, "an effect adds 6 nats, since two dozen compete"),
     "bounds": Gate(contenders, "_AT_BOUND", -1.0, "a parameter at its bound is something else"),
-    "not one run": Gate(contenders, "is_borne_out", _only_in_sum, "held-out runs agree, without the best of them"),
-    "each effect": Gate(contenders, "is_borne_out", _all_together, "held-out runs agree on each effect"),
+    "not one run": Gate(contenders, "is_confirmed", _only_in_sum, "held-out runs agree, without the best of them"),
+    "each effect": Gate(contenders, "is_confirmed", _all_together, "held-out runs agree on each effect"),
     "regular": Gate(contenders, "regularity", _always(0.0), "what was meant is more regular than noise is in"),
     "beginnings": Gate(contenders, "_BEGINS", 0.0, "odds against an effect that began"),
     "reachable": Gate(responses, "_REACHABLE", 0.0, "places are where the part can get"),

@@ -173,8 +173,8 @@ def _runs(code: str, *arguments: str) -> tuple[bool, str]:
         )
     except subprocess.TimeoutExpired:
         return False, f"no answer in {_TIMEOUT_S:g} s"
-    said = done.stderr.strip().splitlines() or [f"ended with code {done.returncode}"]
-    return done.returncode == 0, "" if done.returncode == 0 else said[-1]
+    message = done.stderr.strip().splitlines() or [f"ended with code {done.returncode}"]
+    return done.returncode == 0, "" if done.returncode == 0 else message[-1]
 
 
 def _advice(libraries: list[Found], solvers: list[str], browser: str | None) -> tuple[str, ...]:

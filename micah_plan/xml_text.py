@@ -108,9 +108,9 @@ def parse_xml(text: str, source: str) -> Element:
     try:
         parser.Parse(data, True)
     except expat.ExpatError as error:
-        said, where = expat.ErrorString(error.code), f"line {error.lineno}"
-        remedy = "put <?xml ...?> first, with nothing before it" if said == _MISPLACED else "correct the syntax"
-        raise InputError(f"not valid XML: {said}", source=source, where=where, remedy=remedy) from None
+        message, where = expat.ErrorString(error.code), f"line {error.lineno}"
+        remedy = "put <?xml ...?> first, with nothing before it" if message == _MISPLACED else "correct the syntax"
+        raise InputError(f"not valid XML: {message}", source=source, where=where, remedy=remedy) from None
     if not roots:
         raise InputError("not valid XML: it is empty", source=source)
     return roots[0]

@@ -96,11 +96,11 @@ class RunsResult(Result):
 
     def report(self) -> list[str | Table]:
         """Successes, final errors, and why trials failed."""
-        error, said, whose, unit = self.final_error, "reached the goal", "", self.planned.problem.goal_unit
+        error, outcome, whose, unit = self.final_error, "reached the goal", "", self.planned.problem.goal_unit
         if self.statistics.believed:
-            said, whose = "are believed to have reached the goal (the plant does not know the truth)", " (believed)"
+            outcome, whose = "are believed to have reached the goal (the plant does not know the truth)", " (believed)"
         spread = with_spread(error.mean, error.std, unit)
-        lines: list[str | Table] = [f"{self.successes} of {self.trials} trials {said}"]
+        lines: list[str | Table] = [f"{self.successes} of {self.trials} trials {outcome}"]
         if not self.planned.success:
             lines.insert(0, f"this plan is not verified, and was executed anyway: {self.planned.reason}")
         if self.statistics.released is not None:

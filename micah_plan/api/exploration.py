@@ -55,11 +55,11 @@ class ExplorationResult(Result):
     def report(self) -> list[str | Table]:
         """The identified mechanism with the evidence, and problems on the way."""
         exploration = self.exploration
-        said = {"opened": "opened", "held": "held", "gave_up": "gave up"}[exploration.outcome]
+        outcome = {"opened": "opened", "held": "held", "gave_up": "gave up"}[exploration.outcome]
         joints = ", then ".join(exploration.kinds) or "none moved"
         went, force = quantity(exploration.travel, "m"), quantity(exploration.largest_force, "N")
         return [
-            f"{said}: {exploration.reason}",
+            f"{outcome}: {exploration.reason}",
             f"  joints       {joints} (probability {percent(min(exploration.probability, SUREST), 0)})",
             f"  {count(exploration.steps, 'step')}, {went} of way, at most {force}",
             *(f"  note: {note}" for note in exploration.notes),

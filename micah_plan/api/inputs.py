@@ -115,8 +115,8 @@ def _of_table(table: Any, conventions: Conventions | None) -> Recording:
         try:
             made = Recording(**{"has_run": "run" in table, "has_part": "part" in table, **table})
         except (TypeError, ValueError) as error:  # texts, rows of different lengths
-            said = " ".join(str(error).split())
-            raise InputError(f"expected arrays of numbers ({shown(said)})", remedy="give NumPy arrays") from None
+            text = " ".join(str(error).split())
+            raise InputError(f"expected arrays of numbers ({shown(text)})", remedy="give NumPy arrays") from None
         return as_recorded(made, conventions or Conventions())
     names = list(table) if isinstance(table, Mapping) else _names_of(table)
     return recording_of_columns({str(name): table[name] for name in names}, conventions)

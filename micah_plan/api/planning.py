@@ -208,6 +208,6 @@ def plan_of(source: object) -> PlanningResult:
         stored = load_plan(source)
         return PlanningResult(stored.plan, stored.problem)
     if not isinstance(source, PlanningResult):
-        said = f"expected a plan, found {shown(type(source).__name__)}"
-        raise InputError(said, remedy="give the path of one, or what solve returns")
+        problem = f"expected a plan, found {shown(type(source).__name__)}"
+        raise InputError(problem, remedy="give the path of one, or what solve returns")
     return source

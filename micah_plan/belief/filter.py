@@ -151,9 +151,9 @@ def update_each(automaton: HybridAutomaton, beliefs: Sequence[HybridBelief], z: 
     after = list(beliefs)
     if seeing.size:
         every = np.ones((len(layout.modes), seeing.size), dtype=bool)
-        batch, anew = _updated(layout, batch_of([beliefs[int(i)] for i in seeing], layout.stds), z[seeing].T, every)
+        batch, was_lost = _updated(layout, batch_of([beliefs[int(i)] for i in seeing], layout.stds), z[seeing].T, every)
         for number, i in enumerate(seeing):
-            after[i] = replace(batch.alone(number), was_reinitialised=bool(anew[number]))
+            after[i] = replace(batch.alone(number), was_reinitialised=bool(was_lost[number]))
     return after
 
 
@@ -274,10 +274,10 @@ def _measured_in_modes(
     """`measured` for states outside the guards that end their modes (p,)."""
     std = _sensing_std(layout, mode, mean)
     mean, factor, before, piled = _uncut_at_guards(layout, mode, mean, factor, likely)
-    says = (before > _LOG_NEGLIGIBLE) & likely
+    truncates = (before > _LOG_NEGLIGIBLE) & likely
     mean, factor, score = measured(mean, factor, seen, std)
-    mean, factor, chance = _cut_at_guards(layout, mode, mean, factor, says)
-    score += chance - np.where(says, before, 0.0).sum(axis=0)
+    mean, factor, chance = _cut_at_guards(layout, mode, mean, factor, truncates)
+    score += chance - np.where(truncates, before, 0.0).sum(axis=0)
     for part in piled:
         at = part.number
         on_it, sharp, likelihood = measured(part.mean, part.factor, take_last(seen, at), take_last(std, at))
@@ -294,18 +294,18 @@ def _reinitialise_if_lost(
     """(beliefs after a measurement, whether each was reinitialised) where a lost belief is less probable than a new
     one.
     """
-    anew = np.zeros(evidence.size, dtype=bool)
+    was_lost = np.zeros(evidence.size, dtype=bool)
     weights, means, factors = after.side_by_side()
     for owner in map(int, (evidence < most_evidence(layout, z)).nonzero()[0]):
         recovered, chance = reinitialise(layout, before.where([owner]), z[:, owner])
         if chance > evidence[owner]:
-            if not anew.any():
+            if not was_lost.any():
                 weights, means, factors = weights.copy(), means.copy(), factors.copy()
-            anew[owner] = True
+            was_lost[owner] = True
             weights[..., owner], means[..., owner], factors[..., owner] = (
                 values[..., 0] for values in recovered.side_by_side()
             )
-    return BeliefBatch.of(weights, means, factors, after.n), anew
+    return BeliefBatch.of(weights, means, factors, after.n), was_lost
 
 
 @dataclass(frozen=True, eq=False)
@@ -354,7 +354,7 @@ def _uncut_at_guards(
 
 
 def _cut_at_guards(
-    layout: Layout, mode: Ints, mean: Floats, factor: Floats, says: Booleans
+    layout: Layout, mode: Ints, mean: Floats, factor: Floats, truncates: Booleans
 ) -> tuple[Floats, Floats, Floats]:
     """Means and factors of Gaussians truncated outside the guards of their modes, and the log probability (p,).
 
@@ -364,8 +364,8 @@ def _cut_at_guards(
             probability cannot be conditioned on.
     """
     margins, rows = _margins(layout, mode, mean, factor)
-    near = says & ((margins < 0.0) | is_cut(margins, rows))
-    chances = np.where(near | ~says, 0.0, log_probability(margins, rows))
+    near = truncates & ((margins < 0.0) | is_cut(margins, rows))
+    chances = np.where(near | ~truncates, 0.0, log_probability(margins, rows))
     for number in map(int, np.flatnonzero(near.any(axis=1))[::-1]):
         cut = near[number].nonzero()[0]
         there = take_last(mean, cut), take_last(factor, cut)

@@ -26,11 +26,11 @@ NEGLIGIBLE = 1e-10
 # Beyond this many standard deviations a Gaussian counts as zero (mass 1e-19).
 REACH = 9.0
 # At this many standard deviations a Gaussian underflows to 0.
-_SURELY = 40.0
+_BEYOND_ALL_STDS = 40.0
 NOTHING = 1e-30
 # Closed forms are exact to 1e-16 times what lies beyond the wedge's lines: for shares above this part of it they are as
 # good as quadrature, and for those that are dropped. Where the margins move nearly as one, the point is far out.
-_SURE = 1e-9
+_CERTAIN = 1e-9
 _SINE = 1e-3
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 
@@ -230,7 +230,11 @@ def _on_the_boundary(plane: _Plane, place: Floats) -> Floats:
     """Moments (6, 2, p) of crossing and remaining shares of states with ζ0 = place."""
     with np.errstate(divide="ignore", invalid="ignore"):
         offset = -(plane.m1 + plane.k * place) / plane.t
-    upward = half_planes(np.clip(np.nan_to_num(offset, nan=_SURELY, posinf=_SURELY), -_SURELY, _SURELY))
+    upward = half_planes(
+        np.clip(
+            np.nan_to_num(offset, nan=_BEYOND_ALL_STDS, posinf=_BEYOND_ALL_STDS), -_BEYOND_ALL_STDS, _BEYOND_ALL_STDS
+        )
+    )
     mass, y, yy = upward[MASS], upward[X], upward[XX]
     return np.stack([mass, place * mass, y, place**2 * mass, place * y, yy])
 
@@ -298,8 +302,10 @@ def _moments_of_shares(plane: _Plane, inside: Booleans) -> Floats:
 def _from_known_start(plane: _Plane, inside: Booleans) -> Floats:
     """Moments (6, 2, p) of crossing and remaining shares for known starts: all that ends inside crosses."""
     moves = plane.k > 0
-    offset = np.where(moves, -plane.m1 / np.where(moves, plane.k, 1.0), np.where(plane.m1 > 0, -_SURELY, _SURELY))
-    return half_planes(np.where(inside, -_SURELY, np.clip(offset, -_SURELY, _SURELY)))
+    offset = np.where(
+        moves, -plane.m1 / np.where(moves, plane.k, 1.0), np.where(plane.m1 > 0, -_BEYOND_ALL_STDS, _BEYOND_ALL_STDS)
+    )
+    return half_planes(np.where(inside, -_BEYOND_ALL_STDS, np.clip(offset, -_BEYOND_ALL_STDS, _BEYOND_ALL_STDS)))
 
 
 def _closed_form_moments(plane: _Plane, inside: Booleans) -> tuple[Floats, Booleans]:
@@ -314,8 +320,8 @@ def _closed_form_moments(plane: _Plane, inside: Booleans) -> tuple[Floats, Boole
     if np.count_nonzero(inside):
         moments[:, 0, inside] = WHOLE - moments[:, 1, inside]
     crossing, staying = moments[MASS]
-    sure = (crossing > _SURE * beyond) | (crossing < 0.9 * NEGLIGIBLE)
-    sure &= (staying > _SURE) | (staying < 0.1 * NEGLIGIBLE)
+    sure = (crossing > _CERTAIN * beyond) | (crossing < 0.9 * NEGLIGIBLE)
+    sure &= (staying > _CERTAIN) | (staying < 0.1 * NEGLIGIBLE)
     return moments, sure
 
 
@@ -333,8 +339,8 @@ def _integrate(plane: _Plane, inside: Booleans) -> Floats:
     behind, inner = start > 0, inside[owner, None]
     reach, mass = np.where(behind, np.inf, reach), np.where(behind & ~inner, 0.0, mass)
     with np.errstate(divide="ignore", invalid="ignore"):
-        spread = np.clip(-reach / t, -_SURELY, _SURELY)
-    limit = np.where(t > 0, spread, np.where(reach > 0, -_SURELY, _SURELY))
+        spread = np.clip(-reach / t, -_BEYOND_ALL_STDS, _BEYOND_ALL_STDS)
+    limit = np.where(t > 0, spread, np.where(reach > 0, -_BEYOND_ALL_STDS, _BEYOND_ALL_STDS))
     above, density = ndtr(-limit), np.exp(-0.5 * limit**2) / np.sqrt(2 * np.pi)
     first = np.searchsorted(owner, np.arange(len(inside)))
     crossing = _summed_moments(first, mass, zeta, above, density, limit)

@@ -87,7 +87,7 @@ def convert(
     from micah_plan.exchange.convert import targets
 
     check_outputs((source,), (Output("the target", target, targets(source)),))
-    said = ConventionOptions(
+    options_given = ConventionOptions(
         columns, units, rate, up, quaternion, name, topic, frame, robot, tool, joint_ranges, commands
     )
     kind, notes = converted(
@@ -98,7 +98,7 @@ def convert(
         poses_only=poses_only,
         density=density,
         packages=_packages(package or ()),
-        conventions=replace(said, positions_only=positions_only).conventions(),
+        conventions=replace(options_given, positions_only=positions_only).conventions(),
     )
     print_warnings(notes)
     summary = {"kind": kind, "notes": list(notes), "file": str(target), "bytes": target.stat().st_size}

@@ -87,7 +87,7 @@ def learn(
         raise typer.Exit
     if output is None:
         raise InputError("missing option '-o' / '--output'", remedy="see micah-plan learn --help")
-    said = ConventionOptions(
+    conventions_given = ConventionOptions(
         columns, units, rate, up, quaternion, name, topic, frame, robot, tool, joint_ranges, commands, positions_only
     )
     from micah_plan.api.learning import learn as learned
@@ -99,7 +99,7 @@ def learn(
     shapes, settings = () if parts is None else load_parts(parts), _settings(setting or ())
     with progress_bar(as_json) as progress:
         options: dict[str, Any] = {"method": method, "seed": seed, "parts": shapes, "settings": settings, "base": base}
-        result = learned(recording, conventions=said.conventions(), progress=progress, **options)
+        result = learned(recording, conventions=conventions_given.conventions(), progress=progress, **options)
     model = {} if result.automaton is None else {output: model_text(result.automaton).encode()}
     write_and_print(result, model | drawn(result, recording.stem, html, figure), as_json)
     if not result.success:

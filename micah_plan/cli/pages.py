@@ -123,12 +123,12 @@ def _show_folder(folder: Path, files: Mapping[str, Path], live: bool, as_json: b
     command, why = found.step
     summary = {"kind": "folder", "page": str(files["-o"]), "files": len(found.files), "next": command}
 
-    def said() -> None:
+    def print_saved() -> None:
         print_files(files.values())
         if command:
             print_lines((f"next: {command}  ({why})",))
 
-    print_summary(as_json, summary | {"bytes": len(page)}, said)
+    print_summary(as_json, summary | {"bytes": len(page)}, print_saved)
 
 
 def _filming(size: str, rate: float, speed: float, view: str | None) -> Filming:

@@ -114,8 +114,8 @@ def _of_video(
         raise InputError("missing option '--tags'", remedy=remedy)
     if offset is not None and actions is None:
         raise InputError("there are no actions to shift", source="--offset", remedy="say --actions ROBOT.csv")
-    told = {"camera": camera, "base": base, "rate": rate, "actions": actions, "offset": offset}
-    return tracked(source, tags, progress=progress, **told)  # type: ignore[arg-type]
+    given = {"camera": camera, "base": base, "rate": rate, "actions": actions, "offset": offset}
+    return tracked(source, tags, progress=progress, **given)  # type: ignore[arg-type]
 
 
 def _camera(video: Path, text: str, output: Path, as_json: bool) -> None:
@@ -128,10 +128,10 @@ def _camera(video: Path, text: str, output: Path, as_json: bool) -> None:
     focal, share = float(camera.matrix[0, 0]), camera.uncertainty
     summary = {"focal_length_px": focal, "focal_length_std_px": focal * share, "rms_px": rms, "views": views}
 
-    def said() -> None:
+    def print_lines() -> None:
         print(
             f"focal length {focal:.1f} +- {2.0 * focal * share:.1f} px, corners known to {rms:.2f} px in {views} views"
         )
         print_files((output,))
 
-    print_summary(as_json, summary, said)
+    print_summary(as_json, summary, print_lines)

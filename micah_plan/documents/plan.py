@@ -356,8 +356,8 @@ def _stored(located: Located) -> StoredPlan:
     planned = with_memory_states(automaton) if means and len(means[0]) != automaton.n else automaton
     values = document.meanings(located, scope_of(planned))
     plan = Plan(**{field.name: values[field.name] for field in fields(Plan) if field.name in values})
-    if amiss := disagreement(plan, problem):
-        raise located.at(amiss[0]).error(amiss[1], _AGAIN)
+    if found := disagreement(plan, problem):
+        raise located.at(found[0]).error(found[1], _AGAIN)
     if plan.mode_sequence != document.mode_sequence:
         raise located.at("mode_sequence").error("does not agree with the trajectory's modes", _AGAIN)
     return StoredPlan(plan, problem, document.version, located.source)

@@ -137,8 +137,8 @@ def _problem(document: SweepDocument, number: int, located: Located, folder: Pat
             try:
                 found = _digests(reader.describe({key: value}))
             except InputError as error:
-                said = f"{name}: {error.problem}"
-                raise located.at("grid", key, i).error(said, error.remedy) from None
+                problem = f"{name}: {error.problem}"
+                raise located.at("grid", key, i).error(problem, error.remedy) from None
             others[key, i] = {role: digest for role, digest in found.items() if digests.get(role) != digest}
     changed = {place: digest for place, digest in others.items() if digest}
     return SweptProblem(name, path.resolve(), digests, changed)

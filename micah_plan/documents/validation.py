@@ -55,12 +55,12 @@ def check_format(located: Located, document: type[Document]) -> None:
     """Raise an InputError unless the file states the document's format and version."""
     (expected,) = get_args(document.model_fields["format"].annotation)
     kind = expected.split("/")[1]
-    data, says = located.data, f"says 'format: {expected}'"
+    data, stated = located.data, f"says 'format: {expected}'"
     if not isinstance(data, dict):
-        remedy = f"a {kind} file is a mapping of keys to values and {says}"
+        remedy = f"a {kind} file is a mapping of keys to values and {stated}"
         raise located.error(f"expected a {kind}, found {_found(data)}", remedy)
     if "format" not in data:
-        raise located.error("missing key 'format'", f"a {kind} file {says}")
+        raise located.error("missing key 'format'", f"a {kind} file {stated}")
     at = located.at("format")
     if at.data == expected:
         return
@@ -70,7 +70,7 @@ def check_format(located: Located, document: type[Document]) -> None:
         case ["micah-plan", _, _]:
             remedy = "use the version of micah-plan that wrote it, or write the file anew"
         case _:
-            remedy = f"a {kind} file {says}"
+            remedy = f"a {kind} file {stated}"
     raise at.error(f"expected {expected}, found {shown(at.data)}", remedy)
 
 

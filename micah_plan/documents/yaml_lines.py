@@ -91,14 +91,14 @@ def read_yaml(content: bytes, source: str, until: str | None = None) -> Located:
         return _Reader(_events(text, source), source, until).document()
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        said = " ".join(str(error.problem or error.context or "cannot be parsed").split())
-        problem, remedy = f"not valid YAML: {said}", "correct the syntax"
+        message = " ".join(str(error.problem or error.context or "cannot be parsed").split())
+        problem, remedy = f"not valid YAML: {message}", "correct the syntax"
         # libyaml has one more line behind a text without a line break at its end.
         place = None if mark is None else min(_place(mark), _end_of(text))
         raise _error(source, place, problem, remedy) from None
     except (YAMLError, ValueError) as error:
-        said = " ".join(str(error).split())[:120]
-        raise InputError(f"not valid YAML: {said}", source=source, remedy="correct the syntax") from None
+        message = " ".join(str(error).split())[:120]
+        raise InputError(f"not valid YAML: {message}", source=source, remedy="correct the syntax") from None
 
 
 def write_yaml(data: Mapping[str, Any], header: str = "", comments: Mapping[KeyPath, str] | None = None) -> str:

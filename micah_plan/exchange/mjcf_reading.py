@@ -45,8 +45,8 @@ def load_mjcf(path: str | Path) -> tuple[HybridAutomaton, tuple[str, ...]]:
         try:
             compiled = mujoco.MjModel.from_xml_string(checked.text)
         except (ValueError, RuntimeError) as error:
-            said = " ".join(str(error).split())[:160]
-            raise InputError(f"cannot be read as an object: {said}", remedy="correct the file") from None
+            message = " ".join(str(error).split())[:160]
+            raise InputError(f"cannot be read as an object: {message}", remedy="correct the file") from None
         notes = ["left out: <tendon>, which may tie joints"] if root.all("tendon") else []
         return _Tree(mujoco, compiled, notes).automaton()
 

@@ -244,8 +244,8 @@ def error_in_user_code(error: BaseException, file: str | None, what: str) -> Inp
     line = own[-1].lineno if own else None
     if isinstance(error, SyntaxError) and error.filename == file:
         line = error.lineno
-    said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-    return InputError(f"{what} raised {said}", source=file, where=None if line is None else f"line {line}")
+    text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return InputError(f"{what} raised {text}", source=file, where=None if line is None else f"line {line}")
 
 
 def _call_user_code(culprit: object, what: str, call: Callable[..., Any], *arguments: object) -> Any:

@@ -28,7 +28,7 @@ _PLACE, _TURN, _START = 0.05, 0.3, 0.05
 # A motion may differ by this share of the command: friction and compliance.
 _SHARE = 0.5
 # A motion of this many standard deviations differs from none; it is made in at most this many steps.
-_TELLING, _MOST_STEPS = 10.0, 8
+_CLEAR_STDS, _MOST_STEPS = 10.0, 8
 _FIRST_SECONDS = 60.0
 
 
@@ -167,7 +167,7 @@ class _Trial:
                 continue
             before = self._x[: self._plain.n].copy()
             asked, moved, std = self._commanded(u, steps) - before, self._x[: self._plain.n] - before, self._std(steps)
-            for i in np.flatnonzero(np.abs(asked) >= _TELLING * std):
+            for i in np.flatnonzero(np.abs(asked) >= _CLEAR_STDS * std):
                 if abs(moved[i] - asked[i]) > _SHARE * abs(asked[i]) + SURE_STDS * std[i]:
                     coordinate = self._plain.coordinates[i]
                     commanded, unit = float(asked[i]), coordinate.unit
@@ -183,7 +183,7 @@ class _Trial:
             if after.mode != self._mode:
                 return 0
             x = after.x
-            if (np.abs(x - self._x)[: self._plain.n] >= _TELLING * self._std(steps)).any():
+            if (np.abs(x - self._x)[: self._plain.n] >= _CLEAR_STDS * self._std(steps)).any():
                 return steps
         return 0
 

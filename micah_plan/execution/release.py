@@ -22,7 +22,7 @@ from micah_plan.task.plan import ArmTrajectory, ReleasePlan
 from micah_plan.task.problem import Problem, Release
 
 # The hand stops at so many times the force that counts as contact: the noise of what it feels decides nothing.
-_SURELY = 1.5
+_SURE_STDS = 1.5
 
 Phase = Literal["lowering", "opening", "withdrawing", "done"]
 
@@ -76,7 +76,7 @@ class ReleaseController:
         self._steps += 1
         if self.phase == "withdrawing":
             return replace(order, posture=self._posture(self._plan.withdrawing, self._steps))
-        limit, posture = _SURELY * self._release.force, self._posture(self._plan.lowering, self._steps)
+        limit, posture = _SURE_STDS * self._release.force, self._posture(self._plan.lowering, self._steps)
         return replace(order, force_limit=limit, posture=posture)
 
     def _input(self, automaton: HybridAutomaton, mean: Floats) -> Floats:

@@ -23,7 +23,7 @@ _LOOKS, _MOST_EXCLUDED = 3, 8  # measurements that the belief excludes, in a row
 _BLIND = 10  # steps in which nothing is seen
 _BIASED, _SURPRISING = 4.5, 3.5  # stds of a sum of innovations, and of one: in one of 2,000 steps
 _FEWEST = 4  # innovations, or distances
-_BESIDE, _BESIDE_ANYHOW = 5.0, 0.02  # of the usual distance from a joint, and m; noise alone reaches three times
+_OFF_JOINT, _OFF_JOINT_LEAST = 5.0, 0.02  # of the usual distance from a joint, and m; noise alone reaches three times
 # Looks at rest before a filter that was behind is believed, at most.
 # So many in a row are enough if they lie within so many stds.
 _SETTLES, _CALM, _WITHIN = 6, 2, 2.0
@@ -74,7 +74,7 @@ class Watch:
         Ignored where noise depends on the unknown place.
         """
         usual = float(np.median(self._off)) if len(self._off) >= _FEWEST else np.inf
-        self._is_off = self._is_uniform(belief) and off > _BESIDE * usual + _BESIDE_ANYHOW
+        self._is_off = self._is_uniform(belief) and off > _OFF_JOINT * usual + _OFF_JOINT_LEAST
         self._off += [] if self._is_off else [off]
 
     def looks_again(self, belief: HybridBelief, *, is_lost: bool, unseen: Booleans | None, ends: bool) -> bool:

@@ -22,8 +22,8 @@ from micah_plan.arrays import DIFFERENCE, Booleans, Floats
 # The pose at s = 0 is common to all chains that are compared, so that its prior does not matter.
 _RATE, _BEGIN, _DIRECTION, _POSE = 4.0, 0.1, 1.0, 1e3
 # Noise of a tracker (std) per axis, of how many numbers that is worth, and what the odometer states of itself.
-PLACE_STD, TURN_STD, WORTH = 0.002, 0.02, 4.0
-_WORTHS = np.array([WORTH, WORTH, 10.0])
+PLACE_STD, TURN_STD, PRIOR_ROWS = 0.002, 0.02, 4.0
+_PRIOR_ROWS = np.array([PRIOR_ROWS, PRIOR_ROWS, 10.0])
 _HUBER = 2.5
 _SHORTEST, _NOWHERE = 0.01, 1e6  # m that a joint moves at least, else it is play; nats against one that does not
 _BACKTRACKING = (1.0, 0.3, 0.05)
@@ -292,9 +292,9 @@ def _with_estimated_noise(chain: Chain, rows: StepRows) -> Chain:
     # The pose at s = 0 takes three of each of the tracker's numbers.
     count = np.maximum([2.0 * rows_seen - 3.0, 3.0 * rows_seen - 3.0, 2.0 * len(parts[2])], 0.0)
     variances = np.array([off * chain.place_std**2, turned * chain.turn_std**2, step * chain.moved_share**2])
-    variance = (_WORTHS * np.square([PLACE_STD, TURN_STD, 1.0]) + variances) / (_WORTHS + count)
+    variance = (_PRIOR_ROWS * np.square([PLACE_STD, TURN_STD, 1.0]) + variances) / (_PRIOR_ROWS + count)
     place_std, turn_std, moved_share = (float(std) for std in np.sqrt(variance))
-    loss = 0.5 * float((_WORTHS + count) @ np.log(variance))
+    loss = 0.5 * float((_PRIOR_ROWS + count) @ np.log(variance))
     return replace(chain, place_std=place_std, turn_std=turn_std, moved_share=moved_share, loss=loss)
 
 

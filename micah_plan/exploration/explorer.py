@@ -31,11 +31,11 @@ _PUSHES, _FIRST_PUSH, _PUSH_FORCE = 6, 0.001, 6.0
 # An answer may be that of the push before, of which this is larger: the two stay within the largest force together.
 _PUSH_SHARE, _GROWTH = 0.35, 2.5
 _AHEAD = 0.02  # m
-_SURE = 0.6  # of a motion: then the handle is led on
+_SURE_PROBABILITY = 0.6  # of a motion: then the handle is led on
 _CHANGE = 0.03  # probability per step that another joint takes over
 _HELD = 0.005  # that anything within the force would move it
 _AGREED = 0.7  # of the way that forces tell, what the tracker must see
-_SURELY = 0.006  # m; play and panels that bend are less
+_SURE_DISTANCE = 0.006  # m; play and panels that bend are less
 _MOVED = 0.03  # m of way; less is no opening
 _PROGRESS = 0.004  # m
 _GENTLE = 3.0  # times the friction of the way, and 3 N: what is pushed with before the other end is tried
@@ -145,7 +145,7 @@ class Explorer:
                 return still
             far = min(record.hand.compliance * self.friction + _AHEAD, most)
             needed = self.moves.leads_to_move(ahead[None], record.hand.compliance)[0]
-            if float(self.moves.weight[needed + SEEN <= far].sum()) > _SURE:
+            if float(self.moves.weight[needed + SEEN <= far].sum()) > _SURE_PROBABILITY:
                 return far * ahead, True
             directions = np.concatenate([ahead[None], directions[directions @ ahead > -0.3]])
         else:
@@ -266,7 +266,9 @@ class Explorer:
             self._update_moves(self.steps - 1)
         if not self.chains:
             net = record.place - self._anchor - record.support_compliance() @ record.forces[-1]
-            if not record.is_contradictory and float(np.linalg.norm(net)) > _SURELY + 3.0 * np.sqrt(record.variance):
+            if not record.is_contradictory and float(np.linalg.norm(net)) > _SURE_DISTANCE + 3.0 * np.sqrt(
+                record.variance
+            ):
                 pose = (self._anchor, self._frame)
                 self.chains = with_joint(None, pose, net, record.rows(), 0)
                 self._rest = _Rest(self.steps, self.chains[0], record.place, record.variance)
@@ -292,7 +294,7 @@ class Explorer:
         _, chain, place, variance = self._rest
         along, net = chain.poses(chain.way[-1:])[2][0], self.record.place - place
         across = float(np.linalg.norm(net - (net @ along) * along))
-        shows = _SURELY + 3.0 * float(np.sqrt(variance + self.record.variance))
+        shows = _SURE_DISTANCE + 3.0 * float(np.sqrt(variance + self.record.variance))
         return across > max(shows, abs(float(net @ along)))
 
     def _next_joint(self) -> None:

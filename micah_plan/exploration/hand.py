@@ -16,8 +16,8 @@ from micah_plan.exploration import messages
 
 _SOFTEST, _STIFFEST = 100.0, 20000.0
 _LEAST_STD = 0.02  # of the compliance, as a share
-_FEWEST, _SURE = 3, 5.0  # std
-_ALIKE = 1.5  # times, by which a hand may be stiffer in one direction
+_FEWEST, _SURE_STDS = 3, 5.0  # std
+_LARGEST_ANISOTROPY = 1.5  # times, by which a hand may be stiffer in one direction
 _BEFORE = 0.1  # of the squares that forces leave, if they belong to the command before
 _TURNED = 0.5  # of a map's size, how far it is from symmetric where forces are in another frame
 
@@ -109,13 +109,15 @@ def _fitted(displacements: Floats, forces: Floats) -> tuple[Hand, float]:
     complaint = ""
     symmetric, least = np.linalg.eigvalsh(0.5 * (matrix + matrix.T)), np.linalg.svd(displacements[:, :3])[1][-1]
     doubt = force_std / max(float(least), 1e-6)  # std of the entry that is known worst
-    if symmetric[1] < -_SURE * doubt:
+    if symmetric[1] < -_SURE_STDS * doubt:
         complaint = messages.forces_reversed()
     elif values[1] < _SOFTEST:
         complaint = messages.no_force()
-    elif np.linalg.norm(matrix - matrix.T) > _TURNED * np.linalg.norm(matrix) + _SURE * doubt:
+    elif np.linalg.norm(matrix - matrix.T) > _TURNED * np.linalg.norm(matrix) + _SURE_STDS * doubt:
         complaint = messages.forces_turned()
-    elif values[0] > _ALIKE * values[1] + _SURE * doubt:  # what moves makes it softer along one line only
+    elif (
+        values[0] > _LARGEST_ANISOTROPY * values[1] + _SURE_STDS * doubt
+    ):  # what moves makes it softer along one line only
         complaint = messages.stiffness_differs(float(values[1]), float(values[0]))
     hand = Hand(1.0 / stiffness, min(spread, 0.5), force_std, stiffest=float(values[0]), complaint=complaint)
     return hand, variance

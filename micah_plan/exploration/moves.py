@@ -20,7 +20,7 @@ from micah_plan.arrays import Floats
 
 # A handle that is fast may still give: play of the joint and of the grip, a panel that bends. So often, and so far [m],
 # and at most by that share of the lead.
-_GIVES, _PLAY, _BENDS = 0.15, 0.003, 0.35
+_YIELDING_SHARE, _PLAY, _BENDS = 0.15, 0.003, 0.35
 _OUTLIER = 1e-6
 _SIDE_FRICTION = np.array([0.05, 0.35])
 # Prior of what holds a handle at rest: [N], median and spread of dry friction, and the range of latches.
@@ -90,7 +90,7 @@ def _at_rest(lead: Floats, moved: Floats, std: float) -> float:
     normal = math.exp(-0.5 * max(squared - shift**2, 0.0) / std**2) / std**2
     room = max(min(_PLAY, _BENDS * size), std)
     gives = float(ndtr((room - shift) / std) - ndtr((-room - shift) / std)) / (2 * room)
-    return (1 - _GIVES) * none + _GIVES * normal * gives
+    return (1 - _YIELDING_SHARE) * none + _YIELDING_SHARE * normal * gives
 
 
 def sphere(count: int) -> Floats:

@@ -25,7 +25,7 @@ _LEAST_STD = 3e-4  # m
 _SOFT = 4e-4  # m/N, of a panel that bends much
 _LET_GO = 0.25  # of the last lead; places that commands count from are noisy, so that it is not 0
 _FEWEST = 5
-_DOUBT = 0.1  # that the grip has slipped, from which on it is looked at again without force
+_DOUBTFUL_PROBABILITY = 0.1  # that the grip has slipped, from which on it is looked at again without force
 _LOOKS = 4  # without force, that tell as much as many
 _SAME = 0.3  # std, by which a hand is no other
 
@@ -70,7 +70,7 @@ class Record:
     @property
     def is_contradictory(self) -> bool:
         """Whether recent readings contradict the odometer for an unknown reason."""
-        return self._leapt[-1] or self.slips.doubt > _DOUBT
+        return self._leapt[-1] or self.slips.doubt > _DOUBTFUL_PROBABILITY
 
     @property
     def looks_again(self) -> bool:

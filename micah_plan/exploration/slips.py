@@ -14,13 +14,13 @@ import numpy as np
 from scipy.special import gammaln
 
 from micah_plan.arrays import Floats
-from micah_plan.exploration.chain import PLACE_STD, WORTH
+from micah_plan.exploration.chain import PLACE_STD, PRIOR_ROWS
 from micah_plan.exploration.hand import Hand
 
 _LEAST, _MOST = 2e-4, 0.01  # m, noise of a tracker
 _SLIPS, _SLIP_STD = 2e-3, 0.01  # probability per look, and std per axis [m]
 _LEAPS, _LEAP_STD = 1e-3, 0.1
-_MOST_LOOKS, _SURE = 20, 0.95  # looks after which a slip that they do not show is given up
+_MOST_LOOKS, _SURE_PROBABILITY = 20, 0.95  # looks after which a slip that they do not show is given up
 _BENDS, _NOT_LINEAR_STRETCH = 0.25, 0.01  # shares of a stretch: of what bends, and by which no hand is a linear spring
 _PLAY, _ASIDE = 0.001, 0.002  # m, that what rests gives, and that it goes aside of where it is led
 _SEEN = np.concatenate([np.eye(3), np.zeros((3, 1)), np.eye(3)], axis=1)  # the tracker sees place and slip
@@ -44,7 +44,7 @@ class Slips:
         self.state = np.concatenate([place, np.zeros(4)])[None]
         self.covariance = np.diag([*[PLACE_STD**2] * 3, hand.spread**2 + _BENDS**2, 0.0, 0.0, 0.0])[None]
         self.row, self.odds = np.zeros(1, int), np.zeros(1)
-        self._count, self._noise = np.full(1, WORTH), np.full(1, PLACE_STD**2)
+        self._count, self._noise = np.full(1, PRIOR_ROWS), np.full(1, PLACE_STD**2)
         self.leapt = False
 
     @property
@@ -133,8 +133,8 @@ class Slips:
         self.covariance = self.covariance - gain @ _SEEN @ self.covariance
         weight = share**2 * taken
         count = self._count + 3.0 * weight
-        heard = squares - np.trace(covariance, axis1=1, axis2=2)
-        self._noise = np.clip((self._count * noise + weight * heard) / count, _LEAST**2, _MOST**2)
+        excess = squares - np.trace(covariance, axis1=1, axis2=2)
+        self._noise = np.clip((self._count * noise + weight * excess) / count, _LEAST**2, _MOST**2)
         self._count, self.leapt = count, not bool(taken[0])
 
     def _branch(self, row: int) -> None:
@@ -148,7 +148,7 @@ class Slips:
 
     def detected_slip(self) -> tuple[int, Floats] | None:
         """(row, slip (3,) [m]) of the most probable slip; None if it is not certain."""
-        if self.doubt < _SURE:
+        if self.doubt < _SURE_PROBABILITY:
             return None
         best = int(np.argmax(self.odds))
         return int(self.row[best]), self.state[best, 4:].copy()

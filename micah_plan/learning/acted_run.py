@@ -20,7 +20,7 @@ from micah_plan.learning.segments import FittedPiece
 from micah_plan.learning.settings import LearnSettings
 from micah_plan.learning.track import PartTrack
 
-_SURE = 3.0  # stds by which a delay differs from none
+_SURE_STDS = 3.0  # stds by which a delay differs from none
 _DECISIVE = 3.0  # nats: that actions acted at another time is one more number, as likely as not
 _STEP_SHARE = 0.5  # of a step of the segmentation; a shorter delay changes nothing
 
@@ -51,7 +51,7 @@ def learn_acted_run(
         return learned, channel
     std = float(np.sqrt(channel.covariance[CHANNEL_NAMES.index("delay")][CHANNEL_NAMES.index("delay")]))
     step = segmented_run.steps.size * track.duration / len(track)
-    if abs(channel.delay) > max(_SURE * std, _STEP_SHARE * step):
+    if abs(channel.delay) > max(_SURE_STDS * std, _STEP_SHARE * step):
         delayed = with_delayed_actions(track, channel.delay)
         start = replace(segmented_run, segmented=learned.segmented)
         again = segment_run(delayed, settings, learned.inlier, start)

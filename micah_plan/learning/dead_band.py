@@ -43,14 +43,14 @@ def without_dead_band(position: Floats, quaternion: Floats | None, action: Float
     asked = np.linalg.norm(action[:-1], axis=1)
     vectors = [position] if quaternion is None else [position, quaternion]
     moves = np.any([(vector[1:] != vector[:-1]).any(axis=1) for vector in vectors], axis=0)
-    asks = asked > 0.0
-    if (asks & ~moves).sum() < _FEWEST or not (asks & moves).any():
+    is_commanded = asked > 0.0
+    if (is_commanded & ~moves).sum() < _FEWEST or not (is_commanded & moves).any():
         return action
     steps = np.linalg.norm(np.diff(position, axis=0), axis=1)[moves]
     count = float(steps.min())
     if count > _COARSE * float(np.median(steps)):
         return action
-    widest = _dead_band(asked[asks], moves[asks], _MOST_COUNTS * count)
+    widest = _dead_band(asked[is_commanded], moves[is_commanded], _MOST_COUNTS * count)
     return np.where(np.append(asked <= widest, False)[:, None], 0.0, action)
 
 

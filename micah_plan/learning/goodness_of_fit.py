@@ -32,7 +32,7 @@ _RARE = 10.0  # nats: parts that no joint holds are rare among what is recorded 
 # Times what rows scatter by: answers of joints that are as far from ideal as is expected miss by one of it, and
 # handheld cameras bend a single hinge by up to nearly two. Joints in turn, which follow many a curve, are asked sooner:
 # those of true chains miss by up to 0.56, two that follow a curve by 0.81 and more.
-_DOUBTED, _MAX_RMS_CHAIN, _CURVED = 1.2, 0.7, 2.0
+_LARGEST_SCATTER, _MAX_RMS_CHAIN, _CURVED = 1.2, 0.7, 2.0
 # More of them follow a curve as closely as true chains do, as arc and line and arc again. And the cosine of a corner:
 # in a real chain there mostly is one where a joint takes over.
 _CHAIN, _NO_CORNER = 3, 0.95
@@ -78,7 +78,7 @@ def assess_joints(
         return None
     scatter, missed = _scatter(track, inlier, noise, settings), _misfit(fitted, track, inlier)
     is_in_turn = len({piece.joint for piece in fitted if piece.joint.moves}) > 1
-    is_near = not (missed > (_MAX_RMS_CHAIN if is_in_turn else _DOUBTED) * scatter).any()
+    is_near = not (missed > (_MAX_RMS_CHAIN if is_in_turn else _LARGEST_SCATTER) * scatter).any()
     if is_near and not _follows_a_curve(fitted, track, inlier, noise):
         return None
     single = best_single(segmented, settings)

@@ -103,7 +103,7 @@ def _common_settings(recording: Recording, settings: LearnSettings) -> tuple[Lea
     """
     counted: Counted = {}
     motions: list[float] = []
-    trusts: list[float] = []
+    powers: list[float] = []
     tracks: dict[str, tuple[PartTrack, Ints]] = {}
     for part in recording.parts:
         for run in recording.select(part=part).runs:
@@ -115,8 +115,8 @@ def _common_settings(recording: Recording, settings: LearnSettings) -> tuple[Lea
     settings = replace(settings, sweeps=settings.sweeps or max(motions))
     for track, rows in tracks.values():
         step = steps_of(track, np.isin(np.arange(len(track)), rows), settings)
-        trusts.append(likelihood_power_of(initial_noise(step.track, settings.of_steps(step.size)), settings))
-    return replace(settings, likelihood_power=float(np.mean(trusts))), counted
+        powers.append(likelihood_power_of(initial_noise(step.track, settings.of_steps(step.size)), settings))
+    return replace(settings, likelihood_power=float(np.mean(powers))), counted
 
 
 def learn_edge(recording: Recording, settings: LearnSettings, counted: Counted | None = None) -> KinematicEdge:
@@ -139,12 +139,12 @@ def learn_edge(recording: Recording, settings: LearnSettings, counted: Counted |
         if settings.sweeps is None and is_long(track, inlier):
             learner = OnlineLearner(settings, part=part, run=run)
             learner.take(track)
-            of_run, sure_of_edge, noise = list(learner.segments()), learner.edge().certainty, learner.noise
+            of_run, certainty, noise = list(learner.segments()), learner.edge().certainty, learner.noise
         else:
             times = (counted or {}).get((part, run))
             is_counted = inlier if times is None else inlier & np.isin(track.time, times)
             enough = is_counted.sum() >= FEWEST_ROWS  # of a pair that is seldom seen together
-            learned, sure_of_edge = _learned(track, settings, inlier, is_counted if enough else inlier)
+            learned, certainty = _learned(track, settings, inlier, is_counted if enough else inlier)
             of_run, noise = _segments(learned, run), learned.noise
         mover = max((segment for segment in of_run if segment.joint.moves), key=_rows, default=None)
         if reference is not None:
@@ -152,7 +152,7 @@ def learn_edge(recording: Recording, settings: LearnSettings, counted: Counted |
         elif mover is not None:
             reference = mover.joint
         segments += of_run
-        edges.append(sure_of_edge)
+        edges.append(certainty)
     return KinematicEdge(BASE, part, tuple(segments), _joint_certainty([edge for edge in edges if edge is not None]))
 
 
@@ -177,7 +177,7 @@ def _edge_of_short_runs(recording: Recording, tracks: list[PartTrack], settings:
         run_settings = replace(run_settings, mean_length=0.5 * together.duration / len(tracks))
     # Where a run of few rows begins, a motion cannot be told from an outlier.
     every = np.ones(len(together), dtype=bool)
-    learned, sure_of_edge = _learned(together, run_settings, every)
+    learned, certainty = _learned(together, run_settings, every)
     lengths = [len(track) for track in tracks]
     cut = cut_into_runs(learned.pieces, learned.certainties, lengths)
 
@@ -191,7 +191,7 @@ def _edge_of_short_runs(recording: Recording, tracks: list[PartTrack], settings:
     # The chain is at 0 where a line through the first rows is; few rows of a fast motion are not on it.
     first = segments_of(chain)[0].configuration_start
     segments = segments_of([replace(piece, joint=_counted_along(piece.joint, False, -first)) for piece in chain])
-    return KinematicEdge(BASE, recording.parts[0], tuple(segments), replace(sure_of_edge, changepoint_counts=()))
+    return KinematicEdge(BASE, recording.parts[0], tuple(segments), replace(certainty, changepoint_counts=()))
 
 
 def _joint_certainty(runs: Sequence[EdgeCertainty]) -> EdgeCertainty:

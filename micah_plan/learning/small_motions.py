@@ -12,7 +12,7 @@ from micah_plan.learning.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.learning.track import PartTrack, find_inliers, part_track
 from micah_plan.recording.value import Recording
 
-_TELLING = 10.0  # wanders; a larger motion shows its joint
+_CLEAR_MOTION = 10.0  # wanders; a larger motion shows its joint
 _FEW = 0.02  # share of the rows that do not count
 
 
@@ -26,7 +26,7 @@ def small_motions(recording: Recording, settings: LearnSettings) -> tuple[str, .
         if not reaches:
             continue
         moved, turned = (max(values) for values in zip(*reaches, strict=True))
-        if moved < _TELLING * settings.position_wander and turned < _TELLING * settings.rotation_wander:
+        if moved < _CLEAR_MOTION * settings.position_wander and turned < _CLEAR_MOTION * settings.rotation_wander:
             wander = settings.position_wander, settings.rotation_wander
             has_orientation = recording.quaternion is not None
             warnings.append(messages.small_motion(part, moved, turned if has_orientation else None, wander))

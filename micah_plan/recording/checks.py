@@ -156,8 +156,8 @@ def _check_rows(recording: Recording, minimum_rows: int, place: Place) -> None:
     if (step <= 0.0).any():
         at = min(np.flatnonzero(step <= 0.0), key=lambda i: order[i])
         row, before = int(order[at]), int(order[at - 1])
-        says = "stands still" if step[at] == 0.0 else "goes backwards"
-        problem = f"time {says}: {float(recording.time[row])!r} s after {float(recording.time[before])!r} s"
+        how = "stands still" if step[at] == 0.0 else "goes backwards"
+        problem = f"time {how}: {float(recording.time[row])!r} s after {float(recording.time[before])!r} s"
         remedy = "sort the rows by time, drop repeated rows, or give each run its number in a column 'run'"
         raise InputError(problem + _of(recording, row), where=place(row, "t"), remedy=remedy)
     if recording.action is not None:

@@ -59,9 +59,9 @@ def with_commands(recording: Recording, kind: CommandKind) -> Recording:
     if recording.action is None:
         remedy = "leave it out, or name the columns of the actions or targets"
         raise InputError(f"commands are said to be of the kind {kind}, but the recording has none", remedy=remedy)
-    said = command_meaning(recording)
-    if said is not None and said != kind:
-        problem = f"commands are said to be of the kind {kind}, but its column '{MEANING_COLUMN}' says {said}"
+    stated = command_meaning(recording)
+    if stated is not None and stated != kind:
+        problem = f"commands are said to be of the kind {kind}, but its column '{MEANING_COLUMN}' says {stated}"
         raise InputError(problem, remedy="leave out what is said, or remove the column")
     action = recording.action
     if kind == "velocity":

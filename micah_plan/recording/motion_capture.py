@@ -71,7 +71,7 @@ def motion_capture_table(lines: Sequence[str], *, is_upright: bool = False) -> C
 
 
 def _motive(lines: Sequence[str], first: Sequence[str], is_upright: bool) -> CaptureTable:
-    said = dict(zip((cell.strip() for cell in first[::2]), (cell.strip() for cell in first[1::2]), strict=False))
+    stated = dict(zip((cell.strip() for cell in first[::2]), (cell.strip() for cell in first[1::2]), strict=False))
     head = [next(csv.reader([line]), []) for line in lines[:_LONGEST_HEADER]]
     at = {row[1].strip(): i for i, row in enumerate(head) if len(row) > 1 and row[1].strip() in ("Type", "Name")}
     begin = next((i for i, row in enumerate(head) if row and row[0].strip() == "Frame"), None)
@@ -84,11 +84,11 @@ def _motive(lines: Sequence[str], first: Sequence[str], is_upright: bool) -> Cap
         if kind == "Rigid Body" and group in ("Position", "Rotation") and axis.lower() in ("x", "y", "z", "w"):
             column = axis.lower() if group == "Position" else f"q{axis.lower()}"
             bodies.setdefault(names[i].strip(), {})[column] = i
-    rotation = said.get("Rotation Type", "Quaternion")
+    rotation = stated.get("Rotation Type", "Quaternion")
     if any("qx" in columns for columns in bodies.values()) and rotation.lower() != "quaternion":
         problem = f"rotations are exported as {shown(rotation)}"
         raise InputError(problem, where="line 1", remedy="export them as quaternions")
-    unit = said.get("Length Units", "Meters").lower()
+    unit = stated.get("Length Units", "Meters").lower()
     if unit not in _MOTIVE_UNITS:
         raise InputError(f"unknown length unit {shown(unit)}", where="line 1", remedy="export in metres or millimetres")
     conventions = Conventions(length=_MOTIVE_UNITS[unit], up="y")

@@ -47,8 +47,8 @@ def read_npz(path: str | Path, *, minimum_rows: int = 1, conventions: Convention
         except InputError:
             raise
         except Exception as error:  # damaged archives make zipfile, its codecs and NumPy raise nearly anything
-            said = shown(str(error) or type(error).__name__)
-            problem = f"expected an NPZ archive of arrays, found one that cannot be read ({said})"
+            message = shown(str(error) or type(error).__name__)
+            problem = f"expected an NPZ archive of arrays, found one that cannot be read ({message})"
             raise InputError(problem, remedy=_REMEDY) from None
 
 

@@ -98,10 +98,10 @@ class _Waits:
 
         A part that is commanded to move now and then, and arrives at once, also rests periodically.
         """
-        asks = np.linalg.norm(np.nan_to_num(action), axis=1)[: self.first[-1] + self.rows[-1]]
-        if not asks.any():
+        commanded = np.linalg.norm(np.nan_to_num(action), axis=1)[: self.first[-1] + self.rows[-1]]
+        if not commanded.any():
             return True
-        squared, squares = np.add.reduceat(asks, self.first) ** 2, np.add.reduceat(asks**2, self.first)
+        squared, squares = np.add.reduceat(commanded, self.first) ** 2, np.add.reduceat(commanded**2, self.first)
         # How many rows of a wait ask for as much as if they asked alike (Kish, "Survey Sampling", 1965).
         return bool(squared.sum() > _SEVERAL * squares.sum())
 

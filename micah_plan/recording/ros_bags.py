@@ -100,8 +100,8 @@ def _one_line() -> Iterator[None]:
     except (InputError, MissingDependencyError):
         raise
     except Exception as error:  # damaged files make the libraries raise nearly anything
-        said = shown(str(error) or type(error).__name__)
-        raise InputError(f"expected a bag, found a file that cannot be read ({said})", remedy=_REMEDY) from None
+        message = shown(str(error) or type(error).__name__)
+        raise InputError(f"expected a bag, found a file that cannot be read ({message})", remedy=_REMEDY) from None
 
 
 def _database(content: bytes) -> Iterator[Logged]:

@@ -219,8 +219,8 @@ class _Log:
             for name, position in zip(message.name, message.position, strict=False):
                 self.joints.setdefault((run, name), []).append((time, (float(position),)))
         elif logged.kind in _COLUMNS:
-            said = {"std_msgs/msg/Float64": float, "std_msgs/msg/Int64": int}.get(logged.kind, str)(message.data)
-            text = said if isinstance(said, str) else repr(said)
+            value = {"std_msgs/msg/Float64": float, "std_msgs/msg/Int64": int}.get(logged.kind, str)(message.data)
+            text = value if isinstance(value, str) else repr(value)
             self.columns.setdefault(logged.topic.strip("/"), {})[logged.time] = text
         for child, header, p, q in _poses(logged):
             parent = header.frame_id.strip("/")

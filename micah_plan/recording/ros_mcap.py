@@ -169,8 +169,8 @@ def read_log(content: bytes) -> Iterator[Logged]:
     except InputError:
         raise
     except Exception as error:  # damaged files make the libraries raise nearly anything
-        said = shown(str(error) or type(error).__name__)
-        raise InputError(f"expected an MCAP file, found one that cannot be read ({said})", remedy=_REMEDY) from None
+        message = shown(str(error) or type(error).__name__)
+        raise InputError(f"expected an MCAP file, found one that cannot be read ({message})", remedy=_REMEDY) from None
 
 
 def log_topics(content: bytes) -> list[Topic]:

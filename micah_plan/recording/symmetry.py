@@ -25,7 +25,7 @@ _LEAST_TURN = FLOORS[1]
 """Smallest jump [rad]: no symmetry that matters is finer."""
 _ROWS_BESIDE = 10
 """Rows on each side that tell where a jump began and ended."""
-_SURELY = 4.0
+_SURE_STDS = 4.0
 """Standard errors within which a turn or an axis is the one that it is compared with."""
 _FINEST = 1e-5
 """Error of a turn [rad] that digits leave in any file."""
@@ -184,7 +184,7 @@ def _in_common(turns: Floats, errors: Floats) -> tuple[Symmetry, Ints] | None:
     for fold in _FOLDS:
         step = 2.0 * np.pi / fold
         by = np.round(side * angle / step).astype(np.int64)
-        near = np.minimum(_SURELY * errors, _BY_CHANCE * step)
+        near = np.minimum(_SURE_STDS * errors, _BY_CHANCE * step)
         if (by % fold == 0).any() or (np.hypot(side * angle - by * step, off) > near).any():
             continue
         if len(turns) < _FEWEST_JUMPS and (2 * by % fold).any():
@@ -198,4 +198,4 @@ def _exact(axis: Floats, error: float) -> Floats:
     """The axis of the part's frame within an error [rad] of a direction; else that direction."""
     along = int(np.argmax(np.abs(axis)))
     exact = np.sign(axis[along]) * np.eye(3)[along]
-    return exact if np.arccos(np.clip(exact @ axis, -1.0, 1.0)) < _SURELY * error else axis
+    return exact if np.arccos(np.clip(exact @ axis, -1.0, 1.0)) < _SURE_STDS * error else axis

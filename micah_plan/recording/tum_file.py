@@ -22,7 +22,7 @@ from micah_plan.recording.conventions import Conventions, as_recorded
 from micah_plan.recording.text import UnreadableValue, floats, read_lines
 from micah_plan.recording.value import Recording
 
-_SAID = re.compile(r"# (part|run): (.+)")
+_STATED = re.compile(r"# (part|run): (.+)")
 _COLUMNS = ("t", *POSITION, *QUATERNION)
 # Numbers of a matrix (3, 4), and by how much its rotation may be none, written with four digits.
 _OF_A_MATRIX, _NOT_A_TURN = 12, 1e-2
@@ -90,8 +90,8 @@ def _parsed(lines: list[str], minimum_rows: int, meant: Conventions) -> Recordin
     except UnreadableValue as error:
         row_index, column = divmod(error.row, len(_COLUMNS))
         raise InputError(error.problem, where=place(row_index, _COLUMNS[column]), remedy=error.remedy) from None
-    said = {match[1]: match[2] for line in lines if (match := _SAID.fullmatch(line.strip()))}
-    number = int(said["run"]) if re.fullmatch(r"-?\d{1,18}", said.get("run", "")) else 0
+    stated = {match[1]: match[2] for line in lines if (match := _STATED.fullmatch(line.strip()))}
+    number = int(stated["run"]) if re.fullmatch(r"-?\d{1,18}", stated.get("run", "")) else 0
     if meant.rate is not None:  # times count frames
         values[:, 0], meant = values[:, 0] / meant.rate, replace(meant, rate=None)
     recording = Recording(
@@ -99,9 +99,9 @@ def _parsed(lines: list[str], minimum_rows: int, meant: Conventions) -> Recordin
         position=values[:, 1:4],
         quaternion=values[:, 4:],
         run=np.full(len(values), number),
-        part=(said["part"],) * len(values) if "part" in said else (),
-        has_run=number != 0 or said.get("run") == "0",
-        has_part="part" in said,
+        part=(stated["part"],) * len(values) if "part" in stated else (),
+        has_run=number != 0 or stated.get("run") == "0",
+        has_part="part" in stated,
     )
     recording = as_recorded(recording, meant) if meant.stated() else recording
     return checked_recording(recording, minimum_rows=minimum_rows, place=place)

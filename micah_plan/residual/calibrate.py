@@ -82,10 +82,10 @@ def _with_revised_effects(kept: Calibration, progress: Progress | None) -> Calib
     earlier = estimated_effects(automaton)
     if not earlier or kept.verdict == "none":
         return kept
-    anew = _calibrated(without_estimated(automaton), kept.recording, progress)
-    gain = evidence_of([one.final for one in anew.traces]) - evidence_of([one.final for one in kept.traces])
-    is_simpler = len(anew.automaton.effects) < len(kept.automaton.effects)
-    found = [effect.effect for effect in anew.effects if effect.is_added]
+    revised = _calibrated(without_estimated(automaton), kept.recording, progress)
+    gain = evidence_of([one.final for one in revised.traces]) - evidence_of([one.final for one in kept.traces])
+    is_simpler = len(revised.automaton.effects) < len(kept.automaton.effects)
+    found = [effect.effect for effect in revised.effects if effect.is_added]
     needed = -TIE if is_simpler else 0.0 if settles_a_tie(found, earlier) else kept.least
     if gain <= needed:
         return kept
@@ -93,7 +93,7 @@ def _with_revised_effects(kept: Calibration, progress: Progress | None) -> Calib
     if not replaces(found, earlier):
         return replace(kept, notes=(messages.earlier_effects_questioned(names), *kept.notes))
     note = messages.earlier_effects_estimated_anew(names)
-    return replace(anew, nominal=automaton, reviewed=kept, before=kept.before, notes=(note, *anew.notes))
+    return replace(revised, nominal=automaton, reviewed=kept, before=kept.before, notes=(note, *revised.notes))
 
 
 def _calibrated(automaton: HybridAutomaton, recording: Recording, progress: Progress | None) -> Calibration:

@@ -52,12 +52,12 @@ _FREEDOMS = (NORMAL, 4.0, 12.0)
 _NORMAL = 2.0  # nats by which heavy tails must be ahead
 # What was meant is more regular than what a measurement's noise is in, the displacements or the places; so much of the
 # log density counts, since rows are no independent witnesses, up to so much: goals may be stored late, or as they came.
-_HEARD, _MOST_HEARD = 0.25, 20.0
+_REGULARITY_WEIGHT, _LARGEST_REGULARITY = 0.25, 20.0
 # Logs of the noise's parts over the largest, where readings, motion or what wanders have most of it; fits that try all.
 _SPLITS = ((-0.3, -2.5, -3.0, -2.5), (-2.0, -0.3, -2.0, -2.5), (-2.5, -2.5, -3.0, -0.3))
 RESTARTED, TO_THE_END = 5, 20
 # How often at most a fit goes on from where one parameter is elsewhere, and from how many such places.
-_PROBED, _BESIDE_KEPT = 5, 8
+_PROBED, _JUMPS_KEPT = 5, 8
 # Logs by which the noise of a start may be less than that of the model that it begins with.
 _QUIETER = (0.0, 2.0, 4.0, 6.0, 8.0)
 # Rows of a long recording that are searched; models that are then fitted to all, and in how many rounds.
@@ -65,7 +65,7 @@ _SCREENED_ROWS, _VERIFIED, _ON_ALL_ROUNDS = 600, 10, 4
 # A fit that is so many times what an effect must add behind the best has no chance of a tie.
 _LEFT_BEHIND = 5.0
 # A parameter is at a bound within so much of what is large for it, or within so many stds, if these are less.
-_AT_BOUND, _SURELY = 0.05, 3.0
+_AT_BOUND, _CERTAIN_STDS = 0.05, 3.0
 # Odds against an effect that began at one of some dozen rows [nats], beside those of the profile itself.
 _BEGINS = 3.0
 # Likelihood that an effect must add to be looked at further [nats].
@@ -170,8 +170,12 @@ class Contenders:
         self.least = max(_LEAST, EVIDENCE_PER_ROW * int(data.counted.sum()))
         # Places that are relative to what was believed contain no measurement: nothing blurs them.
         is_open = data.meaning is None and not data.is_outside
-        heard = np.clip(_HEARD * regularity(data), -_MOST_HEARD, _MOST_HEARD) if is_open else 0.0
-        self.odds_of_places = -float(heard)
+        from_regularity = (
+            np.clip(_REGULARITY_WEIGHT * regularity(data), -_LARGEST_REGULARITY, _LARGEST_REGULARITY)
+            if is_open
+            else 0.0
+        )
+        self.odds_of_places = -float(from_regularity)
         self._densities: dict[Contender, Floats] = {}
         self._fitted_to_the_end: dict[Contender, Contender] = {}
         self.nominal = self._initialise(data)
@@ -357,7 +361,7 @@ class Contenders:
         tried = [replace(contender.fit, freedom=freedom) for freedom in _FREEDOMS]
         best = min(self.screening.improved(tried, TO_THE_END), key=_loss_with_tail_prior)
         for _ in range(_PROBED):
-            with_jumps = [*self.screening.with_jumps(best, _BESIDE_KEPT), *with_other_noise(best)]
+            with_jumps = [*self.screening.with_jumps(best, _JUMPS_KEPT), *with_other_noise(best)]
             further = min(self.screening.improved(with_jumps, TO_THE_END), key=_loss_with_tail_prior)
             if _loss_with_tail_prior(further) > _loss_with_tail_prior(best) - NO_MENTION:
                 break
@@ -403,7 +407,7 @@ class Contenders:
             return False
         gains = self.held_out(better) - self.held_out(base)
         able = [k for k, part in enumerate(better.parts) if part.free and _is_gated(part)]
-        return is_borne_out(gains, [self.held_out(better) - self._density_without_effect(better, k) for k in able])
+        return is_confirmed(gains, [self.held_out(better) - self._density_without_effect(better, k) for k in able])
 
     def _density_without_effect(self, contender: Contender, number: int) -> Floats:
         """Held-out log density by run with effect `number` disabled and all else equal."""
@@ -418,7 +422,7 @@ class Contenders:
         for part in contender.parts:
             for column in part.free:
                 neutral = part.term.form.parameters[column].neutral
-                near = min(_AT_BOUND * float(free.scale[at]), _SURELY * float(std[at]))
+                near = min(_AT_BOUND * float(free.scale[at]), _CERTAIN_STDS * float(std[at]))
                 for bound, side in ((free.low[at], 1.0), (free.high[at], -1.0)):
                     if side * (x[at] - bound) < near and bound != neutral:
                         return False
@@ -470,7 +474,7 @@ def best_first(contenders: Sequence[Contender]) -> list[Contender]:
     return sorted(contenders, key=lambda model: -model.evidence)
 
 
-def is_borne_out(gains: Floats, by_each: Sequence[Floats] = ()) -> bool:
+def is_confirmed(gains: Floats, by_each: Sequence[Floats] = ()) -> bool:
     """Whether held-out gains (G,) of groups of runs [nats] exceed chance, and not in one group only.
 
     Args:

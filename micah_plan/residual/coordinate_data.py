@@ -46,11 +46,11 @@ _REPEATED, _OF_A_COUNT = 2.0, 0.5 / math.sqrt(12.0)
 # Readings are whole counts apart, and where a part moves fast between rests few are one count apart.
 _ONE_COUNT = 0.1
 # Correlation of place and time from which on they say the same.
-_ALIKE = 0.95
+_SAME_CORRELATION = 0.95
 
 
 # Stds of a measurement within which a command is to mean the same, and steps in which it may be heard.
-_UNCLEAR, _HEARD_FOR = 2.0, 3
+_UNCLEAR, _MEMORY_ROWS = 2.0, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +177,7 @@ class CoordinateData:
         place, time = self.z[self.counted], self.time[self.counted]
         if not (np.std(place) > 0 and np.std(time) > 0):
             return False
-        return abs(float(np.corrcoef(place, time)[0, 1])) > _ALIKE
+        return abs(float(np.corrcoef(place, time)[0, 1])) > _SAME_CORRELATION
 
     @property
     def command_size(self) -> float:
@@ -398,7 +398,7 @@ def _depends_on_noise(path: LinkMotion, z: Floats, action: Floats, std: Floats) 
     k, action = len(action), np.nan_to_num(action)
     before, after = (path.commanded(z[:k] + side * std[:k], action) for side in (-_UNCLEAR, _UNCLEAR))
     for row in np.flatnonzero(np.abs(after - before) > std[:k]):
-        is_unclear[row + 1 : row + 1 + _HEARD_FOR] = True
+        is_unclear[row + 1 : row + 1 + _MEMORY_ROWS] = True
     return is_unclear
 
 

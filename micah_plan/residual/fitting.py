@@ -37,7 +37,7 @@ _MOST_FAILURES = 2
 # Gains of later rounds together, over that of the last: steps of Fisher scoring get shorter.
 _FORESEEN = 5.0
 # Where a parameter is looked for beside where a climb ended, in shares of what is large for it.
-_ELSEWHERE = np.concatenate([side * 0.5 ** np.arange(1, 10) for side in (1.0, -1.0)])
+_JUMPS = np.concatenate([side * 0.5 ** np.arange(1, 10) for side in (1.0, -1.0)])
 ENOUGH_INDEPENDENT = 5
 """Runs, or motions of the only run, from which on what rows show is evidence."""
 # Groups of runs, or of rows of few runs, that are held out.
@@ -213,7 +213,7 @@ class Fitting:
         k = fit.free.of_model
         if not k:
             return []
-        jumps = (_ELSEWHERE[:, None, None] * np.diag(fit.free.scale[:k])).reshape(-1, k)
+        jumps = (_JUMPS[:, None, None] * np.diag(fit.free.scale[:k])).reshape(-1, k)
         vectors = fit.moved(jumps)
         (losses,) = self.losses([fit], [vectors])
         return [replace(fit, vector=vectors[i]) for i in np.argsort(losses, kind="stable")[:count]]

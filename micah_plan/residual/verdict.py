@@ -98,7 +98,7 @@ def outcome_of(facts: Facts) -> Outcome:
 
 def overall(verdicts: list[Verdict]) -> Verdict:
     """The joint verdict of several coordinates: `none` is neutral, differing verdicts give `partly`."""
-    said = {verdict for verdict in verdicts if verdict != "none"}
-    if not said:
+    found = {verdict for verdict in verdicts if verdict != "none"}
+    if not found:
         return "none"
-    return said.pop() if len(said) == 1 else "partly"
+    return found.pop() if len(found) == 1 else "partly"

@@ -114,8 +114,8 @@ def _parsed(checked: CheckedRobot, source: str) -> tuple[Any, Any, frozenset[str
                 item.geometry.buildConvexRepresentation(False)
                 item.geometry = item.geometry.convex
     except (ValueError, RuntimeError, IndexError, KeyError, TypeError) as error:
-        said = " ".join(str(error).split())[:160]
-        raise InputError(f"cannot be read as a robot: {said}", source=source, remedy="correct the file") from None
+        message = " ".join(str(error).split())[:160]
+        raise InputError(f"cannot be read as a robot: {message}", source=source, remedy="correct the file") from None
     if model.njoints - 1 > _MOST_JOINTS:
         raise InputError(f"expected at most {_MOST_JOINTS} joints, found {model.njoints - 1}", source=source)
     low, high = model.lowerPositionLimit, model.upperPositionLimit

@@ -38,8 +38,8 @@ def mjcf_arm(text: str, source: str) -> tuple[Any, Any, frozenset[str]]:
     try:
         compiled = mujoco.MjModel.from_xml_string(text)
     except (ValueError, RuntimeError) as error:
-        said = " ".join(str(error).split())[:160]
-        raise InputError(f"cannot be read as a robot: {said}", source=source, remedy="correct the file") from None
+        message = " ".join(str(error).split())[:160]
+        raise InputError(f"cannot be read as a robot: {message}", source=source, remedy="correct the file") from None
     arm = _Arm(mujoco, compiled, source)
     coupled = np.flatnonzero(compiled.eq_type == int(mujoco.mjtEq.mjEQ_JOINT))
     followers = frozenset(arm.joint_name(int(compiled.eq_obj1id[i])) for i in coupled)

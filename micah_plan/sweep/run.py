@@ -182,5 +182,5 @@ def _stopped(error: BaseException) -> MicahError:
         return error
     if isinstance(error, CancelledError):
         return SweepStoppedError(f"the executor or its scheduler was closed; {_GO_ON}")
-    said = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-    return SweepStoppedError(f"the executor cannot run cases ({said}); {_GO_ON}")
+    message = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+    return SweepStoppedError(f"the executor cannot run cases ({message}); {_GO_ON}")

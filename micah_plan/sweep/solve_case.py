@@ -50,12 +50,12 @@ def solve_case(case: Case) -> CaseRun:
 
 def run_of_dead_workers(attempts: int, error: BaseException) -> CaseRun:
     """The run of a case on which every worker died."""
-    said = f"the worker died {attempts} times over it ({type(error).__name__}); was it out of memory?"
-    return CaseRun(_failure("worker_died", said), attempts=attempts)
+    sentence = f"the worker died {attempts} times over it ({type(error).__name__}); was it out of memory?"
+    return CaseRun(_failure("worker_died", sentence), attempts=attempts)
 
 
-def _failure(outcome: Outcome, said: str) -> CaseResult:
-    line = " ".join(said.split())[:1000]
+def _failure(outcome: Outcome, sentence: str) -> CaseResult:
+    line = " ".join(sentence.split())[:1000]
     return CaseResult(outcome, "".join(c if c.isprintable() else "?" for c in line))
 
 
@@ -68,8 +68,8 @@ def _solved(case: Case, seconds: dict[str, float]) -> CaseResult:
     problem = _reader(case.path).load(dict(case.overrides))
     for role, digest in problem.digests.items():
         if case.digests.get(role) != digest:
-            said = f"{case.path}: the {role} file is not the one that the sweep began with"
-            raise WorkerFilesError(f"{said}; let workers see the same files, and give the command again")
+            sentence = f"{case.path}: the {role} file is not the one that the sweep began with"
+            raise WorkerFilesError(f"{sentence}; let workers see the same files, and give the command again")
     seconds["load"] = perf_counter() - begin
     begin = perf_counter()
     plan = solve(problem, seed=case.seed, advise=False)

@@ -146,9 +146,9 @@ def dask_workers(address: str) -> Iterator[DaskWorkers]:
     try:
         client = Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
-        said = " ".join(str(error).split())[:200]
+        message = " ".join(str(error).split())[:200]
         remedy = "start one with `dask scheduler`, and workers with `dask worker ADDRESS --nthreads 1`"
-        raise InputError(f"no Dask scheduler answers at {address} ({said})", remedy=remedy) from None
+        raise InputError(f"no Dask scheduler answers at {address} ({message})", remedy=remedy) from None
     # Without the tracebacks that Dask logs when workers and schedulers go: the sweep says in a line what matters.
     loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
     levels = [logger.level for logger in loggers]

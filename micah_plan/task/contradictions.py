@@ -21,14 +21,14 @@ def disagreement(plan: Plan, problem: Problem) -> tuple[str, str] | None:
         return None
     share, confidence = plan.success_probability, problem.settings.confidence
     if share is not None and share < (least := least_share(confidence, plan.verification_trials)):
-        said = f"outcome solved, but its share of successes {share:g} is less than the {least:.3g} that"
-        return "success_probability", f"{said} the confidence {confidence:g} asks for"
-    if (amiss := _belief_amiss(plan.trajectory.factors)) is not None:
-        return "trajectory.factors", amiss
-    return _step_amiss(plan.trajectory, problem) or _end_amiss(plan, plan.trajectory, problem)
+        claim = f"outcome solved, but its share of successes {share:g} is less than the {least:.3g} that"
+        return "success_probability", f"{claim} the confidence {confidence:g} asks for"
+    if (found := _belief_contradiction(plan.trajectory.factors)) is not None:
+        return "trajectory.factors", found
+    return _step_contradiction(plan.trajectory, problem) or _end_contradiction(plan, plan.trajectory, problem)
 
 
-def _belief_amiss(factors: Floats) -> str | None:
+def _belief_contradiction(factors: Floats) -> str | None:
     """The first covariance (K, n, n) with an invalid factor."""
     for k, factor in enumerate(factors):
         if np.triu(factor, 1).any() or (np.diag(factor) < 0).any():
@@ -36,7 +36,7 @@ def _belief_amiss(factors: Floats) -> str | None:
     return None
 
 
-def _end_amiss(plan: Plan, trajectory: Trajectory, problem: Problem) -> tuple[str, str] | None:
+def _end_contradiction(plan: Plan, trajectory: Trajectory, problem: Problem) -> tuple[str, str] | None:
     """A contradiction between last knot and goal; released objects come to rest elsewhere."""
     goal, last = problem.goal, trajectory.modes[-1]
     if problem.release is not None:
@@ -55,7 +55,7 @@ def _end_amiss(plan: Plan, trajectory: Trajectory, problem: Problem) -> tuple[st
     return None
 
 
-def _step_amiss(trajectory: Trajectory, problem: Problem) -> tuple[str, str] | None:
+def _step_contradiction(trajectory: Trajectory, problem: Problem) -> tuple[str, str] | None:
     """The first step that contradicts the model."""
     automaton, largest = problem.automaton, problem.settings.max_step
     for k, u in enumerate(trajectory.inputs):

@@ -123,21 +123,21 @@ def check_constraint(constraint: PathConstraint, automaton: HybridAutomaton) -> 
     """
     for mode in constraint.modes:
         automaton.mode(mode)
-    function, said = _function(constraint.name), f"path constraint {shown(constraint.name)}"
+    function, named = _function(constraint.name), f"path constraint {shown(constraint.name)}"
     keywords = list(inspect.signature(function).parameters.values())[2:]
     allowed, names_used = [keyword.name for keyword in keywords], [name for name, _ in constraint.arguments]
     needed = [keyword.name for keyword in keywords if keyword.default is keyword.empty]
     if len(set(names_used)) < len(names_used) or set(names_used) - set(allowed) or set(needed) - set(names_used):
-        raise InputError(f"{said} takes {', '.join(allowed) or 'no arguments'}. Got {', '.join(names_used) or 'none'}")
+        raise InputError(f"{named} takes {', '.join(allowed) or 'no arguments'}. Got {', '.join(names_used) or 'none'}")
     if any(not isinstance(value, str) and not np.isfinite(value) for _, value in constraint.arguments):
-        raise InputError(f"{said}: arguments must be finite. Got {shown(dict(constraint.arguments))}")
+        raise InputError(f"{named}: arguments must be finite. Got {shown(dict(constraint.arguments))}")
     points = np.zeros((automaton.n, 2)), np.zeros((automaton.m, 2)), np.zeros((automaton.n, 2))
     with np.errstate(all="ignore"):  # what is not a number at 0 may be one elsewhere
         terms = path_terms(constraint, np, automaton, *points)
     for term in terms:
         value = term.margin if isinstance(term, Require) else term.amount
         if np.shape(value) not in ((), (2,)):
-            raise InputError(f"{said} must give one number per state. Got the shape {np.shape(value)} for 2 states")
+            raise InputError(f"{named} must give one number per state. Got the shape {np.shape(value)} for 2 states")
 
 
 def path_terms(
@@ -152,21 +152,21 @@ def path_terms(
     Raises:
         InputError: if there is no such function, or it cannot be evaluated.
     """
-    function, said = _function(constraint.name), f"path constraint {shown(constraint.name)}"
+    function, named = _function(constraint.name), f"path constraint {shown(constraint.name)}"
     states, inputs = ([item.name for item in items] for items in (automaton.coordinates, automaton.inputs))
     values = (states, x), (inputs, u), (states, std), (states, [item.unit for item in automaton.coordinates])
-    step = PathStep(*(_Named(said, names, entries) for names, entries in values))
+    step = PathStep(*(_Named(named, names, entries) for names, entries in values))
     try:
         terms = tuple(function(ops, step, **dict(constraint.arguments)))
     except MicahError:
         raise
     except Exception as error:  # it is the user's code: anything may go wrong in it
         raise InputError(
-            f"{said} cannot be evaluated: {error}", remedy="use the functions of `ops`, such as ops.where for an if"
+            f"{named} cannot be evaluated: {error}", remedy="use the functions of `ops`, such as ops.where for an if"
         ) from error
     names = [term.name for term in terms if isinstance(term, Require)]
     if not all(isinstance(term, Require | Pay) for term in terms) or len(set(names)) < len(names) or "" in names:
-        raise InputError(f"{said} must give Require and Pay, each Require with a name of its own")
+        raise InputError(f"{named} must give Require and Pay, each Require with a name of its own")
     return terms
 
 
@@ -180,9 +180,9 @@ def _function(name: str) -> PathFunction:
 class _Named(dict[str, Any]):
     """Values by name; an unknown name is an input error."""
 
-    def __init__(self, said: str, names: Sequence[str], values: Any) -> None:
+    def __init__(self, named: str, names: Sequence[str], values: Any) -> None:
         super().__init__((name, values[i]) for i, name in enumerate(names))
-        self._said = said
+        self._said = named
 
     def __missing__(self, name: str) -> Any:
         raise InputError(f"{self._said}: there is no {shown(name)}", remedy=f"choose one of {', '.join(self)}")

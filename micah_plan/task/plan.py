@@ -234,8 +234,10 @@ class Plan(Summarised):
         Args:
             before: beginning of the reason.
         """
-        said, findings = f"{before}{finding.sentence}; ", (finding, *self.findings)
-        return replace(self, outcome=outcome, reason=f"{said}{finding.remedy}", findings=findings, before_remedy=said)
+        beginning, findings = f"{before}{finding.sentence}; ", (finding, *self.findings)
+        return replace(
+            self, outcome=outcome, reason=f"{beginning}{finding.remedy}", findings=findings, before_remedy=beginning
+        )
 
     @property
     def mode_sequence(self) -> tuple[str, ...]:

@@ -183,10 +183,10 @@ def _blocks(exploration: Exploration) -> list[Block]:
         f"What is believed to hold the handle, over {count(exploration.steps, 'step')}, in the colours of the legend; "
         "of several joints, of the last."
     )
-    said = (("Forces", ()), ("What it is", (kinds,)), ("The fan of hypotheses", (fan,)))
+    panels = (("Forces", ()), ("What it is", (kinds,)), ("The fan of hypotheses", (fan,)))
     return [
         Block(title, words, chart, keyframes=frames)
-        for (title, words), chart in zip(said, exploration_charts(exploration), strict=True)
+        for (title, words), chart in zip(panels, exploration_charts(exploration), strict=True)
     ]
 
 

@@ -22,7 +22,7 @@ LEVELS = 2
 """Rows of names above a chart: what would overlap goes to the second."""
 
 _AT_FLOOR = 0.5
-_TOLD = 0.5  # probability of a deviation from which on it is told
+_LEAST_REPORTED = 0.5  # probability of a deviation from which on it is told
 _LINE_OF_NAMES = 17  # letters
 
 # Standard deviation of a turn [rad], and of a gain as a share of it, from which on a number would only mislead: motion
@@ -125,7 +125,7 @@ def deviation_notes(segments: Sequence[Segment]) -> list[str]:
         deviation = (
             None if segment.certainty is None or segment.no_single_joint is not None else segment.certainty.deviation
         )
-        if deviation is not None and deviation.probability >= _TOLD:
+        if deviation is not None and deviation.probability >= _LEAST_REPORTED:
             rows.setdefault((segment.joint.kind, deviation), []).append(f"{segment.start} to {segment.end}")
     notes = []
     for (kind, deviation), spans in rows.items():

@@ -83,7 +83,7 @@ def plan_page(
     runs = _executed(plan, problem, executed, failures)
     badge, found = _BADGES[plan.outcome], plan.ranked_findings
     reason = f"{found[0].sentence}; {found[0].remedy}" if found and plan.outcome != "solved" else plan.reason
-    said = _Panels(
+    panels = _Panels(
         title=title,
         kind="plan and its execution" if runs else "plan",
         badge=_badge_of_runs(plan, runs) if runs else badge,
@@ -91,23 +91,23 @@ def plan_page(
         facts=_facts(plan, problem),
         task=task_sentence(problem),
     )
-    return _drawn(plan, problem, runs, said)
+    return _drawn(plan, problem, runs, panels)
 
 
 def problem_page(problem: Problem, *, title: str = "Problem") -> str:
     """The page of an unsolved problem as HTML text: the object at the start and in the goal, and its surroundings."""
     message = "from the start, where the object is believed to be, to the goal"
-    said = _Panels(title, "problem", ("NOT SOLVED YET", "fair"), message, [], task_sentence(problem))
-    return _drawn(Plan("no_plan", "not solved yet"), with_shown_points(problem), (), said)
+    panels = _Panels(title, "problem", ("NOT SOLVED YET", "fair"), message, [], task_sentence(problem))
+    return _drawn(Plan("no_plan", "not solved yet"), with_shown_points(problem), (), panels)
 
 
 def _badge_of_runs(plan: Plan, runs: tuple[ExecutedRun, ...]) -> tuple[str, Status]:
     """The badge with the number of successful runs, preceded by the outcome of a plan that was not solved."""
-    said, status = runs_badge(runs)
+    panels, status = runs_badge(runs)
     if plan.outcome == "solved":
-        return said, status
+        return panels, status
     outcome, status = _BADGES[plan.outcome]
-    return f"{outcome}, {said}", status
+    return f"{outcome}, {panels}", status
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class _Panels:
     task: str
 
 
-def _drawn(plan: Plan, problem: Problem, runs: tuple[ExecutedRun, ...], said: _Panels) -> str:
+def _drawn(plan: Plan, problem: Problem, runs: tuple[ExecutedRun, ...], panels: _Panels) -> str:
     """The page of a plan and its runs, or of start and goal where there is no trajectory."""
     automaton = problem.automaton
     scene, size = DrawnScene(), object_size(automaton)
@@ -148,7 +148,7 @@ def _drawn(plan: Plan, problem: Problem, runs: tuple[ExecutedRun, ...], said: _P
     points = np.concatenate([handle_path(automaton, frames, part) for frames in (keys, goal) for part in parts])
     colors = mode_colors(automaton)
     page = ScenePage(
-        **vars(said),
+        **vars(panels),
         camera=camera(scene, points, body_boxes(problem.scene)),
         chips=[(name, colors.get(name, INK)) for name in plan.mode_sequence],
         reasons=[(mode, colors.get(mode, INK), sentence) for mode, sentence in purpose_sentences(plan)],
@@ -360,8 +360,8 @@ def _timeline(
     ]
     if after is not None:
         bands += after.bands
-        said = ("lowered until contact is felt", "gripper opened, the object turns until it lies", "hand withdraws")
-        readouts += [(band.start, (words,)) for band, words in zip(after.bands, said, strict=True)]
+        panels = ("lowered until contact is felt", "gripper opened, the object turns until it lies", "hand withdraws")
+        readouts += [(band.start, (words,)) for band, words in zip(after.bands, panels, strict=True)]
         end = bands[-1].end
     return Timeline(end, tuple(bands), tuple(readouts))
 

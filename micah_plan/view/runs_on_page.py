@@ -89,13 +89,13 @@ def _layer(run: ExecutedRun) -> str:
 
 def runs_badge(runs: Sequence[ExecutedRun]) -> tuple[str, Status]:
     """Number of successful runs per recording, coloured by the last one."""
-    said = list[str]()
+    badges = list[str]()
     status: Status = "bad"
     for name in dict.fromkeys(run.recording for run in runs):
         own = [run.reached for run in runs if run.recording == name]
         status = "good" if all(own) else "fair" if any(own) else "bad"
-        said.append(f"{name}: " * bool(name) + f"{sum(own)} of {count(len(own), 'run')}")
-    return f"{', '.join(said)} reached the goal", status
+        badges.append(f"{name}: " * bool(name) + f"{sum(own)} of {count(len(own), 'run')}")
+    return f"{', '.join(badges)} reached the goal", status
 
 
 def runs_details(runs: Sequence[ExecutedRun]) -> list[tuple[str, list[str]]]:

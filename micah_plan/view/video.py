@@ -137,8 +137,8 @@ def _opened(page: str, filming: Filming) -> Iterator[Page]:
             tab.wait_for_selector("body.ready", timeout=_TIMEOUT_MS)
             yield tab
         except Error as error:
-            said = " ".join(str(error).split())[:200]
-            raise MicahError(f"the browser could not draw the page: {said}") from None
+            message = " ".join(str(error).split())[:200]
+            raise MicahError(f"the browser could not draw the page: {message}") from None
         finally:
             chromium.close()
 
@@ -169,8 +169,8 @@ def _mp4(_: str, frames: list[bytes], filming: Filming) -> bytes:
         command += ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(target)]
         done = subprocess.run(command, input=b"".join(frames), capture_output=True, check=False)  # noqa: S603
         if done.returncode:
-            said = " ".join(done.stderr.decode(errors="replace").split())[:200]
-            raise MicahError(f"ffmpeg could not write the video: {said}")
+            message = " ".join(done.stderr.decode(errors="replace").split())[:200]
+            raise MicahError(f"ffmpeg could not write the video: {message}")
         return target.read_bytes()
 
 

@@ -52,13 +52,13 @@ class PointTracks:
     rate: float | None = None
     names: tuple[str, ...] = ()
 
-    def rate_or(self, said: float | None) -> float:
+    def rate_or(self, length: float | None) -> float:
         """Frames per second, as given or else from the file.
 
         Raises:
             InputError: if neither does.
         """
-        rate = said or self.rate
+        rate = length or self.rate
         if rate is None:
             raise InputError("how many frames a second there are is not known", remedy="e.g. --rate 30")
         return rate
@@ -251,12 +251,12 @@ def _of_trc(path: str | Path, unit: str | None) -> PointTracks:
             rows.append([float(text) if text.strip() else np.nan for text in values])
         except ValueError:
             raise InputError("expected numbers", where=f"line {number}", remedy=remedy) from None
-    rate, said = header.get("DataRate", ""), unit or header.get("Units", "m")
-    if not re.fullmatch(r"\d+(\.\d*)?", rate) or float(rate) <= 0.0 or said not in LENGTHS or not names:
-        problem = f"expected a rate, a unit and markers, found DataRate {shown(rate)} and Units {shown(said)}"
+    rate, length = header.get("DataRate", ""), unit or header.get("Units", "m")
+    if not re.fullmatch(r"\d+(\.\d*)?", rate) or float(rate) <= 0.0 or length not in LENGTHS or not names:
+        problem = f"expected a rate, a unit and markers, found DataRate {shown(rate)} and Units {shown(length)}"
         raise InputError(problem, remedy=remedy)
     places = np.array(rows).reshape(len(rows), len(names), 3).transpose(1, 0, 2)
-    return PointTracks(places * LENGTHS[said], float(rate), names)
+    return PointTracks(places * LENGTHS[length], float(rate), names)
 
 
 def _of_c3d(path: str | Path, unit: str | None) -> PointTracks:
@@ -269,14 +269,14 @@ def _of_c3d(path: str | Path, unit: str | None) -> PointTracks:
         file = ezc3d.c3d(str(path))
         points, group = np.asarray(file["data"]["points"], dtype=np.float64), file["parameters"]["POINT"]
         rate, names = float(group["RATE"]["value"][0]), tuple(group["LABELS"]["value"])
-        said = unit or next(iter(group.get("UNITS", {}).get("value", [])), "mm")
+        length = unit or next(iter(group.get("UNITS", {}).get("value", [])), "mm")
     except Exception as error:  # whatever a damaged file makes the library raise
         raise InputError(f"expected a C3D file ({shown(str(error))})", remedy="export it again") from None
-    if said not in LENGTHS or not rate > 0.0:
-        raise InputError(f"expected lengths in m or mm and a rate, found {shown(said)}", remedy="say --units mm")
+    if length not in LENGTHS or not rate > 0.0:
+        raise InputError(f"expected lengths in m or mm and a rate, found {shown(length)}", remedy="say --units mm")
     places = points[:3].transpose(1, 2, 0)
     places = np.where((np.abs(places) > 0.0).any(axis=2, keepdims=True), places, np.nan)  # zeros: not seen
-    return PointTracks(places * LENGTHS[said], rate, names)
+    return PointTracks(places * LENGTHS[length], rate, names)
 
 
 def _of_table(columns: Mapping[str, Any], unit: str | None) -> PointTracks:

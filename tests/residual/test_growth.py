@@ -12,7 +12,7 @@ from micah_plan.automaton.joint import prismatic
 from micah_plan.message import codes_of
 from micah_plan.recording.value import Recording
 from micah_plan.residual.calibrate import calibrate
-from micah_plan.residual.contenders import is_borne_out
+from micah_plan.residual.contenders import is_confirmed
 
 
 @pytest.mark.parametrize(
@@ -26,7 +26,7 @@ from micah_plan.residual.contenders import is_borne_out
     ],
 )
 def test_evidence_must_come_from_more_than_one_run_and_not_be_lost_in_others(gains, expected) -> None:
-    assert is_borne_out(np.array(gains)) is expected
+    assert is_confirmed(np.array(gains)) is expected
 
 
 @pytest.mark.parametrize(
@@ -39,7 +39,7 @@ def test_evidence_must_come_from_more_than_one_run_and_not_be_lost_in_others(gai
     ],
 )
 def test_what_acts_in_one_run_alone_is_not_borne_out_by_others(gains, by_itself, expected) -> None:
-    assert is_borne_out(np.array(gains), [np.array(by_itself)]) is expected
+    assert is_confirmed(np.array(gains), [np.array(by_itself)]) is expected
 
 
 def drawer_with_two_effects(seed):

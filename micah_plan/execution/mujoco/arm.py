@@ -160,6 +160,6 @@ def _read(mujoco: Any, description: RobotDescription, arm: Arm) -> Any:
         spec.compiler.boundmass, spec.compiler.boundinertia = _LEAST_MASS, _LEAST_INERTIA
         spec.compile()
     except ValueError as error:
-        said = " ".join(str(error).split())[:160]
-        raise InputError(f"MuJoCo cannot use the robot: {said}", source=description.path) from None
+        message = " ".join(str(error).split())[:160]
+        raise InputError(f"MuJoCo cannot use the robot: {message}", source=description.path) from None
     return spec

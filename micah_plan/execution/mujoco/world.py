@@ -36,7 +36,7 @@ _CONTACT = {"solref": (0.004, 1.0), "solimp": (0.95, 0.99, 0.0005, 0.5, 2.0), "c
 # Who meets whom (geoms meet if the type of one is among what the other meets): the scene meets all but what is fixed in
 # it; an arm meets the moving part of the object, but not the part in the hand. Standing objects meet nothing.
 NOTHING = {"contype": 0, "conaffinity": 0}
-_FIXED, _LOOSE = {"contype": 1, "conaffinity": 2}, {"contype": 3, "conaffinity": 3}
+_FIXED, _MOVABLE = {"contype": 1, "conaffinity": 2}, {"contype": 3, "conaffinity": 3}
 IN_HAND, MOVING = {"contype": 2, "conaffinity": 1}, {"contype": 6, "conaffinity": 1}
 ARM_TYPE, ARM_MEETS = 2, 5
 _HAND_MASS, _GRAVITY = 1.0, 9.81
@@ -175,7 +175,7 @@ def scene_world(scene: Iterable[Body], parameters: PhysicalParameters) -> World:
         if len(solids) < len(body.shapes):
             raise InputError(f"scene: the mesh of '{body.name}' cannot be simulated", remedy="use boxes")
         world.solids(
-            stands, solids, body.mass or 0.0, contact_surface(_FIXED if body.mass is None else _LOOSE, parameters)
+            stands, solids, body.mass or 0.0, contact_surface(_FIXED if body.mass is None else _MOVABLE, parameters)
         )
     return world
 

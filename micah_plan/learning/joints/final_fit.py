@@ -40,7 +40,7 @@ _LEAST_STDS = (1e-5, 1e-6)  # rad, m
 _ROTATION_SPAN = 2 * np.pi
 _POSITION_SPAN = 1.0  # m, where the rows span less
 _STARTING_ROWS = 100  # no start needs more
-_TELLING_ROWS = 256  # of a hinge that may be a screw
+_MOST_PITCH_ROWS = 256  # of a hinge that may be a screw
 _VOTES = 3  # times the fewest rows of a joint; with fewer rows none is doubted
 _ROUNDS = 2  # of noise and joint in turn
 _ROUGH = 0.05  # nats
@@ -166,7 +166,7 @@ def _hinge_or_screw(
         rows, time: positions (n, 3), quaternions (n, 4) and their times (n,) [s].
     """
     # Rows that are interpolated, or filtered by the tracker, repeat one another.
-    sample = np.linspace(0, len(time) - 1, min(len(time), _TELLING_ROWS)).round().astype(int)
+    sample = np.linspace(0, len(time) - 1, min(len(time), _MOST_PITCH_ROWS)).round().astype(int)
     start = twisting("screw", joint.axis, joint.center, joint.pitch, joint.position, joint.quaternion)
     fit = fit_likelihood(start, rows[0][sample], rows[1][sample], white_noise(stds), _ROUGH)
     posterior = _posterior_of_residuals(fit, time[sample], stds, scales)

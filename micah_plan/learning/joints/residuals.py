@@ -23,7 +23,7 @@ from micah_plan.learning.joints.quaternions import (
     times_matrix,
 )
 
-_TELLING_PITCH = 0.05 / (2 * np.pi)  # m/rad
+_LEAST_PITCH = 0.05 / (2 * np.pi)  # m/rad
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +105,7 @@ def compare_arrays(
         pitch = joints.pitch[pitched, None]
         # Whole turns only where the pitch is large against noise; a small one is left to continuity.
         turns = np.round((along[pitched] / pitch - angle[pitched]) / (2 * np.pi))
-        counted = angle[pitched] + 2 * np.pi * np.where(np.abs(pitch) > _TELLING_PITCH, turns, 0.0)
+        counted = angle[pitched] + 2 * np.pi * np.where(np.abs(pitch) > _LEAST_PITCH, turns, 0.0)
         angle[pitched] = balanced(counted, weight[pitched], along[pitched], pitch)
     if angle.size:
         angle = _unwrapped(angle)

@@ -50,10 +50,10 @@ def branch_poses(edge: KinematicEdge, relative: RelativeRows, poses: RigidTransf
                 )
                 c = commanded + _smoothed(c - commanded)
             local = forward(segment.joint, c)
-        said = relative.frames[index] * local
+        poses = relative.frames[index] * local
         rows = relative.rows[index]
-        position[rows] = said.translation
-        quaternion[rows] = said.rotation.as_quat()
+        position[rows] = poses.translation
+        quaternion[rows] = poses.rotation.as_quat()
     return RigidTransform.from_components(position, Rotation.from_quat(quaternion))
 
 

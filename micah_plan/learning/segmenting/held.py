@@ -110,18 +110,18 @@ def _smoothed(along: JointTrace, expected: Floats, loose: float) -> Floats:
         total_held, total_free = quiet + along.white, free + along.white
         miss_held, miss_free = value - mean, value - mean - by_action
         if min(miss_held**2 / total_held, miss_free**2 / total_free) > _SLIPPED**2:
-            mean, variance, tells = value, along.white, 0.0
+            mean, variance, log_odds = value, along.white, 0.0
         else:
-            tells = 0.5 * (log(total_free / total_held) + miss_free**2 / total_free - miss_held**2 / total_held)
-            tells = min(max(tells, -_FARTHEST), _FARTHEST)
-            chance = chance / (chance + (1 - chance) * exp(-tells))
+            log_odds = 0.5 * (log(total_free / total_held) + miss_free**2 / total_free - miss_held**2 / total_held)
+            log_odds = min(max(log_odds, -_FARTHEST), _FARTHEST)
+            chance = chance / (chance + (1 - chance) * exp(-log_odds))
             kept_held, kept_free = quiet / total_held, free / total_free
             mean_held, mean_free = mean + kept_held * miss_held, mean + by_action + kept_free * miss_free
             mean = chance * mean_held + (1 - chance) * mean_free
             variance = chance * (quiet * (1 - kept_held) + (mean_held - mean) ** 2)
             variance += (1 - chance) * (free * (1 - kept_free) + (mean_free - mean) ** 2)
         forward.append(chance)
-        odds.append(tells)
+        odds.append(log_odds)
     ahead, behind = np.array(forward), _backward_probabilities(odds)
     together = ahead * behind
     return np.asarray(together / (together + (1 - ahead) * (1 - behind)))
@@ -131,8 +131,8 @@ def _backward_probabilities(odds: list[float]) -> Floats:
     """(k,) backward probability that a part is held in each step, from the log odds of the later steps [nats]."""
     chance = 0.5
     backward = [chance]
-    for tells in odds[:0:-1]:
-        chance = chance / (chance + (1 - chance) * exp(-tells))
+    for log_odds in odds[:0:-1]:
+        chance = chance / (chance + (1 - chance) * exp(-log_odds))
         chance = chance * (1 - _CHANGES) + (1 - chance) * _CHANGES
         backward.append(chance)
     return np.array(backward[::-1])
