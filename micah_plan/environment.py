@@ -196,7 +196,7 @@ def _advice(libraries: list[Found], solvers: list[str], browser: str | None) -> 
             names = " ".join(library.name for library in missing)
             lines.append(f"to use {extra} ({purposes}): pip install {names}")
     if "mumps" not in solvers:
-        lines.append("IPOPT cannot solve with MUMPS, so nothing can be planned: pip install --force-reinstall casadi")
+        lines.append("IPOPT cannot solve with MUMPS, so planning is impossible: pip install --force-reinstall casadi")
     if browser is None:
         lines.append("to test pages in a browser: install Chromium, for instance apt-get install chromium")
     return tuple(lines)

@@ -83,7 +83,7 @@ def test_a_problem_is_checked_with_its_model_and_its_robot(tmp_path: Path) -> No
     [
         ("none.yaml", None, None, "does not exist"),
         ("none.csv", None, "recording", "does not exist"),
-        ("f.yaml", "a: 1\n", None, "missing key 'format'; say what the file is: one of micah-plan/model/1"),
+        ("f.yaml", "a: 1\n", None, "missing key 'format'; name the kind of file: one of micah-plan/model/1"),
         ("f.yaml", "format: micah-plan/problm/1\n", None, "did you mean 'micah-plan/problem/1'?"),
         ("f.yaml", "format: [1]\n", None, "unknown format"),
         ("f.yaml", "format: micah-plan/model/2\n", "model", "expected micah-plan/model/1"),

@@ -104,7 +104,7 @@ class RunsResult(Result):
         if not self.planned.success:
             lines.insert(0, f"this plan is not verified, and was executed anyway: {self.planned.reason}")
         if self.statistics.released is not None:
-            released = f"{self.statistics.released} stand in the goal on their own, nothing knocked over"
+            released = f"{self.statistics.released} stand in the goal on their own, with nothing knocked over"
             lines.append(f"  released     {released}")
         lines.append(f"  final error  {spread}, at most {quantity(error.max, unit)}{whose}")
         lines += [f"  trial {trial}: {reason}" for trial, reason in self.failures[:_MOST_FAILURES]]

@@ -82,11 +82,11 @@ class PredictionResult(Result):
         if "estimate" in summary:
             unit = summary["configuration_unit"]
             size, last = (quantity(summary["estimate"][key], unit) for key in ("rmse", "final_error"))
-            lines.append(f"what the controller believed was {size} beside what was measured, at the end {last}")
+            lines.append(f"the controller's belief was off by {size}, at the end by {last}")
         lines += [str(excess) for excess in self.excesses]
         gaps = sum(run["gaps"] for run in summary["per_run"])
         if gaps:
-            lines.append(f"{count(gaps, 'gap')} in t: rows are missing, so roll-outs begin anew after each")
+            lines.append(f"{count(gaps, 'gap')} in t: rows are missing, so roll-outs restart after each")
         return [*lines, *_changes_of_mode(self.judgement)]
 
     def json(self) -> dict[str, Any]:

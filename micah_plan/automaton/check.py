@@ -165,12 +165,12 @@ def _check_edge(automaton: HybridAutomaton, edge: Edge) -> None:
             remedy = f"choose one of {', '.join(automaton.mode_names)}"
             raise InputError(f"{where}: unknown mode {shown(end)}", remedy=remedy)
     if edge.guard.is_everything:
-        raise InputError(f"{where}: a guard must have at least one half-space, else its mode is never stayed in")
+        raise InputError(f"{where}: a guard must have at least one half-space, otherwise its mode is left at once")
     _check_region(edge.guard, f"{where}: guard")
     if not (math.isfinite(edge.threshold_std) and edge.threshold_std >= 0):
         raise InputError(f"{where}: threshold_std must be a finite number >= 0. Got {edge.threshold_std}")
     if edge.is_self_transition and edge.reset.is_identity:
-        raise InputError(f"{where}: a self transition must have a reset, else it has no effect")
+        raise InputError(f"{where}: a self transition must have a reset, otherwise it has no effect")
     for name, matrix in (("matrix A", edge.reset.A), ("matrix B", edge.reset.B), ("offset c", (edge.reset.c or (),))):
         _check_finite(matrix or (), f"{where}: reset {name}")
 
@@ -212,7 +212,7 @@ def _check_fixed_at(automaton: HybridAutomaton, mode: Mode, link: int) -> None:
             coordinate = automaton.coordinates[index]
             raise InputError(
                 f"mode {mode.name}: the rigid joint of {automaton.links[link].child} is fixed at {joint.fixed_at:.9g} "
-                f"{coordinate.unit}, but the pin of {coordinate.name} says {pin.value:.9g} {coordinate.unit}",
+                f"{coordinate.unit}, but the pin of {coordinate.name} is at {pin.value:.9g} {coordinate.unit}",
                 remedy="give both the same value",
             )
 

@@ -407,7 +407,7 @@ class HybridAutomaton(Summarised):
         _number(name, names, "transition")
         edges = [edge for edge in self.edges if edge.name == name]
         if number is None and len(edges) > 1:
-            raise InputError(f"{len(edges)} transitions are {shown(name)}", remedy="say which by a number from 0")
+            raise InputError(f"{len(edges)} transitions are {shown(name)}", remedy="choose one by a number from 0")
         if not 0 <= (number or 0) < len(edges):
             raise InputError(
                 f"there is no transition {shown(name)} number {number}", remedy=f"give 0 to {len(edges) - 1}"

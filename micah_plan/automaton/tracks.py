@@ -324,7 +324,7 @@ def displacements(automaton: HybridAutomaton, x: Floats, action: Floats) -> Floa
     effect = np.array(automaton.modes[0].B)
     driven = effect.any(axis=1)
     if np.linalg.matrix_rank(effect) < automaton.m:
-        raise InputError("actions do not show the inputs: in the first mode some of them move nothing of their own")
+        raise InputError("actions do not show the inputs: in the first mode some have no coordinate of their own")
     return np.asarray(u[:, driven] @ np.linalg.pinv(effect[driven]).T)
 
 

@@ -62,7 +62,7 @@ def calibrate(
         Path | None, typer.Option("--html", "--report", help="Write the comparison and the effects as a page.")
     ] = None,
     experiment: Annotated[
-        Path | None, typer.Option(help="Write the experiment that tells apart what stays open, if motion can.")
+        Path | None, typer.Option(help="Write the experiment that separates what stays open, if motion can.")
     ] = None,
     commands: Commands = None,
     code: Code = None,
@@ -90,7 +90,7 @@ def calibrate(
     more = {} if experiment is None else {"experiment": None if designed is None else _experiment_json(designed)}
     write_and_print(result, contents, as_json, more)
     if experiment is not None and not as_json:
-        out.print(f"experiment {designed or 'not written: no commands along a joint would tell more'}")
+        out.print(f"experiment {designed or 'not written: no commands along a joint would be informative'}")
     if not result.success:
         raise typer.Exit(NO_RESULT)
 

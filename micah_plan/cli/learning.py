@@ -71,14 +71,14 @@ def learn(
     joint_ranges: JointRanges = None,
     commands: Commands = None,
     positions_only: PositionsOnly = False,
-    list_topics: Annotated[bool, typer.Option("--list-topics", help="Only say what a ROS log has.")] = False,
+    list_topics: Annotated[bool, typer.Option("--list-topics", help="Only list the content of a ROS log.")] = False,
     setting: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="NAME=VALUE", help="A setting of learning, as kinds=rigid,screw; repeatable."),
     ] = None,
     figure: Annotated[Path | None, typer.Option(help="Write the segmented track as PNG.")] = None,
     html: Annotated[Path | None, typer.Option(help="Write the segmented track as a page.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Accepted as by other commands: learning draws nothing.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Accepted as by other commands: learning is deterministic.")] = 0,
     as_json: JsonFlag = False,
 ) -> None:
     """Learn a hybrid automaton from a recording and save it as YAML; exit code 1 if no single joint fits some rows."""

@@ -29,7 +29,7 @@ def show(
     file: Annotated[Path, typer.Argument(help="A recording, a model, a problem, a plan, or a folder.")],
     runs: Annotated[
         list[Path] | None,
-        typer.Argument(help="Executed runs of the plan (a recording), to show beside it; two: before, after."),
+        typer.Argument(help="Executed runs of the plan (a recording), to show with it; two: before, after."),
     ] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Page to write.")] = None,
     video: Annotated[

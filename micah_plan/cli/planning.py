@@ -97,10 +97,12 @@ def execute(
         int | None, typer.Option(min=0, help="Optimise the rest of the plan every so many steps; 0: never.")
     ] = None,
     figure: Annotated[Path | None, typer.Option(help="Write planned belief against executed runs as PNG.")] = None,
-    html: Annotated[Path | None, typer.Option(help="Write the runs beside the plan as a page.")] = None,
+    html: Annotated[Path | None, typer.Option(help="Write a page of the runs with the plan.")] = None,
     start: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="Where simulated trials truly start, whatever is believed [rad or m]."),
+        typer.Option(
+            metavar="NAME=VALUE", help="True start of simulated trials, independent of the belief [rad or m]."
+        ),
     ] = None,
     anyway: Annotated[
         bool,

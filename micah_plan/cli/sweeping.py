@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 def sweep(
     file: Annotated[Path, typer.Argument(metavar="SWEEP", help="Sweep (YAML): problems, values to try, seeds.")],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Table to write (.csv or .parquet), with a journal beside it.")
+        Path | None,
+        typer.Option("-o", "--output", help="Table to write (.csv or .parquet), with a journal next to it."),
     ] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one per core.")] = None,
     scheduler: Annotated[

@@ -34,7 +34,8 @@ def track(
         str | None, typer.Option(metavar="PART", help="Part in whose frame poses are; default: base, or the first.")
     ] = None,
     rate: Annotated[
-        float | None, typer.Option(metavar="HZ", min=0.01, max=100_000.0, help="Frames per second, if it says wrong.")
+        float | None,
+        typer.Option(metavar="HZ", min=0.01, max=100_000.0, help="Frames per second, if its own are wrong."),
     ] = None,
     actions: Annotated[
         Path | None, typer.Option(help="Recording of what a robot was commanded meanwhile, by its own clock.")
@@ -43,9 +44,7 @@ def track(
         float | None,
         typer.Option(metavar="SECONDS", help="Time of the actions minus time of the video; default: from the motion."),
     ] = None,
-    units: Annotated[
-        str | None, typer.Option(help="Of points: m, cm, mm or in; default: as the file says, else m.")
-    ] = None,
+    units: Annotated[str | None, typer.Option(help="Of points: m, cm, mm or in; default: the file's, or m.")] = None,
     axes: Annotated[
         Literal["points,frames", "frames,points"] | None, typer.Option(help="Of points: order of the array's axes.")
     ] = None,
@@ -110,10 +109,10 @@ def _of_video(
     from micah_plan.api.tracking import track as tracked
 
     if tags is None:
-        remedy = "say which tag is on which part: micah-plan new tags FOLDER writes a file to begin with"
+        remedy = "name the tags of each part: micah-plan new tags FOLDER writes a file to start from"
         raise InputError("missing option '--tags'", remedy=remedy)
     if offset is not None and actions is None:
-        raise InputError("there are no actions to shift", source="--offset", remedy="say --actions ROBOT.csv")
+        raise InputError("there are no actions to shift", source="--offset", remedy="add --actions ROBOT.csv")
     given = {"camera": camera, "base": base, "rate": rate, "actions": actions, "offset": offset}
     return tracked(source, tags, progress=progress, **given)  # type: ignore[arg-type]
 

@@ -38,7 +38,8 @@ class ConventionsDocument(Document):
     up: Axis | None = doc("The axis that points upwards; default: z.", None)
     quaternion: Order | None = doc("Order of the four columns of a quaternion; default: xyzw.", None)
     commands: CommandKind | None = doc(
-        "What the actions are: displacement, the way to a commanded position, or velocity [m/s]; default: not said.",
+        "Meaning of the actions: displacement, the displacement to a commanded position, or velocity [m/s]; default: "
+        "not stated.",
         None,
     )
     positions_only: bool | None = doc(

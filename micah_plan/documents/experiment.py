@@ -31,7 +31,7 @@ class MotionDocument(Document):
 
     start: StartDocument = doc("Where the object is brought to, and with which std.")
     commands: Annotated[dict[InputName, Commands], ITEMS] = doc(
-        "What is commanded of each input in each control step, whatever is measured [rad or m]; of those left out: 0."
+        "Command of each input in each control step, independent of measurements [rad or m]; missing inputs: 0."
     )
 
     def check(self, at: Located) -> None:

@@ -44,7 +44,7 @@ class SceneDocument(Document):
         "it, whatever the force sensor tells. Absent: as pushes tell it.",
         None,
     )
-    largest_step: Distance = doc("The largest displacement of the hand that one command may ask for [m].", 0.05)
+    largest_step: Distance = doc("The largest displacement of the hand in one command [m].", 0.05)
     steps: Annotated[int, Field(ge=1, le=10_000)] = doc("How many commands may be given.", 300)
     opening: Distance = doc("The way of the handle after which the object counts as opened [m].", 0.2)
     holds: HoldsDocument | None = doc(

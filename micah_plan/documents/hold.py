@@ -67,7 +67,7 @@ class HoldDocument(Document):
     coordinate: Name = doc("Name of the joint's coordinate in this problem.", "theta")
     reach: ReachDocument = doc("Where the hand may go.")
     contacts: list[ContactDocument] = doc(
-        "Faces that the moving part may touch; anything else is to be kept clear of.", list
+        "Faces that the moving part may touch; it keeps clear of everything else.", list
     )
 
     def check(self, at: Located) -> None:

@@ -49,7 +49,7 @@ def kind_of(path: str | Path) -> FileKind:
     located = read_yaml_file(path, until="format")
     formats = [f"micah-plan/{kind}/1" for kind in _YAML_KINDS]
     if "format" not in located.data:
-        raise located.error("missing key 'format'", f"say what the file is: one of {', '.join(formats)}")
+        raise located.error("missing key 'format'", f"name the kind of file: one of {', '.join(formats)}")
     stated = str(located.data["format"])
     for kind in _YAML_KINDS:
         if stated.startswith(f"micah-plan/{kind}/"):

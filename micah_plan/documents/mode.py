@@ -50,8 +50,8 @@ class ModeDocument(Document):
         dict,
     )
     observation_std: Annotated[dict[CoordinateName, Std], ITEMS] = doc(
-        "Std of one measurement in this mode, of coordinates that it measures in its own way, wherever it is [rad or "
-        "m]; default: as under `noise`.",
+        "Std of one measurement in this mode, for coordinates with another one than under `noise`, at any place [rad "
+        "or m].",
         dict,
     )
 

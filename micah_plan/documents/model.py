@@ -87,7 +87,7 @@ class SinceDocument(Document):
         if (self.run is None) != (self.digest is None):
             lacking = "run" if self.run is None else "digest"
             problem = f"expected a run and the digest of its rows, found no {lacking}"
-            raise at.error(problem, "leave both out of an effect that begins anew in every run")
+            raise at.error(problem, "leave out both for an effect that starts again in every run")
 
 
 class EffectDocument(Document):
@@ -141,7 +141,7 @@ class ModelDocument(Document):
     transitions: list[TransitionDocument] = doc(
         "Edges between modes; of several whose guards hold at once the first listed is taken."
     )
-    init: list[InitialDocument] = doc("Initial states; empty: wherever an invariant holds.", list)
+    init: list[InitialDocument] = doc("Initial states; empty: all invariants.", list)
     effects: list[EffectDocument] = doc(
         "What calibration added. Those on guards and joints are already in modes and transitions; the others act in "
         "every step.",

@@ -99,7 +99,7 @@ class ModePurposeDocument(Document):
 
     mode: ModeName = doc("A mode of the plan, not the first.")
     is_goal: bool = doc("Whether the goal is in no other mode.", False)
-    why: str = doc("Why there is no way on which nothing leaves the mode; empty if there is one.", "")
+    why: str = doc("Why there is no path without the mode; empty if there is one.", "")
     without: ModeNames = doc("The cheapest mode sequence without it.", tuple)
     steps_without: NonNegative | None = doc("What that was expected to cost [steps].", None)
 
@@ -185,7 +185,9 @@ class PlanDocument(Document):
         validation_alias=AliasChoices("findings", "obstacles"),
     )
     warnings: Lines = doc("What of the model the plan ignores.", tuple)
-    purposes: list[ModePurposeDocument] = doc("Why the plan visits its modes, as far as the search can tell.", list)
+    purposes: list[ModePurposeDocument] = doc(
+        "Purposes of the plan's modes, as far as the search could determine.", list
+    )
     trajectory: TrajectoryDocument | None = doc("Belief trajectory and feedback; null without a plan.")
     arm: ArmDocument | None = doc("The robot along the trajectory; null without a robot.", None)
     release: ReleasePlanDocument | None = doc("How the hand releases the object; null where it keeps the object.", None)
@@ -198,7 +200,7 @@ class PlanDocument(Document):
         """Refuse a success rate without roll-outs, or outside its interval."""
         share, interval = self.success_probability, self.success_interval
         if self.outcome == "solved" and self.verification_trials > 0 and share is None:
-            problem = f"expected the share of {self.verification_trials} roll-outs, found nothing"
+            problem = f"expected the share of {self.verification_trials} roll-outs, found none"
             raise at.at("success_probability").error(problem, _AGAIN)
         if share is not None and self.verification_trials == 0:
             problem = f"expected the number of roll-outs of which {share:g} succeeded, found 0"

@@ -65,7 +65,7 @@ class StartDocument(Document):
     std: EachCoordinate[Std] = doc("Standard deviation of every coordinate [rad or m].")
     mode: ModeName | None = doc("Mode at first; default: the first whose invariant holds the mean.", None)
     true: Annotated[dict[CoordinateName, Place], ITEMS] = doc(
-        "Where simulated trials truly start, whatever is believed [rad or m]; others are drawn from the belief.", dict
+        "True start of simulated trials, independent of the belief [rad or m]; others are drawn from the belief.", dict
     )
 
 
@@ -145,9 +145,9 @@ class ProblemDocument(Document):
 
     def check(self, at: Located) -> None:
         if self.robot is not None and self.grasp is None:
-            raise at.at("robot").error("a robot without a grasp", "add 'grasp': say what it holds")
+            raise at.at("robot").error("a robot without a grasp", "add 'grasp' with the part that it holds")
         if self.grasp is not None and self.robot is None:
-            raise at.at("grasp").error("a grasp without a robot", "add 'robot': say which robot holds it")
+            raise at.at("grasp").error("a grasp without a robot", "add 'robot' with the robot that holds it")
         if self.release is not None and self.hold is None:
             raise at.at("release").error("only what a hand holds can be released", "add 'hold', or drop 'release'")
 

@@ -143,7 +143,7 @@ def _robot_file(path: str, at: Located) -> Path:
     robots = named_robots()
     if path in robots:
         return robots[path]
-    problem = f"there is no file {shown(path)} beside this one, and no robot of that name"
+    problem = f"there is no file {shown(path)} next to this one, and no robot of that name"
     if robots:
         raise at.at("path").error(problem, choices(path, robots))
     raise at.at("path").error(problem, f"robots by name need a package: {pip_install('robots')}")

@@ -68,7 +68,7 @@ def check_format(located: Located, document: type[Document]) -> None:
         case ["micah-plan", other, _] if other != kind:
             raise at.error(f"expected a {kind} file, found a {shown(other)[1:-1]} file", f"give a {kind} file")
         case ["micah-plan", _, _]:
-            remedy = "use the version of micah-plan that wrote it, or write the file anew"
+            remedy = "use the version of micah-plan that wrote it, or write the file again"
         case _:
             remedy = f"a {kind} file {stated}"
     raise at.error(f"expected {expected}, found {shown(at.data)}", remedy)

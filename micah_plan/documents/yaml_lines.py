@@ -205,7 +205,7 @@ class _Reader:
     def _value(self, event: events.Event, path: KeyPath) -> Any:
         if isinstance(event, events.AliasEvent):
             if event.anchor not in self._anchors:
-                problem = f"the alias {shown('*' + event.anchor)} stands for nothing that was written before it"
+                problem = f"the alias {shown('*' + event.anchor)} refers to nothing before it"
                 raise self._error(event, problem, f"write '&{event.anchor}' before the value that it means")
             return self._resolved_alias(event, *self._anchors[event.anchor], path)
         value = self._parsed(event, path)
@@ -228,7 +228,7 @@ class _Reader:
 
     def _check_depth(self, event: events.Event, path: KeyPath) -> None:
         if len(path) > DEEPEST:
-            raise self._error(event, f"expected at most {DEEPEST} levels", "nothing needs to be nested so deep")
+            raise self._error(event, f"expected at most {DEEPEST} levels", "use fewer levels")
 
     def _parsed(self, event: events.Event, path: KeyPath) -> Any:
         """The value that starts at an event."""

@@ -20,11 +20,11 @@ from micah_plan.quantities import count
 from micah_plan.task.body import volume
 
 DENSITY = 500.0
-"""Of wood, kg/m^3: nobody has weighed the object."""
+"""Of wood, kg/m^3, since the object's mass was not measured."""
 JOINT_SUFFIX = "_joint"
-_REMEDY = "that format cannot say it; keep the YAML"
+_REMEDY = "the format cannot represent it; keep the YAML"
 DAMPING = {"rad": 0.05, "m": 2.0}
-"""Of joints by their unit, so that the object comes to rest, N m s/rad or N s/m: nobody has measured it."""
+"""Of joints by their unit, so that the object comes to rest, N m s/rad or N s/m: not measured."""
 # A part without shapes must weigh something, or no engine can move it.
 _BARE_MASS, _BARE_RADIUS = 0.1, 0.02
 
@@ -145,7 +145,7 @@ def lost_in_bodies(automaton: HybridAutomaton, density: float, *, handles: bool)
     lost += ["handles"] if not handles and any(part.handle is not None for part in automaton.parts) else []
     bare = [link.child for link in automaton.links if not automaton.part(link.child).shapes]
     notes = [f"left out: {', '.join(lost)}"]
-    notes.append(f"masses are those of shapes with {density:g} kg/m^3; nobody has weighed them")
+    notes.append(f"masses are those of shapes with {density:g} kg/m^3; they were not measured")
     if bare:
         notes.append(f"without shapes, so a ball of {_BARE_MASS:g} kg: {', '.join(bare)}")
     return tuple(notes)

@@ -66,7 +66,7 @@ def targets(path: str | Path) -> tuple[str, ...]:
         raise InputError("a USD file is not read", source=path, remedy=remedy)
     if suffix not in TARGETS:
         remedy = f"give a recording ({', '.join(READABLE)}), plan (.json), model (.yaml), .urdf, .sdf or .xml (MuJoCo)"
-        raise InputError(f"nothing can be made of a {shown(suffix)} file", source=path, remedy=remedy)
+        raise InputError(f"there is no conversion of a {shown(suffix)} file", source=path, remedy=remedy)
     return TARGETS[suffix]
 
 

@@ -111,7 +111,7 @@ class CheckedPlant:
         what, patience = f"{kind.__name__}.{method}", getattr(self._plant, "patience", _PATIENCE)
         if patience is not None and not (isinstance(patience, int | float) and 0.0 < patience < np.inf):
             problem = f"{kind.__name__}.patience must be seconds > 0, or None. Got {shown(patience)}"
-            raise InputError(problem, remedy="leave it out for a minute")
+            raise InputError(problem, remedy="leave it out: the default is a minute")
         with _aborted_after(what, patience):
             return _call_user_code(kind, what, getattr(self._plant, method), *arguments)
 

@@ -89,7 +89,7 @@ def explore(
     if scene.position is not None and np.linalg.norm(first.position[0] - scene.position) > _NEAR:
         away = quantity(float(np.linalg.norm(first.position[0] - scene.position)), "m")
         remedy = "correct holds.position of the scene, or leave it out"
-        raise InputError(f"the handle is first measured {away} from where the scene says", remedy=remedy)
+        raise InputError(f"the handle is first measured {away} from the place in the scene", remedy=remedy)
     if scene.is_outside(first.position[0]):
         remedy = "correct workspace of the scene, or leave it out"
         raise InputError("the handle is first measured outside of the workspace", remedy=remedy)

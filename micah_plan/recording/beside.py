@@ -83,7 +83,7 @@ def _given(recording: Recording, time: Floats, total: Floats, offset: float) -> 
     first, last = recording.time.min() + offset, recording.time.max() + offset
     if first > time[-1] or last < time[0]:
         problem = f"at this offset the commands are from {time[0] - offset:.3g} to {time[-1] - offset:.3g} s"
-        raise InputError(problem, source="--offset", remedy="say time of the commands minus time of the video")
+        raise InputError(problem, source="--offset", remedy="give the time of the commands minus that of the video")
     scores = {part: _correlation(recording, part, time, total, np.array([offset]))[0] for part in recording.parts}
     part = max(scores, key=lambda name: scores[name])
     return ClockOffset(offset, 0.0, None, part)
@@ -101,8 +101,8 @@ def _found(recording: Recording, time: Floats, total: Floats) -> ClockOffset:
     own = scores[part]
     k = int(own.argmax())
     if own[k] < _LEAST_CORRELATION:
-        problem = "at no offset between the clocks a part moves as was commanded"
-        raise InputError(problem, source="--actions", remedy="say --offset, or leave out the commands")
+        problem = "at no offset between the clocks does a part move as commanded"
+        raise InputError(problem, source="--actions", remedy="give --offset, or leave out the commands")
     between = float(offsets[1] - offsets[0])
     before, after = own[max(k - 1, 0)], own[min(k + 1, len(own) - 1)]
     bend = float(2.0 * own[k] - before - after)

@@ -33,7 +33,7 @@ LARGEST = {
 
 _HEADER_REMEDY = (
     "the first line names the columns t,x,y,z and optionally run, part, qx..qw, ax..az, fx..fz; "
-    "other names are said by --columns t=Time,x=TX,y=TY,z=TZ"
+    "give other names by --columns t=Time,x=TX,y=TY,z=TZ"
 )
 
 MOST_PARTS = 1000
@@ -124,7 +124,7 @@ def _check_values(recording: Recording, place: Place) -> None:
         if not good.all():
             row = int(np.argmin(good))
             if np.isnan(values[row]) and name in (*POSITION, *QUATERNION):
-                problem = "expected a number, found nothing, though other numbers of the pose are there"
+                problem = "expected a number, found none although the pose has others"
                 remedy = "fill in the value, or empty the whole pose where the part was lost"
                 raise InputError(problem, where=place(row, name), remedy=remedy)
             problem = f"expected a finite number of at most {LARGEST[name]:g} in size, found {values[row]:g}"
@@ -166,7 +166,7 @@ def _check_rows(recording: Recording, minimum_rows: int, place: Place) -> None:
         if empty.any():
             row = int(np.argmax(empty))
             problem = "the action is empty, which is only allowed in the last row of a run" + _of(recording, row)
-            remedy = "fill in the commanded displacement (0 where nothing was commanded) or remove ax,ay,az"
+            remedy = "fill in the commanded displacement (0 without a command) or remove ax,ay,az"
             raise InputError(problem, where=place(row, ACTION[0]), remedy=remedy)
     if (sizes < minimum_rows).any():
         short = int(np.argmax(sizes < minimum_rows))

@@ -58,11 +58,11 @@ def with_commands(recording: Recording, kind: CommandKind) -> Recording:
         raise InputError(f"commands: expected one of {', '.join(get_args(CommandKind))}, found {shown(str(kind))}")
     if recording.action is None:
         remedy = "leave it out, or name the columns of the actions or targets"
-        raise InputError(f"commands are said to be of the kind {kind}, but the recording has none", remedy=remedy)
+        raise InputError(f"commands of the kind {kind} are given, but the recording has no commands", remedy=remedy)
     stated = command_meaning(recording)
     if stated is not None and stated != kind:
-        problem = f"commands are said to be of the kind {kind}, but its column '{MEANING_COLUMN}' says {stated}"
-        raise InputError(problem, remedy="leave out what is said, or remove the column")
+        problem = f"commands of the kind {kind} are given, but the column '{MEANING_COLUMN}' has {stated}"
+        raise InputError(problem, remedy="leave out the option, or remove the column")
     action = recording.action
     if kind == "velocity":
         action = action * _time_to_next(recording)[:, None]
@@ -91,7 +91,7 @@ def check_one_meaning(recordings: Sequence[Recording]) -> None:
     if len(meanings) > 1:
         named = ", ".join(meaning or "not said" for meaning in meanings)
         problem = f"the commands of recordings that are joined mean different things: {named}"
-        raise InputError(problem, remedy="say it for all of them, or calibrate with those of one meaning")
+        raise InputError(problem, remedy="state one meaning for all of them, or calibrate with those of one meaning")
 
 
 def _time_to_next(recording: Recording) -> Floats:

@@ -150,7 +150,9 @@ def _rows(lines: list[str], *, are_numbered: bool = False) -> tuple[list[str], l
         numbers, raw = filled, [str(number) for number in range(1, len(raw) + 1)]
     elif all(is_number(name) for name in raw):
         problem = f"expected a header line, found {shown(','.join(raw))}"
-        remedy = "put the names of the columns first, such as t,x,y,z, or say them by number: --columns t=1,x=2,y=3,z=4"
+        remedy = (
+            "put the names of the columns first, such as t,x,y,z, or give them by number: --columns t=1,x=2,y=3,z=4"
+        )
         raise InputError(problem, where=f"line {header}", remedy=remedy)
     rows = [fields(number) for number in numbers]
     for number, row in zip(numbers, rows, strict=True):

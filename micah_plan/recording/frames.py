@@ -60,7 +60,7 @@ class FrameEdge:
         if not self.static and apart.any():
             time = stamps[again[apart][0]] / 1e9
             problem = f"{shown(self.topic)} has two poses of {shown(self.child)} at {time:.3f} s"
-            raise InputError(problem, remedy="does something else publish it too? choose another topic: --topic NAME")
+            raise InputError(problem, remedy="does another node publish it too? Choose another topic: --topic NAME")
         keep = np.diff(stamps, append=stamps[-1] + 1) != 0
         return stamps[keep], poses[keep]
 

@@ -164,7 +164,7 @@ def _episodes(table: Columns, names: Mapping[str, Sequence[str]]) -> Recording:
         found = f"names {shown(description)}" if description else f"no names of entries in {_INFO} above the file"
         raise InputError(
             f"{problem}; found {found}",
-            remedy="name them, or say whose joints they are: --robot",
+            remedy="name them, or name the robot of these joints: --robot",
         )
     both = [_of_part(table, part, states[part], commanded.get(part, {}), rest) for part in parts]
     return both[0] if len(both) == 1 else _joined(both)

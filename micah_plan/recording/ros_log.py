@@ -72,7 +72,7 @@ def read_ros_log(path: str | Path, *, minimum_rows: int = 1, conventions: Conven
             kinds = ", ".join(kind.replace("/msg/", "/") for kind, content in READ.items() if content == "poses")
             remedy = "log poses of the part"
             if log.joints:
-                remedy += ", or say whose joints they are: --robot NAME --tool FRAME"
+                remedy += ", or name the robot of its joints: --robot NAME --tool FRAME"
             raise InputError(f"expected poses ({kinds}), found {_listed(path)}", remedy=remedy)
         recording = as_recorded(log.recording(meant.topics, meant.frame), meant)
         return checked_recording(recording, minimum_rows=minimum_rows)

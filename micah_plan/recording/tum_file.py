@@ -111,7 +111,7 @@ def _of_matrices(rows: list[list[str]], numbers: list[int], meant: Conventions) 
     """A recording from matrices (3, 4), a row of the file each."""
     if meant.rate is None:
         problem = f"{_OF_A_MATRIX} numbers per line are the matrices of KITTI, which have no times"
-        raise InputError(problem, where=f"line {numbers[0]}", remedy="say how many there are per second: --rate 10")
+        raise InputError(problem, where=f"line {numbers[0]}", remedy="give their number per second: --rate 10")
     try:
         matrices = floats([text for row in rows for text in row]).reshape(-1, 3, 4)
     except UnreadableValue as error:

@@ -213,7 +213,7 @@ def _check_usable(automaton: HybridAutomaton, examination: Examined) -> None:
     )
     if across > max(_FAR, _FAR_SHARE * arm):
         raise InputError(
-            f"the measured poses do not fit the model: they lie {quantity(across, 'm', digits=2)} beside its joints",
+            f"the measured poses do not fit the model: they are {quantity(across, 'm', digits=2)} off its joints",
             remedy="take the model that was learned from this object, or the base frame that it was learned in",
         )
 

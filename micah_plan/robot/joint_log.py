@@ -87,7 +87,7 @@ def tool_recording(
     if uncommanded:
         notes = (
             *notes,
-            f"the first {count(uncommanded, 'row')} come before the first target: nothing is commanded there",
+            f"the first {count(uncommanded, 'row')} come before the first target, so they have no command",
         )
     recording = recording_of_columns(table, conventions)
     if targets is not None:
@@ -189,10 +189,10 @@ def _beyond_limits(arm: Arm, q: Floats) -> Sequence[str]:
         return ()
     units, largest = "", float(np.abs(q).max())
     if largest > 2 * np.pi:
-        units = "; are these degrees? then say so: --units deg"
+        units = "; are these degrees? Then add --units deg"
         if largest <= _NORMALISED:
             units += (
-                "; or LeRobot's -100 to 100 of the calibrated range? then give the arm's file of them: "
+                "; or LeRobot's -100 to 100 of the calibrated range? Then give the arm's file of them: "
                 "--joint-ranges calibration.json"
             )
     return (f"{count(len(wrong), 'joint')} of the robot, first {shown(wrong[0])}, go beyond their limits{units}",)

@@ -34,7 +34,7 @@ def lowered(
         TimeLimitError: if it passes before there is a trajectory.
     """
     if problem.hold is None or problem.release is None:
-        raise InputError("the problem releases nothing", remedy="add 'release' to a problem with 'hold'")
+        raise InputError("the problem has no release", remedy="add 'release' to a problem with 'hold'")
     path = tool_path(problem, [mode] * len(states), states)
     grip = problem.hold.grip
     meet = frozenset((part, problem.release.support) for part in (grip.held.name, grip.moving.name))

@@ -39,7 +39,7 @@ def check_form(form: EffectForm) -> None:
         unchanged = _outputs(EffectForm(), np, neutral, _PLACES, _COMMANDS)
         for name, values in _checked(form, neutral).items():
             if not np.allclose(values, unchanged[name], atol=TINY):
-                raise InputError(f"effect {form.name}: {name} must change nothing at the neutral parameters")
+                raise InputError(f"effect {form.name}: {name} must have no effect at the neutral parameters")
     _checked(form, acting)
     if form.layer == "sensor":
         at = [form.measured(np, c, _TIME, acting) for c in (0.0, 1.0, 3.0)]
@@ -52,7 +52,7 @@ def check_form(form: EffectForm) -> None:
 
 def _check_layer(form: EffectForm) -> None:
     if not form.layers:
-        raise InputError(f"effect {form.name}: it overrides no hook, so it does nothing")
+        raise InputError(f"effect {form.name}: it overrides no hook, so it has no effect")
     if len(form.layers) > 1:
         raise InputError(
             f"effect {form.name}: it overrides hooks of the layers {' and '.join(form.layers)}, and only one is called",
@@ -131,7 +131,7 @@ def _outputs(form: EffectForm, ops: Operations, p: Values, c: Value, v: Value) -
         raise InputError(f"effect {form.name}: remember must keep {len(memory)} values. Got {len(after)}")
     begun = form.in_motion(c, 0.0, p)
     if len(begun) != len(memory) or (ops is np and not all(map(np.allclose, begun, memory))):
-        raise InputError(f"effect {form.name}: in_motion must be what at_rest says, where the part moved by 0")
+        raise InputError(f"effect {form.name}: in_motion must equal at_rest where the part moved by 0")
     action: Values = (v, *_ACROSS)
     low, high = form.stops(ops, *_ENDS, p)
     nothing = 0.0 * c + 0.0 * v

@@ -22,7 +22,7 @@ def disagreement(plan: Plan, problem: Problem) -> tuple[str, str] | None:
     share, confidence = plan.success_probability, problem.settings.confidence
     if share is not None and share < (least := least_share(confidence, plan.verification_trials)):
         claim = f"outcome solved, but its share of successes {share:g} is less than the {least:.3g} that"
-        return "success_probability", f"{claim} the confidence {confidence:g} asks for"
+        return "success_probability", f"{claim} the confidence {confidence:g} requires"
     if (found := _belief_contradiction(plan.trajectory.factors)) is not None:
         return "trajectory.factors", found
     return _step_contradiction(plan.trajectory, problem) or _end_contradiction(plan, plan.trajectory, problem)

@@ -81,7 +81,7 @@ def resting_place(problem: Problem) -> Rest:
     """
     release, hold = problem.release, problem.hold
     if release is None or hold is None:
-        raise InputError("the problem releases nothing", remedy="add 'release' to a problem with 'hold'")
+        raise InputError("the problem has no release", remedy="add 'release' to a problem with 'hold'")
     joint = problem.automaton.n - 1
     latched = [
         mode
@@ -142,7 +142,7 @@ def pre_release_problem(problem: Problem) -> Problem:
 def _shape(problem: Problem, mode: str) -> tuple[Floats, Floats]:
     """(k, 3) corners of the object in a mode and (3,) its centre of mass, from the hand's point, base axes [m]."""
     if problem.hold is None:
-        raise InputError("the problem does not say how the object is held", remedy="add the block 'hold'")
+        raise InputError("the problem does not define how the object is held", remedy="add the block 'hold'")
     poses = part_poses(problem.automaton, problem.automaton.mode(mode), np.zeros(problem.automaton.n))
     parts = (problem.hold.grip.held, problem.hold.grip.moving)
     points = [np.asarray(poses[part.name].apply(box_corners(part.shapes))) for part in parts]

@@ -122,7 +122,7 @@ def _effect(effect: FoundEffect) -> dict[str, str]:
     if effect.effect.modes:
         sentences.append(f"It acts only in {', '.join(effect.effect.modes)}.")
     if not effect.is_added:
-        sentences.append("The new model does not have it; the notes say why.")
+        sentences.append("The new model does not have it; see the notes.")
     if effect.effect.since is not None:
         sentences.append(f"It began {began(effect.effect.since)}.")
     others = f"This recording does not distinguish it from {', '.join(effect.tied)}. To do so: {effect.experiment}."

@@ -57,7 +57,7 @@ def plan_charts(plan: Plan, problem: Problem, runs: Sequence[DrawnRun] = ()) -> 
     frames = {float(time): float(step) for time, step in zip(times, [*steps, last, last], strict=True)}
     keyframes = tuple(sorted(frames.items()))
     legend = (
-        f"Mean ± {plain(settings.sigmas)} σ, the room that a confidence of {percent(settings.confidence)} asks for at "
+        f"Mean ± {plain(settings.sigmas)} σ, the room that a confidence of {percent(settings.confidence)} requires at "
         "a limit; below it σ alone. Green: goal. Dashed: where the mode changes."
     )
     left_out = problem.automaton.n - MOST_COORDINATES

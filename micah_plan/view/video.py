@@ -106,7 +106,7 @@ def _frames(page: str, filming: Filming, progress: Progress) -> Iterator[bytes]:
             raise InputError("nothing moves on this page", remedy="take a picture instead")
         count = round(duration / filming.speed * filming.rate) + 1
         if count > _MOST_FRAMES:
-            raise InputError(f"{count} frames are too many", remedy="ask for fewer per second, or for more speed")
+            raise InputError(f"{count} frames are too many", remedy="choose fewer per second, or a higher speed")
         for k in range(count):
             browser.evaluate("time => player.show(time)", min(k * filming.speed / filming.rate, duration))
             progress(f"frame {k + 1} of {count}", k / count)

@@ -128,7 +128,7 @@ def _of_npz(path: str | Path, axes: Axes | None, unit: str | None, camera: Camer
         first, second = tracks.shape[:2]
         if first == second:
             problem = f"the tracks '{named[0]}' {tracks.shape} may be of points or frames first"
-            raise InputError(problem, remedy="say --axes points,frames or --axes frames,points")
+            raise InputError(problem, remedy="add --axes points,frames or --axes frames,points")
         axes = _axes_of(tracks)
     points_first = axes == "points,frames"
     if not points_first:
@@ -184,7 +184,7 @@ def _camera(arrays: Mapping[str, Any]) -> Camera:
             fx, fy, cx, cy = numbers.tolist()
             return Camera(np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), np.zeros(0))
     problem = "tracks in pixels need the camera's intrinsics"
-    raise InputError(problem, remedy="say --camera CAMERA.yaml, or store 'intrinsics' (3, 3) beside them")
+    raise InputError(problem, remedy="add --camera CAMERA.yaml, or store 'intrinsics' (3, 3) with them")
 
 
 def _lifted(tracks: Floats, arrays: Mapping[str, Any], points_first: bool, camera: Camera) -> Floats:
@@ -273,7 +273,7 @@ def _of_c3d(path: str | Path, unit: str | None) -> PointTracks:
     except Exception as error:  # whatever a damaged file makes the library raise
         raise InputError(f"expected a C3D file ({shown(str(error))})", remedy="export it again") from None
     if length not in LENGTHS or not rate > 0.0:
-        raise InputError(f"expected lengths in m or mm and a rate, found {shown(length)}", remedy="say --units mm")
+        raise InputError(f"expected lengths in m or mm and a rate, found {shown(length)}", remedy="add --units mm")
     places = points[:3].transpose(1, 2, 0)
     places = np.where((np.abs(places) > 0.0).any(axis=2, keepdims=True), places, np.nan)  # zeros: not seen
     return PointTracks(places * LENGTHS[length], rate, names)

@@ -81,7 +81,7 @@ def track_points(tracks: PointTracks, rate: float) -> TrackedPoints:
     base, others = bodies[0], bodies[1:]
     if not others:
         way = _largest_way(base)
-        problem = f"one rigid body only: beside it nothing moves, it moves by {quantity(way, 'm', digits=2)}"
+        problem = f"one rigid body only: no other one moves, it moves by {quantity(way, 'm', digits=2)}"
         raise InputError(problem, remedy="track points on what stands and on what moves, while it moves")
     names = ("base", *_names(others, tracks.names))
     first = None if any(standing) else int(np.flatnonzero(base.is_seen)[0])

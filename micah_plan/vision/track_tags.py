@@ -253,7 +253,7 @@ def _camera(
     if abs(float(np.log(focal / of_file.matrix[0, 0]))) < _DOUBTED * of_tags.uncertainty:
         return of_file, []
     return of_file, [
-        f"the camera file says f = {of_file.matrix[0, 0]:.0f} px, but squares are square at {focal:.0f} ± "
+        f"the camera file has f = {of_file.matrix[0, 0]:.0f} px, but squares are square at {focal:.0f} ± "
         f"{focal * off:.0f} px: is it of this camera, its zoom and this size of pictures?"
     ]
 
@@ -325,7 +325,7 @@ def _notes_on_lens(
     if turned[worst] < _MATTERS * stds[worst][1]:
         return []
     return [
-        "the camera file says that its lens bends no lines: if these pictures were not rectified, directions may be "
+        "the camera file has a lens without distortion: if these pictures were not rectified, directions may be "
         f"off by {quantity(turned[worst], 'rad', digits=2, degrees=False)}; calibrate it with --camera-from"
     ]
 
@@ -404,7 +404,9 @@ def _notes_on_tags(
         if not sizes:
             notes.append(f"tag {number} ({tag.part}) is never seen")
         elif number not in placed[tag.part]:
-            notes.append(f"tag {number} ({tag.part}) is never seen beside another of its part, so it was left out")
+            notes.append(
+                f"tag {number} ({tag.part}) is never seen together with another of its part, so it was left out"
+            )
         elif np.median(sizes) < _ENOUGH_PX and max(len(s.points) for s in sightings[tag.part] if s is not None) == 4:
             notes.append(
                 f"tag {number} ({tag.part}) is {np.median(sizes):.0f} px wide; below {_ENOUGH_PX:.0f} px its tilt is "
@@ -438,5 +440,5 @@ def _notes_on_parts(
         way = float(np.linalg.norm(np.ptp(places, axis=0)))
         turned = float((turns[0].inv() * turns).magnitude().max())
         if way < _MOVES * stds[part][0] and turned < _MOVES * stds[part][1]:
-            notes.append(f"{part} does not move: by less than {quantity(max(way, 1e-6), 'm')} beside {base}")
+            notes.append(f"{part} moves by less than {quantity(max(way, 1e-6), 'm')} relative to {base}")
     return notes

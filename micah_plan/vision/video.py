@@ -78,7 +78,7 @@ def _of_folder(folder: Path, rate: float | None) -> Iterator[tuple[float, Any]]:
         times = _stamps(stamps, len(files))
     elif files:
         raise InputError(
-            "when its pictures were taken is not known", source=folder, remedy=f"add {STAMPS} or say --rate"
+            "when its pictures were taken is not known", source=folder, remedy=f"add {STAMPS} or give --rate"
         )
     for file, time in zip(files, times if files else (), strict=True):
         picture = cv2.imread(str(file), cv2.IMREAD_COLOR)

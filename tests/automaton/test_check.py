@@ -62,7 +62,7 @@ MISTAKES = {
     "mode rigid: the pin of door, 1.3 rad, lies outside of the mode's invariant [1.17, 1.23]; move": shut(
         pins=(Pin(0, 1.3, 0.01),), joints=(rigid([1.2, 0, 0], fixed_at=1.3),)
     ),
-    "mode rigid: the rigid joint of door is fixed at 1.2001 rad, but the pin of door says 1.2 rad; give": shut(
+    "mode rigid: the rigid joint of door is fixed at 1.2001 rad, but the pin of door is at 1.2 rad; give": shut(
         joints=(rigid([1.2, 0, 0], fixed_at=1.2001),)
     ),
     "edge revolute -> rigid: enters mode rigid at door = 1, outside of its invariant [1.17, 1.23]; move the guard or "

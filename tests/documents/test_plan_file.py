@@ -286,7 +286,7 @@ def test_outcome_and_trajectory_must_agree(plan: Plan, problem: Problem) -> None
             0.0,
             "key 'success_interval': expected an interval that holds the share 0, found 0.957",
         ),
-        ("success_probability", None, "key 'success_probability': expected the share of 200 roll-outs, found nothing"),
+        ("success_probability", None, "key 'success_probability': expected the share of 200 roll-outs, found none"),
         ("success_probability", 7.0, "key 'success_probability': expected a number <= 1, found 7"),
         ("success_interval", [0.995, 0.957], "key 'success_interval': expected an interval that holds the share 0.985"),
         ("outcome", "no_plan", "key 'trajectory': outcome no_plan with a trajectory"),
@@ -304,7 +304,9 @@ def test_a_plan_is_solved_only_if_its_roll_outs_say_so(plan: Plan, problem: Prob
     data = json.loads(plan_text(plan, problem))
     rewrite(tmp_path / "plan.json", data | {"success_probability": 0.0, "success_interval": [0.0, 0.02]})
     line = told(load_plan, tmp_path / "plan.json")
-    assert "outcome solved, but its share of successes 0 is less than the 0.858 that the confidence 0.9 asks" in line
+    assert (
+        "outcome solved, but its share of successes 0 is less than the 0.858 that the confidence 0.9 requires" in line
+    )
     rewrite(tmp_path / "plan.json", data | {"success_probability": 0.86, "success_interval": None})
     assert load_plan(tmp_path / "plan.json").plan.success_probability == 0.86
 

@@ -205,7 +205,7 @@ def test_conformance_refuses_a_form_that_acts_when_neutral() -> None:
         def command(self, ops, v, p):
             return v + p[0] + 0.1
 
-    with pytest.raises(InputError, match="must change nothing at the neutral parameters"):
+    with pytest.raises(InputError, match="must have no effect at the neutral parameters"):
         check_form(Wrong())
 
 
@@ -324,7 +324,7 @@ class Growing(Stretching):
         (Deciding, "its formula fails: The truth value"),
         (OfOneSize, "one finite value per state and command"),
         (Broken, "its formula fails: broken"),
-        (Forgetful, "in_motion must be what at_rest says"),
+        (Forgetful, "in_motion must equal at_rest"),
         (Apart, "must mean the same to CasADi"),
         (Growing, "one finite value per state and command"),
         (Bent, "this one is curved"),

@@ -292,7 +292,7 @@ def test_two_publishers_of_one_transform(tmp_path: Path) -> None:
     once = [tf("/tf", time, transform(time, "map", "door", [0.1 * k, 0, 0])) for k, time in enumerate(TIMES)]
     assert len(read(tmp_path, [*once, *once])) == ROWS
     other = tf("/tf", TIMES[3], transform(TIMES[3], "map", "door", [0.5, 0, 0]))
-    with pytest.raises(InputError, match=r"'/tf' has two poses of 'door' at 1700000000\.150 s; does something else"):
+    with pytest.raises(InputError, match=r"'/tf' has two poses of 'door' at 1700000000\.150 s; does another node"):
         read(tmp_path, [*once, other])
     both = [*once, *(door(time, [0, 0, 0]) for time in TIMES)]
     with pytest.raises(InputError, match="'door' is on the topics '/tf' and '/door/pose'; choose one: --topic /tf"):

@@ -53,7 +53,9 @@ def test_velocities_become_displacements_over_uneven_times(tmp_path: Path) -> No
     read = read_recording(log, conventions=Conventions(commands="velocity"))
     np.testing.assert_allclose(read.action, drawer().action, atol=1e-15)
     assert command_meaning(read) == "displacement"
-    with pytest.raises(InputError, match="of the kind velocity, but its column 'command_meaning' says displacement"):
+    with pytest.raises(
+        InputError, match="of the kind velocity are given, but the column 'command_meaning' has displacement"
+    ):
         with_commands(read, "velocity")
 
 
@@ -115,7 +117,7 @@ def test_a_column_that_says_something_else_is_told_with_its_row(tmp_path: Path) 
 
 
 def test_what_is_not_there_means_nothing_and_unknown_kinds_are_named() -> None:
-    with pytest.raises(InputError, match="of the kind position, but the recording has none"):
+    with pytest.raises(InputError, match="of the kind position are given, but the recording has no commands"):
         with_commands(replace(drawer(), action=None), "position")
     with pytest.raises(InputError, match="expected one of displacement, position, velocity, found 'torque'"):
         with_commands(drawer(), "torque")  # type: ignore[arg-type]

@@ -178,7 +178,9 @@ def test_lost_rows_are_gaps_and_their_actions_are_kept(truth: Recording, tmp_pat
 def test_a_pose_of_which_one_number_is_missing_is_refused(truth: Recording, tmp_path: Path) -> None:
     columns = columns_of(truth)
     columns["y"][4] = np.nan
-    with pytest.raises(InputError, match="line 6, column 'y': expected a number, found nothing, though other numbers"):
+    with pytest.raises(
+        InputError, match="line 6, column 'y': expected a number, found none although the pose has others"
+    ):
         read_recording(table(tmp_path / "r.csv", columns))
     for name in ("x", "y", "z"):
         columns[name][:] = np.nan
@@ -485,7 +487,7 @@ def test_columns_without_a_header_are_named_by_their_numbers(tmp_path):
     assert len(recording) == 8
     assert recording.time[-1] == pytest.approx(0.7)
     assert recording.position[-1].tolist() == pytest.approx([0.07, 200.0, 300.0])
-    with pytest.raises(InputError, match=r"line 1: expected a header line.*say them by number: --columns t=1"):
+    with pytest.raises(InputError, match=r"line 1: expected a header line.*give them by number: --columns t=1"):
         read_recording(path)
     with pytest.raises(InputError, match="no column '9'"):
         read_recording(path, conventions=Conventions(columns={"t": "1", "x": "9", "y": "4", "z": "5"}))

@@ -103,7 +103,7 @@ def test_another_object_or_no_actions_is_refused(door) -> None:
         run=recording.run,
         has_run=True,
     )
-    with pytest.raises(InputError, match=r"do not fit the model: they lie .* m+ beside its joints"):
+    with pytest.raises(InputError, match=r"do not fit the model: they are .* m+ off its joints"):
         calibrate(door, elsewhere)
 
 

@@ -80,7 +80,7 @@ def test_degrees_that_are_read_as_radians_are_told(arm: Any, tmp_path: Path) -> 
     found = load(csv(tmp_path / "log.csv", columns), **ROBOT)
     assert isinstance(found, Recording)
     (note,) = found.notes
-    assert "go beyond their limits; are these degrees? then say so: --units deg" in note
+    assert "go beyond their limits; are these degrees? Then add --units deg" in note
 
 
 def test_names_of_joints_and_targets(arm: Any, tmp_path: Path) -> None:
@@ -118,7 +118,7 @@ def test_joints_of_lerobot_are_learned(arm: Any, tmp_path: Path) -> None:
     (tmp_path / "meta").mkdir()
     features = {key: {"dtype": "float32", "shape": [7], "names": names} for key in ("observation.state", "action")}
     (tmp_path / "meta" / "info.json").write_text(json.dumps({"features": features}))
-    with pytest.raises(InputError, match="say whose joints they are: --robot"):
+    with pytest.raises(InputError, match="name the robot of these joints: --robot"):
         load(file)
     found = load(file, angle="deg", name="door", **ROBOT)
     is_the_door(found, arm)
@@ -149,7 +149,7 @@ def test_joint_states_of_ros(arm: Any, tmp_path: Path) -> None:
     (tmp_path / "log.mcap").write_bytes(write_log(messages))
     found = load(tmp_path / "log.mcap", name="door", **ROBOT)
     is_the_door(found, arm)
-    with pytest.raises(InputError, match=r"expected poses .*found '/gripper'.*whose joints they are: --robot"):
+    with pytest.raises(InputError, match=r"expected poses .*found '/gripper'.*name the robot of its joints: --robot"):
         load(tmp_path / "log.mcap")
 
 

@@ -39,7 +39,7 @@ def test_goal_and_guard_are_marked_at_their_values() -> None:
     assert (goal.low, goal.high) == pytest.approx((OPEN_AT - 0.02, OPEN_AT + 0.02))
     (guard,) = marks(block.chart, Level)
     assert guard.value == pytest.approx(OPEN_AT)
-    assert "± 1.28 σ, the room that a confidence of 90 % asks for" in words_of(block)
+    assert "± 1.28 σ, the room that a confidence of 90 % requires" in words_of(block)
 
 
 def test_the_line_of_the_player_stands_at_the_step_that_is_shown() -> None:

@@ -122,7 +122,7 @@ def test_what_cannot_be_tracked_is_said(tmp_path) -> None:
     (tmp_path / "text.npz").write_text("no arrays")
     np.savez(tmp_path / "visible.npz", tracks=tracks, visibility=np.ones(7))
     for name, message in (
-        ("square.npz", "say --axes points,frames"),
+        ("square.npz", "add --axes points,frames"),
         ("flat.npz", "expected one array"),
         ("two.npz", "found a, b"),
         ("text.npz", "expected an NPZ file of plain arrays"),
@@ -186,7 +186,7 @@ def test_tracks_in_pixels_are_lifted_by_their_depths(tmp_path) -> None:
     np.savez(tmp_path / "b.npz", tracks=turned, depths=1000.0 * depth.T, fx_fy_cx_cy=[600.0, 590.0, 320.0, 240.0])
     np.testing.assert_allclose(load_points(tmp_path / "b.npz", unit="mm").places, tracks, atol=1e-9)
     np.savez(tmp_path / "c.npz", tracks=turned, depth=depth.T)
-    with pytest.raises(InputError, match=r"need the camera's intrinsics; say --camera"):
+    with pytest.raises(InputError, match=r"need the camera's intrinsics; add --camera"):
         load_points(tmp_path / "c.npz")
     np.testing.assert_allclose(
         load_points(tmp_path / "c.npz", camera=Camera(FOCAL, np.zeros(0))).places, tracks, atol=1e-9

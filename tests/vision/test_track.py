@@ -96,10 +96,10 @@ def test_a_camera_file_of_a_pinhole_for_a_lens_that_bends_is_told(tmp_path) -> N
     """The marker is near the edge of the picture, where a cheap lens bends most."""
     rendered.film(tmp_path / "bent.mp4", rendered.door(), rendered.shutting, seconds=2.0, bent=rendered.BENT)
     plain = track(tmp_path / "bent.mp4", DOOR, camera=CAMERA)
-    (line,) = (note for note in plain.warnings if "bends no lines" in note)
+    (line,) = (note for note in plain.warnings if "without distortion" in note)
     assert "--camera-from" in line
     right = track(tmp_path / "bent.mp4", DOOR, camera=replace(CAMERA, distortion=rendered.BENT))
-    assert not any("bends no lines" in note for note in right.warnings)
+    assert not any("without distortion" in note for note in right.warnings)
 
 
 def test_the_command_writes_what_learn_reads(videos, tmp_path) -> None:
@@ -120,7 +120,7 @@ def test_the_command_writes_what_learn_reads(videos, tmp_path) -> None:
 
 def test_pictures_with_stamps_are_a_video(tmp_path) -> None:
     rendered.film(tmp_path, rendered.door(), rendered.shutting, seconds=0.4)
-    with pytest.raises(InputError, match=r"add stamps\.txt or say --rate"):
+    with pytest.raises(InputError, match=r"add stamps\.txt or give --rate"):
         track(tmp_path, DOOR, camera=CAMERA)
     (tmp_path / "stamps.txt").write_text("\n".join(str(10.0 + 0.1 * k) for k in range(6)))
     found = track(tmp_path, DOOR, camera=CAMERA)
@@ -325,7 +325,7 @@ def test_a_camera_file_of_another_zoom_is_doubted(videos, factor: float, is_doub
     matrix = rendered.MATRIX * [[factor], [factor], [1.0]]
     matrix[:2, 2] = rendered.MATRIX[:2, 2]
     found = track(videos["hand_held"], DOOR, camera=Camera(matrix, np.zeros(0), (rendered.WIDTH, rendered.HEIGHT)))
-    assert any(note.startswith("the camera file says f = ") for note in found.warnings) == is_doubted
+    assert any(note.startswith("the camera file has f = ") for note in found.warnings) == is_doubted
 
 
 def test_without_a_camera_file_a_lens_that_bends_is_within_what_is_said(tmp_path) -> None:

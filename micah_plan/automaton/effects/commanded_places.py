@@ -41,7 +41,7 @@ def as_commanded(automaton: HybridAutomaton, recording: Recording) -> HybridAuto
     following = next((effect for effect in kept if form(effect.name).layer == "place"), None)
     if following is not None:
         problem = f"the recording's commands are displacements, but in the model {following.coordinate} follows places"
-        raise InputError(problem, remedy="take the model as it was learned, or say --commands position")
+        raise InputError(problem, remedy="use the model as it was learned, or add --commands position")
     return automaton if len(kept) == len(automaton.effects) else replace(automaton, effects=kept)
 
 

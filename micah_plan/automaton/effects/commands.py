@@ -62,7 +62,7 @@ class Bias(EffectForm):
     """v -> v + bias."""
 
     name = "bias"
-    sentence = "Every step moves by the same amount more, whatever is commanded."
+    sentence = "Every step moves by the same amount more, for any command."
     source = "Siciliano et al., Robotics, ch. 6: offset of a drive"
     parameters = (Parameter("bias", "coordinate", 0.0),)
     complexity_rank = 1

@@ -94,7 +94,7 @@ class AxisOffset(EffectForm):
     """The axis of rotation is displaced by `offset_1`, `offset_2` along the directions of `joint.axis_basis`."""
 
     name = "axis_offset"
-    sentence = "The axis of rotation lies beside the one of the model."
+    sentence = "The axis of rotation is displaced from that of the model."
     source = "Sturm et al., JAIR 2011: parameters of articulated objects"
     parameters = (Parameter("offset_1", "m", 0.0), Parameter("offset_2", "m", 0.0))
     in_library = False

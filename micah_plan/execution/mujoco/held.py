@@ -63,7 +63,7 @@ class HeldPlant(PhysicalPlant):
                 simulated.
         """
         if problem.hold is None:
-            raise InputError("the problem does not say how the object is held", remedy="add the block 'hold'")
+            raise InputError("the problem does not define how the object is held", remedy="add the block 'hold'")
         automaton, grip, parameters = problem.automaton, problem.hold.grip, parameters or parameters_of(problem)
         has_arm = problem.robot is not None and problem.grasp is not None
         touchable = {body for body, _, _ in problem.hold.contacts}

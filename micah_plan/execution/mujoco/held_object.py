@@ -111,7 +111,9 @@ class HeldObject:
         pins = {mode.name: pin.value for mode in automaton.modes for pin in mode.pins if pin.coordinate == coordinate}
         datum = max(pins.values(), default=None) if grip.datum is None else grip.datum
         if datum is None:
-            raise InputError("nothing says at which configuration the shapes are given", remedy="give 'hold.datum'")
+            raise InputError(
+                "the configuration at which the shapes are given is not defined", remedy="give 'hold.datum'"
+            )
         positions, capture = [value - datum for value in pins.values()], parameters.latch_capture
         lowest, highest = min([-grip.travel, *positions]), max([0.0, *positions])
         low = [-np.inf if position == lowest else position - capture for position in positions]

@@ -106,7 +106,7 @@ def relative_to(recording: Recording, base: str) -> Recording:
     """
     children = [name for name in recording.parts if name != base]
     if not children:
-        problem = f"the only part {shown(base)} is the base, so nothing is left to learn"
+        problem = f"the only part {shown(base)} is the base, so there is nothing to learn"
         raise InputError(problem, where="column 'part'", remedy="record the parts that move on it too")
     relative: list[RelativeRows] = []
     for child in children:
