@@ -61,7 +61,7 @@ class ExplorationResult(Result):
         return [
             f"{outcome}: {exploration.reason}",
             f"  joints       {joints} (probability {percent(min(exploration.probability, SUREST), 0)})",
-            f"  {count(exploration.steps, 'step')}, {went} of way, at most {force}",
+            f"  {count(exploration.steps, 'step')}, {went} of travel, at most {force}",
             *(f"  note: {note}" for note in exploration.notes),
         ]
 
