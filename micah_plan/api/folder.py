@@ -113,7 +113,7 @@ def _file_in_folder(path: Path, pages: Sequence[Path]) -> FileInFolder:
 
 def _group_of(value: Loaded | None) -> Group:
     if isinstance(value, Recording):
-        # What executions write beside the poses.
+        # Columns that executions add to the poses.
         return "runs" if any(name.startswith("belief_") for name in value.extra) else "recordings"
     groups: Mapping[type, Group] = {HybridAutomaton: "models", Problem: "problems", PlanningResult: "plans"}
     return groups.get(type(value), "others")

@@ -263,7 +263,7 @@ def _no_single_joint_sentence(segment: Segment, no_single_joint: NoSingleJoint, 
         f"no single-joint model fits rows {segment.start} to {segment.end} of part '{part}' (run {segment.run}): the "
         f"best, {segment.joint.kind}, misses them by {missed}"
     )
-    if all(miss <= alone for miss, alone, _ in distances):  # no more than noise would, but row after row the same way
+    if all(miss <= alone for miss, alone, _ in distances):  # no more than noise, but in one direction
         return f"{best}, row after row the same way: motion along a smooth curve explains them better"
     noise = " and ".join(quantity(alone, unit, digits=2, degrees=False) for _, alone, unit in distances)
     return f"{best} where the measurement alone would leave {noise}"

@@ -34,7 +34,7 @@ from micah_plan.quantities import LARGEST
 UNITS = ("rad", "m")
 Place = tuple[str | int, ...]
 
-LARGEST_WEIGHT = 1e9  # as gains of plans; the reciprocal is the smallest: what is less moves or bounds nothing
+LARGEST_WEIGHT = 1e9  # as gains of plans; the reciprocal is the smallest: smaller ones have no effect
 
 
 def check_automaton(automaton: HybridAutomaton) -> None:

@@ -33,6 +33,6 @@ def _is_empty_box(regions: Sequence[Region]) -> bool:
     for region in regions:
         for key, limit in (region.tightest or {}).items():
             tightest[key] = max(tightest.get(key, limit), limit)
-    # A lower bound and, with its sign changed, an upper one leave nothing where their sum is above 0.
+    # A lower bound and, with its sign changed, an upper one leave no room where their sum is above 0.
     both = [(low, tightest[i, False]) for (i, is_lower), low in tightest.items() if is_lower and (i, False) in tightest]
     return any(low + high > 0 or (low + high == 0 and (a or b)) for (low, a), (high, b) in both)

@@ -46,7 +46,7 @@ def input_reversal_of(automaton: HybridAutomaton, edge: Edge) -> InputReversal |
     forth, onward = a @ before, float((a @ before) @ (a @ after))
     if onward > 0.0 and not np.any(np.sum(before * after, axis=1) < 0.0):
         return None
-    mirrored = -1.0  # share of the way behind the boundary by which the next mode leads back; -1: it leads on alike
+    mirrored = -1.0  # share of the motion behind the boundary by which the next mode leads back; -1: it leads on
     if onward <= 0.0:
         mirrored = 0.0 if _leads_back(automaton, edge, crossed) else -onward / float(forth @ forth)
     across = (1.0 + mirrored) * a / float(a @ a)

@@ -190,7 +190,7 @@ def _changepoint_std(edge: KinematicEdge, below: _Group, above: _Group) -> float
     ]
     if not variances:
         return 0.0
-    # Rows are chosen anew at every switch, but the tracker's error wanders: more switches do not average it away.
+    # Rows are selected at every switch, but the tracker's error wanders: more switches do not average it out.
     measured = max(below.leading.observation_std, above.leading.observation_std)
     return float(np.hypot(np.sqrt(np.sum(variances)) / len(variances), measured))
 

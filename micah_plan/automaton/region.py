@@ -188,7 +188,7 @@ class Region:
             weights = [(i, weight) for i, weight in enumerate((*half_space.a, *half_space.b)) if weight]
             if len(weights) > 1:
                 return None
-            # Without a weight it says that 0 is at least its constant, or more.
+            # Without a weight it states that 0 is at least its constant, or more.
             index, weight = weights[0] if weights else (-1, 1.0)
             if not weights:
                 found[index, False] = (0.0, False)

@@ -165,7 +165,7 @@ def _tracks(automaton: HybridAutomaton, seen: _RowsByLink, *, is_outside: bool) 
     time = seen.by_link[0].time
     since = np.concatenate([time[rows] - time[rows][:1] for _, rows in seen.runs])
     believed = _estimated_configurations(automaton, seen)
-    # Of a run that tells nothing of beliefs the sensor's own readings were measured.
+    # In a run without recorded beliefs the sensor's own readings were measured.
     tells_beliefs = [believed is not None and bool(np.isfinite(believed[rows]).any()) for _, rows in seen.runs]
     outside = np.repeat(
         [is_outside and by_run for by_run in tells_beliefs], [rows.stop - rows.start for _, rows in seen.runs]

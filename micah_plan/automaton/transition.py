@@ -480,7 +480,7 @@ def _projected_on_walls(group: _StepState, normals: Floats) -> _StepState:
     for wall in instant.walls:
         normals = normals - (normals * wall).sum(axis=1, keepdims=True) * wall
     rest = np.linalg.norm(normals, axis=1, keepdims=True)
-    # Where the earlier walls leave no direction to give way in, all motion stops.
+    # Where the earlier walls leave no direction to move in, all motion stops.
     gives = rest > TOLERANCE * size
     walls = np.concatenate([instant.walls, np.where(gives, normals / np.where(gives, rest, 1.0), 0.0)[None]])
     d = group.d
@@ -507,7 +507,7 @@ class _Row:
     tolerance: float
 
 
-# Half-spaces that fill up guards with fewer than others, and stand for the exits of a mode without any.
+# Half-spaces that pad guards with fewer than others, and represent the exits of a mode without any.
 _ALWAYS = _Row((), (), -1.0, False, TOLERANCE)
 _NEVER = replace(_ALWAYS, c=1.0)
 

@@ -24,7 +24,7 @@ from micah_plan.belief.layout import Exit, ExitBounds, Layout, ModeLayout
 from micah_plan.belief.pieces import Binding, Ends, Pieces
 from micah_plan.belief.truncation import NEGLIGIBLE, NOTHING, REACH, Shares, split, truncated
 
-# Factors with more than this many columns per row are made triangular on the way.
+# Factors with more than this many columns per row are made triangular in between.
 _WIDEST = 3
 
 
@@ -323,7 +323,7 @@ def _projected_along(mode: ModeLayout, pieces: Pieces, candidate_exit: Exit, cho
     pressed = np.argmin(starts, axis=0)
     at_it = (np.abs(starts.min(axis=0)) <= SMALLEST_STD) & (ends.min(axis=0) >= 0.0) & candidate_exit.allowed(u)
     for number, a in enumerate(rows.a):
-        # The part of the boundary's normal along which the mode can give way.
+        # The component of the boundary's normal along which the mode can move.
         normal = a.copy()
         normal[list(mode.still)] = 0.0
         pressing = (at_it & (pressed == number) & (ends[number] > SMALLEST_STD)).nonzero()[0]
@@ -356,7 +356,7 @@ def transition(
     motion = end - start
     behind_mean = share * motion
     np.subtract(end, behind_mean, out=mean[0])
-    # On the guard nothing is uncertain across it: the uncertainty before moves the event along the path.
+    # On the guard the uncertainty across it is 0: the uncertainty before moves the event along the path.
     np.multiply(before - after, share, out=met)
     met += after
     ahead[:] = after

@@ -116,7 +116,7 @@ def measured(means: Floats, factors: Floats, z: Floats, std: Floats) -> tuple[Fl
     for i in coordinates:
         deviation, away, row = np.maximum(std[i], SMALLEST_STD), z[i] - means[i], factors[i].copy()
         if np.count_nonzero(is_measured[i]) < len(away):
-            # Where it is not seen it tells nothing: nothing couples it to the state, and its density is 1.
+            # Where it is not seen it has no information: it is uncoupled from the state, and its density is 1.
             deviation = np.where(is_measured[i], deviation, 1 / math.sqrt(2 * math.pi))
             away, row = np.where(is_measured[i], away, 0.0), np.where(is_measured[i], row, 0.0)
         # The innovation's variance grows by one column of the factor after the other, and so does the gain times it.

@@ -14,7 +14,7 @@ __all__ = ["main"]
 def main() -> None:
     """Entry point of `micah-plan`. Ctrl-C prints one line from here on, also during imports."""
     repeat_dropped_interruptions()
-    # Plugins of pydantic are looked for in the metadata of all installed packages, and none has a say in these files.
+    # Plugins of pydantic are searched in the metadata of all installed packages, and none applies to these files.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     # Matrices are small here: threads of the linear algebra only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -108,7 +108,7 @@ def _serve(
             leave = "for this machine only; reload it after a change, leave with Ctrl-C"
             print_lines((f"the page is at {server.url} {leave}",))
         sys.stdout.flush()  # a program that started this waits for the address
-        with suppress(KeyboardInterrupt):  # the way to end it
+        with suppress(KeyboardInterrupt):  # how to end it
             server.serve_forever()
 
 

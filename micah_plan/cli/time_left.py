@@ -7,7 +7,7 @@ from rich.text import Text
 
 from micah_plan.quantities import duration
 
-# Before so much time [s] and so great a share is done, an estimate says nothing.
+# Before so much time [s] and so great a share is done, an estimate is meaningless.
 _FIRST_S, _FIRST_SHARE = 2.0, 0.05
 
 

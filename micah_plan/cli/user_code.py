@@ -59,7 +59,7 @@ def _loaded(path: str, _changed_ns: int) -> ModuleType | None:
         return None
     module = module_from_spec(spec)
     sys.modules[spec.name] = module  # dataclasses look there
-    sys.path.append(str(Path(path).parent))  # what lies beside the file can be imported, and hides nothing
+    sys.path.append(str(Path(path).parent))  # modules next to the file can be imported, and hide no others
     try:
         spec.loader.exec_module(module)
     except MicahError:

@@ -75,7 +75,7 @@ def parse_half_space(text: str, scope: Scope, name: str | None = None) -> HalfSp
     return _half_space(text, tuple(scope["coordinate"]), tuple(scope["input"]), name)
 
 
-@lru_cache(maxsize=4096)  # the modes beside a boundary write it alike
+@lru_cache(maxsize=4096)  # the modes on both sides of a boundary write it in the same way
 def _half_space(text: str, coordinates: tuple[str, ...], inputs: tuple[str, ...], name: str | None) -> HalfSpace:
     scope = {"coordinate": coordinates, "input": inputs}
     parser = _Parser(text, scope)

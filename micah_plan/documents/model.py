@@ -45,7 +45,7 @@ from micah_plan.errors import InputError, shown
 from micah_plan.files import read_bytes, replace_file
 
 MODEL_FORMAT = "micah-plan/model/1"
-# A model is square matrices of its coordinates, in each mode and transition: what a file may ask for is bounded.
+# A model is square matrices of its coordinates, in each mode and transition: their size is bounded.
 MOST_ENTRIES = 10_000_000
 _HEADER = """Motion model of an articulated object. Lengths in m, angles in rad, quaternions scalar last, poses in the
 base frame. Half-spaces read `door >= 1.2`, `input door < -0.01` or `0.5*x + 2*z - input x > 0.1`; the state `door` is a

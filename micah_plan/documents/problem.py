@@ -54,7 +54,7 @@ from micah_plan.task.surroundings import surroundings_of
 PROBLEM_FORMAT = "micah-plan/problem/1"
 _MOST_LISTED = 6
 
-# Not a union of kinds: errors would be told twice, at places that the file does not have.
+# Not a union of kinds: errors would be reported twice, at places that the file does not have.
 _SCHEMA = WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string", "maxLength": 100}]})
 
 

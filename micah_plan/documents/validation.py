@@ -76,7 +76,7 @@ def check_format(located: Located, document: type[Document]) -> None:
 
 def _violations(located: Located, document: type[Document], details: list[ErrorDetails]) -> list[InputError]:
     def order(detail: ErrorDetails) -> tuple[bool, tuple[int, int]]:
-        # A key that is missing is often one that is there with a typo: the unknown key tells more.
+        # A missing key is often present with a typo: the unknown key is more informative.
         return detail["type"] == "missing", located.at(*_path(detail)).place() or (0, 0)
 
     return [located.at(*_path(detail)).error(*_explained(detail, document)) for detail in sorted(details, key=order)]

@@ -154,7 +154,7 @@ def lost_in_bodies(automaton: HybridAutomaton, density: float, *, handles: bool)
 def roll_pitch_yaw(rotation: Rotation) -> Floats:
     """(3,) rotations about the fixed axes x, y and z, as in URDF and SDF; yaw is 0 at vertical pitch."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of several such triples SciPy takes one, and says so
+        warnings.simplefilter("ignore", UserWarning)  # of several such triples SciPy takes one, and warns
         return np.asarray(rotation.as_euler("xyz"))
 
 

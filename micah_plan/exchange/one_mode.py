@@ -23,7 +23,7 @@ PROCESS_STD: Mapping[str, float] = {"rad": 0.005, "m": 0.002}
 OBSERVATION_STD: Mapping[str, float] = {"rad": 0.01, "m": 0.003}
 MODE = "moves"
 MOST_JOINTS = 100
-# Beyond these what a file says is doubted: its unit may be another.
+# Values beyond these are suspicious: their unit may be another.
 _MOST_TURNS, _LARGEST_OBJECT = 3.0, 20.0
 
 

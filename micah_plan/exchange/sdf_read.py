@@ -28,7 +28,7 @@ _WORLD, _MODEL = "world", "__model__"
 _MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 _SHAPES = ("box", "cylinder", "sphere", "capsule", "mesh")
 _HERE = RigidTransform.identity()
-# Frames that are relative to each other; more is a circle, or nobody can read it.
+# Frames that are relative to each other; more is a circle, or unreadable.
 _DEEPEST = 100
 
 

@@ -133,7 +133,7 @@ def _with_last_poses(answer: object, last: Measurement) -> object:
         unseen = np.isnan(position).any(axis=1) | np.isnan(quaternion).any(axis=1)
         position[unseen], quaternion[unseen] = last.position[unseen], last.quaternion[unseen]
     except (TypeError, ValueError, IndexError):
-        return answer  # no such numbers: the check says so
+        return answer  # no such numbers: the check reports it
     return replace(answer, position=position, quaternion=quaternion, unseen=unseen) if unseen.any() else answer
 
 

@@ -225,7 +225,7 @@ class Episode:
         elif not reached:
             incident = [truth.incident] if truth is not None and truth.incident else []
             missed = self._misses(goal, mode, x)
-            if self._putting_down and not self._is_open:  # how low the hand is then says nothing
+            if self._putting_down and not self._is_open:  # the height of the hand is then meaningless
                 missed = [messages.not_felt()]
             elif released is False:
                 missed = missed or [messages.does_not_stand()]

@@ -89,7 +89,7 @@ class _Trial:
         misplaced = list(self._pose_faults(first))
         yield from misplaced
         if misplaced:
-            return  # motions would show nothing
+            return  # motions would be uninformative
         yield from self._start_faults(first)
         truth = self._plant.truth()
         if truth is not None:

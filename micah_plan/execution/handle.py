@@ -124,7 +124,7 @@ def _missing(value: object) -> bool:
     try:
         return bool(np.isnan(np.asarray(value, dtype=float)).any())
     except (TypeError, ValueError):
-        return False  # no numbers: the check says so
+        return False  # no numbers: the check reports it
 
 
 class NominalHandle:

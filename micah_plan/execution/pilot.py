@@ -30,7 +30,7 @@ ContinuePlan = Callable[[HybridBelief, Trajectory, int], Trajectory | None]
 AskArm = Callable[[Trajectory, Floats | None], "ArmTrajectory | ArmFailure"]
 
 MOST_REPLANS = 5
-# Steps that a late transition or a belief that waits at the last knot may take before a new plan is asked for.
+# Steps that a late transition or a belief that waits at the last knot may take before a new plan is requested.
 _PATIENCE = 3
 # A belief further from its knot than this happens once in 100,000 steps if the model is right (4.4 sigma in 1-D).
 _OFF_PLAN_PROBABILITY = 1e-5
@@ -159,7 +159,7 @@ class PlanFollower:
         effect, away = np.array(self._automaton.mode(mode).B), np.zeros_like(estimate)
         ahead = after_memories_run_out(
             self._automaton, mode, estimate
-        )  # what is on its way need not be commanded again
+        )  # commands that have not arrived yet need not be repeated
         away[: self._size] = self._trajectory.means[knot][: self._size] - ahead[: self._size]
         u = np.linalg.pinv(effect) @ np.where(effect.any(axis=1), away, 0.0)
         return self._limited(mode, estimate, np.asarray(u, dtype=float))

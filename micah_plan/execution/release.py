@@ -21,7 +21,7 @@ from micah_plan.planning.limits import limits_of
 from micah_plan.task.plan import ArmTrajectory, ReleasePlan
 from micah_plan.task.problem import Problem, Release
 
-# The hand stops at so many times the force that counts as contact: the noise of what it feels decides nothing.
+# The hand stops at so many times the force that counts as contact, so that noise does not decide.
 _SURE_STDS = 1.5
 
 Phase = Literal["lowering", "opening", "withdrawing", "done"]

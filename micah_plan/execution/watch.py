@@ -20,7 +20,7 @@ from micah_plan.belief.hybrid_belief import HybridBelief
 from micah_plan.execution import messages
 
 _LOOKS, _MOST_EXCLUDED = 3, 8  # measurements that the belief excludes, in a row and in all
-_BLIND = 10  # steps in which nothing is seen
+_BLIND = 10  # steps without a measurement
 _BIASED, _SURPRISING = 4.5, 3.5  # stds of a sum of innovations, and of one: in one of 2,000 steps
 _FEWEST = 4  # innovations, or distances
 _OFF_JOINT, _OFF_JOINT_LEAST = 5.0, 0.02  # of the usual distance from a joint, and m; noise alone reaches three times

@@ -25,7 +25,7 @@ _RATE, _BEGIN, _DIRECTION, _POSE = 4.0, 0.1, 1.0, 1e3
 PLACE_STD, TURN_STD, PRIOR_ROWS = 0.002, 0.02, 4.0
 _PRIOR_ROWS = np.array([PRIOR_ROWS, PRIOR_ROWS, 10.0])
 _HUBER = 2.5
-_SHORTEST, _NOWHERE = 0.01, 1e6  # m that a joint moves at least, else it is play; nats against one that does not
+_SHORTEST, _NOWHERE = 0.01, 1e6  # m that a joint moves at least, otherwise it is play; nats against one that does not
 _BACKTRACKING = (1.0, 0.3, 0.05)
 
 

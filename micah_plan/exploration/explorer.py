@@ -34,11 +34,11 @@ _AHEAD = 0.02  # m
 _SURE_PROBABILITY = 0.6  # of a motion: then the handle is led on
 _CHANGE = 0.03  # probability per step that another joint takes over
 _HELD = 0.005  # that anything within the force would move it
-_AGREED = 0.7  # of the way that forces tell, what the tracker must see
+_AGREED = 0.7  # of the travel by force, the least that the tracker must see
 _SURE_DISTANCE = 0.006  # m; play and panels that bend are less
-_MOVED = 0.03  # m of way; less is no opening
+_MOVED = 0.03  # m of travel; less is no opening
 _PROGRESS = 0.004  # m
-_GENTLE = 3.0  # times the friction of the way, and 3 N: what is pushed with before the other end is tried
+_GENTLE = 3.0  # times the friction on the path, and 3 N: the largest push before the other end is tried
 _BENT = 0.35  # of the largest force, with which a panel may be bent that has to come back first
 _NO_FORCE = 1.0  # N
 _LEAPT = 0.03  # m, further than first pushes move anything, and than trackers are noisy
@@ -318,7 +318,7 @@ class Explorer:
             self._is_returning = way <= self.farthest - 0.006
             if not self._is_returning and travel is not None:
                 self.moves = travel
-            elif not self._is_returning or abs(gone @ along) > _PROGRESS:  # else something stands in its way
+            elif not self._is_returning or abs(gone @ along) > _PROGRESS:  # otherwise an obstacle stops it
                 self.moves = self._moves_ahead(chain)
         if abs(gone @ along) > max(_PROGRESS, 0.8 * float(np.linalg.norm(gone))):
             self._rest = _Rest(self.steps, chain, record.place, record.variance)

@@ -16,7 +16,7 @@ from micah_plan.exploration.moves import Moves
 from micah_plan.task.exploration_scene import Scene
 
 SEEN = 0.001  # m, a motion that shows
-_EFFORT = 2.0  # N that a step costs anyhow; 6 N takes a third more force and saves no step (35 objects)
+_EFFORT = 2.0  # N that each step costs; 6 N takes a third more force and saves no step (35 objects)
 _SAFE = 0.93  # of the largest force, for what is not known of the hand
 _LEVELS, _LEAST_FORCE = 12, 2.0
 

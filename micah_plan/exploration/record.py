@@ -26,7 +26,7 @@ _SOFT = 4e-4  # m/N, of a panel that bends much
 _LET_GO = 0.25  # of the last lead; places that commands count from are noisy, so that it is not 0
 _FEWEST = 5
 _DOUBTFUL_PROBABILITY = 0.1  # that the grip has slipped, from which on it is looked at again without force
-_LOOKS = 4  # without force, that tell as much as many
+_LOOKS = 4  # without force, that are as informative as many
 _SAME = 0.3  # std, by which a hand is no other
 
 

@@ -20,7 +20,7 @@ from micah_plan.exploration.handover import explored_model
 from micah_plan.quantities import quantity
 from micah_plan.task.exploration_scene import Scene
 
-_NEAR = 0.05  # m, of the place where the scene says that the hand holds
+_NEAR = 0.05  # m, from the place of the hand in the scene
 
 
 @dataclass(frozen=True, eq=False)

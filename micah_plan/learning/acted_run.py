@@ -22,7 +22,7 @@ from micah_plan.learning.track import PartTrack
 
 _SURE_STDS = 3.0  # stds by which a delay differs from none
 _DECISIVE = 3.0  # nats: that actions acted at another time is one more number, as likely as not
-_STEP_SHARE = 0.5  # of a step of the segmentation; a shorter delay changes nothing
+_STEP_SHARE = 0.5  # of a step of the segmentation; a shorter delay has no effect
 
 
 def learn_acted_run(
@@ -47,7 +47,7 @@ def learn_acted_run(
     channel = _channel(learned, track)
     if channel is None:
         return learned, None
-    if channel.commands == "position":  # the way that is left says when the part is there, and later says nothing
+    if channel.commands == "position":  # the remaining distance shows when the part arrives, later it is 0
         return learned, channel
     std = float(np.sqrt(channel.covariance[CHANNEL_NAMES.index("delay")][CHANNEL_NAMES.index("delay")]))
     step = segmented_run.steps.size * track.duration / len(track)

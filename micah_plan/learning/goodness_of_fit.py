@@ -36,7 +36,7 @@ _LARGEST_SCATTER, _MAX_RMS_CHAIN, _CURVED = 1.2, 0.7, 2.0
 # More of them follow a curve as closely as true chains do, as arc and line and arc again. And the cosine of a corner:
 # in a real chain there mostly is one where a joint takes over.
 _CHAIN, _NO_CORNER = 3, 0.95
-_FEWEST_TO_DOUBT = 16  # rows; fewer lie on any smooth path, and tell no joint from free motion
+_FEWEST_TO_DOUBT = 16  # rows; fewer lie on any smooth path, and do not separate a joint from free motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ def assess_joints(
     if path is not None and path.log_probability <= free:
         path = None
     if path is None and not (missed_by_one > _CURVED * scatter).any():
-        # Rows that come by once lie on a smooth curve whatever holds them, and one joint is as near as joints are.
+        # Rows that pass once lie on a smooth curve in any case, and one joint is as near as joints are.
         return _replaced_by(single) if single.log_probability > answer else None
     log_alternative = (free if path is None else path.log_probability) - _RARE
     if log_alternative <= answer:

@@ -175,7 +175,7 @@ def _edge_of_short_runs(recording: Recording, tracks: list[PartTrack], settings:
     run_settings = replace(settings, resolution=max(settings.resolution, len(together)))
     if settings.mean_length is None:
         run_settings = replace(run_settings, mean_length=0.5 * together.duration / len(tracks))
-    # Where a run of few rows begins, a motion cannot be told from an outlier.
+    # Where a run of few rows begins, a motion cannot be separated from an outlier.
     every = np.ones(len(together), dtype=bool)
     learned, certainty = _learned(together, run_settings, every)
     lengths = [len(track) for track in tracks]

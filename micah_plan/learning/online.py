@@ -318,7 +318,7 @@ class Entry:
             return np.asarray((errors.reshape(len(errors), -1, 3) ** 2).sum(axis=2).mean(axis=0))
 
         least = missed(joint)
-        # Where the part moves freely its joint says nothing.
+        # Where the part moves freely its joint is meaningless.
         able = () if run.certainties[0].no_single_joint else self.known
         candidates = [candidate for candidate in able if candidate.kind == joint.kind]
         excess = [float(((missed(candidate) - least) / deviation**2).max()) for candidate in candidates]

@@ -36,15 +36,15 @@ from micah_plan.learning.segmenting.noise import NoiseModel
 from micah_plan.learning.segmenting.noise_fit import WANDER_DURATIONS
 from micah_plan.learning.track import PartTrack
 
-_ROUNDS = 4  # of curve and configurations in turn
+_ROUNDS = 4  # of curve and configurations alternately
 _NEIGHBOURS = 3.0  # longest usual steps, or stds of noise, within which rows are neighbours
 _MOST_KNOTS = 24
 _ROWS_OF_A_KNOT = 3
 _FEWEST_ROWS = 12
 _PLACES = 17  # along a path, at which passes are counted
 _STRIDE = 0.2  # of the path
-_SCATTER = np.array([1.0, 4.0, 8.0])  # stds of a row beside its curve that are tried, in the roughness of rows
-# Of a Gaussian process beside a curve, in the roughness of rows: change of slope, and std of the tracker's wander.
+_SCATTER = np.array([1.0, 4.0, 8.0])  # tried stds of a row's distance from its curve, in the roughness of rows
+# Of a Gaussian process around a curve, in the roughness of rows: change of slope, and std of the tracker's wander.
 _BENDS = np.geomspace(0.01, 3.0, 6)
 _WANDERS = (1.0, 3.0, 9.0)  # sizes, over the white noise
 

@@ -16,11 +16,11 @@ from micah_plan.learning.joints.final_fit import NO_LACK_OF_FIT, LackOfFit
 from micah_plan.learning.segmenting.noise import MeasurementNoise
 from micah_plan.learning.track import PartTrack
 
-_SMOOTHED_ROWS = 5  # rows that a smoothed configuration is told from
+_SMOOTHED_ROWS = 5  # rows that a smoothed configuration is estimated from
 _PROJECTIONS = 10
 _CUT_SHORT = 2.0  # stds of a measurement by which smoothing may move rows
 _DECIMALS = 12
-_FINEST_STEP = 0.1  # of the measurement noise; the rows of one recording cannot tell a smaller process noise from 0
+_FINEST_STEP = 0.1  # of the measurement noise; the rows of one recording cannot separate a smaller process noise from 0
 _SAME_DIRECTION = 0.7  # cosine above which a joint continues the direction of the one before
 
 
@@ -73,7 +73,7 @@ def chained(
     """
     chain = list(before)
     placed: dict[Joint, Joint] = {}
-    # Orientations of joints that only positions tell mean nothing.
+    # Orientations of joints from positions alone are meaningless.
     length = 0.0 if track.quaternion is None else noise.rotation_length
     for piece in fitted:
         last = chain[-1].joint if chain else None
@@ -122,7 +122,7 @@ def to_segment(
         observed = _observation_std(joint, joint, used, track, noise)
         smooth = _smoothed(c)
         if float(np.sqrt(np.mean((smooth - c) ** 2))) > _CUT_SHORT * observed:
-            smooth = c  # the part moves far within few rows: smoothing would make its way shorter
+            smooth = c  # the part moves far within few rows: smoothing would shorten its path
         # Rounded so that the first row of a chain is at 0 and not at what is left of adding and subtracting.
         smooth = np.round(smooth, _DECIMALS) + 0.0
         start, end = float(smooth[0]), float(smooth[-1])
@@ -248,7 +248,7 @@ def _process_std(piece: FittedPiece, c: Floats, rows: Ints, track: PartTrack, ob
         residual = steps - sign * np.diff(commanded, axis=0) @ piece.gain
     else:
         residual = steps - _smoothed(steps)
-    # A measured step contains the noise of two rows; their covariance with the next step is what tells it apart.
+    # A measured step contains the noise of two rows; their covariance with the next step separates it.
     noise_variance = max(-float(np.mean(residual[1:] * residual[:-1])), 0.0)
     variance = float(np.mean(residual**2)) - 2 * noise_variance
     return float(np.sqrt(max(variance, (_FINEST_STEP * observation_std) ** 2)))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from micah_plan.automaton.joint import SCREW_KINDS, JointKind
 from micah_plan.errors import InputError, shown
 
-# Rows that a run needs of each of its parts: with fewer, joints cannot be told from noise.
+# Rows that a run needs of each of its parts: fewer cannot separate joints from noise.
 FEWEST_ROWS = 5
 
 

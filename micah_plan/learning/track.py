@@ -133,7 +133,7 @@ def has_position_actions(track: PartTrack) -> bool:
     if track.action is None or track.meaning is not None:
         return track.action is not None and track.meaning == "position"
     ways = track.action if track.rotation is None else track.rotation.apply(track.action)
-    return are_held((track.position + ways)[:-1], track.position[:-1])  # the last row commands nothing
+    return are_held((track.position + ways)[:-1], track.position[:-1])  # the last row has no command
 
 
 def are_held(places: Floats, at: Floats) -> bool:

@@ -85,7 +85,7 @@ def belief_lqr(
     effort = np.diag(1.0 / limits.max_step**2)
     goal = np.diag(in_steps(problem, goal_weights(problem)))
     value = tracking + goal
-    if automaton.input_memories:  # what still arrives after the last knot counts too, else the last inputs are huge
+    if automaton.input_memories:  # later arrivals count too, otherwise the last inputs are huge
         last = np.array(problem.start.mean) if around is None else around[0][-1]
         A = linear_step(automaton, modes[-1], last, limits.max_step, limits.max_step)[0]
         rest = np.linalg.matrix_power(A, steps_of_memory(automaton, limits.max_step)[1])
@@ -95,13 +95,13 @@ def belief_lqr(
     for k in reversed(range(len(is_transition))):
         value = value * (free[modes[k + 1]][:, None] & free[modes[k + 1]])
         if is_transition[k]:
-            # Cheapest-to-go through the reset; of several edges between two modes the first stands for all.
+            # Cheapest-to-go through the reset; of several edges between two modes the first represents all.
             edge = next(e for e in automaton.edges if (e.source, e.target) == (modes[k], modes[k + 1]))
             A = matrix_after(automaton, edge)
             restricted_to_nearby_modes, at_guard = _relative(problem, edge, tracking)
             value = restricted_to_nearby_modes + A.T @ value @ A + at_guard
             continue
-        if automaton.input_memories or modes[k] not in linear:  # else it is the same wherever the mode is
+        if automaton.input_memories or modes[k] not in linear:  # otherwise it is the same at all places of the mode
             x, u = (np.array(problem.start.mean), limits.max_step) if around is None else (around[0][k], around[1][k])
             linear[modes[k]] = linear_step(automaton, modes[k], x, u, limits.max_step)
         A, B = linear[modes[k]]

@@ -45,7 +45,7 @@ from micah_plan.task.start import is_final, modes_to_be_in, start_mode
 LEAST_CONFIDENCE = 0.5
 # A remedy asks for at most so many more revisits: each makes the search for them several times longer.
 _MOST_MORE_REVISITS = 2
-# By how much larger steps are looked at: the last stands for any.
+# Factors of larger steps that are tested: the last represents any.
 _LARGER = tuple(2.0**k for k in range(1, 31))
 # Modes that one message describes.
 _MOST_NAMED = 4
@@ -171,7 +171,7 @@ def _why_inside(problem: Problem, samples: Samples) -> Reason | None:
         return Reason("start_in_obstacle", sentence, (messages.MOVE_START_OR_OBSTACLE,))
     guards = dict[tuple[str, str], None]()
     for name, numbers in samples.goals.items():
-        # On leaves that nothing reaches the goal has no states; nor does it count to be stuck.
+        # On unreachable leaves the goal has no states; final modes do not count either.
         if not len(numbers) or (is_final(automaton, automaton.mode(name)) and name not in problem.goal.modes):
             continue
         points = samples.points[name][numbers]

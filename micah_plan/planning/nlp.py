@@ -20,7 +20,7 @@ from micah_plan.planning import messages
 
 Bounds = tuple[Floats, Floats]
 
-# Violation of a row or bound that a result may have [unit of the row]: ours, whatever the solver says of itself.
+# Violation of a row or bound that a result may have [unit of the row]: ours, independent of the solver's status.
 FEASIBLE = 1e-5
 
 _SOLVER = "ipopt"

@@ -11,7 +11,7 @@ from micah_plan.quantities import plain
 from micah_plan.task.problem import Problem
 from micah_plan.task.reason import Offer, OfferKind
 
-# Twice as much, or half of it, is tried first of what has no number of its own.
+# Factors of 2 and 1/2 are tried first where no amount was computed.
 MORE_KNOTS = Offer("raise max_knots", "raise max_knots to", "max_knots", ((0, 2.0),))
 MORE_STATES = Offer("raise samples_per_mode", "raise samples_per_mode to", "samples_per_mode", ((0, 2.0),))
 LONGER_SEARCH = Offer("raise search_limit", "raise search_limit to", "search_limit", ((0, 2.0),))

@@ -43,7 +43,7 @@ from micah_plan.task.problem import Problem
 # Factors on the number of steps of a path, tried in turn: slower inputs, more measurements at a guard. Where something
 # drifts, time may run out: then as fast as inputs allow comes second.
 _STRETCHES = (1.0, 2.0, 4.0)
-# How often the sides of obstacles are chosen anew on a path, and what that must save.
+# How often the sides of obstacles are chosen again on a path, and the least gain.
 _MOST_SIDES, _LEAST_GAIN = 4, 1e-3
 # Searches after the first, each without the narrow places of the paths before.
 _MOST_DETOURS = 2
@@ -257,7 +257,7 @@ def _optimised(attempt: Attempt, sequence: ModeSequence) -> _CandidatePlan:
             path = _with_other_sides(attempt, phases, path)
             return _CandidatePlan(sequence, path, path.message)
         deadline.check("optimisation", messages.sequence_at(sequence.modes, steps), "candidates")
-    if path.is_out_of_time:  # its state then does not say what is possible
+    if path.is_out_of_time:  # then its state is inconclusive
         finding = finding_of_status(sequence.modes, path.message, is_out_of_time=True)
         return _CandidatePlan(sequence, path, path.message, (finding,))
     with clock.stage("optimise"):

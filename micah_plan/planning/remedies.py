@@ -89,7 +89,7 @@ class _Trials:
     def _tested_words(self, offer: Offer) -> str:
         """Words of an offer; empty if it does not help."""
         if offer.kind in self._words:
-            # Of another coordinate or number than the one that was tried, nothing is known.
+            # For another coordinate or number than the tested one, the result is unknown.
             is_of_all = offer.kind in (*_FACTORS, "confidence", "revisits")
             return self._words[offer.kind] if is_of_all else offer.words
         try:

@@ -93,7 +93,7 @@ def rest_through(here: Problem, trajectory: Trajectory, knot: int) -> ModeSequen
     at = [k for k, mode_here in enumerate(trajectory.modes) if mode_here == mode]
     if mode is None or not at or trajectory.means.shape[1] != here.automaton.n:
         return None
-    # Of the visits of the mode the present one, else the next, else the last.
+    # Of the visits of the mode the present one, otherwise the next, otherwise the last.
     visits = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
     visit = next((visit for visit in visits if visit[-1] >= knot), visits[-1])
     start, inverse = np.array(here.start.mean), np.linalg.pinv(motion_per_input(here.automaton, mode, limits.max_step))

@@ -49,7 +49,7 @@ def solve(
     planned_by = partial(planner or pomdp_hd, seed=seed, progress=progress)
     if problem.robot is not None:
         import micah_plan.robot.along_plan  # noqa: F401
-    # Only now: what it takes to load libraries says nothing about the problem.
+    # Only now: the time to load libraries does not depend on the problem.
     deadline = Deadline(problem.settings.solve_time_limit_s)
 
     def planned(asked: Problem) -> Plan:

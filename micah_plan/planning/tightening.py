@@ -26,7 +26,7 @@ from micah_plan.task.problem import Problem
 _SLOWEST = 0.3
 # Of the largest step: how fast plans are made where those with more room fail as often.
 _FASTER = 0.8
-# Planning always allows this share of failures: a Gaussian says little about its far tails.
+# Planning always allows this share of failures: the far tails of a Gaussian are unreliable.
 _FEWEST_FAILURES = 1e-4
 # Distance between the seeds of the rounds; also far from the small seeds that users choose.
 _SEED_STRIDE = 7_919
@@ -120,7 +120,7 @@ def _best_verified(plan: Plan, verified: Callable[[Plan], Plan], deadline: Deadl
 
 def _with_deadline_finding(plan: Plan, deadline: Deadline) -> Plan:
     """A plan whose replanning was cut off by the deadline, with that as the first finding."""
-    if plan.success_probability is None:  # the roll-outs were cut short, and it says so
+    if plan.success_probability is None:  # the roll-outs were cut short, which is reported
         return plan
     sentence, remedy = messages.no_time_for_more_room(deadline.limit_s), messages.RAISE_SOLVE_TIME_LIMIT
     finding = Finding("verification", "time_limit_reached", sentence, remedy, plan.mode_sequence)

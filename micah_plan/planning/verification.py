@@ -251,6 +251,6 @@ def wilson_interval(successes: int, trials: int, coverage: float = INTERVAL) -> 
     z, share = float(ndtri(0.5 + 0.5 * coverage)), successes / trials
     center = (share + z**2 / (2 * trials)) / (1 + z**2 / trials)
     half = z / (1 + z**2 / trials) * math.sqrt(share * (1 - share) / trials + z**2 / (4 * trials**2))
-    # The ends are exact where all or none succeed, whatever the rounding.
+    # The ends are exact where all or none succeed, independent of rounding.
     low = 0.0 if successes == 0 else max(0.0, center - half)
     return low, 1.0 if successes == trials else min(1.0, center + half)

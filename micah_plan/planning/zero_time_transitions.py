@@ -30,7 +30,7 @@ from micah_plan.automaton.region import HalfSpace, Region
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import is_final
 
-# A transition that others leave more parts of is planned as if they were not there; roll-outs tell.
+# A transition that others divide into more parts is planned as if they were not there; roll-outs decide.
 _MOST_PARTS = 12
 _WHOLE, _IN_PARTS = "", "in parts"
 # Transitions in one instant; a sequence of more is left to roll-outs.
@@ -186,7 +186,7 @@ def _joined(automaton: HybridAutomaton, first: Edge, second: Edge, arrival: tupl
     (A, c), rows, stds = arrival, list(first.guard.half_spaces), list(stds_of(first))
     for h in second.guard.half_spaces:
         a = np.array(h.a) @ A
-        if np.abs(a).max() > EQUAL * np.linalg.norm(h.a):  # else it holds wherever the first leads
+        if np.abs(a).max() > EQUAL * np.linalg.norm(h.a):  # otherwise it holds wherever the first leads
             rows.append(replace(h, a=tuple(a.tolist()), c=h.c - float(np.array(h.a) @ c)))
             stds.append(second.threshold_std)
     reset = None

@@ -149,7 +149,7 @@ class _Steps:
         is_gap, rows = np.zeros(len(self.time) - 1, dtype=bool), np.diff(self.time)
         for number, (length, usual, floor) in enumerate(zip(self.lengths, self.usual, FLOORS, strict=False)):
             speed = length / rows
-            # Two steps that lead further than each of them; directions of half turns would not tell.
+            # Two steps that lead further than each of them; directions of half turns are undetermined.
             goes_on = self.over_two[number] > np.maximum(length[1:], length[:-1])
             beside = np.zeros_like(speed)
             beside[:-1] = np.where(goes_on, speed[1:], 0.0)

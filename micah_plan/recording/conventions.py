@@ -33,7 +33,7 @@ _NUMBER = r"\d[\d.]*(?:[eE][-+]?\d+)?"
 # A column of the file as -NAME or 0.001*NAME, and with another zero, as NAME-2048 or 0.001*(NAME-2048).
 _SCALED = re.compile(rf"(?:(?P<minus>-)|(?P<factor>[-+]?{_NUMBER})\s*\*)\s*(?P<name>.+)")
 _SHIFTED = re.compile(rf"(?P<name>[^()]+?)\s*(?P<sign>[-+])\s*(?P<offset>{_NUMBER})")
-# Turns (n, 3) rows of a frame with that axis upwards into one with z upwards, on the shortest way.
+# Rotations (n, 3) rows of a frame with that axis upwards into one with z upwards, by the smallest angle.
 _UPRIGHT: Mapping[str, tuple[float, float, float]] = {
     "z": (0.0, 0.0, 0.0),
     "y": (np.pi / 2, 0.0, 0.0),
@@ -226,7 +226,7 @@ def without_gaps(rows: Recording) -> tuple[Recording, Ints]:
     """
     lost: Booleans = np.asarray(np.isnan(rows.position).all(axis=1))
     if rows.quaternion is not None:
-        zero = (rows.quaternion == 0.0).all(axis=1)  # no orientation; some trackers say so that they see nothing
+        zero = (rows.quaternion == 0.0).all(axis=1)  # no orientation; some trackers mark lost rows so
         lost |= np.isnan(rows.quaternion).all(axis=1) | (zero & ~zero.all())
     every = np.arange(len(rows))
     if not lost.any():

@@ -127,7 +127,7 @@ class Frames:
             remedy = f"{shown(frame)} is in {shown(self.root(frame))}: --frame {self.root(frame)}"
             raise InputError(problem, remedy=remedy)
         ours, theirs = self.upwards(frame), self.upwards(target)
-        while ours and theirs and ours[-1] is theirs[-1]:  # what both go through says nothing of one in the other
+        while ours and theirs and ours[-1] is theirs[-1]:  # a common ancestor cancels out
             ours, theirs = ours[:-1], theirs[:-1]
         position, turn, is_known = _along(ours, stamps)
         origin, turned, also = _along(theirs, stamps)

@@ -102,7 +102,7 @@ class _Waits:
         if not commanded.any():
             return True
         squared, squares = np.add.reduceat(commanded, self.first) ** 2, np.add.reduceat(commanded**2, self.first)
-        # How many rows of a wait ask for as much as if they asked alike (Kish, "Survey Sampling", 1965).
+        # Effective number of rows of a wait with equal commands (Kish, "Survey Sampling", 1965).
         return bool(squared.sum() > _SEVERAL * squares.sum())
 
     def log_odds_of_clock(self) -> float:

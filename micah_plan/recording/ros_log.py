@@ -35,7 +35,7 @@ _COLUMNS = ("std_msgs/msg/Float64", "std_msgs/msg/Int64", "std_msgs/msg/String")
 # Names of topics with commands, as ros2_control and simulators have them; and of those that are no positions.
 _COMMANDED = re.compile(r"command|cmd|target|goal|desired|reference|setpoint", re.IGNORECASE)
 _OTHER_COMMANDS = re.compile(r"velocity|velocities|effort|torque|current|gripper_action", re.IGNORECASE)
-# Rows that a joint may be behind its commands; the finest that encoders tell apart, and what is far [rad or m].
+# Rows that a joint may lag behind its commands; the finest resolution of encoders, and a large distance [rad or m].
 _MOST_LATE, _FINEST, _FARTHEST = 12, 1e-6, 1e3
 _RUN = re.compile(r"run_(-?\d{1,18})/(.+)")
 READ = {
@@ -163,7 +163,7 @@ def _log_distances(commands: Floats, places: Floats) -> Floats:
         is_known = np.isfinite(apart)
         squares = np.where(is_known, apart, 0.0) ** 2
         far = np.sqrt(squares.sum(axis=2) / np.maximum(is_known.sum(axis=2), 1))
-        far = np.where(is_known.any(axis=2), far, _FARTHEST)  # what was measured at other times tells nothing
+        far = np.where(is_known.any(axis=2), far, _FARTHEST)  # measurements at other times are uninformative
         found = np.minimum(found, np.log(np.maximum(far, _FINEST)))
     return found
 

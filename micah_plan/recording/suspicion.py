@@ -56,7 +56,7 @@ _FEWEST_ROWS = 10
 _CLOCKS = tuple((name, second) for name, second in TIMES.items() if second < 1.0)
 # The clock that is meant is the coarsest with which a pose comes at least this often [s].
 _SLOWEST_S = 1.0
-# Below this range of turning, noise and the motion of the origin cannot be told apart [rad].
+# Below this range of rotation, noise and the motion of the origin cannot be separated [rad].
 _LEAST_TURN = 0.3
 # The given order must leave much of the motion of the origin unexplained, and the other one at most half of that; other
 # signs, of which there are four, a quarter: of 826 simulated recordings of all kinds 7 are doubted, screws among them.

@@ -152,7 +152,7 @@ def _turns_of_jumps(turned: Rotation, edges: Ints, usual: float) -> tuple[Floats
     ]
     turns = [(before.inv() * after).as_rotvec() for (before, _), (after, _) in ends]
     errors = np.array([(before, after) for (_, before), (_, after) in ends])
-    # Short pieces tell neither noise nor motion: both are in the usual step.
+    # Short pieces determine neither noise nor motion: both are in the usual step.
     errors = np.where(np.isfinite(errors), errors, usual)
     return np.array(turns), np.maximum(np.sqrt((errors**2).sum(axis=1)), _FINEST)
 

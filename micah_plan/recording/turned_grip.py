@@ -19,7 +19,7 @@ from micah_plan.recording import messages
 
 # A path is far better than orientations if it leaves so much less, and what they leave is larger than trackers err [m].
 _FAR_BETTER, _LEAST_LEFT = 0.2, 0.002
-# So far a circle must be gone round, and so much more or less turned, for either to be told [rad].
+# Least angle on a circle, and least difference of the rotation, for a decision [rad].
 _LEAST_ANGLE, _LEAST_SLIP = 0.25, 0.15
 _SHARE, _STDS = 0.2, 6.0  # of the angle; of what is left of a slip in proportion to it: trackers turn parts by noise
 _ALONG = np.cos(np.radians(15.0))  # a turn about the line of motion is that of a screw

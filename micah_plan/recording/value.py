@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 DEFAULT_PART = "part"
-_ONE_RUN: Ints = np.zeros(0, dtype=np.int64)  # stands for "all rows are run 0" until the number of rows is known
+_ONE_RUN: Ints = np.zeros(0, dtype=np.int64)  # represents "all rows are run 0" until the number of rows is known
 
 ESTIMATE = tuple(f"estimate_{name}" for name in ("x", "y", "z", "qx", "qy", "qz", "qw"))
 """Extra columns with the pose that the controller believed when it chose the action; orientation may be missing."""

@@ -33,9 +33,9 @@ from micah_plan.residual.likelihood import FREEDOM, robust_log_density
 _REACHES = (1, 2, 3, 4, 6, 8, 10)
 # Share of commands that must arrive for their weights to mean anything.
 _LEAST_GAIN = 0.1
-# Steps that tell a weight.
+# Steps that determine a weight.
 _ROWS_PER_WEIGHT = 10
-# Effects that are tried on averaged commands beside the model as it is, and rounds of their fits.
+# Effects that are tried on averaged commands besides the model itself, and rounds of their fits.
 _EFFECTS, _ROUNDS = 8, 6
 
 

@@ -43,7 +43,7 @@ from micah_plan.residual.trace import CoordinateFinding, CoordinateTrace, may_re
 from micah_plan.residual.verdict import overall
 from micah_plan.summaries import Progress
 
-# Poses this far beside the joints [m], and this share of the lever arm, are those of another object.
+# Poses this far off the joints [m], and this share of the lever arm, are those of another object.
 _FAR = 0.08
 _FAR_SHARE = 0.25
 

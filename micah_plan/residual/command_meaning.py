@@ -23,7 +23,7 @@ CONTAINED = {
 """Names of whole machines, told places or speeds, and of the effects that each has in itself."""
 # Commands before one that its regularity is judged by.
 _MEMORY = 2
-# Degrees of freedom of what is not foretold: a few jumps decide nothing.
+# Degrees of freedom of the unpredicted part: a few jumps decide nothing.
 _FREEDOM = 2.0
 
 

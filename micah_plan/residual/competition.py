@@ -54,12 +54,12 @@ _ROWS_FOR_SMOOTH = 60
 # Rows of a recording at which something may have begun at first, and how often the search comes closer.
 _PROFILE = 32
 _TURNS, _COARSE_TURNS = 4, 2
-# Shares of the rows before which, and after which, nothing can be said to have begun.
+# Shares of the rows before which, and after which, no onset can be identified.
 _EARLIEST = 0.03
 # Of models that are tied, so many of the best are fitted to the end, and the simplest.
 _POLISHED = 4
 _LINE_LIKE = ("gain", "bias", "dead_zone")
-# Where a change that nothing told of may have been: shares of the recording.
+# Candidate onsets without a hint: shares of the recording.
 _PLACES_OF_CHANGE = (0.25, 0.5, 0.75)
 _COMMON = 0.05
 # What no other run confirms must be so many times what an effect must add.
@@ -273,7 +273,7 @@ class Competition(Contenders):
         if not len(rows[0]):
             return []
         for turn in range(_TURNS):
-            # Where about it began, some rows of a long recording tell.
+            # Some rows of a long recording determine its approximate onset.
             fitting = self.screening if turn < _COARSE_TURNS else self.fitting
             vectors = [np.repeat(fit.vector[None], len(places), axis=0) for fit, places in zip(fits, rows, strict=True)]
             for tried, gate, places in zip(vectors, gates, rows, strict=True):

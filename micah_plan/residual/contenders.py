@@ -66,7 +66,7 @@ _SCREENED_ROWS, _VERIFIED, _ON_ALL_ROUNDS = 600, 10, 4
 _LEFT_BEHIND = 5.0
 # A parameter is at a bound within so much of what is large for it, or within so many stds, if these are less.
 _AT_BOUND, _CERTAIN_STDS = 0.05, 3.0
-# Odds against an effect that began at one of some dozen rows [nats], beside those of the profile itself.
+# Odds against an onset at one of some dozen rows [nats], in addition to those of the profile itself.
 _BEGINS = 3.0
 # Likelihood that an effect must add to be looked at further [nats].
 _HOPELESS = 1.0
@@ -168,7 +168,7 @@ class Contenders:
         self.as_told = (at_commanded_places(),) if len(effects) < len(data.effects) else ()
         self.has_places = any(term.form.layer == "place" for term in self.given)
         self.least = max(_LEAST, EVIDENCE_PER_ROW * int(data.counted.sum()))
-        # Places that are relative to what was believed contain no measurement: nothing blurs them.
+        # Places relative to the belief contain no measurement, so they have no measurement noise.
         is_open = data.meaning is None and not data.is_outside
         from_regularity = (
             np.clip(_REGULARITY_WEIGHT * regularity(data), -_LARGEST_REGULARITY, _LARGEST_REGULARITY)
@@ -179,7 +179,7 @@ class Contenders:
         self._densities: dict[Contender, Floats] = {}
         self._fitted_to_the_end: dict[Contender, Contender] = {}
         self.nominal = self._initialise(data)
-        if np.ptp(data.noise[data.is_measured]):  # something else than the model's sensor may have measured
+        if np.ptp(data.noise[data.is_measured]):  # another sensor than the model's may have measured
             as_modelled = self.nominal
             self.nominal = self._initialise(data.measured_alike())
             if self.nominal.evidence <= as_modelled.evidence:

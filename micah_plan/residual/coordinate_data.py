@@ -25,7 +25,7 @@ from micah_plan.residual.row_ends import RowsSeen, annotated_rows, row_ends
 
 # Commands before a segment that a delay may still have to carry out.
 _STILL_TO_COME = LONGEST_DELAY + 1
-# Rows on either side that tell how fast a part moves.
+# Rows on either side that determine how fast a part moves.
 _BESIDE = 3
 # Rows before a segment from the middle of a run: they bring filter and memories up to date and are not counted (a speed
 # that is nine tenths of that before has become a twentieth of the error by then).
@@ -39,13 +39,13 @@ _LONGEST_ROLLOUT = 3000
 # With fewer runs than this, segments of the same run are held out from each other.
 ENOUGH_RUNS = 4
 _SHORTEST = 5
-# Variance, over that of others, of a measurement that says nothing.
+# Variance, over that of others, of an uninformative measurement.
 UNSEEN = 1e9
 # Readings of one value, on average, from which on they are counts; std of what a count leaves out, at the least.
 _REPEATED, _OF_A_COUNT = 2.0, 0.5 / math.sqrt(12.0)
 # Readings are whole counts apart, and where a part moves fast between rests few are one count apart.
 _ONE_COUNT = 0.1
-# Correlation of place and time from which on they say the same.
+# Correlation of place and time from which on they are equivalent.
 _SAME_CORRELATION = 0.95
 
 
@@ -268,7 +268,7 @@ def _pieces(tracks: tuple[Track, ...], cuts: Callable[[int, int], list[tuple[int
     for number, track in enumerate(tracks):
         for a, b in sections(track.time):
             for first, start, end in cuts(b - a, len(tracks)):
-                # A roll-out or a filter that begins at a row without a measurement would know nothing of its start.
+                # A roll-out or a filter that begins at a row without a measurement would not know its start.
                 measured = np.flatnonzero(track.is_measured[a + first : a + end])
                 begin = a + first + int(measured[0]) if len(measured) else a + end
                 if a + end - max(a + start, begin) > 1:
@@ -301,7 +301,7 @@ def _coordinate_data(
         place[s, count:] = z[s, -1]
         time[s, :count] = track.time[rows] - track.time[0]
         order[s, :count] = piece.order + np.arange(first, end) / total
-        # Where a sensor sees nothing there is nothing to compare with.
+        # Without a measurement there is nothing to compare with.
         own = slice(piece.start - first + 1, count)
         counted[s, own] = np.isfinite(noise[s, own])
         if ends is not None:

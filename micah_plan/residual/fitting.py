@@ -36,7 +36,7 @@ _FAILED, _DONE = 0.02, 0.1
 _MOST_FAILURES = 2
 # Gains of later rounds together, over that of the last: steps of Fisher scoring get shorter.
 _FORESEEN = 5.0
-# Where a parameter is looked for beside where a climb ended, in shares of what is large for it.
+# Other values of a parameter that are tried at the end of a climb, in shares of its large value.
 _JUMPS = np.concatenate([side * 0.5 ** np.arange(1, 10) for side in (1.0, -1.0)])
 ENOUGH_INDEPENDENT = 5
 """Runs, or motions of the only run, from which on what rows show is evidence."""
@@ -478,7 +478,7 @@ class _Climb:
         free, k = self.fit.free, self.count
         hessian = slopes.information + np.diag(1.0 / free.std[:k] ** 2)
         away = (self.fit.vector[free.at[:k]] - free.centre[:k]) / free.std[:k] ** 2
-        # Quotients over many standard deviations say little of the slope here.
+        # Quotients over many standard deviations do not approximate the slope here.
         self.steps = np.minimum(self.steps, np.maximum(1.0 / np.sqrt(np.diag(hessian)), 1e-7 * free.scale[:k]))
         damped = hessian + np.diag(self._damping * np.diag(hessian) + 1e-8 / free.scale[:k] ** 2)
         jump = np.linalg.solve(damped, slopes.gradient - away)

@@ -36,7 +36,7 @@ _FOLDS = 4
 _FEWEST_ROWS = 20
 # Weight of orientation against position at which the angle is read from orientation alone [m/rad].
 _BY_ORIENTATION = 1e3
-# Degrees of the curves that poses may lie beside a joint by (a high one says nothing of places that it has not seen).
+# Degrees of the curves of poses off a joint (a high one extrapolates badly).
 _DEGREES = (0, 1, 3, 5)
 # What the digits of a model leave of exact data.
 _EXACT = 10.0**-DIGITS

@@ -32,7 +32,7 @@ from micah_plan.task.start import Start, start_mode
 
 # Evidence [nats] that a whole experiment aims at for every pair: thrice what an effect needs, for held-out rows.
 _WANTED_NATS = 3.0 * LEAST_EVIDENCE
-# A pair that no motion tells apart by more than this per run [nats] is left to its sentence.
+# A pair that no motion separates by more than this per run [nats] is left to its sentence.
 _MIN_EXPECTED_NATS = 0.1
 _MOST_REPETITIONS = 10
 _MOST_RIVALS = 4
@@ -176,7 +176,7 @@ def _designed(
     is_hopeless = total > _MIN_EXPECTED_NATS * len(motions)
     if not is_hopeless.any():
         return None
-    # Few runs are asked each whether they contradict the others.
+    # With few runs, each is tested for contradicting the others.
     needed = int(np.ceil(_WANTED_NATS / total[is_hopeless].min()))
     repetitions = int(np.clip(needed, np.ceil(ENOUGH_INDEPENDENT / len(motions)), _MOST_REPETITIONS))
     names = list(combinations([rival.name for rival in rivals], 2))
@@ -210,9 +210,9 @@ def _best_commands(data: CoordinateData, rivals: Sequence[_Rival], start: float)
         pieces = [[float(f"{value:.3g}") for value in row] for row in menu * sizes + 0.0]
         tried = np.array([[*before, *piece] for before in kept for piece in pieces])
         evidence, is_inside = _expected_evidence(data, rivals, start, tried)
-        # A pair that is told apart already is worth little more: what counts is that all pairs are.
+        # A pair that is already separated is worth little more: all pairs should be.
         worth = np.log1p(evidence / LEAST_EVIDENCE).sum(axis=0) - np.where(is_inside, 0.0, np.inf)
-        # A motion and its mirror image often tell as much: the first is taken, not whichever rounding makes larger.
+        # A motion and its mirror image are often equally informative: the first is taken, not the larger by rounding.
         order = np.argsort(-np.round(worth, _DIGITS_OF_WORTH), kind="stable")[:_KEPT]
         kept = tried[order]
     return kept[0], evidence[:, order[0]]

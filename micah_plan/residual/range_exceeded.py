@@ -21,7 +21,7 @@ from micah_plan.residual import messages
 from micah_plan.residual.compared_runs import white_noise_of
 
 # A recording goes beyond an end if so many rows do, by so many standard deviations of a measurement; or if a run starts
-# further beyond it than is normal, since a filter's first belief has nothing else to go by.
+# further beyond it than is normal, since a filter's first belief has no other information.
 _ROWS_BEYOND, _STDS_BEYOND = 3, 5.0
 # How far the joint then goes on, as a share of what was seen: no end is known.
 _ONWARD = 0.5

@@ -59,7 +59,7 @@ def row_modes(automaton: HybridAutomaton, x: Floats) -> Ints:
         for pin in mode.pins:
             away = np.abs(x[:, pin.coordinate] - pin.value) / max(pin.std, std[pin.coordinate])
             worst = np.maximum(worst, np.where(away > 2.0, away, 0.0))
-        # Being held says more than being somewhere in a range, so it comes first where both fit.
+        # Being held is more specific than being somewhere in a range, so it comes first where both fit.
         misses.append(worst - 0.1 * bool(mode.pins) * (worst == 0))
     return np.asarray(np.argmin(np.stack(misses), axis=0))
 

@@ -27,7 +27,7 @@ _LANES = 256
 # Noise and ends of each hypothesis: variances, freedom of the t distribution, ends beside those of
 # the rows, commands that leave an end, density of the t distribution of unit scale at 0.
 WHITE, PROCESS, MOTION, WANDER, FREEDOM, BESIDE_LOW, BESIDE_HIGH, RELEASE_LOW, RELEASE_HIGH, PEAK = range(10)
-# The state of each hypothesis beside its registers, and what the row has.
+# The state of each hypothesis besides its registers, and the values of the row.
 _WANDERED, _OF_PLACE, _OF_BOTH, _OF_READING, _ERROR, _VARIANCE = range(6)
 _LOW_BEFORE, _HIGH_BEFORE, _AT_LOW, _AT_HIGH, _IS_GONE = range(6, 11)
 _READ, _NOISE, _EFFORT, _POWER, _DENSITY, _PRODUCT, _TOTAL, _UNHEARD, _STATES = range(11, 20)

@@ -47,7 +47,7 @@ def estimator_bias_findings(automaton: HybridAutomaton, tracks: Sequence[Track])
             continue
         without = _density(rests, ())
         options = [_effects(rests, names, coordinate.name, _density(rests, names) - without) for names in _MODELS]
-        # A part that is stuck is no sensor that reads a seventh of the way.
+        # A stuck part is not a sensor that reads a seventh of the motion.
         possible = [option for option in options if all(is_possible(finding.effect) for finding in option)]
         most = max((option[0].evidence for option in possible), default=-np.inf)
         if most > LEAST_EVIDENCE:

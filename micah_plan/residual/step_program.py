@@ -92,7 +92,7 @@ class _Assembly:
         values = [self.parameters[entries] for entries in term_columns(model)]
         self.terms = list(map(_TermRegisters, model, values, gated, neutral))
         self.follows_places = any(term.form.layer == "place" for term in model)
-        # How much the command changes with the configuration, where places are told.
+        # How much the command changes with the configuration, for commanded places.
         self.steepness = self._allocate(1)[0]
 
     def assembled(self) -> ModelProgram:

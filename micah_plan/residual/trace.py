@@ -28,7 +28,7 @@ _A_MOTION = 0.2
 _LONGER = 1.02
 A_LINE = ("gain", "bias")
 """Effects that make a line in the command."""
-# Single effects that other questions are asked of.
+# Single effects for further tests.
 _MOST_ALTERNATIVES = 8
 
 
@@ -118,7 +118,7 @@ def _traced(held_out: HeldOut, standings: Standings, average: Average | None = N
     modes = _modes(held_out, standings) if standings.remaining else ()
     share = _share_left(standings)
     closest = standings.chosen.names if standings.chosen is not nominal and share > UNEXPLAINED and not modes else ()
-    # Effects that act everywhere only imitate what a mode of its own, or something without a name, does.
+    # Effects that act everywhere only imitate a separate mode, or an unnamed effect.
     chosen = nominal if modes or closest else standings.chosen
     findings = () if chosen is nominal else _findings(held_out, standings)
     final = _final(held_out, standings, chosen)
@@ -271,7 +271,7 @@ def _modes(held_out: HeldOut, standings: Standings) -> tuple[MissingMode, ...]:
         *standings.loose,
         *best_first(standings.singles)[:_MOST_ALTERNATIVES],
     )
-    # Corrections by a smooth function are asked by their evidence, once the mode is in the model (`calibrate`).
+    # Corrections by a smooth function are compared by their evidence, once the mode is in the model (`calibrate`).
     errors = [held_out.errors(model, "filter") for model in rivals if model.names and model.names[-1] != UNNAMED]
     return missing_modes(held_out.data, *held_out.innovations(nominal), held_out.competition.fitting.group, errors)
 

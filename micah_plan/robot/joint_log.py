@@ -73,7 +73,7 @@ def tool_recording(
     if targets is not None:
         way = (_poses(arm, targets) - poses)[:, :3]
         uncommanded = int(np.argmax(np.isfinite(way).all(axis=1)))
-        way[:uncommanded] = 0.0  # before the first target nothing is asked for
+        way[:uncommanded] = 0.0  # before the first target there is no command
         table |= dict(zip(ACTION, way.T, strict=True))
     others = {name: text for name, text in meant.columns.items() if name in ("t", "run", "part")}
     named_times = [name for name in columns if name.lower() in _TIMES]
@@ -81,7 +81,7 @@ def tool_recording(
         others["t"] = named_times[0]
     sources = {source_of(text, columns).name for text in others.values()}
     table |= {name: values for name, values in columns.items() if name in ("t", "run", "part") or name in sources}
-    # The poses are in metres and upright; of what the log says of itself only times and names remain.
+    # The poses are in metres and upright; of the log's conventions only times and names remain.
     conventions = Conventions(columns=others, time=meant.time, rate=meant.rate, name=meant.name or meant.tool)
     notes = _beyond_limits(arm, q)
     if uncommanded:
@@ -182,7 +182,7 @@ def _beyond_limits(arm: Arm, q: Floats) -> Sequence[str]:
     """A note on joints beyond their limits, which suggests other units or another robot."""
     q = q[np.isfinite(q).all(axis=1)]
     if not len(q):
-        return ()  # that no row has a pose is said where gaps are left out
+        return ()  # that no row has a pose is reported where gaps are left out
     beyond = np.maximum(q - arm.upper, arm.lower - q).max(axis=0)
     wrong = [joint for joint, by in zip(arm.joints, beyond, strict=True) if by > _BEYOND]
     if not wrong:

@@ -20,7 +20,7 @@ from micah_plan.robot.robot_text import NO_LIMIT
 from micah_plan.robot.solids import convex
 
 _NO_SHIFT = pin.SE3.Identity()
-# Half the side of the block whose upper face stands for an endless floor [m].
+# Half the side of the block whose upper face represents an endless floor [m].
 _FLOOR = 50.0
 
 

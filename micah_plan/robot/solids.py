@@ -89,7 +89,7 @@ def _corners(geometry: Any) -> Floats:
         return np.concatenate([geometry.radius * sphere + shift, geometry.radius * sphere - shift])
     if isinstance(geometry, coal.Ellipsoid):
         return np.asarray(sphere * np.array(geometry.radii))
-    geometry.computeLocalAABB()  # anything else is drawn as the box around it
+    geometry.computeLocalAABB()  # all others are drawn as their bounding box
     box = np.array(np.meshgrid([0, 1], [0, 1], [0, 1])).reshape(3, -1).T
     return np.asarray(geometry.aabb_local.min_ + box * (geometry.aabb_local.max_ - geometry.aabb_local.min_))
 

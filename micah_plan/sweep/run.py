@@ -163,7 +163,7 @@ def _hand_over(
             source.popleft()
     except BrokenExecutor:
         return False
-    except RuntimeError as error:  # how executors say that they are shut down
+    except RuntimeError as error:  # how executors report that they are shut down
         raise _stopped(error) from error
     return True
 

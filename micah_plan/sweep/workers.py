@@ -149,7 +149,7 @@ def dask_workers(address: str) -> Iterator[DaskWorkers]:
         message = " ".join(str(error).split())[:200]
         remedy = "start one with `dask scheduler`, and workers with `dask worker ADDRESS --nthreads 1`"
         raise InputError(f"no Dask scheduler answers at {address} ({message})", remedy=remedy) from None
-    # Without the tracebacks that Dask logs when workers and schedulers go: the sweep says in a line what matters.
+    # Without the tracebacks that Dask logs when workers and schedulers exit: the sweep reports the cause in one line.
     loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
     levels = [logger.level for logger in loggers]
     for logger in loggers:

@@ -15,7 +15,7 @@ from micah_plan.symbolic.straight_line import straight_line
 _COMMANDS = np.array([-0.3, -0.02, 0.0, 0.001, 0.04, 0.5])
 _PLACES = np.array([-0.7, 0.0, 0.1, 0.4, 1.1, 2.0])
 _ENDS, _TIME = (-0.2, 1.3), 1.0
-# Components of an action beside the command, and of the direction that it is projected on.
+# Components of an action besides the command, and of the direction that it is projected on.
 _ACROSS, _DIRECTION = (0.03, -0.07), (0.6, 0.5, -0.3)
 
 
@@ -73,7 +73,7 @@ def _checked(form: EffectForm, p: list[float]) -> dict[str, Floats]:
             single = [_outputs(form, np, p, float(c), float(v)) for c, v in zip(_PLACES, _COMMANDS, strict=True)]
     except InputError:
         raise
-    except Exception as error:  # a formula of one's own may fail in any way
+    except Exception as error:  # a user's formula may fail in any way
         raise InputError(f"effect {form.name}: its formula fails: {error}") from error
     for name, values in outputs.items():
         if values.shape != _COMMANDS.shape or not np.isfinite(values).all():

@@ -27,7 +27,7 @@ def lower_factor(matrix: ca.SX) -> ca.SX:
     for row in range(n):
         filled = [column for column in columns[row:] if not column[row].is_zero()]
         if not filled:
-            # The coordinate is exactly known: it gets a column of its own, nothing may correlate with it.
+            # The coordinate is exactly known: it gets its own column, uncorrelated with the state.
             columns.insert(row, [ca.SX(0)] * n)
             filled = [columns[row]]
         at = next(j for j in range(row, len(columns)) if columns[j] is filled[0])

@@ -40,7 +40,7 @@ def with_start(start: Start, automaton: HybridAutomaton, values: Mapping[str, Sp
     changed = replace(start, mean=tuple(mean), std=tuple(std), mode=mode or (None if values else start.mode))
     if not values:
         return changed
-    # A start that no mode allows is refused by whoever solves the problem: any mode says then what follows.
+    # A start that no mode allows is refused when the problem is solved: here any mode will do.
     for tie in automaton.mode(start_mode(automaton, changed)[0] or automaton.mode_names[0]).ties:
         if automaton.coordinate_names[tie.coordinate] not in values:
             mean[tie.coordinate] = float(tie.value(np.array(mean)))

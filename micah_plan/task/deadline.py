@@ -10,7 +10,7 @@ from time import perf_counter, process_time
 from micah_plan.task import messages
 from micah_plan.task.reason import Reason
 
-# The least time that a solver is given, so that it can say that the time is over [s].
+# The least time that a solver is given, so that it can report the time limit [s].
 _SHORTEST_S = 1e-3
 
 

@@ -206,7 +206,7 @@ def keep_away(
 ) -> Terms:
     """Two coordinates keep a distance from a point [rad or m]."""
     squared = (step.x[first] - at_first) ** 2 + (step.x[second] - at_second) ** 2
-    # The distance beyond the asked one where that is small, and smooth in the point itself.
+    # The distance beyond the required one where that is small, and smooth in the point itself.
     margin = (squared - distance**2) / (2 * distance)
     return [Require(f"{distance:g} from {first} = {at_first:g}, {second} = {at_second:g}", margin, step.unit[first])]
 

@@ -161,5 +161,5 @@ def _of_release(release: Release) -> Iterator[Amount]:
     lengths = {name: getattr(release, name) for name in ("support_std", "step", "shift_std", "withdraw")}
     for key, size in lengths.items():
         yield Amount(f"release.{key}", size, "m", 1.0, "a hand can feel or move away")
-    for joint, position in release.fingers:  # whether it slides or turns only its file says
+    for joint, position in release.fingers:  # only its file shows whether it slides or rotates
         yield Amount(f"release.fingers.{joint}", position, "", _WHOLE_TURN, "any joint of a gripper opens")

@@ -27,7 +27,7 @@ class SpeedDrag(EffectForm):
     name = "speed_drag"
     sentence = "Large commands fall short by a share that grows with their size."
     source = "a guess of mine"
-    # Name, unit ("coordinate" stands for rad or m), value at which nothing changes, smallest and largest value.
+    # Name, unit ("coordinate": rad or m), neutral value, smallest and largest value.
     parameters = (Parameter("drag", "1/coordinate", 0.0, 0.0, 50.0),)
 
     # One formula for NumPy and for CasADi: use the functions of `ops` instead of numpy's, and no `if` on values.

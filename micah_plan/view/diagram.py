@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from micah_plan.automaton.hybrid import Edge
 from micah_plan.quantities import plain
 
-# In pixels of the panel, which is 303 wide: a box, the way between two, and a letter of a guard.
+# In pixels of the panel, which is 303 wide: a box, the gap between two, and a letter of a guard.
 _WIDTH, _BOX, _GAP, _LETTER, _LINE = 303.0, 26.0, 36.0, 5.7, 12.0
 _LEAST_BOX, _LETTER_OF_BOX, _BESIDE = 76.0, 8.0, 12.0
 _BULGE, _BULGE_PER_MODE = 16.0, 9.0
@@ -81,7 +81,7 @@ def diagram_of(modes: Sequence[str], edges: Sequence[Edge], colors: Mapping[str,
         if not edge.is_self_transition and {edge.source, edge.target} <= number.keys():
             between.setdefault((number[edge.source], number[edge.target]), []).append(guard_words(edge))
     arrows = list[TransitionArrow]()
-    # Labels between neighbours stand where they are; those of arcs make way.
+    # Labels between neighbours keep their place; those of arcs give way.
     for (source, target), guards in sorted(between.items(), key=lambda item: abs(item[0][1] - item[0][0])):
         arrows.append(_arrow(boxes, source, target, guards, arrows))
     return Diagram(_WIDTH, boxes[-1].top + _BOX + 2.0, boxes, tuple(arrows))

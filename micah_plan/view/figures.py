@@ -45,7 +45,7 @@ from micah_plan.view.plan_charts import DrawnRun, belief_chart
 
 _DPI = 150
 # The view holds every mean and the ellipses that are not larger than this many times the median one. It is not much
-# narrower than high, or the other way round.
+# narrower than high, or vice versa.
 _LARGE = 6.0
 _NARROWEST = 0.8
 _ROOM = 0.1

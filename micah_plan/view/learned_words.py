@@ -22,11 +22,11 @@ LEVELS = 2
 """Rows of names above a chart: what would overlap goes to the second."""
 
 _AT_FLOOR = 0.5
-_LEAST_REPORTED = 0.5  # probability of a deviation from which on it is told
+_LEAST_REPORTED = 0.5  # probability of a deviation from which on it is reported
 _LINE_OF_NAMES = 17  # letters
 
 # Standard deviation of a turn [rad], and of a gain as a share of it, from which on a number would only mislead: motion
-# along one straight line tells the gain along it and no turn about it.
+# along one straight line determines the gain along it but no rotation about it.
 _OPEN = 0.35
 
 

@@ -32,7 +32,7 @@ class PageServer(ThreadingTCPServer):
 
     allow_reuse_address = True
     daemon_threads = True
-    request_queue_size = 1024  # a page that many windows ask for at once; the default of 5 drops connections
+    request_queue_size = 1024  # a page that many windows request at once; the default of 5 drops connections
 
     def __init__(self, page: Callable[[], str], port: int = 0) -> None:
         self._page = page

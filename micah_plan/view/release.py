@@ -132,7 +132,7 @@ def _arm(release_plan: ReleasePlan, ends: Floats, problem: Problem) -> tuple[Flo
         return np.linspace(begin, end, len(arm.positions))
 
     away = release_plan.withdrawing
-    # Down to where contact is expected: there the way out begins.
+    # Down to where contact is expected: there the withdrawal begins.
     count = 1 + int(np.argmin(np.abs(release_plan.lowering.positions - away.positions[0]).max(axis=1)))
     down = replace(release_plan.lowering, positions=release_plan.lowering.positions[:count])
     times = [spread(down, ends[0], ends[1]), spread(away, ends[2], ends[3])]

@@ -270,7 +270,7 @@ def _of_c3d(path: str | Path, unit: str | None) -> PointTracks:
         points, group = np.asarray(file["data"]["points"], dtype=np.float64), file["parameters"]["POINT"]
         rate, names = float(group["RATE"]["value"][0]), tuple(group["LABELS"]["value"])
         length = unit or next(iter(group.get("UNITS", {}).get("value", [])), "mm")
-    except Exception as error:  # whatever a damaged file makes the library raise
+    except Exception as error:  # anything that a damaged file makes the library raise
         raise InputError(f"expected a C3D file ({shown(str(error))})", remedy="export it again") from None
     if length not in LENGTHS or not rate > 0.0:
         raise InputError(f"expected lengths in m or mm and a rate, found {shown(length)}", remedy="add --units mm")

@@ -204,7 +204,7 @@ def _explained(tracks: Floats, seen: Booleans, body: RigidBody, volume: float) -
         place = np.einsum("tn,tni->ni", weights, back) / np.maximum(weights.sum(axis=0), 1e-9)[:, None]
     squared = ((back - place) ** 2).sum(axis=2)
     inside = (1.0 - _GROSS) * np.exp(-0.5 * squared / noise**2) / (2.0 * np.pi * noise**2) ** 1.5
-    # Frames in which the body has no pose say as much as a gross error.
+    # Frames in which the body has no pose cost as much as a gross error.
     density = np.where(there, np.log(inside + _GROSS / volume), np.where(seen.T, np.log(_GROSS / volume), 0.0))
     near = (there & (squared < 9.0 * noise**2)).sum(axis=0) / np.maximum(seen.sum(axis=1), 1)
     return density.sum(axis=0), near

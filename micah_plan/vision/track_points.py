@@ -17,7 +17,7 @@ from micah_plan.recording.value import Recording
 from micah_plan.vision.point_files import PointTracks
 from micah_plan.vision.rigid_bodies import FEWEST_POINTS, RigidBody, rigid_bodies
 
-# Points of a body from which on nothing is said of its number.
+# Points of a body from which on their number is not mentioned.
 _ENOUGH_POINTS = 7
 # A turn that is known no better than that is no measurement of one [rad].
 _NO_TURN = 0.3

@@ -39,11 +39,11 @@ from micah_plan.vision.video import grey_frames
 _ENOUGH_PX = 25.0
 # Frames that the focal length is found from, and the range in which it is sought, over the larger side of a picture.
 _FOCAL_FRAMES, _FOCAL_RANGE = 25, (0.35, 6.0)
-# Stds that a camera's file may differ from what the tags say before it is doubted.
+# Stds between a camera's file and the estimate from tags from which on the file is doubted.
 _DOUBTED = 3.0
-# Distortion k1 of a lens that nobody calibrated, one std.
+# Distortion k1 of an uncalibrated lens, one std.
 _BENT = 0.06
-# Times the std of one turn that what such a lens turns directions by is told.
+# Times the std of one rotation from which on the effect of such a lens on directions is reported.
 _MATTERS = 2.0
 # What a lens moves one pose by beyond all others is a flip of its tag [m, rad].
 _FLIPPED = 0.01

@@ -10,7 +10,7 @@ from micah_plan.arrays import ROUND_OFF
 from micah_plan.automaton.effects.fit_start import CoordinateSeries, FitStart, command_sizes, step_sizes
 from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter, Value, Values
 
-# Smaller commands, as a share of the usual one, go neither way; fewer than that share of the rows show no direction.
+# Smaller commands, as a share of the usual one, have no direction; with fewer rows than that share none is identified.
 _TO_REST, _FEW = 0.05, 0.05
 
 
@@ -86,7 +86,7 @@ class Saturation(EffectForm):
         return ops.maximum(ops.minimum(v, p[0]), -p[0])
 
     def initial_guess(self, data: CoordinateSeries) -> FitStart | None:
-        # Of commands that are places, or far larger than the limit, what was moved tells it.
+        # For commands that are places, or far larger than the limit, the motion determines it.
         at = [*command_sizes(data, 0.3, 0.6, 0.85), *step_sizes(data, 0.9, 0.98)]
         return FitStart([[q] for q in at], (0,), [0.3 * data.command_size]) if at else None
 

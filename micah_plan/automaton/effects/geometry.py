@@ -14,7 +14,7 @@ from micah_plan.automaton.effects.form import EffectForm, Operations, Parameter,
 from micah_plan.automaton.hybrid import HybridAutomaton, Mode
 from micah_plan.automaton.joint import Joint, axis_basis, rigid, twisting
 
-# Actions across the joint of their own that are smaller than this share of the commands say nothing of their frame.
+# Actions across the joint that are smaller than this share of the commands are uninformative about their frame.
 _ACROSS = 0.1
 # A turn may make commands as long as the actions, give or take what a gain is uncertain by.
 _AS_LONG = 1.02

@@ -13,7 +13,7 @@ from micah_plan.automaton.effects.value import Effect
 
 LONGEST_DELAY = 30
 """The longest delay [steps]."""
-_SHORTEST = 1e-3  # steps: of a shorter lag nothing is left after a step
+_SHORTEST = 1e-3  # steps: a shorter lag has no effect after one step
 
 
 def is_constant(value: Value) -> bool:

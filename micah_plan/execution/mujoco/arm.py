@@ -28,7 +28,7 @@ from micah_plan.xml_text import Element, parse_xml, write_xml
 _ROBOT = "robot/"
 # Links that state neither mass nor solids would have none.
 _LEAST_MASS, _LEAST_INERTIA = 1e-3, 1e-6
-# The tool could not go where it was told if it would end further than this from there [m or rad].
+# The tool cannot follow a command if it would end further than this from there [m or rad].
 _NOT_REACHED = 0.002
 
 
@@ -150,7 +150,7 @@ def _read(mujoco: Any, description: RobotDescription, arm: Arm) -> Any:
     hulls = mesh_hulls(arm)
     try:
         spec = mujoco.MjSpec.from_string(write_xml(root))
-        for mesh in spec.meshes:  # the hulls that planning has, whatever the format of the file
+        for mesh in spec.meshes:  # the hulls that planning has, for any format of the file
             hull = hulls.get((mesh.file, tuple(mesh.scale)))
             if hull is not None:
                 mesh.file, mesh.scale, mesh.uservert = "", np.ones(3), hull.ravel()

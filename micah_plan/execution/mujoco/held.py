@@ -33,7 +33,7 @@ from micah_plan.execution.pose import input_effect
 from micah_plan.task.problem import Problem
 from micah_plan.task.start import sample_start
 
-# After so many steps a hand that feels its way looks at the force.
+# After so many steps a hand that moves until contact checks the force.
 _LOOKS = 5
 # Time constant of what measures it [s]: the blow as two things meet is none that stops a hand.
 _FORCE_LAG = 0.03

@@ -80,7 +80,7 @@ class LatchState:
 
     def catches(self, position: float, pull: float) -> bool:
         """Whether a joint near the latch is locked from now on."""
-        # Once opened it catches again only after the part has left, or has been pushed back the way it came.
+        # Once opened it catches again only after the part has left, or has been pushed back.
         self.armed = self.armed or (position - self.position) * pull < 0
         return self.armed
 

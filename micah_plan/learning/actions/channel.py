@@ -48,13 +48,13 @@ _NEAR_ROWS = 8  # on each side of no delay, tried first as well
 _SPREAD = 0.75  # rows, std, that actions are smoothed by: errors average out at all delays alike
 _FIRST_LAGS = (0.5, 1.0, 2.0, 4.0, 8.0)  # rows, time constants of servos
 _NEARER = (1.4, 1.2, 1.1, 1.05, 1.025)  # times the best so far
-# Rows beside the best delay of places so far: a delay makes up for a lag.
+# Rows around the best delay of places so far: a delay compensates for a lag.
 _AROUND = (0.5, 0.25, 0.12, 0.06, 0.03)
 _BESIDE = np.linspace(-1.0, 1.0, 5)
 _WITHIN_A_ROW = 0.1  # rows: how a command acts from one row to the next is in no log
-_LAG_ODDS = 5.0  # nats that a lag must be ahead by to be looked at: it has a number of its own, and a beginning
-_RIDGE = 1e-9  # of the trace: maps of actions that these steps do not tell are none
-_LEFT_BY_LAGS = np.arange(-8.0, 2.5, 0.5)  # rows beside the delay without a lag
+_LAG_ODDS = 5.0  # nats by which a lag must be ahead to be considered: it has its own parameter, and an initial state
+_RIDGE = 1e-9  # of the trace: maps of actions that these steps do not determine are ignored
+_LEFT_BY_LAGS = np.arange(-8.0, 2.5, 0.5)  # rows around the delay without a lag
 _AVERAGED = 0.5 * np.log(2.0)  # nats per step: what averaging the errors of two neighbours can explain
 _WALK_SHARES = (0.3, 0.01)  # of the mean square of a step, from which the walk is sought
 _WALKS = 0.25 ** np.arange(9.0)  # shares of a walk that are tried
@@ -63,8 +63,8 @@ _FINE_DELAYS = 13  # tried around the best
 _MOST_ROUNDS = 6  # of delays, each closer around the best
 _WIDEST = 0.25  # half-width of the delays integrated over, as a share of the run
 _MOST_UNKNOWN = 0.04  # share of the run beyond the delay where actions count as unknown at most
-_FEWEST_STEPS = 10  # to tell a channel
-_FEWEST_DRAWS = 8.0  # effective ones; with fewer nothing is said
+_FEWEST_STEPS = 10  # to identify a channel
+_FEWEST_DRAWS = 8.0  # effective ones; with fewer there is no estimate
 _NUMBERS = 5  # rotation, gain, delay
 _BLOCKS = 64  # per run, to which `explained` refers
 
@@ -193,7 +193,7 @@ def _initial_channels(
         for further, around in zip(_NEARER, _AROUND, strict=True):
             lag, before = start[0].lag / command.row, replace(command, before=start[0].before)
             lags, closer = [lag * further, lag / further], delays
-            if command.is_of_places:  # displacements do not tell by which part of a row they are late
+            if command.is_of_places:  # displacements do not determine by which part of a row they are late
                 lags, closer = [*lags, lag], start[1] + command.row * around * _BESIDE
             nearer = [found(before.lagging(rows), steps, closer) for rows in lags]
             score, start = max((score, start), *nearer, key=_score)

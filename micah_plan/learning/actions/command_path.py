@@ -101,7 +101,7 @@ def commanded_places(joint: Joint, track: PartTrack) -> CommandPath | None:
     if joint.turns:
         straight = _unwrapped_near(straight, at)
     along = at + np.einsum("ij,ij->i", leverage(joint, at), action)
-    # A row without an action says nothing, or that the part is there: the place of the row before holds.
+    # A row without an action is unknown, or the part has arrived: the place of the row before holds.
     rows = np.arange(len(at) - 1)
     latest = np.maximum.accumulate(np.where(np.any(action[:-1], axis=1), rows, 0))
     places = min((straight[latest], along[latest]), key=lambda read: float(np.abs(np.diff(read)).sum()))

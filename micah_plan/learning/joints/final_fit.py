@@ -42,7 +42,7 @@ _POSITION_SPAN = 1.0  # m, where the rows span less
 _STARTING_ROWS = 100  # no start needs more
 _MOST_PITCH_ROWS = 256  # of a hinge that may be a screw
 _VOTES = 3  # times the fewest rows of a joint; with fewer rows none is doubted
-_ROUNDS = 2  # of noise and joint in turn
+_ROUNDS = 2  # of noise and joint alternately
 _ROUGH = 0.05  # nats
 _FAR = 4.0  # stds that better weights may move an axis by
 
@@ -204,7 +204,7 @@ def _is_off_unweighted_axis(joint: Joint, before: Joint) -> bool:
     if not joint.moves or joint.covariance is None:
         return False
     if not joint.turns:
-        return True  # weights change little there, and only positions tell the axis
+        return True  # weights change little there, and only positions determine the axis
     turned = float(np.arccos(min(1.0, abs(float(np.dot(joint.axis, before.axis))))))
     return turned > _FAR * float(np.sqrt(joint.covariance.matrix[0][0] + joint.covariance.matrix[1][1]))
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from micah_plan.arrays import Floats
 
-UNKNOWN = 1.0  # rad, m, m/rad, 1/m: std of what the rows say nothing about
+UNKNOWN = 1.0  # rad, m, m/rad, 1/m: std of parameters that the rows do not determine
 _DAMPING = 3e-3  # after the first step that fails
 _MORE, _LESS = 30.0, 0.1  # damping, after a step that fails and after one that does not
 

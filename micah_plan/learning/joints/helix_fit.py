@@ -204,7 +204,7 @@ def _over_all_leads(
     joint, chart, _ = _counted_from(median, start)
     values, vectors = np.linalg.eigh(spread)
     roots = vectors * np.sqrt(np.maximum(values, 0.0))
-    turn = chart.turn  # in the joint's frame nothing depends on the base's
+    turn = chart.turn  # in the joint's frame, independent of the base's
     offs, all_slopes = [], []
     for trial in tried:
         recounted, other_chart, slopes = _counted_from(trial, start)

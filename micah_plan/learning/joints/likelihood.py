@@ -78,7 +78,7 @@ def parameter_covariance(fit: JointFit, noise: NoiseVariances, posterior: ErrorP
     information, _, _ = normal_equations(fit, noise)
     prior = np.eye(len(information)) / UNKNOWN**2
     spread = np.linalg.inv(information + prior)
-    # In the joint's frame, so that nothing depends on the base's.
+    # In the joint's frame, independent of the base's.
     gain = fit.chart.in_frame @ spread
     matrix = fit.chart.turn.T @ error_covariance(fit, noise, posterior, gain, gain @ prior @ gain.T) @ fit.chart.turn
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))

@@ -113,7 +113,7 @@ def compare_arrays(
     sliding = moving & ~turning
     configuration = np.where(sliding[:, None], along, angle)
     h, n = angle.shape
-    # The way from the start, and the direction of motion, along the basis.
+    # The displacement from the start, and the direction of motion, along the basis.
     way = np.empty((h, 3, 2, n))
     rate = np.where(turning, joints.pitch, sliding)[:, None]
     way[:, 2, 0], way[:, 1, 0], way[:, 0, 1] = 2 * half_sine * half_cosine, -2 * half_sine**2, rate

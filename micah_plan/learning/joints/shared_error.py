@@ -66,7 +66,7 @@ def _of_few_poses(joint: Joint, names: tuple[str, ...], ends: tuple[float, float
     if not pose.any():
         return np.zeros((len(chart.names),) * 2)
     seen = slice(0, 6) if has_turns else slice(0, 3)
-    # As the fit weighs them: positions and turns, each alike in all directions.
+    # Weighted as in the fit: positions and rotations, each isotropic.
     spread = np.repeat([np.trace(pose[:3, :3]) / 3.0, np.trace(pose[3:, 3:]) / 3.0], 3)[seen]
     weight = np.diag(1.0 / (spread + TINY))
     places = np.linspace(*ends, _POSES) if joint.moves else np.zeros(1)

@@ -173,7 +173,7 @@ def log_evidence(
     if posteriors is None:
         return 0.0
     columns = np.concatenate([c.design.reshape(-1, FRAME_NUMBERS) @ within for c in contrasts])
-    # The posteriors integrate over orthonormal numbers. What rows tell less of than a metre or a radian has no volume.
+    # The posteriors integrate over orthonormal parameters; directions known worse than 1 m or 1 rad have no volume.
     squares = np.linalg.eigvalsh(columns.T @ columns)
     volume = 0.5 * float(np.log(np.maximum(squares, scales.least[1] ** 2)).sum())
     return float(np.logaddexp.reduce(np.sum([posterior.log_likelihood for posterior in posteriors], axis=0))) - volume

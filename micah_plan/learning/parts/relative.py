@@ -20,7 +20,7 @@ from micah_plan.errors import InputError, shown
 from micah_plan.learning.settings import FEWEST_ROWS
 from micah_plan.recording.value import Recording
 
-_LONGEST_GAP = 4.0  # median intervals; across a longer one a straight line says nothing of how the parent moved
+_LONGEST_GAP = 4.0  # median intervals; across a longer one linear interpolation of the parent is meaningless
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,7 +36,7 @@ from micah_plan.summaries import Progress
 
 PairLearner = Callable[[Recording], KinematicEdge]
 
-_MOST_ROUNDS = 5  # of poses along a tree and trees in turn
+_MOST_ROUNDS = 5  # of poses along a tree and trees alternately
 _LOG_BASE_ODDS = 3.0  # prior, 20 to 1: that a moving part stands on the base and not on a certain other one
 _EVIDENCE_DIGITS = 6  # evidences that agree so far [nats] are ties
 

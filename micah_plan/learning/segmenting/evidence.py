@@ -33,7 +33,7 @@ from micah_plan.learning.segmenting.pool import Hypotheses, Pool, all_of, pool_o
 from micah_plan.learning.track import PartTrack
 
 _HELD_FIRST = 4.6  # nats: a part that has not moved yet waits for the hand in 99 of 100 demonstrations
-_SLIP = 0.01  # probability that a row tells nothing of the next
+_SLIP = 0.01  # probability that a row is uninformative about the next
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +180,7 @@ def _transverse_densities(pool: Pool, noise: NoiseModel) -> tuple[Floats, Floats
     tails = heavy * np.log1p(squares / heavy) + np.log(np.maximum(information, 1e-12))
     # Given how far off a row is across the joint, Student's distribution is as much wider along it.
     wider = 1 + (squares[-1] - (heavy - noise.dof[:, None])) / heavy
-    # Of a pose that may be further off than a tracker wanders, as where a stop gives way: Cauchy's density.
+    # Of a pose that may be further off than a tracker wanders, as where a stop yields: Cauchy's density.
     cauchy = heavy - noise.dof[:, None] + 1.0
     usual = digamma(0.5 * cauchy) - digamma(0.5)
     off_joint = 0.5 * cauchy * np.minimum(usual - np.log1p(squares[0] / cauchy), 0.0)

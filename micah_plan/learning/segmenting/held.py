@@ -18,12 +18,12 @@ from micah_plan.arrays import Booleans, Floats
 from micah_plan.learning.segmenting.linear_systems import least_norm
 from micah_plan.learning.segmenting.pool import Pool
 
-_CHANGES = 0.02  # probability that a part that followed is held in the next step, or the other way round
+_CHANGES = 0.02  # probability that a part that followed is held in the next step, or vice versa
 _ROUNDS = 8  # of expectation maximisation
 _MOVED = 0.5  # of the typical step; what goes further moved
-_FARTHEST = 4.0  # nats that one step may say: a tracker slips, and an arrival is half a step
-_SLIPPED = 5.0  # stds by which a row misses both what follows and what is held: it begins anew there
-_LEAST_INFORMATION = 1e-6  # relative; in a direction of less, actions say nothing
+_FARTHEST = 4.0  # largest nats of one step: a tracker slips, and an arrival is half a step
+_SLIPPED = 5.0  # stds by which a row misses both hypotheses: the filter restarts there
+_LEAST_INFORMATION = 1e-6  # relative; in a direction of less, actions are uninformative
 _SAME_PLACE = 0.03  # of the travel; rests at an end differ by what the end, the joint and the tracker give
 _FEWEST_STEPS = 2  # of a rest
 _FEWEST_FOLLOWED = 8  # steps from which a channel is estimated
@@ -105,7 +105,7 @@ def _smoothed(along: JointTrace, expected: Floats, loose: float) -> Floats:
     for value, by_action in zip(measured[1:], expected.tolist(), strict=True):
         chance = chance * (1 - _CHANGES) + (1 - chance) * _CHANGES
         quiet = variance + along.drift
-        # As loosely as it follows on average, by what is asked of it: nothing asked is nothing done.
+        # As loosely as it follows on average, relative to the command: without a command it does not move.
         free = quiet + min(loose, by_action**2)
         total_held, total_free = quiet + along.white, free + along.white
         miss_held, miss_free = value - mean, value - mean - by_action

@@ -31,17 +31,17 @@ _STEP_SHARES = np.array([0.03, 0.3, 1.5])  # of the mean squared step, as candid
 _GAP = 0.015  # of a part's travel: how far a hand goes on average, along the joint, before it has the part
 _MOST_AMPLIFIED = 1.2  # how much longer than J⁻¹ an action channel in another frame may be
 _EXPECTATION_STEPS = 6  # of expectation maximisation
-FEWEST_ACTED = 12  # rows to tell an action channel
-_LEAST_INFORMATION = 1e-8  # relative; in a direction of less, actions say nothing
+FEWEST_ACTED = 12  # rows to identify an action channel
+_LEAST_INFORMATION = 1e-8  # relative; in a direction of less, actions are uninformative
 _TRACKED = 3  # steps over which a speed is followed
 _SLOWEST = 0.5  # of the typical speed; slower is rest
 _UNASKED = 0.1  # of the mean square action, at least, as which a step counts for how loosely it moves a part
-_UNLED = 0.002  # probability that a step is not the one asked for: something else moved the part, or nothing was logged
+_UNLED = 0.002  # probability of a step by another cause, or of a missing log entry
 _OTHER_SPEED = 0.1  # probability that the speed is neither the typical one nor that before
 _TINY = 1e-16
-_TURNING = 0.01  # probability that a step goes the other way than the one before
+_TURNING = 0.01  # probability that a step reverses the one before
 _STARTING = 0.05  # probability that a part that has not moved yet starts to
-_SMOOTHED = 5  # steps, on each side, that tell the way of one
+_SMOOTHED = 5  # steps, on each side, that determine the direction of one
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +117,7 @@ def fit_motion(
     speeds = _directions(c), *_speeds(c, weight, white)
     models = [_constant_velocity_model(step, ramp, calm, mean_square, weights, rest, *speeds, not_yet_grasped)]
     if action is not None:
-        # A prior, which is not tempered as what rows say is.
+        # A prior, which is not tempered as the likelihood is.
         contact_rate = _first_direction(c) / (likelihood_power * _GAP * np.maximum(np.ptp(c, axis=1), 1e-9))
         signals, quiet = np.ascontiguousarray(innovations[..., of_led]), np.ascontiguousarray(quiet[:, :, of_led])
         unled = log_add(models[0].forth, models[0].back) + np.log(0.5 * _UNLED)

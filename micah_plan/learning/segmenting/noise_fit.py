@@ -122,11 +122,11 @@ def correlated(innovation: Floats, free: Floats) -> tuple[Floats, Floats]:
     """
     m, n, d = innovation.shape
     length = np.sqrt((free**2).sum(axis=2))
-    # The position of a part whose origin is on its axis says nothing of a direction.
+    # The position of a part whose origin is on its axis is uninformative in some direction.
     moving = length > ROUND_OFF
     free = moving[..., None] * free / np.maximum(length, ROUND_OFF)[..., None]
     size, turns = d - moving, moving.sum(axis=1)
-    # Every candidate (k, 1) of the tails beside every answer (m,).
+    # Every candidate (k, 1) of the tails with every answer (m,).
     dof = np.array(_DOFS)[:, None]
     heavy = dof[..., None] + size
     matrix = np.broadcast_to(np.eye(d), (len(dof), m, d, d))

@@ -21,7 +21,7 @@ from micah_plan.learning.track import PartTrack
 _SAMPLES = 10  # rows at which the information is looked at
 _HELD_SHARE = 4  # a joint that explains so much of the recording may hold the part elsewhere on it
 _IMPLAUSIBLE_KIND_NATS = (
-    10.0  # nats: a joint along which nothing moved beyond noise is no joint; a rest with a motion in it, no rest
+    10.0  # nats: a joint without motion beyond noise is no joint; a rest with a motion in it, no rest
 )
 BLOCKS = 8  # in which rows are averaged to see whether anything moves
 TRAVEL = 7.0  # a motion, in the noise of these means

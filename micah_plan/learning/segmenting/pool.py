@@ -22,7 +22,7 @@ from micah_plan.learning.track import PartTrack
 
 _LEVELS = 4  # of windows, each half as long
 _FEWEST_ROWS = 8  # of a window
-_MOTION_STDS = 3.0  # a window that spans less than so many stds of noise cannot tell a joint
+_MOTION_STDS = 3.0  # a window that spans less than so many stds of noise does not determine a joint
 _ITERATIONS = 4
 _TINY = 1e-30
 

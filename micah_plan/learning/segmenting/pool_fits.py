@@ -189,7 +189,7 @@ def parameter_design(joints: JointArrays, compared: Compared, position: Floats) 
         arm = (points - shift)[:, :, None]
         for i, after, last in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
             design[:, 3 + i, 6:9] = turn[:, after] * arm[:, last] - turn[:, last] * arm[:, after]
-    # For a rigid part both sides say the same.
+    # For a rigid part both sides are equivalent.
     design[~joints.moving, :, 6:] = 0.0
     design[:, 3:, 12] = np.where(joints.twisting[:, None, None], c, 0.0) * axis
     design = design[:, 6 - d :]

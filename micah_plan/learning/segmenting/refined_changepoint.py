@@ -110,7 +110,7 @@ def _scores(
     before = np.concatenate([[0.0], earlier[0, :-1]])
     sides = [slice(int(starts[0]), row), slice(row, end)]
     vectors = [track.position]
-    if track.quaternion is not None and joints.turning.any():  # turns tell nothing of how far a slide came
+    if track.quaternion is not None and joints.turning.any():  # turns do not measure a slide
         vectors.append(track.quaternion)
     share = max(_new_readings(vector[side]) for vector in vectors for side in sides)
     return np.asarray(share * (before + later_on[:, -1]))

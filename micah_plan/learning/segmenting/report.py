@@ -56,7 +56,7 @@ def posterior_of(answer: Segmented, settings: LearnSettings) -> ChangepointPoste
     if "rigid" in settings.kinds:
         ends = final_rests(table, moves, answer.track, answer.noise, settings.rest) - of_kind
         rests = np.concatenate([rests, ends])
-    # Rests fitted to much the same rows are one rest, told by the best of them.
+    # Rests fitted to much the same rows are one rest, represented by the best of them.
     worth = np.concatenate([worth[~spare], rests.max(axis=0, keepdims=True)]) if len(rests) else worth
     rigid = np.append(~moving[~spare], True) if len(rests) else ~moving
     if not table.motion.gain[moves].any():
@@ -78,7 +78,7 @@ def _with_rival_counts(stated: ChangepointPosterior, answer: Segmented) -> Chang
             (other_answer for other_answer in answer.others if len(other_answer.kinds) == pieces),
             key=lambda other_answer: other_answer.log_probability,
         )
-        # What the sums over this answer's joints know of it already is not told twice.
+        # Evidence that the sums over this answer's joints already contain is not counted twice.
         more = max(_odds(best, answer) * stated.counts[count - 1] - stated.counts[pieces - 1], 0.0)
         counts[pieces - 1] += more
         changepoint[1:] += more * np.diff(best.of_row)
@@ -113,11 +113,11 @@ def kind_probabilities(
             sums += table.sums[:, piece.start, piece.end]
             governed[piece.start : piece.end + 1] = True
     elsewhere = [piece.hypothesis for piece in pieces if piece.hypothesis != hypothesis]
-    # A pose costs less if it lies on a joint that moves the part elsewhere, not on the one that it would stand for.
+    # A pose costs less if it lies on a joint that moves the part elsewhere, not on the one that it would replace.
     held = bool(moving[elsewhere].any())
     sums = sums - table.cost(np.arange(len(names)), np.full(len(names), float(governed.sum())), held)
     twisting = table.pool.hypotheses.joints.twisting
-    # What the whole segmentation would pay for: one more moving joint, or a rest beside a rest.
+    # Costs of the whole segmentation: one more moving joint, or a rest next to a rest.
     beside = {b if a == hypothesis else a for a, b in pairwise([piece.hypothesis for piece in pieces])}
     another = moving & moving[elsewhere].any() & ~np.isin(np.arange(len(names)), elsewhere)
     another |= ~moving & any(not moving[neighbour] for neighbour in beside - {hypothesis})

@@ -30,9 +30,9 @@ from micah_plan.learning.segmenting.selections import selections, shared
 from micah_plan.learning.settings import LearnSettings
 from micah_plan.learning.track import PartTrack
 
-_MOST_ROUNDS = 3  # of segments, joints and noise in turn
+_MOST_ROUNDS = 3  # of segments, joints and noise alternately
 _MOST_PROPOSALS = 3  # that are settled
-_GRAINS = 16  # places that are told apart when proposals are compared
+_GRAINS = 16  # digits that are compared between proposals
 _CONVERGED = 0.2  # nats
 
 

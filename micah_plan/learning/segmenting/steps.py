@@ -110,7 +110,7 @@ def activity_of(track: PartTrack, used: Ints) -> Activity:
         rows = np.diff(np.append(path.begins, len(used)))
         moving = int(np.minimum(rows, _REST * np.quantile(rows, _QUICK)).sum())
         one_way = int(np.ceil(moving / (2 * max(path.sweeps, 0.5))))
-        # Of a part that stands still while it is pushed, the pushes tell something else than the rest.
+        # For a part that stands still while it is pushed, the pushes have information that a rest does not.
         group = 2 * np.repeat(np.arange(len(rows)), rows) + is_pushed[used]
         counts = np.bincount(group)
         if counts.max() <= one_way:

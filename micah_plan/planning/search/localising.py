@@ -22,7 +22,7 @@ from micah_plan.planning.search.path_beliefs import PathBeliefs
 from micah_plan.planning.search.roadmap import JoinedRoadmap, vertices_along
 from micah_plan.task.deadline import NEVER, Deadline, TimeLimitError
 
-# Stops on the way, and how many of the best beginnings get one more.
+# Stops on a path, and how many of the best beginnings get one more.
 _MOST_STOPS = 2
 _BEAM = 2
 # Only this many of the cheapest paths of a round are evaluated in full; most differ by a corner that is cut anyway.

@@ -115,7 +115,7 @@ def search_modes(
         automaton = replace(problem.automaton, modes=modes, edges=tuple(edges[i] for i in kept))
         part = replace(problem, automaton=automaton)
         if sequences := _searched(part, limits, start_mode, seed, deadline).sequences:
-            # That there is no other way near this one does not say that there is none.
+            # That there is no other path near this one does not prove that there is none.
             named = (
                 replace(path, edges=tuple(kept[i] for i in path.edges), purposes=avoidable_modes(path.purposes))
                 for path in sequences
@@ -189,7 +189,7 @@ def _among_states(
     beliefs = PathBeliefs(problem, limits, roadmap, samples.points)
     chosen = best_paths(roadmap, beliefs, shortest, revisits, deadline)[:candidates]
     found = [_mode_sequence(path, beliefs, motions) for path in chosen]
-    # Every way visits the mode that it starts in.
+    # Every path visits the mode that it starts in.
     visited = dict.fromkeys(mode for sequence in found for mode in sequence.modes if mode != start_mode)
     purposes = PathsWithoutMode(problem, limits, samples, roadmap, beliefs, deadline).purposes(visited)
     return SearchResult(

@@ -23,7 +23,7 @@ from micah_plan.task.deadline import Deadline
 from micah_plan.task.plan import ModePurpose
 from micah_plan.task.problem import Problem
 
-# Linear programmes that are solved at most to tell why there is no way without a mode: a search may solve thousands.
+# Largest number of linear programmes for the reason why there is no path without a mode: a search may solve thousands.
 _PROGRAMMES = 50
 
 
@@ -48,7 +48,7 @@ class PathsWithoutMode:
         purposes = dict[str, ModePurpose]()
         for mode in modes:
             purpose = self._purpose(mode)
-            if self.deadline.is_over():  # what was not found in time says nothing
+            if self.deadline.is_over():  # what was not found in time is inconclusive
                 break
             purposes[mode] = purpose
         return purposes

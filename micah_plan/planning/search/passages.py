@@ -37,7 +37,7 @@ _MOST_SEQUENCES = 24
 _ENOUGH = 400
 # How much a step that is left to the goal counts against one that was made: above 1 sequences that lead on go first.
 _EAGERNESS = 2.0
-# How much a step that is left counts within a sequence: were it as much as one made, nothing need be done on the way.
+# Weight of a remaining step within a sequence: with the weight of a completed one, detours would not be needed.
 _LEFT = 1.05
 # Steps by which a sequence goes last that came back to a mode without getting nearer to the goal.
 _NO_NEARER = 100.0
@@ -221,7 +221,7 @@ class _Search:
     def extreme(self, prefix: _Prefix, direction: Floats) -> Floats | None:
         """The inputs (v,) of a sequence that go farthest in a direction (v,)."""
         scale = np.tile(1.0 / self.limits.max_step, prefix.size // self.automaton.m)
-        # Inputs that are not limited move nothing.
+        # Unlimited inputs move nothing.
         limited = prefix.rows.any(axis=0)
         return self._optimum(np.where(limited, direction * scale, 0.0), prefix.rows, prefix.least, prefix.size)
 

@@ -76,7 +76,7 @@ class PathBeliefs:
         moves = mode == self.mode_of[end]
         u = np.abs(np.einsum("pmn,pn->pm", self._inverse[mode], delta)) / self.limits.max_step
         least = np.where(moves, u.max(axis=1, initial=0.0), 0.0)
-        # What takes more steps than a plan may have is no way, however certain: so no more of them are followed.
+        # A path of more steps than a plan may have is useless, however certain: so no more of them are followed.
         count = np.ceil(least / self.problem.settings.pace - 1e-9)
         count = np.minimum(count, self.problem.settings.max_knots).astype(np.int64)
         variance = variance.copy()

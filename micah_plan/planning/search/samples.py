@@ -130,7 +130,7 @@ class _Sampler:
             before = [states.nearest(self.start), states.nearest(self.target)]
             if edge.source not in self._on_leaves:
                 before += list(self._draw(states, self._leaves[edge.source], count))
-            # Also where the edge leads nowhere: it is in the way, and a corridor beside it needs states.
+            # Also where the edge leads nowhere: it is an obstacle, and a corridor next to it needs states.
             pairs = [self._add_exit(edge, _on_boundary(states, edge, x)) for x in before]
             if taken := dict.fromkeys(pair for pair in pairs if pair is not None):
                 self.exits[index] = np.array(list(taken), dtype=np.int64)

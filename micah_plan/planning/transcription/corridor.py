@@ -32,7 +32,7 @@ from micah_plan.symbolic.casadi_operations import CasadiOperations
 from micah_plan.task.path import Pay, Require, path_terms
 from micah_plan.task.problem import Problem
 
-# Half-spaces within so many times k-sigma of a step are near; how far places beside it are, in k-sigma.
+# Half-spaces within so many times k-sigma of a step are near; how far places around it are, in k-sigma.
 _BESIDE, _SIZES = 4.0, (1.0, 2.0, 3.5)
 
 

@@ -180,7 +180,7 @@ def _roll(
         states = _resample(path, limits.speed, count)
         inputs = np.diff(states, axis=0) @ np.linalg.pinv(B).T + holding_inputs(automaton, name, states[:-1], B)
         if edge is not None and automaton.input_memories and not mode.mode.B.any():
-            # What the guard asks for while the object is still pinned, as large as it may be.
+            # The largest requirement of the guard while the object is still pinned.
             inputs[:] = limits.max_step * np.sign(sum(np.array(h.b) for h in automaton.edges[edge].guard.half_spaces))
         inputs = np.clip(inputs, -limits.max_step, limits.max_step)
         means, factors = _roll_phase(planned_step(automaton, name), mean, factor, inputs)

@@ -94,7 +94,7 @@ def _row(
     std = float(np.sqrt(np.sum((a @ guess.factors[step]) ** 2) + spread))
     scale = float(np.abs(a) @ limits.speed + np.abs(b) @ limits.max_step)
     short = k * std - float(a @ guess.means[step] + b @ guess.inputs[step] - c)
-    # Of an input that arrives later the feedback of now says nothing.
+    # Current feedback has no information on an input that arrives later.
     is_uncertain = may_vary and std > SMALLEST_STD and not automaton.input_memories
     return InputRow(step, row, a, b, c, spread, scale, is_sent, is_uncertain, max(0.0, short) / scale)
 

@@ -292,7 +292,7 @@ def _join(nlp: Transcription, before: int, after: int) -> None:
     free, before_last = source.free, guess.means[-2] if guess.steps else guess.means[-1]
     beyond = crossed(source, edge.edge, before_last, guess.means[-1], settings.sigmas)[2]
     for i, (half_space, own) in enumerate(zip(edge.edge.guard.half_spaces, stds_of(edge.edge), strict=True)):
-        # Where the mode pins x the guard's rows on it hold or not whatever the plan; the search has checked them.
+        # Where the mode pins x the guard's rows on it are constant; the search has checked them.
         certain = not np.any(np.array(half_space.a)[free])
         if (certain and not half_space.on_input) or half_space in beyond:
             continue
