@@ -489,7 +489,7 @@ def test_functions_share_a_name_only_from_command_to_stage() -> None:
     assert {name: modules for name, modules in below.items() if len(modules) > 1} == {}
 
 
-def test_how_a_joint_moves_is_asked_of_the_joint() -> None:
+def test_motion_is_a_property_of_the_joint() -> None:
     """Above the models nobody tells kinds of joint by their names: a new kind is a row of `KINDS`."""
     named = [
         f"{module}: {ast.unparse(node)}"

@@ -40,7 +40,7 @@ def test_files_that_ship_can_be_used(kind: str, file: Path) -> None:
     assert (found.kind, found.faults, found.warnings) == (kind, (), ())
 
 
-def test_all_faults_of_a_file_are_told_in_the_order_of_the_file(tmp_path: Path) -> None:
+def test_all_faults_of_a_file_are_reported_in_the_order_of_the_file(tmp_path: Path) -> None:
     text = (ROOT / "problems" / "drawer_open.yaml").read_text()
     problem = tmp_path / "problem.yaml"
     problem.write_text(text.replace("tolerance", "tolerence").replace("0.002", "-2") + "x: 1\n")
@@ -125,7 +125,7 @@ def test_modes_that_place_a_part_far_apart_are_warned_of(tmp_path: Path) -> None
     )
 
 
-def test_the_command_tells_people_and_programs_the_same(tmp_path: Path) -> None:
+def test_the_command_prints_the_same_for_people_and_programs(tmp_path: Path) -> None:
     bad, good = tmp_path / "bad.yaml", ROOT / "models" / "drawer.yaml"
     bad.write_text("format: micah-plan/problem/1\nmodl: x.yaml\nstart: 3\n")
 
@@ -143,7 +143,7 @@ def test_the_command_tells_people_and_programs_the_same(tmp_path: Path) -> None:
     assert found["files"][0]["faults"][0]["line"] == 2
 
 
-def test_errors_that_come_together_are_told_apart_again() -> None:
+def test_errors_that_come_together_are_separated_again() -> None:
     first, second = InputError("a", where="line 1", position=(1, 2), remedy="r"), InputError("b")
     both = together([first, second])
     assert str(both) == "line 1: a (and 1 more error); r"

@@ -186,7 +186,7 @@ def edited(repository, tmp_path):
     ],
     ids=["typo", "missing file", "goal out of range", "start in no mode"],
 )
-def test_a_bad_problem_is_one_line_that_says_what_and_where(micah, edited, tmp_path, old, new, said):
+def test_a_bad_problem_is_one_line_with_problem_and_place(micah, edited, tmp_path, old, new, said):
     problem = edited(old, new)
     line = only_error(micah("solve", problem, "-o", tmp_path / "plan.json"))
     assert str(problem) in line
@@ -245,7 +245,7 @@ def test_bad_arguments_are_one_line(micah, repository, arguments, said):
 
 
 @pytest.mark.slow
-def test_an_error_is_json_too_when_asked(micah):
+def test_an_error_is_json_too_on_request(micah):
     done = micah("learn", "nowhere.csv", "-o", "model.yaml", "--json")
     assert done.returncode == 2
     said = only_json(done)
@@ -389,7 +389,7 @@ def test_outputs_never_destroy_files_or_have_the_wrong_kind(micah, tmp_path, arg
         ("learn x.csv -o x.yaml --colour", "no such option: --colour"),
     ],
 )
-def test_wrong_usage_is_one_line_and_json_when_asked(micah, tmp_path, arguments, said):
+def test_wrong_usage_is_one_line_and_json_on_request(micah, tmp_path, arguments, said):
     line = only_error(micah(*arguments.split(), cwd=tmp_path))
     assert said in line
     done = micah(*arguments.split(), "--json", cwd=tmp_path)
@@ -426,7 +426,7 @@ def stopped(monkeypatch, capsys):
     return run
 
 
-def test_an_interrupt_is_told_by_its_exit_code(stopped):
+def test_an_interrupt_is_shown_by_its_exit_code(stopped):
     ended, printed = stopped(KeyboardInterrupt(), SystemExit)
     assert ended.code == 130
     assert "interrupted" in json.loads(printed.out)["error"]
@@ -442,7 +442,7 @@ def test_an_interrupt_while_a_compiled_module_is_loaded_is_no_bug(stopped):
     assert stopped(ImportError("initialization failed"), SystemExit)[0].code == 70
 
 
-def test_an_unexpected_exception_says_that_it_is_a_bug(stopped):
+def test_an_unexpected_exception_is_reported_as_a_bug(stopped):
     ended, printed = stopped(RuntimeError("no such\nthing"), SystemExit)
     assert ended.code == 70
     assert "this is a bug" in json.loads(printed.out)["error"]

@@ -50,7 +50,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("few")
-def test_what_is_missing_or_broken_is_told_with_what_to_do() -> None:
+def test_missing_or_broken_parts_are_reported_with_a_remedy() -> None:
     told: list[float] = []
     found = examine(lambda _, fraction: told.append(fraction))
     assert [item.state for item in found.libraries] == ["works", "broken", "missing", "missing", "works"]

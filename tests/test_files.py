@@ -65,7 +65,7 @@ def test_files_that_belong_together_are_replaced_together(tmp_path: Path) -> Non
     assert sorted(tmp_path.iterdir()) == sorted(files)
 
 
-def test_a_pipe_that_nobody_reads_is_an_error_and_no_wait(tmp_path: Path) -> None:
+def test_a_pipe_without_a_reader_is_an_error_and_no_wait(tmp_path: Path) -> None:
     pipe = tmp_path / "plan.json"
     os.mkfifo(pipe)
     with pytest.raises(InputError, match=r"plan\.json: cannot be written \(nobody reads this pipe\)"):

@@ -74,7 +74,7 @@ def run(monkeypatch, capsys, repository, tmp_path):
     return run
 
 
-def test_json_says_how_sure_everything_is(run, tmp_path):
+def test_json_has_all_uncertainties(run, tmp_path):
     code, printed = run(sure_graph(), "--json")
     assert (code, printed.err) == (0, "")
     found = json.loads(printed.out)
@@ -98,7 +98,7 @@ def test_json_says_how_sure_everything_is(run, tmp_path):
     assert kept.edges[0].threshold_std > 0.01
 
 
-def test_what_nobody_worked_out_is_null(run):
+def test_missing_estimates_are_null(run):
     (edge,) = sure_graph().edges
     bare = replace(edge, segments=tuple(replace(s, certainty=None) for s in edge.segments), certainty=None)
     found = json.loads(run(KinematicGraph((bare,)), "--json")[1].out)
@@ -107,7 +107,7 @@ def test_what_nobody_worked_out_is_null(run):
     assert [s["start_interval"] for s in found["segments"]] == [None, None]
 
 
-def test_several_parts_say_it_per_edge(repository):
+def test_several_parts_have_it_per_edge(repository):
     (edge,) = sure_graph().edges
     other = replace(edge, child="drawer", certainty=None)
     recording = read_recording(repository / DEMONSTRATION)
@@ -239,7 +239,7 @@ def test_wide_numbers_wrap_no_names(run):
         ((0.5, 0.4), (-0.3, 0.5), "0.5 → -0.3 → 0.4 rad"),
     ],
 )
-def test_the_table_says_where_a_part_turned_around(ends, reached, way) -> None:
+def test_the_table_shows_where_a_part_turned_around(ends, reached, way) -> None:
     moving = sure_graph().edges[0].segments[0]
     there = replace(moving, configuration_start=ends[0], configuration_end=ends[1], configuration_range=reached)
     assert segment_row(there)[2] == way

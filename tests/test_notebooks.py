@@ -77,7 +77,7 @@ def test_what_a_notebook_imports_exists(name: str) -> None:
 @pytest.mark.evidence  # the docs of every landing run the notebooks; here their numbers are those of the prose
 @requires("notebooks")
 @pytest.mark.parametrize("name", NOTEBOOKS)
-def test_a_notebook_runs_offline_and_tells_what_its_prose_says(name: str) -> None:
+def test_a_notebook_runs_offline_and_prints_what_its_prose_states(name: str) -> None:
     import nbclient
     import nbformat
 

@@ -121,12 +121,12 @@ def test_percents_claim_no_certainty(share: float, decimals: int | None) -> None
     ("share", "text"),
     [(0.95, "95 %"), (0.9975, "99.75 %"), (0.99999, ">99.99 %"), (1e-6, "<0.01 %"), (2 / 3, "66.7 %"), (1.2, "120 %")],
 )
-def test_percents_keep_the_digits_that_tell_them_from_all(share: float, text: str) -> None:
+def test_percents_keep_the_digits_that_separate_them_from_all(share: float, text: str) -> None:
     assert percent(share) == text
 
 
 @given(AMOUNTS, st.floats(0.0, 1e6), UNITS)
-def test_the_ends_of_an_interval_are_told_apart(low: float, width: float, unit: str) -> None:
+def test_the_ends_of_an_interval_are_printed_differently(low: float, width: float, unit: str) -> None:
     high = low + width
     assume(high - low > 1e-4 * max(abs(low), abs(high)))
     first, _, rest = interval(low, high, unit, degrees=False).partition(" to ")

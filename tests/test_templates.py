@@ -77,7 +77,7 @@ def test_the_effect_conforms_and_runs(tmp_path: Path) -> None:
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["problem", "effect", "robot", "sweep", "tags"])
-def test_every_yaml_file_is_good_and_names_a_schema_that_says_so(tmp_path: Path, kind: str) -> None:
+def test_every_yaml_file_is_good_and_names_a_schema_that_reports_it(tmp_path: Path, kind: str) -> None:
     written = write_template(kind, tmp_path / kind)  # type: ignore[arg-type]
     assert sorted((tmp_path / kind).iterdir()) == sorted(written)
     found = [path for path in written if path.suffix == ".yaml"]

@@ -28,7 +28,7 @@ def test_the_rest_takes_as_long_as_its_share(elapsed_s: float, fraction: float, 
     assert time_left(elapsed_s, fraction) == said
 
 
-def test_a_bar_says_it() -> None:
+def test_a_bar_shows_it() -> None:
     now, shown = 0.0, io.StringIO()
     bars = Progress(TimeLeft(), console=Console(file=shown, force_terminal=True), get_time=lambda: now)
     task = bars.add_task("", total=1.0)

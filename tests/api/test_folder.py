@@ -79,7 +79,7 @@ def test_pages_are_linked_from_their_files_and_names_are_escaped(tmp_path) -> No
     assert "<script" not in page
 
 
-def test_what_cannot_be_read_says_why_and_does_not_end_it(tmp_path) -> None:
+def test_what_cannot_be_read_gives_the_reason_and_does_not_end_it(tmp_path) -> None:
     shutil.copy(MODEL, tmp_path / "drawer.yaml")
     (tmp_path / "broken.yaml").write_text("format: micah-plan/model/1\nmodes: [\n")
     (tmp_path / "mine.csv").write_text("a,b\n1,2\n")
@@ -90,7 +90,7 @@ def test_what_cannot_be_read_says_why_and_does_not_end_it(tmp_path) -> None:
     assert found.step[0].endswith("--model drawer.yaml")
 
 
-def test_a_library_that_is_missing_is_said_of_its_file_alone(tmp_path, monkeypatch) -> None:
+def test_a_missing_library_is_reported_for_its_file_alone(tmp_path, monkeypatch) -> None:
     shutil.copy(MODEL, tmp_path / "drawer.yaml")
     (tmp_path / "log.bag").write_bytes(b"#ROSBAG V2.0")
 
@@ -105,7 +105,7 @@ def test_a_library_that_is_missing_is_said_of_its_file_alone(tmp_path, monkeypat
     assert len(found.of("models")) == 1
 
 
-def test_the_command_writes_the_page_and_says_what_is_next(tmp_path) -> None:
+def test_the_command_writes_the_page_and_names_the_next_command(tmp_path) -> None:
     shutil.copy(MODEL, tmp_path / "drawer.yaml")
     output = tmp_path / "index.html"
     for _ in range(2):  # its own page is no part of it

@@ -149,12 +149,12 @@ def test_settings_are_arguments(repository: Path, solved: PlanningResult) -> Non
         ({"candidates": 2.5}, "expected an integer"),
     ],
 )
-def test_a_setting_that_is_none_is_said(changes: dict[str, Any], message: str, solved: PlanningResult) -> None:
+def test_a_setting_that_is_none_is_reported(changes: dict[str, Any], message: str, solved: PlanningResult) -> None:
     with pytest.raises(InputError, match=message):
         solve(solved, **changes)
 
 
-def test_an_unknown_setting_of_learning_is_said(learned: LearningResult) -> None:
+def test_an_unknown_setting_of_learning_is_reported(learned: LearningResult) -> None:
     with pytest.raises(InputError, match="unknown setting 'kind'; did you mean 'kinds'"):
         learn(learned, kind=("rigid",))
 
@@ -191,7 +191,7 @@ def test_runs_of_a_plan_that_is_not_verified_never_look_like_those_of_a_good_one
 
 @pytest.mark.slow
 @requires("sim")
-def test_failed_trials_say_why(solved: PlanningResult) -> None:
+def test_failed_trials_give_the_reason(solved: PlanningResult) -> None:
     stuck = execute(solved, plant="mujoco", trials=2, plant_parameters={"friction": 500.0})
     assert stuck.outcome == "missed"
     assert stuck.reason.startswith("trial 0: ")
@@ -239,12 +239,12 @@ def test_an_automaton_by_hand_is_made_of_names(repository: Path) -> None:
         ({"modes": {}}, "key 'modes'"),
     ],
 )
-def test_a_mistake_in_it_is_said_by_name(changes: dict[str, Any], message: str) -> None:
+def test_a_mistake_in_it_is_reported_by_name(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         load(drawer_by_hand(**changes))
 
 
-def test_other_things_are_said_to_be_other_things(tmp_path: Path) -> None:
+def test_other_things_are_reported_as_other_things(tmp_path: Path) -> None:
     for call, given in ((learn, 3), (solve, None), (execute, [1]), (predict, 2.0)):
         with pytest.raises(InputError, match="found '"):
             call(given, *(["x"] if call is predict else []))  # type: ignore[operator]
@@ -254,7 +254,7 @@ def test_other_things_are_said_to_be_other_things(tmp_path: Path) -> None:
         save(3, tmp_path / "x")
 
 
-def test_quaternions_that_are_no_orientations_are_said_and_not_guessed() -> None:
+def test_quaternions_that_are_no_orientations_are_reported_and_not_guessed() -> None:
     time, turned = np.linspace(0.0, 3.0, 40), np.linspace(0.0, 1.2, 40)
     position = np.stack([0.3 * np.cos(turned), 0.3 * np.sin(turned), np.zeros(40)], axis=1)
     zeros = np.zeros((40, 4))
@@ -266,7 +266,7 @@ def test_quaternions_that_are_no_orientations_are_said_and_not_guessed() -> None
     assert "scalar first" in str(found)
 
 
-def test_the_package_has_functions_whatever_was_imported_before() -> None:
+def test_the_package_has_functions_after_any_import() -> None:
     code = (
         "import micah_plan.learning.settings, micah_plan.api.planning; from micah_plan import learn; "
         "import micah_plan; assert callable(learn) and micah_plan.learn is learn; "

@@ -136,13 +136,13 @@ def _scissors() -> HybridAutomaton:
         ({"noise": {"process_std": 0.1}}, "noise, process_std: expected values by name, found 0.1"),
     ],
 )
-def test_what_cannot_be_asked_is_told(close: Problem, changes: dict[str, Any], said: str) -> None:
+def test_impossible_requests_are_reported(close: Problem, changes: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError) as refused:
         solve(close, **changes)
     assert said in str(refused.value)
 
 
-def test_a_goal_that_nobody_gave_a_tolerance(close: Problem) -> None:
+def test_a_goal_without_a_tolerance(close: Problem) -> None:
     bare = close.replace(goal={}, modes="rigid")
     with pytest.raises(InputError, match=r"door has no tolerance; give it, as in \{'door': \(0.7, 0.01\)\}"):
         bare.replace(goal={"door": 0.7})

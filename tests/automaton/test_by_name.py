@@ -17,7 +17,7 @@ def cabinet(repository):
     return load_model(repository / "models" / "cabinet.yaml")
 
 
-def test_names_and_order_say_the_same(cabinet) -> None:
+def test_names_and_order_are_equivalent(cabinet) -> None:
     x, u = np.array([0.3, 0.1]), np.array([0.05, -0.02])
     named_x, named_u = cabinet.named(x), dict(zip(cabinet.input_names, u.tolist(), strict=True))
     assert list(named_x) == list(cabinet.coordinate_names)
@@ -46,7 +46,7 @@ def test_an_edge_has_the_name_that_it_prints(cabinet) -> None:
             assert cabinet.edge(edge.name) is edge
 
 
-def test_of_two_transitions_of_one_name_the_number_is_asked_for(cabinet) -> None:
+def test_two_transitions_of_one_name_need_a_number(cabinet) -> None:
     twice = replace(cabinet, edges=(*cabinet.edges, cabinet.edges[0]))
     name = cabinet.edges[0].name
     with pytest.raises(InputError, match="2 transitions are"):
@@ -69,7 +69,7 @@ def test_of_two_transitions_of_one_name_the_number_is_asked_for(cabinet) -> None
         (lambda m: replace(m, edges=()).edge("a -> b"), "unknown transition 'a -> b'; the model has no transition"),
     ],
 )
-def test_what_is_wrong_is_said_by_name(cabinet, call, says) -> None:
+def test_what_is_wrong_is_reported_by_name(cabinet, call, says) -> None:
     with pytest.raises(InputError) as error:
         call(cabinet)
     assert str(error.value).startswith(says)

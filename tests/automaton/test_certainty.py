@@ -110,7 +110,7 @@ class TestThresholds:
 
 
 class TestLearned:
-    def test_a_model_keeps_what_learning_said(self) -> None:
+    def test_a_model_keeps_the_certainty_of_learning(self) -> None:
         graph = sure_door(RowPosterior((19, 20, 21), (0.1, 0.8, 0.1)))
         (edge,) = build_automaton(graph).learned
         assert (edge.parent, edge.child) == ("base", "door")

@@ -129,13 +129,13 @@ WRONG_SIZES: dict[str, Callable[[], object]] = {
 
 
 @pytest.mark.parametrize("message", WRONG_SIZES)
-def test_a_wrong_size_is_told_when_the_automaton_is_made(message: str) -> None:
+def test_a_wrong_size_is_reported_when_the_automaton_is_made(message: str) -> None:
     with pytest.raises(InputError, match=re.escape(message)):
         WRONG_SIZES[message]()
 
 
 @pytest.mark.parametrize("message", MISTAKES)
-def test_a_mistake_is_told(message: str) -> None:
+def test_a_mistake_is_reported(message: str) -> None:
     with pytest.raises(InputError) as raised:
         check_automaton(MISTAKES[message])
     assert message in str(raised.value)

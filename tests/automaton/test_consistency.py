@@ -89,7 +89,7 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(("automaton", "place", "line"), MISTAKES)
-def test_a_contradiction_is_told_with_its_place(
+def test_a_contradiction_is_reported_with_its_place(
     automaton: HybridAutomaton, place: tuple[str | int, ...], line: str
 ) -> None:
     told = found(automaton)

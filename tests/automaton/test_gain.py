@@ -47,9 +47,7 @@ def tangent(joint: Joint, c: float) -> np.ndarray:
 @pytest.mark.parametrize("c", [0.0, 0.9, -2.0])
 @pytest.mark.parametrize("kind", ["revolute", "screw"])
 @pytest.mark.parametrize("seed", range(3))
-def test_the_std_is_that_of_the_tangent_by_finite_differences_wherever_the_joint_stands(
-    kind: str, seed: int, c: float
-) -> None:
+def test_the_std_is_that_of_the_tangent_by_finite_differences_at_any_pose(kind: str, seed: int, c: float) -> None:
     joint = known_to(random_joint(kind, seed), 0.01, seed)
     assert joint.covariance is not None
     t, size = tangent(joint, c), len(joint.covariance.names)
@@ -62,7 +60,7 @@ def test_the_std_is_that_of_the_tangent_by_finite_differences_wherever_the_joint
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["revolute", "screw"])
-def test_a_hand_told_the_models_displacement_turns_the_true_joint_by_so_much(kind: str) -> None:
+def test_a_hand_commanded_by_the_models_displacement_turns_the_true_joint_by_so_much(kind: str) -> None:
     """Joints drawn from the covariance, each displaced from where its own handle is."""
     joint, u, c = known_to(random_joint(kind, 5), 0.01, 5), 0.02, 0.4
     assert joint.covariance is not None

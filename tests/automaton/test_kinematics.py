@@ -257,7 +257,7 @@ class TestJacobian:
         weights = np.repeat([0.25, 1.0], 3)
         np.testing.assert_allclose((left_over * jacobian(joint, c)) @ weights, 0.0, atol=1e-12)
 
-    def test_where_nothing_can_be_said_it_is_zero(self) -> None:
+    def test_without_an_estimate_it_is_zero(self) -> None:
         np.testing.assert_array_equal(inverse_jacobian(rigid([0, 0, 0]), [0.0], [[1, 1, 1, 1, 1, 1.0]]), [0.0])
         on_axis = revolute([0, 0, 1], [0, 0, 0], [0, 0, 0.5])
         np.testing.assert_array_equal(inverse_jacobian(on_axis, [0.2], [[1.0, 1.0, 1.0]]), [0.0])

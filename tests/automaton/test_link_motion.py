@@ -110,7 +110,7 @@ def hinge(low, high):
     ],
 )
 @pytest.mark.parametrize("with_rotation", [True, False])
-def test_a_run_of_a_hinge_goes_on_from_row_to_row_whatever_its_range(low, high, start, end, with_rotation):
+def test_a_run_of_a_hinge_continues_from_row_to_row_for_any_range(low, high, start, end, with_rotation):
     path, c = hinge(low, high), np.linspace(start, end, 60)
     there_and_back = np.concatenate([c, c[::-1]])
     seen = there_and_back + 0.003 * np.sin(17.0 * np.arange(120))  # beyond an end by noise

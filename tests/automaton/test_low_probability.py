@@ -35,7 +35,7 @@ def test_what_is_sure_needs_no_words() -> None:
     )
 
 
-def test_a_doubtful_kind_is_said_with_the_next_likely_one() -> None:
+def test_a_doubtful_kind_is_reported_with_the_next_likely_one() -> None:
     (line,) = low_probability_warnings([edge(0.59)])
     assert "door is revolute relative to base (rows 0 to 79) with a probability of only 59 %, screw with 41 %" in line
 
@@ -44,7 +44,7 @@ def test_a_doubtful_kind_is_said_with_the_next_likely_one() -> None:
     ("one_stop", "said"),
     [(0.3, "changes 1 time in run 0 with a probability of only 30 %, 2 times with 70 %"), (0.7, None)],
 )
-def test_a_doubtful_number_of_changes_is_said(one_stop: float, said: str | None) -> None:
+def test_a_doubtful_number_of_changes_is_reported(one_stop: float, said: str | None) -> None:
     lines = low_probability_warnings([edge(0.9, one_stop)])
     assert len(lines) == (said is not None)
     assert said is None or said in lines[0]

@@ -50,7 +50,7 @@ class TestSimultaneousGuards:
         assert [event.fraction for event in result.events] == pytest.approx([0.5, 0.5])
         np.testing.assert_allclose(result.x, [1.2, 0.3], atol=1e-12)
 
-    def test_guards_of_the_new_mode_are_asked_at_the_same_instant(self) -> None:
+    def test_guards_of_the_new_mode_are_evaluated_at_the_same_instant(self) -> None:
         edges = [Edge("a", "b", guard(UP)), Edge("b", "c", guard(([1], [0], 0.3)))]
         result = step(plain({"a": ONE, "b": ONE, "c": [[0.5]]}, edges), "a", [0.5], [1.0])
         assert [(event.target, event.fraction) for event in result.events] == [("b", 0.5), ("c", 0.5)]
@@ -59,7 +59,7 @@ class TestSimultaneousGuards:
 
 class TestGuardTrueAtTheStart:
     @pytest.mark.parametrize("u", [-0.2, 0.0, 0.2])
-    def test_it_fires_at_fraction_zero_whatever_the_motion(self, u: float) -> None:
+    def test_it_fires_at_fraction_zero_for_any_motion(self, u: float) -> None:
         result = step(plain({"a": ONE, "b": ONE}, [Edge("a", "b", guard(UP))]), "a", [1.5], [u])
         assert [(event.target, event.fraction) for event in result.events] == [("b", 0.0)]
         assert result.x == pytest.approx([1.5 + u])

@@ -101,7 +101,7 @@ class TestBackward:
     def test_on_the_threshold_at_rest_or_moving_up_it_does_not_fire(self, x: float, u: float) -> None:
         assert moved(two_rails(), "prismatic_2", x, u).events == ()
 
-    def test_below_the_threshold_it_fires_whatever_the_motion(self) -> None:
+    def test_below_the_threshold_it_fires_for_any_motion(self) -> None:
         assert path(moved(two_rails(), "prismatic_2", SPLIT - TINY, 0.0), "prismatic_2") == [
             "prismatic_2",
             "prismatic_1",
@@ -147,7 +147,7 @@ class TestRigid:
         assert (result.mode, float(result.x[0])) == ("rigid", SHUT)
 
     @pytest.mark.parametrize("off", [-0.02, 0.02])
-    def test_a_state_beside_the_pin_is_put_there_and_can_leave(self, off: float) -> None:
+    def test_a_state_next_to_the_pin_is_put_there_and_can_leave(self, off: float) -> None:
         assert float(moved(door(), "rigid", SHUT + off, 0.0).x[0]) == SHUT
         assert moved(door(), "rigid", SHUT + off, -0.1).x == pytest.approx([SHUT - 0.1], abs=1e-15)
 

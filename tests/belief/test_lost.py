@@ -84,7 +84,7 @@ def test_what_is_not_measured_stays_as_it_was() -> None:
     assert np.linalg.norm(factors[0], axis=1) == pytest.approx([STD, 0.02])
 
 
-def test_a_likely_measurement_is_no_reason_to_begin_anew_and_the_bound_is_one() -> None:
+def test_a_likely_measurement_is_no_reason_to_restart_and_the_bound_is_one() -> None:
     layout = layout_of(PINNED)
     rng = np.random.default_rng(0)
     for z in rng.uniform(-0.1, 0.6, (200, 2)):
@@ -95,7 +95,7 @@ def test_a_likely_measurement_is_no_reason_to_begin_anew_and_the_bound_is_one() 
         assert after.was_reinitialised == (away > 0.1)
 
 
-def test_one_and_many_begin_anew_alike() -> None:
+def test_one_and_many_restart_alike() -> None:
     belief = initial_belief(PINNED, [0.1, 0.1], [0.01, 0.01], "free")
     z = np.array([[0.1, 0.1], [0.4, 0.3], [0.45, 0.2]])
     many = update(PINNED, repeated_belief(PINNED, belief, 3), z)

@@ -142,7 +142,7 @@ def test_what_a_latch_shows_of_its_place_is_remembered() -> None:
     assert pushed.weights[0] > 0.7
 
 
-def test_staying_open_where_the_model_has_the_latch_says_that_it_is_further_on() -> None:
+def test_staying_open_where_the_model_has_the_latch_moves_the_latch_further_on() -> None:
     automaton = blurred(door())
     belief = initial_belief(automaton, [0.55], [0.005], "swing")
     for z in (0.57, 0.59, 0.61):

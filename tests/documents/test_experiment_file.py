@@ -57,7 +57,7 @@ motions:
         ("repetitions: 3", "repeat: 3", "repeat", "unknown key"),
     ],
 )
-def test_mistakes_are_told(shipped, repository, tmp_path, old, new, where, told) -> None:
+def test_mistakes_are_reported(shipped, repository, tmp_path, old, new, where, told) -> None:
     text = shipped.read_text().replace("../../models", str(repository / "models"))
     assert old in text
     file = tmp_path / "experiment.yaml"

@@ -53,7 +53,7 @@ def test_values_are_written_in_the_layouts_order_without_defaults() -> None:
     assert {type(value) for value in data["points"][1]["at"]} == {float}
 
 
-def test_a_default_is_written_where_it_is_asked_for() -> None:
+def test_a_default_is_written_on_request() -> None:
     class SizedDocument(PointDocument):
         always_written = ("size",)
 
@@ -102,7 +102,7 @@ def test_the_kind_at_a_key_path() -> None:
     assert kind_at(PathDocument, ["note", "more"]) is None
 
 
-def test_a_place_in_a_file_says_where_it_is_and_what_stands_there() -> None:
+def test_a_place_in_a_file_has_its_line_and_content() -> None:
     whole = Located({"a": {"b": [1, 2]}}, "f", {("a",): (1, 1), ("a", "b"): (2, 3)})
     assert whole.at("a").at("b", 1).data == 2
     assert whole.at("a", "b", 1).where() == "line 2, column 3, key 'a.b.1'"

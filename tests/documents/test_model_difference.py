@@ -43,7 +43,7 @@ def test_a_shifted_end_shows_in_guard_and_range_and_both_ways_round(microwave) -
     assert all((back[place].before, back[place].after) == (d.after, d.before) for place, d in found.items())
 
 
-def test_two_effects_of_one_name_are_told_apart(microwave) -> None:
+def test_two_effects_of_one_name_are_separated(microwave) -> None:
     one = with_effect(microwave, Effect("gain", "door", (("gain", 0.8),), modes=("revolute",)))
     two = with_effect(one, Effect("gain", "door", (("gain", 0.5),)))
     (found,) = differences(one, two)

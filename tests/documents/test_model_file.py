@@ -147,14 +147,14 @@ def test_line_numbers_are_those_of_the_file(door: HybridAutomaton) -> None:
     assert f"line {number + 3}, " in message("\n# a\n# b\n" + "\n".join(lines))
 
 
-def test_several_mistakes_are_counted_and_the_first_is_told(door: HybridAutomaton) -> None:
+def test_several_mistakes_are_counted_and_the_first_is_reported(door: HybridAutomaton) -> None:
     text = model_text(door).replace("std: 0.005", "std: -1").replace("kind: box", "kind: bx")
     line = message(text)
     assert "modes.rigid.pins.door.std" in line
     assert "(and 1 more error)" in line
 
 
-def test_a_typo_is_told_before_the_key_that_it_makes_missing(door: HybridAutomaton) -> None:
+def test_a_typo_is_reported_before_the_key_that_it_makes_missing(door: HybridAutomaton) -> None:
     line = message(model_text(door).replace("transitions:", "transition:"))
     assert "unknown key 'transition'" in line
     assert "did you mean 'transitions'?" in line

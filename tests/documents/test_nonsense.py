@@ -90,7 +90,7 @@ def edited(folder: Path, name: str, before: str, after: str) -> Path:
 
 
 @pytest.mark.parametrize("case", MODELS)
-def test_a_model_that_says_nonsense_is_refused(tmp_path: Path, case: str) -> None:
+def test_a_nonsensical_model_is_refused(tmp_path: Path, case: str) -> None:
     before, after, said = MODELS[case]
     line = told(load_model, edited(tmp_path, "models/microwave.yaml", before, after))
     assert line.startswith(f"{tmp_path}/microwave.yaml, line ")
@@ -98,7 +98,7 @@ def test_a_model_that_says_nonsense_is_refused(tmp_path: Path, case: str) -> Non
 
 
 @pytest.mark.parametrize("case", PROBLEMS)
-def test_a_problem_that_says_nonsense_is_refused(tmp_path: Path, case: str) -> None:
+def test_a_nonsensical_problem_is_refused(tmp_path: Path, case: str) -> None:
     before, after, said = PROBLEMS[case]
     line = told(load_problem, edited(tmp_path, "problems/drawer_open.yaml", before, after))
     assert line.startswith(f"{tmp_path}/drawer_open.yaml, line ")
@@ -141,7 +141,7 @@ def test_check_refuses_nonsense_or_warns_with_the_place(tmp_path: Path, case: st
         assert ":" in warning
 
 
-def test_the_corpus_is_large_and_nearly_all_of_it_is_told() -> None:
+def test_the_corpus_is_large_and_nearly_all_of_it_is_reported() -> None:
     assert len(CORPUS) + len(MODELS) + len(PROBLEMS) >= 120
     assert len(EXPLAINED) <= 4
 
@@ -187,7 +187,7 @@ def places(data: object, place: tuple[str | int, ...] = ()) -> Iterator[tuple[st
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("name", NUMBERED)
-def test_a_number_10_000_times_too_large_is_told(tmp_path: Path, name: str) -> None:
+def test_a_number_10_000_times_too_large_is_reported(tmp_path: Path, name: str) -> None:
     yaml = YAML(typ="safe", pure=True)
     for folder in ("models", "problems"):
         (tmp_path / folder).symlink_to(ROOT / folder)

@@ -239,7 +239,7 @@ def is_told(found: FileCheck) -> bool:
 
 
 @pytest.mark.parametrize("case", PLANS)
-def test_a_plan_that_says_nonsense_is_refused_or_told(plan: dict[str, Any], tmp_path: Path, case: str) -> None:
+def test_a_nonsensical_plan_is_refused_or_reported(plan: dict[str, Any], tmp_path: Path, case: str) -> None:
     found = checked_plan(plan, tmp_path, *PLANS[case])
     assert is_told(found)
     assert not any("digest: the content" in str(fault) for fault in found.faults)
@@ -251,7 +251,7 @@ def test_an_unusual_plan_can_be_used(plan: dict[str, Any], tmp_path: Path, case:
 
 
 @pytest.mark.parametrize("case", RECORDINGS)
-def test_a_recording_that_says_nonsense_is_refused_or_told(tmp_path: Path, case: str) -> None:
+def test_a_nonsensical_recording_is_refused_or_reported(tmp_path: Path, case: str) -> None:
     assert is_told(checked_recording(tmp_path, RECORDINGS[case]))
 
 

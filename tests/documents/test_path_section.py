@@ -78,7 +78,7 @@ def test_a_plan_file_has_the_constraints_of_its_problem(tmp_path: Path) -> None:
         ("- {name: stay_above, arguments: {value: true}}", "expected a finite number or a name"),
     ],
 )
-def test_mistakes_are_said_with_their_place(tmp_path: Path, entry: str, message: str) -> None:
+def test_mistakes_are_reported_with_their_place(tmp_path: Path, entry: str, message: str) -> None:
     said = told(load_problem, file(tmp_path, entry))
     assert message in said
     assert "line 20" in said

@@ -141,7 +141,7 @@ def test_plans_of_any_automaton_read_back(
     assert_same(load_plan(tmp_path / "plan.json"), plan, problem)
 
 
-def test_times_are_beside_the_plan_and_not_in_it(plan: Plan, problem: Problem, tmp_path: Path) -> None:
+def test_times_are_next_to_the_plan_and_not_in_it(plan: Plan, problem: Problem, tmp_path: Path) -> None:
     path = tmp_path / "plan.json"
     write_plan(plan, problem, path)
     write_timings(plan, path)
@@ -202,7 +202,7 @@ def test_only_a_solved_plan_is_executable(plan: Plan, problem: Problem, tmp_path
         ('"mass": 1.5', '"mass": NaN'),
     ],
 )
-def test_an_edited_plan_is_told(plan: Plan, problem: Problem, tmp_path: Path, old: str, new: str) -> None:
+def test_an_edited_plan_is_reported(plan: Plan, problem: Problem, tmp_path: Path, old: str, new: str) -> None:
     text = plan_text(plan, problem)
     assert old in text
     (tmp_path / "plan.json").write_text(text.replace(old, new, 1))
@@ -293,14 +293,14 @@ def test_outcome_and_trajectory_must_agree(plan: Plan, problem: Problem) -> None
         ("mode_sequence", ["rigid"], "key 'mode_sequence': does not agree with the trajectory's modes"),
     ],
 )
-def test_a_plan_that_contradicts_itself_is_told_whatever_its_digest(
+def test_an_inconsistent_plan_is_reported_with_any_digest(
     plan: Plan, problem: Problem, tmp_path: Path, key: str, value: object, expected: str
 ) -> None:
     rewrite(tmp_path / "plan.json", json.loads(plan_text(plan, problem)) | {key: value})
     assert expected in told(load_plan, tmp_path / "plan.json")
 
 
-def test_a_plan_is_solved_only_if_its_roll_outs_say_so(plan: Plan, problem: Problem, tmp_path: Path) -> None:
+def test_a_plan_is_solved_only_if_its_roll_outs_report_it(plan: Plan, problem: Problem, tmp_path: Path) -> None:
     data = json.loads(plan_text(plan, problem))
     rewrite(tmp_path / "plan.json", data | {"success_probability": 0.0, "success_interval": [0.0, 0.02]})
     line = told(load_plan, tmp_path / "plan.json")
@@ -354,7 +354,7 @@ def test_numbers_of_a_trajectory_are_those_of_something_physical(plan: Plan, pro
     assert "key 'trajectory.means': expected numbers of at most 1e+09 in size, found 1e+300" in line
 
 
-def test_a_key_that_is_there_twice_is_told(plan: Plan, problem: Problem, tmp_path: Path) -> None:
+def test_a_key_that_is_there_twice_is_reported(plan: Plan, problem: Problem, tmp_path: Path) -> None:
     text = plan_text(plan, problem)
     (tmp_path / "plan.json").write_text(text.replace('"seed": 7', '"seed": 8, "seed": 7'))
     assert told(load_plan, tmp_path / "plan.json").endswith("the key 'seed' is given twice; solve the problem again")

@@ -137,7 +137,7 @@ def test_of_an_srdf_only_the_pairs_are_taken(folder: Path) -> None:
         ("  stone:\n", "  table:\n", "duplicate key 'table'"),
     ],
 )
-def test_mistakes_are_told_with_line_and_key(folder: Path, old: str, new: str, expected: str) -> None:
+def test_mistakes_are_reported_with_line_and_key(folder: Path, old: str, new: str, expected: str) -> None:
     assert old in TEXT
     (folder / "p.yaml").write_text(TEXT.replace(old, new, 1))
     assert expected in told(load_problem, folder / "p.yaml")
@@ -184,7 +184,7 @@ def test_a_plan_carries_scene_robot_and_arm_without_further_files(folder: Path, 
     )
 
 
-def test_a_plan_without_a_robot_says_nothing_of_one(folder: Path) -> None:
+def test_a_plan_without_a_robot_does_not_mention_one(folder: Path) -> None:
     (folder / "p.yaml").write_text(TEXT[: TEXT.index("scene:")])
     problem = load_problem(folder / "p.yaml")
     data = json.loads(plan_text(replace(planned(problem), arm=None), problem))

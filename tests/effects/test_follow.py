@@ -79,7 +79,7 @@ PLACES = st.lists(st.floats(-0.8, 0.8), min_size=1, max_size=20)
 
 @settings(max_examples=60)
 @given(values=VALUES, limits=BOUNDED | st.just(()), places=PLACES, start=st.floats(-0.5, 0.5))
-def test_steps_with_the_memory_beside_or_in_the_state_are_those_of_a_servo(values, limits, places, start) -> None:
+def test_steps_with_the_memory_outside_or_in_the_state_are_those_of_a_servo(values, limits, places, start) -> None:
     values += limits
     automaton = following(SWING, *values)
     whole, channel = with_memory_states(automaton), InputChannel(automaton)
@@ -91,7 +91,7 @@ def test_steps_with_the_memory_beside_or_in_the_state_are_those_of_a_servo(value
 
 
 @pytest.mark.parametrize("delay", [3.0, 4.6, 30.0])
-def test_a_part_that_rests_beside_its_goal_stays_until_a_command_arrives(delay) -> None:
+def test_a_part_that_rests_next_to_its_goal_stays_until_a_command_arrives(delay) -> None:
     """It hangs 0.1 below its goal, which was given before: only what is commanded now moves it."""
     automaton = following(SWING, 0.4, -0.1, 0.9, delay, 0.3, 0.0)
     channel, x = InputChannel(automaton), np.array([0.2])
@@ -127,7 +127,7 @@ SHAPES = {
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("joint", [SWING, SLIDE], ids=["hinge", "slide"])
-def test_a_roll_out_goes_after_the_places_of_the_log_whatever_was_measured(joint) -> None:
+def test_a_roll_out_follows_the_places_of_the_log_for_any_measurements(joint) -> None:
     """However bad the measurements in between: places are known, so only the first row's error counts, and fades."""
     rng, values = np.random.default_rng(0), (0.3, 0.01, 0.97, 1.4, 0.4, 0.005)
     places = np.repeat(rng.uniform(-0.9, 0.9, 20), 15)
@@ -139,7 +139,7 @@ def test_a_roll_out_goes_after_the_places_of_the_log_whatever_was_measured(joint
     assert np.sqrt(np.mean(run.rollout.configuration**2)) < 0.06
 
 
-def test_displacements_are_the_same_from_wherever_and_places_are_not() -> None:
+def test_displacements_are_the_same_from_anywhere_and_places_are_not() -> None:
     x, at, u = np.array([[0.2], [0.5]]), np.array([[0.3], [0.3]]), np.array([[0.1], [0.1]])
     np.testing.assert_array_equal(towards(part(SWING), at, x, u), u)
     np.testing.assert_allclose(x + towards(following(SWING, 1, 0, 1, 0, 0, 0), at, x, u), 0.4)

@@ -110,7 +110,7 @@ def test_an_effect_of_one_mode_acts_only_there(door) -> None:
 @pytest.mark.parametrize(
     ("name", "p"), [("lag", (3.0,)), ("ramp", (0.01,)), ("drive", (1.0, 3.0, *(0.0,) * 3, 1.0, 0.0, 9.0))]
 )
-def test_what_is_in_motion_goes_on_as_fast_as_it_is_told(name, p) -> None:
+def test_a_part_in_motion_continues_at_the_given_speed(name, p) -> None:
     own = form(name)
     assert own.remember(np, 0.1, own.in_motion(0.4, 0.1, p), p)[0] == pytest.approx(0.1)
     assert own.remember(np, 0.1, own.at_rest_in(0.4, p), p)[0] < 0.05
@@ -331,7 +331,7 @@ class Growing(Stretching):
         (Idle, "overrides no hook"),
     ],
 )
-def test_conformance_refuses_a_form_that_would_do_nothing_or_something_else(own, words) -> None:
+def test_conformance_refuses_a_form_without_effect_or_with_another_one(own, words) -> None:
     with pytest.raises(InputError, match=words):
         check_form(own())
 
@@ -344,7 +344,7 @@ def test_the_layer_of_a_form_is_that_of_its_hook() -> None:
     check_form(type("ByHand", (Twisting,), {"in_library": False})())
 
 
-def test_forms_say_all_that_calibration_needs_of_them() -> None:
+def test_forms_have_all_that_calibration_needs_of_them() -> None:
     """Places in the order of plainness differ, and experiments tell a form from others that there are."""
     named = [own for own in forms() if own.in_library]
     assert sorted(own.complexity_rank for own in named) == list(range(len(named)))

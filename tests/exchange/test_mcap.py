@@ -165,7 +165,7 @@ def test_another_reader_finds_the_messages_with_its_own_definitions(tmp_path: Pa
     assert message.log_time == round(recording.time[3] * 1e9)
 
 
-def test_a_log_of_somebody_else(tmp_path: Path) -> None:
+def test_a_log_of_another_lab(tmp_path: Path) -> None:
     """Poses of a tracker, transforms, joint states at another rate, and topics that mean nothing here."""
     second = 10**9
     state = {"name": ["a", "b"], "velocity": [], "effort": []}
@@ -228,7 +228,7 @@ def test_nothing_is_lost_unnoticed(tmp_path: Path, columns: dict[str, Any], said
     assert not (tmp_path / "r.mcap").exists()
 
 
-def test_without_the_extra_the_message_says_which(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_extra_the_message_names_which(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "mcap.writer", None)
     with pytest.raises(MissingDependencyError, match=r"pip install 'mcap\S+' 'rosbags"):
         write_recording(_simple(), tmp_path / "r.mcap")

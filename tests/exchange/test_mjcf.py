@@ -106,7 +106,7 @@ def test_masses_and_moments_are_those_that_mujoco_computes(kind: str) -> None:
     np.testing.assert_allclose(np.linalg.eigvalsh(own.moments), np.sort(model.body_inertia[1]), rtol=1e-9)
 
 
-def test_what_is_left_out_is_said(tmp_path: Path) -> None:
+def test_what_is_left_out_is_reported(tmp_path: Path) -> None:
     kind, notes = convert(ROOT / "models" / "microwave.yaml", tmp_path / "m.xml")
     assert kind == "model"
     assert notes[0] == "left out: 2 modes with guards, noise, probabilities of what was learned"

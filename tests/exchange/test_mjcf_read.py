@@ -72,7 +72,7 @@ def is_as_in_mujoco(automaton: HybridAutomaton, text: str, joints: dict[str, str
             assert turned.magnitude() < 1e-8
 
 
-def test_a_cabinet_of_somebody_else(tmp_path: Path) -> None:
+def test_a_cabinet_of_another_lab(tmp_path: Path) -> None:
     automaton, notes = loaded(tmp_path, CABINET)
     assert [c.name for c in automaton.coordinates] == ["door", "slides"]
     assert [c.unit for c in automaton.coordinates] == ["rad", "m"]

@@ -108,7 +108,7 @@ def test_a_table_with_the_columns_of_a_recording(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"PAR1", b"PAR1" + b"\0" * 60 + b"PAR1", b"t,x,y,z\n0,0,0,0\n"])
-def test_what_is_no_parquet_file_is_told(tmp_path: Path, content: bytes) -> None:
+def test_what_is_no_parquet_file_is_reported(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "no.parquet").write_bytes(content)
     with pytest.raises(InputError, match="expected a Parquet file"):
         read_recording(tmp_path / "no.parquet")

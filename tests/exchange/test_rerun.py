@@ -37,7 +37,7 @@ def test_rerun_finds_poses_and_actions(tmp_path: Path) -> None:
 
 
 @requires("rerun")
-def test_text_is_said_to_be_left_out(tmp_path: Path) -> None:
+def test_text_is_reported_to_be_left_out(tmp_path: Path) -> None:
     text = MICROWAVE.read_text().splitlines()
     lines = [f"{text[0]},mood", *(f"{line},good" for line in text[1:])]
     (tmp_path / "with.csv").write_text("\n".join(lines) + "\n")

@@ -169,7 +169,7 @@ def test_without_limits_and_joints_to_the_world(tmp_path) -> None:
     assert loaded(tmp_path, world)[0] == loaded(tmp_path, CABINET)[0]
 
 
-def test_what_is_left_out_is_told(tmp_path) -> None:
+def test_what_is_left_out_is_reported(tmp_path) -> None:
     plane = CABINET.replace("<sphere><radius>0.02</radius></sphere>", "<plane><normal>0 0 1</normal></plane>")
     loose = plane.replace("</model>", f'<link name="cup">{INERTIAL}</link></model>')
     automaton, notes = loaded(tmp_path, loose)

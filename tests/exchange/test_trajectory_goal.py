@@ -55,7 +55,7 @@ def test_the_goal_is_the_trajectory_of_the_plan(plan_file: Path, tmp_path: Path)
     assert not np.any(points[-1]["velocities"])
 
 
-def test_what_is_no_solution_is_sent_to_nobody(tmp_path: Path, repository: Path) -> None:
+def test_what_is_no_solution_is_not_sent(tmp_path: Path, repository: Path) -> None:
     problem = load_problem(repository / "problems" / "drawer_open.yaml")
     write_plan(Plan("no_plan", "there is a wall"), problem, tmp_path / "plan.json")
     with pytest.raises(InputError):
@@ -178,7 +178,7 @@ def test_the_node_sends_the_goal_to_the_controller(plan_file: Path, send: Callab
         ({"joints": {"elbow": None}}, "/joint_states has no elbow", False),
     ],
 )
-def test_what_goes_wrong_is_told(
+def test_what_goes_wrong_is_reported(
     plan_file: Path, send: Callable[..., str], change: dict[str, Any], said: str, is_sent: bool
 ) -> None:
     joints = begins(plan_file)

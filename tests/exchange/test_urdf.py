@@ -63,7 +63,7 @@ def test_pinocchio_finds_the_parts_where_the_model_does(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_what_comes_back_moves_alike_and_has_its_shapes(tmp_path: Path, name: str) -> None:
+def test_a_converted_model_moves_alike_and_has_its_shapes(tmp_path: Path, name: str) -> None:
     automaton = load_model(ROOT / "models" / f"{name}.yaml")
     (tmp_path / "m.urdf").write_text(urdf_text(automaton, name))
     found, notes = load_urdf(tmp_path / "m.urdf")
@@ -145,7 +145,7 @@ def urdf(tmp_path: Path, shape: str = '<sphere radius="1"/>', more: str = "", jo
     return tmp_path / "r.urdf"
 
 
-def test_capsules_become_solids_and_meshes_are_told_of(tmp_path: Path) -> None:
+def test_capsules_become_solids_and_meshes_are_reported(tmp_path: Path) -> None:
     found, _ = load_urdf(urdf(tmp_path, '<capsule radius="0.1" length="0.4"/>'))
     assert [shape.kind for shape in found.parts[1].shapes] == ["cylinder", "sphere", "sphere"]
     assert found.modes[0].invariant.half_spaces == ()
@@ -162,7 +162,7 @@ def test_capsules_become_solids_and_meshes_are_told_of(tmp_path: Path) -> None:
         ('<limit lower="0.3" upper="0.3"/>', "lower and upper are both 0.3"),
     ],
 )
-def test_a_joint_that_cannot_move_is_fixed_in_an_object_and_told(tmp_path: Path, limit: str, why: str) -> None:
+def test_a_joint_that_cannot_move_is_fixed_in_an_object_and_reported(tmp_path: Path, limit: str, why: str) -> None:
     stiff = HINGE.replace("continuous", "revolute").format(limit)
     knob = HINGE.format("").replace('"h"', '"k"').replace('"a"', '"b"').replace('link="b"/><axis', 'link="c"/><axis')
     path = urdf(tmp_path, joint=stiff.replace("{", "{{"))
@@ -177,7 +177,7 @@ def test_a_joint_that_cannot_move_is_fixed_in_an_object_and_told(tmp_path: Path,
         check_urdf(parse_xml(more, str(path)), str(tmp_path), {})
 
 
-def test_a_shape_that_is_no_solid_is_left_out_and_told(tmp_path: Path) -> None:
+def test_a_shape_that_is_no_solid_is_left_out_and_reported(tmp_path: Path) -> None:
     found, notes = load_urdf(urdf(tmp_path, '<plane normal="0 0 1"/>'))
     assert found.parts[1].shapes == ()
     assert notes == ("link b: <plane> is left out, it is no solid",)
@@ -249,7 +249,7 @@ def test_an_object_of_partnet_mobility_is_made_of_boxes_and_has_its_handle(tmp_p
         ({"joint": ""}, "expected one tree of links"),
     ],
 )
-def test_what_no_model_can_say_is_one_line(tmp_path: Path, changes: dict[str, str], said: str) -> None:
+def test_what_no_model_can_contain_is_one_line(tmp_path: Path, changes: dict[str, str], said: str) -> None:
     with pytest.raises(InputError, match=said) as caught:
         load_urdf(urdf(tmp_path, **changes))
     assert str(caught.value).startswith(str(tmp_path / "r.urdf"))
@@ -302,7 +302,7 @@ def test_a_follower_goes_where_its_leader_does_without_limits_too(tmp_path: Path
         load_urdf(path)
 
 
-def test_meshes_that_are_not_there_are_left_out_and_told(tmp_path: Path) -> None:
+def test_meshes_that_are_not_there_are_left_out_and_reported(tmp_path: Path) -> None:
     names = ("package://nowhere/m.stl", "missing.stl", "file:///somewhere/else/m.stl", "../../etc/passwd")
     for name in names:
         found, notes = load_urdf(urdf(tmp_path, f'<mesh filename="{name}"/>'))
@@ -342,7 +342,9 @@ def test_limits_in_degrees_and_meshes_in_millimetres_are_doubted(tmp_path: Path)
         (('name="b"', 'name="${side}"'), "this is xacro"),
     ],
 )
-def test_what_is_wrong_with_names_is_told_with_its_line(tmp_path: Path, changed: tuple[str, str], said: str) -> None:
+def test_what_is_wrong_with_names_is_reported_with_its_line(
+    tmp_path: Path, changed: tuple[str, str], said: str
+) -> None:
     path = urdf(tmp_path)
     text = path.read_text()
     path.write_text(text.replace(*changed, 1))
@@ -353,7 +355,7 @@ def test_what_is_wrong_with_names_is_told_with_its_line(tmp_path: Path, changed:
         load_urdf(path)
 
 
-def test_what_urdf_cannot_say_is_refused() -> None:
+def test_what_urdf_cannot_express_is_refused() -> None:
     drawer = load_model(ROOT / "models" / "drawer.yaml")
     turned = replace(drawer.modes[0], joints=(screw((0, 0, 1), (0, 0, 0), 0.1, (1, 0, 0)),))
     with pytest.raises(InputError, match="part drawer moves on a screw"):

@@ -64,7 +64,7 @@ def test_the_hand_is_where_the_joints_put_it(plant, problem, arm):
         np.testing.assert_allclose(hand[:3, :3], np.eye(3), atol=2e-3)  # it keeps its orientation
 
 
-def test_the_hand_goes_where_it_is_told_to(plant):
+def test_the_hand_follows_its_command(plant):
     plant.reset(np.random.default_rng(2))
     for u in ([0.03, 0.0, 0.0], [0.0, 0.03, 0.0], [0.0, 0.0, 0.03], [-0.02, -0.02, -0.02]):
         before = plant.truth().x[:3]
@@ -95,14 +95,14 @@ def test_no_motor_gives_more_than_the_file_of_the_robot_says(plant, arm):
     assert most.max() > 0.5 * EFFORT.min()  # it pressed hard on the table
 
 
-def test_out_of_reach_is_told(plant):
+def test_out_of_reach_is_reported(plant):
     plant.reset(np.random.default_rng(5))
     for _ in range(8):
         move(plant, [-0.2, 0.1, 0.2])
     assert "the arm's tool could get no nearer than" in plant.truth().incident
 
 
-def test_an_arm_in_the_way_of_the_swinging_part_is_told(problem, posture):
+def test_an_arm_in_the_way_of_the_swinging_part_is_reported(problem, posture):
     low = replace(problem, grasp=replace(problem.grasp, position=(-0.03, 0.0, -0.055)))
     plant = HeldPlant(low, posture=posture)
     plant.reset(np.random.default_rng(10))
@@ -158,7 +158,7 @@ def test_without_a_robot_the_hand_moves_on_slides(problem):
     plant.close()
 
 
-def test_books_stand_until_they_are_pushed_and_then_it_is_told(problem):
+def test_books_stand_until_they_are_pushed_and_then_it_is_reported(problem):
     plant = HeldPlant(replace(problem, robot=None, grasp=None))
     plant.reset(np.random.default_rng(8))
     for _ in range(5):

@@ -39,7 +39,7 @@ def apart(position: np.ndarray, quaternion: np.ndarray) -> RigidTransform:
     return poses[0].inv() * poses[2]
 
 
-def test_the_door_says_where_it_is_not_its_handle(cabinet: HybridAutomaton) -> None:
+def test_the_door_determines_the_configuration_not_its_handle(cabinet: HybridAutomaton) -> None:
     plant = NominalPlant(cabinet, Start((0.7, 0.1), (0.0, 0.0)))
     plant.reset(np.random.default_rng(0))
     truth = plant.truth()

@@ -155,7 +155,7 @@ def test_a_usable_measurement_comes_through_as_it_is_in_arrays_of_its_own():
         ({"unseen": np.ones(2)}, "Measurement.unseen must be 2 truth values"),
     ],
 )
-def test_what_is_no_measurement_is_one_line_that_says_what_was_expected(change, said):
+def test_what_is_no_measurement_is_one_line_with_the_expected_content(change, said):
     with pytest.raises(InputError) as caught:
         checked_measurement(replace(SEEN, **change), PARTS, after=0.2)
     assert said in str(caught.value)
@@ -174,7 +174,7 @@ def test_simulations_are_referees_and_machines_need_not_be():
     assert not isinstance(Blind(PULL), Referee)
 
 
-def test_without_a_referee_the_belief_says_how_it_ended():
+def test_without_a_referee_the_belief_judges_the_end():
     found, plant, kept = trials(Blind)
     scored = run_trials(PULL, PLAN, trials=2)
     assert (found.believed, scored.believed) == (True, False)
@@ -191,7 +191,7 @@ def test_without_a_referee_the_belief_says_how_it_ended():
     assert plant.closed == 1
 
 
-def test_a_believed_miss_says_that_it_is_believed():
+def test_a_believed_miss_is_marked_as_believed():
     found, _, _ = trials(Blind, max_steps=3)
     (_, reason), _ = found.failures
     assert "the 3 allowed steps ended with 0 % probability of the goal, but drawer is believed " in reason
@@ -247,7 +247,7 @@ def test_ctrl_c_keeps_the_log_and_closes_the_plant():
     assert plant.closed == 1
 
 
-def test_an_error_while_closing_hides_no_other_and_is_told_if_it_is_the_only_one():
+def test_an_error_while_closing_hides_no_other_and_is_reported_if_it_is_the_only_one():
     class Stuck(Slips):
         def close(self):
             super().close()
@@ -293,7 +293,7 @@ def test_plants_are_made_by_name_or_by_what_makes_them():
         make_plant(PULL, type("Picky", (Blind,), {"__init__": object.__init__}))
 
 
-def test_a_constructor_that_fails_is_one_line_and_one_that_says_why_is_left_alone():
+def test_a_constructor_that_fails_is_one_line_and_one_that_gives_the_reason_is_left_alone():
     def unplugged(_):
         raise OSError("no device /dev/ttyUSB0")
 

@@ -68,7 +68,7 @@ def test_a_wide_goal_is_entered_up_to_where_the_plan_aims():
     assert result.steps == 8
 
 
-def test_it_stops_where_the_steps_end_and_says_how_sure_it_was():
+def test_it_stops_where_the_steps_end_with_its_probability():
     result = run(PULL, pulling(), max_steps=3)
     assert result.steps == 3
     assert not result.success
@@ -117,7 +117,7 @@ def test_the_log_is_a_recording_that_can_be_read_back_and_predicted(problem, tra
     assert np.abs(believed - true).max() < 5 * observation
 
 
-def test_a_belief_far_from_the_plan_asks_for_a_new_one():
+def test_a_belief_far_from_the_plan_requests_a_new_one():
     # The plan starts at 0.02, the drawer stands at 0.15, and the prior is wide enough to find out.
     problem = replace(PULL, start=Start((0.15,), (0.01,)))
     asked = []
@@ -147,7 +147,7 @@ def test_a_plan_that_ends_short_of_the_goal_is_continued_by_a_new_one():
     assert asked[0] == pytest.approx(0.12, abs=0.01)
 
 
-def test_a_replan_without_result_keeps_the_old_plan_and_is_not_asked_for_ever():
+def test_a_replan_without_result_keeps_the_old_plan_and_is_not_requested_for_ever():
     asked = []
     problem = replace(PULL, start=Start((0.15,), (0.01,)))
     result = run(problem, pulling(), replan=lambda belief, _: asked.append(belief))
@@ -155,7 +155,7 @@ def test_a_replan_without_result_keeps_the_old_plan_and_is_not_asked_for_ever():
     assert result.replans == 0
 
 
-def test_a_new_plan_that_the_arm_cannot_follow_is_refused_and_told():
+def test_a_new_plan_that_the_arm_cannot_follow_is_refused_and_reported():
     problem = replace(PULL, start=Start((0.15,), (0.01,)))
     ahead = straight(["sliding"] * 5, list(np.linspace(0.15, 0.25, 5)), 0.002)
     stuck = ArmFailure(2, "joint limit", ("elbow",), 0.1, "joint limit of 'elbow' (upper)", "")
@@ -248,7 +248,7 @@ def test_a_plan_goes_on_while_its_rest_still_leads_to_the_goal():
     assert follower.advise(far).fit == "lagging"
 
 
-def test_where_no_new_plan_leads_on_it_stops_and_says_so():
+def test_without_a_new_plan_it_stops_with_the_reason():
     """The door is held: it never moves, and the plan to shut it is missed."""
     problem = quiet(replace(CLOSE, start=Start((0.0,), (0.0,)), settings=PlannerSettings(max_step=(1e-4,))))
     result = run(problem, closing(), replan=lambda *_: None, max_steps=200)

@@ -156,7 +156,7 @@ def test_each_way_to_be_wrong_is_named(kind, said):
     assert any(sentence.startswith(f"{kind.__name__}: ") and said in sentence for sentence in found), found
 
 
-def test_a_part_that_is_not_always_seen_is_no_fault_and_it_is_said_how_often():
+def test_a_part_that_is_not_always_seen_is_no_fault_and_its_count_is_reported():
     class Hidden(NominalPlant):
         answers = 0
 
@@ -177,7 +177,7 @@ def test_a_part_that_is_not_always_seen_is_no_fault_and_it_is_said_how_often():
     assert any("commanded to move" in sentence for sentence in faults(AndDeaf.of(PULL), PULL))
 
 
-def test_a_start_somewhere_else_is_named():
+def test_a_start_elsewhere_is_named():
     elsewhere = replace(PULL, start=replace(PULL.start, mean=(0.2,)))
     (sentence,) = faults(NominalPlant.of(elsewhere), PULL)
     assert "after a reset, but the problem starts at 20 ± 10 mm" in sentence

@@ -95,7 +95,7 @@ class WithoutLatch(HeldPlant):
 
 
 @pytest.mark.evidence
-def test_a_latch_that_never_catches_is_pressed_again_until_it_stops_and_says_so():
+def test_a_latch_that_never_catches_is_pressed_again_until_it_stops_and_reports_it():
     problem = load_problem(PROBLEM)
     plant = WithoutLatch(problem, replace(parameters_of(problem), joint_friction=0.09))
     statistics = run_trials(problem, plan(problem, 0), plant=plant, trials=1)

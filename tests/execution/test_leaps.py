@@ -171,7 +171,7 @@ def test_a_touch_that_is_too_deep_is_noticed_though_the_body_may_be_touched():
     plant.close()
 
 
-def test_physics_that_diverge_while_the_engine_is_alone_are_told(problem):
+def test_physics_that_diverge_while_the_engine_is_alone_are_reported(problem):
     stiff = replace(problem, robot=None, grasp=None, plant={"pivot_stiffness": 1e9})
     plant = HeldPlant(stiff)
     plant.reset(np.random.default_rng(0))

@@ -216,7 +216,7 @@ def test_physical_parameters_are_checked():
         PhysicalParameters(friction=float("nan"))
 
 
-def test_physics_that_diverge_are_told_and_leave_no_file_behind(tmp_path, monkeypatch):
+def test_physics_that_diverge_are_reported_and_leave_no_file_behind(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     mujoco = import_mujoco()
     model = mujoco.MjModel.from_xml_string(
@@ -232,7 +232,7 @@ def test_physics_that_diverge_are_told_and_leave_no_file_behind(tmp_path, monkey
     assert not list(tmp_path.iterdir())
 
 
-def test_without_mujoco_the_package_loads_and_the_plant_says_what_to_install():
+def test_without_mujoco_the_package_loads_and_the_plant_names_what_to_install():
     script = """
 import sys
 sys.modules["mujoco"] = None

@@ -77,7 +77,7 @@ def untroubled() -> Trials:
 
 
 @pytest.mark.slow
-def test_a_machine_in_another_process_is_executed_on_and_says_no_truth(untroubled) -> None:
+def test_a_machine_in_another_process_executes_and_has_no_truth(untroubled) -> None:
     (result,) = untroubled.statistics.results
     assert result.success, result.reason
     assert untroubled.statistics.believed

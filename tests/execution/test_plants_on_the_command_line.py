@@ -191,14 +191,14 @@ def test_under_nohup_an_execution_goes_on(run):
 
 
 @pytest.mark.slow
-def test_what_breaks_an_execution_off_is_json_too_when_asked(run):
+def test_what_ends_an_execution_is_json_too_on_request(run):
     done = run("own.py:Broken", "--json")
     assert done.returncode == 2
     assert "Broken.apply raised ValueError" in json.loads(done.stdout)["error"]
 
 
 @pytest.mark.slow
-def test_what_a_machine_says_is_shown_and_not_sent_to_the_terminal(run):
+def test_text_of_a_machine_is_escaped_and_not_sent_to_the_terminal(run):
     done = run("own.py:Rude", "--trials", "1")
     assert "\x1b" not in done.stdout + done.stderr
     assert r"\x1b]0;title\x07 [/red] the gripper" in done.stdout

@@ -71,7 +71,7 @@ def test_a_hand_that_feels_nothing_does_not_let_go() -> None:
 
 
 @pytest.mark.slow
-def test_a_plant_that_cannot_feel_is_told_so() -> None:
+def test_a_plant_without_a_force_sensor_is_refused() -> None:
     problem, plan = solved()
     with pytest.raises(InputError, match=r"Measurement.force is None; measure it, or leave 'release' out"):
         run_trials(problem, plan, plant=Deaf.of)

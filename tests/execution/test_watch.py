@@ -51,7 +51,7 @@ def healthy(drawer, plan) -> Executed:
     return Executed(drawer, plan, "none")
 
 
-def test_a_healthy_machine_is_not_asked_twice(healthy, plan) -> None:
+def test_a_healthy_machine_is_not_measured_twice(healthy, plan) -> None:
     assert healthy.result.success
     assert healthy.is_there
     assert healthy.result.steps == len(plan.trajectory.inputs)

@@ -137,7 +137,7 @@ def test_a_slip_that_no_single_look_shows_is_named(thing: Thing, from_measured: 
 
 
 @pytest.mark.parametrize("slip", [0.0, 0.01])
-def test_looks_at_a_noisy_tracker_tell_a_slip_from_noise(slip: float) -> None:
+def test_measurements_of_a_noisy_tracker_separate_a_slip_from_noise(slip: float) -> None:
     rng, slips = np.random.default_rng(0), Slips(np.zeros(3), Hand(1e-3, 0.02, 0.2))
     told = None
     for k in range(40):
@@ -294,7 +294,7 @@ def test_a_handle_outside_of_the_workspace_is_refused() -> None:
 
 
 @pytest.mark.slow
-def test_a_drawer_that_is_too_short_tells_how_far_it_went() -> None:
+def test_a_drawer_that_is_too_short_is_reported_with_its_travel() -> None:
     found, _ = run(Thing("drawer", (Stage(0.12, Y),)))
     assert (found.outcome, found.kinds) == ("gave_up", ("prismatic",))
     assert found.travel == pytest.approx(0.12, abs=0.01)
@@ -306,7 +306,7 @@ def test_a_tracker_that_is_far_noisier_than_thought_is_no_lost_handle() -> None:
     assert found.outcome == "opened"
 
 
-def test_the_shipped_scene_is_as_the_issue_asks(repository: Path) -> None:
+def test_the_shipped_scene_has_its_required_sizes(repository: Path) -> None:
     scene = load_scene(repository / "problems" / "explore_handle.yaml")
     assert (scene.largest_force, scene.largest_step, scene.steps, scene.opening) == (45.0, 0.05, 300, 0.2)
     assert scene.simulated is not None

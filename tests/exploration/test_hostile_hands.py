@@ -67,7 +67,7 @@ def opened(hand: Held, force: float = 45.0, seed: int = 1, stiffness: float | No
 @pytest.mark.sweep
 @pytest.mark.parametrize("later", ["softer", "deaf"])
 @pytest.mark.parametrize("seed", range(2))
-def test_what_only_the_force_sensor_tells_is_no_opening(later, seed) -> None:
+def test_motion_by_the_force_sensor_alone_is_no_opening(later, seed) -> None:
     hand = Held(friction=1e9, later=later)
     found = opened(hand, seed=seed)
     assert found.outcome != "opened"
@@ -108,7 +108,7 @@ def test_a_leap_that_nothing_counts_from_is_survived() -> None:
     assert opened(Held(later="leap", at=12)).outcome == "opened"
 
 
-def test_a_sensor_that_reads_half_is_safe_where_the_stiffness_is_told() -> None:
+def test_a_sensor_that_reads_half_is_safe_with_a_given_stiffness() -> None:
     fooled, told = Held(friction=1e9, sensor=0.5), Held(friction=1e9, sensor=0.5)
     assert opened(fooled).outcome == "held"
     assert fooled.largest > 45.0  # nothing but the hand's own stiffness can tell

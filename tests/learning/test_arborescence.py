@@ -52,7 +52,7 @@ def test_a_cycle_that_everyone_likes_is_broken_where_it_costs_least() -> None:
     assert maximum_arborescence(weights, "base") == {"a": "b", "b": "base"}
 
 
-def test_ties_are_broken_by_the_later_elements_whatever_the_order_of_the_arcs() -> None:
+def test_ties_are_broken_by_the_later_elements_for_any_order_of_the_arcs() -> None:
     weights: dict[Arc, Weight] = {("base", "a"): (1.0, 0.0), ("base", "b"): (1.0, 0.0), ("a", "b"): (1.0, 1.0)}
     expected = {"a": "base", "b": "a"}
     assert maximum_arborescence(weights, "base") == expected

@@ -79,7 +79,7 @@ def test_a_reversed_frame_is_a_rotation_not_a_negative_gain(kind):
     assert np.linalg.norm(found.frame_rotation) > 1.5
 
 
-def test_what_a_prismatic_joint_cannot_tell_keeps_its_prior_spread():
+def test_what_a_prismatic_joint_does_not_determine_keeps_its_prior_spread():
     truth = planted(Case("prismatic", across=2.0, noise=3e-4), np.random.default_rng(2), 0.3)
     covariance = np.array(estimated(truth).covariance)[:3, :3]
     axis = np.array(truth.joint.axis)

@@ -43,7 +43,7 @@ def test_coverage_is_what_it_says(kind: str, has_orientation: bool, wander: floa
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("wander", [0.0, 1.5])
-def test_a_screw_that_positions_hardly_tell_says_so(wander: float) -> None:
+def test_a_screw_that_positions_hardly_determine_has_a_wide_interval(wander: float) -> None:
     """On 17 degrees its pitch is open: 70 of 100 and fewer intervals of the likeliest screw held it."""
     trials = 60
     found = covered(Case("screw", False, 100, 0.3, 0.4, wander), trials)

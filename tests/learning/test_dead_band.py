@@ -41,7 +41,7 @@ def kinds(recording: Recording) -> list[str]:
 @pytest.mark.sweep
 @pytest.mark.parametrize(("bits", "counts"), [(12, 2.0), (10, 1.0), (12, 3.0), (10, 2.0)])
 @pytest.mark.parametrize("seed", [0, 2, 5])
-def test_a_rest_beside_the_goal_is_no_stop(bits: int, counts: float, seed: int) -> None:
+def test_a_rest_next_to_the_goal_is_no_stop(bits: int, counts: float, seed: int) -> None:
     assert kinds(servo(seed, bits, counts)) == ["revolute"]
 
 

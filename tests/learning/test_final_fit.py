@@ -300,7 +300,7 @@ def test_pauses_between_segments_forget_the_wander() -> None:
     assert stds_of(fit.joint).mean() == pytest.approx(expected, rel=0.35)
 
 
-def test_a_circle_is_told_from_positions_with_an_orientationless_guess() -> None:
+def test_a_circle_is_fitted_to_positions_with_an_orientationless_guess() -> None:
     position, _ = rows_of("revolute")
     guess = revolute((0, 0, 1), (0, 0, 0), (0.3, 0.3, 0.3))
     fit = fitted(guess, position, None)
@@ -308,7 +308,7 @@ def test_a_circle_is_told_from_positions_with_an_orientationless_guess() -> None
     assert radius(fit.joint) == pytest.approx(radius(TRUTHS["revolute"]), abs=0.01)
 
 
-def test_a_short_helix_seen_by_positions_alone_is_fitted_wherever_it_starts() -> None:
+def test_a_short_helix_seen_by_positions_alone_is_fitted_from_any_start() -> None:
     """Its axis, centre and pitch run along a bent valley with several bottoms."""
     truth = screw(AXIS, (0.35, 0.1, 0.3), 0.12, (0.4, 0.1, 0.3))
     rng = np.random.default_rng(4)
@@ -329,7 +329,7 @@ def test_a_short_helix_seen_by_positions_alone_is_fitted_wherever_it_starts() ->
 
 
 @pytest.mark.slow
-def test_poses_tell_a_screw_from_a_hinge_whatever_is_guessed() -> None:
+def test_poses_separate_a_screw_from_a_hinge_for_any_guess() -> None:
     """Beside a slow tracker a tilted hinge explains the places of a screw, and another one its turns: not one both."""
     rng, right = np.random.default_rng(5), 0
     kept = np.exp(-1 / 40)
@@ -351,7 +351,7 @@ def test_poses_tell_a_screw_from_a_hinge_whatever_is_guessed() -> None:
     assert right >= 15
 
 
-def test_where_an_arc_tells_no_lead_the_interval_holds_every_lead() -> None:
+def test_where_an_arc_does_not_determine_a_lead_the_interval_holds_every_lead() -> None:
     """A short piece of a wide screw may as well be a circle, or turn the other way."""
     truth = screw(AXIS, (0.2, 0.3, 0.1), 0.03, (0.5, 0.1, 0.3))
     rng = np.random.default_rng(1)

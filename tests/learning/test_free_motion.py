@@ -71,7 +71,7 @@ def test_trackers_raise_no_false_alarm(kind: str, memory: float) -> None:
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("kind", list(JOINTS))
-def test_a_sound_joint_says_that_it_fits(kind: str) -> None:
+def test_a_sound_joint_is_reported_to_fit(kind: str) -> None:
     recording = recorded([(JOINTS[kind], moving_then_held(kind))], np.random.default_rng(0), Noise(0.003, 0.02))
     segments = learn_graph(recording).edges[0].segments
     for segment in segments:
@@ -80,7 +80,7 @@ def test_a_sound_joint_says_that_it_fits(kind: str) -> None:
         assert sum(p for _, p in segment.certainty.kinds) == pytest.approx(1.0, abs=0.005)
 
 
-def test_a_hinge_in_two_stages_is_told_by_how_far_rows_lie_off_one() -> None:
+def test_a_hinge_in_two_stages_is_identified_by_the_deviation_of_rows() -> None:
     c = np.concatenate([np.linspace(0.0, 0.8, 60), np.linspace(0.8, 1.6, 60)])
     first = revolute((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.4, 0.0, 0.0))
     met = forward(first, np.array([0.8]))

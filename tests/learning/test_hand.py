@@ -43,7 +43,7 @@ def test_a_part_that_is_pushed_in_vain_and_then_released_was_locked(kind: str, n
 @pytest.mark.sweep
 @pytest.mark.parametrize("noise", NOISES)
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_part_that_nobody_pushed_yet_waits_for_the_hand(kind: str, noise: Noise) -> None:
+def test_a_part_that_was_not_pushed_yet_waits_for_the_hand(kind: str, noise: Noise) -> None:
     for rows in (10, 40):
         assert kinds(acted(kind, np.zeros(rows), np.zeros(0), noise)) == [kind]
     # A hand that takes up some slack before the part moves does not make it locked either.

@@ -29,7 +29,7 @@ def along(steps: list[float], held: list[tuple[int, int]], seed: int = 0) -> Joi
 
 
 @pytest.mark.parametrize("held", [[], [(40, 60)], [(0, 20)], [(20, 40), (60, 80)], [(20, 40), (60, 80), (100, 120)]])
-def test_rests_are_where_what_was_asked_was_not_done(held: list[tuple[int, int]]) -> None:
+def test_rests_are_where_commands_were_not_carried_out(held: list[tuple[int, int]]) -> None:
     """However often, at the beginning, on the way or at the end."""
     rests = held_rows(along([0.01] * 120, held))
     assert len(rests) == len(held)
@@ -39,7 +39,7 @@ def test_rests_are_where_what_was_asked_was_not_done(held: list[tuple[int, int]]
         assert abs(inside[-1] - last) <= 3
 
 
-def test_a_hand_that_asks_nothing_says_nothing_of_rests() -> None:
+def test_a_hand_without_commands_is_no_evidence_on_rests() -> None:
     """A pause is no rest: nothing was asked, and nothing was done."""
     assert not len(held_rows(along([0.01] * 40 + [0.0] * 30 + [0.01] * 40, [])))
     assert not held_steps(along([0.0] * 60, [])).any()
@@ -126,7 +126,7 @@ def test_a_step_in_which_a_part_is_caught_or_let_go_need_not_be_led(kind: str) -
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
-def test_a_push_that_is_slower_than_the_motion_tells_a_stop_too(kind: str) -> None:
+def test_a_push_that_is_slower_than_the_motion_indicates_a_stop_too(kind: str) -> None:
     """A hand slows down where it meets an end: how far it asks for counts, not how fast."""
     count = cycles.counted(kind, 1, cycles.VARIANTS["pushed a fifth as fast"], 5)
     assert (count.found, count.many) == (2, 0), count.answer

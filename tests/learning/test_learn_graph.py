@@ -90,7 +90,7 @@ def test_a_pushed_door_that_stops_is_shut(method: str) -> None:
     assert abs(found.changepoints[0] - 70) <= 2
 
 
-def test_a_drawer_that_nobody_pushes_for_a_while_stays_a_drawer() -> None:
+def test_a_drawer_without_pushes_for_a_while_stays_a_drawer() -> None:
     c = np.concatenate([np.linspace(0, 0.15, 50), np.full(45, 0.15), np.linspace(0.15, 0.3, 50)])
     push = np.append(np.diff(c), 0.0)
     recording = recorded([(JOINTS["prismatic"], c)], np.random.default_rng(5), commanded=[push])
@@ -271,7 +271,7 @@ def test_different_joints_of_one_kind_stay_apart() -> None:
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("position_noise", [0.0, 0.0005])
-def test_a_push_that_does_not_follow_the_arc_tells_a_stop(position_noise: float) -> None:
+def test_a_push_that_does_not_follow_the_arc_indicates_a_stop(position_noise: float) -> None:
     """Clean actions say nothing of most directions of the action channel; it must not use them to explain the stop."""
     joint, swing = JOINTS["revolute"], np.linspace(0.0, 0.9, 70)
     held = np.full(40, 0.9)

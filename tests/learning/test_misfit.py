@@ -109,7 +109,7 @@ def test_the_unit_of_the_configuration_matters_to_no_mode() -> None:
     np.testing.assert_allclose(misfit_modes(c), misfit_modes(100 * c + 7), atol=1e-12)
 
 
-def test_the_origin_tells_the_same_radius_wherever_it_is_counted_from() -> None:
+def test_the_origin_gives_the_same_radius_from_any_zero() -> None:
     """The covariance of a shifted joint's radius is that of the joint: a circle has one radius."""
     joint, rng = JOINTS["revolute"], np.random.default_rng(2)
     position, quaternion = seen(joint, 0.0, 0.001, rng)

@@ -53,7 +53,7 @@ def off_axis(joint) -> float:
 @pytest.mark.parametrize(
     "seed", [0, pytest.param(1, marks=pytest.mark.evidence), pytest.param(2, marks=pytest.mark.evidence)]
 )
-def test_that_two_free_bodies_are_joined_is_found_and_the_remedy_told(seed: int) -> None:
+def test_that_two_free_bodies_are_joined_is_found_with_a_remedy(seed: int) -> None:
     """Which of the two stands on the other is a convention: both move freely."""
     learned = learn(recorded(pushed_about(0.5, seed), seed))
     on_base, joined = sorted(learned.graph.edges, key=lambda edge: edge.parent != "base")

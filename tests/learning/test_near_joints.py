@@ -46,7 +46,7 @@ def cap(pitch: float, turns: float, rows: int = 220) -> tuple[np.ndarray, Rotati
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("pitch", "turns"), [(0.003, 4.0), (0.002, 3.0), (0.005, 1.5)])
-def test_the_thread_of_a_cap_is_told_from_none(pitch: float, turns: float) -> None:
+def test_the_thread_of_a_cap_is_separated_from_none(pitch: float, turns: float) -> None:
     (advances,) = learned(seen(*cap(pitch, turns), 0.0004))
     assert advances.joint.kind == "screw"
     assert advances.probability > 0.9

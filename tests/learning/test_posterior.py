@@ -77,7 +77,7 @@ def test_intervals_hold_the_row_at_which_a_part_stops(many, method: Method) -> N
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("method", METHODS)
-def test_the_number_of_changepoints_is_as_sure_as_it_says(many, method: Method) -> None:
+def test_the_number_of_changepoints_is_as_certain_as_stated(many, method: Method) -> None:
     given, right = [], []
     for _, stop, *edges in many:
         counts = np.array(edges[METHODS.index(method)].certainty.changepoint_counts[0])
@@ -91,7 +91,7 @@ def test_the_number_of_changepoints_is_as_sure_as_it_says(many, method: Method) 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("method", METHODS)
-def test_kinds_are_as_sure_as_they_say(many, method: Method) -> None:
+def test_kinds_are_as_certain_as_stated(many, method: Method) -> None:
     given, right = [], []
     for kind, _, *edges in many:
         chances = dict(edges[METHODS.index(method)].segments[0].certainty.kinds)
@@ -257,7 +257,7 @@ def test_an_answer_is_as_probable_as_its_joints_at_all_places_where_one_may_take
 @pytest.mark.sweep
 @pytest.mark.parametrize("stopped", [None, 40])
 @pytest.mark.parametrize("kind", list(JOINTS))
-def test_an_answer_is_told_beside_every_kind_of_joint_on_its_rows(kind: str, stopped: int | None) -> None:
+def test_an_answer_is_compared_with_every_kind_of_joint_on_its_rows(kind: str, stopped: int | None) -> None:
     """What had no rival was stated as certain: also where a stop was tried last, each joint has its rivals."""
     c = TRAVEL[kind] * np.linspace(0, 1, 80)
     c = c if stopped is None else np.concatenate([c, np.full(stopped, c[-1])])
@@ -278,7 +278,7 @@ def test_an_answer_is_told_beside_every_kind_of_joint_on_its_rows(kind: str, sto
         assert set(rivals) >= {"rigid", "prismatic", "revolute", kind}
 
 
-def test_an_answer_that_is_as_probable_with_noise_of_its_own_takes_half_of_what_is_said() -> None:
+def test_an_answer_as_probable_with_its_own_noise_takes_half_of_the_probability() -> None:
     """Under the noise of the answer its rivals fare worse than under their own."""
     recording = recorded([(JOINTS["prismatic"], moving_then_held("prismatic", 70, 30))], np.random.default_rng(3))
     settings = LearnSettings()
@@ -301,7 +301,7 @@ def test_an_answer_that_is_as_probable_with_noise_of_its_own_takes_half_of_what_
         assert counts[0] == pytest.approx((without[0] + more) / (1 + more), abs=1e-9)
 
 
-def test_a_clear_second_joint_is_said_as_clearly() -> None:
+def test_a_clear_second_joint_has_a_high_probability() -> None:
     """What a further joint costs is weighed against the same evidence where it is chosen and where it is stated."""
     turned = np.concatenate([np.linspace(0.0, 0.8, 60), np.full(60, 0.8)])
     slid = np.concatenate([np.zeros(60), np.linspace(0.0, 0.2, 60)])
@@ -318,7 +318,7 @@ def test_a_clear_second_joint_is_said_as_clearly() -> None:
     assert dict(slide.certainty.kinds)["prismatic"] > 0.8
 
 
-def test_an_answer_with_a_segment_more_takes_its_share_of_what_is_said_of_their_number() -> None:
+def test_an_answer_with_one_more_segment_takes_its_share_of_their_number() -> None:
     recording = recorded([(JOINTS["prismatic"], np.linspace(0.0, 0.3, 90))], np.random.default_rng(3))
     settings = LearnSettings()
     steps = steps_of(part_track(recording, 0, recording.parts[0]), np.ones(len(recording), dtype=bool), settings)

@@ -117,7 +117,7 @@ def test_every_run_is_seen_on_its_own_and_runs_without_the_parent_are_left_out()
     assert relative_rows(both.rows(np.arange(12)), "door", "knob") is None
 
 
-def test_what_is_asked_of_a_part_is_relative_to_what_carries_it() -> None:
+def test_the_command_of_a_part_is_relative_to_its_carrier() -> None:
     """A perfect hand: the relative actions add up to the relative motion, whatever the parent does meanwhile."""
     for parts in (arm(together=True), arm(together=False)):
         recording = recorded_parts(parts, 0, **EXACT, actions=True)
@@ -127,7 +127,7 @@ def test_what_is_asked_of_a_part_is_relative_to_what_carries_it() -> None:
         assert np.isnan(relative.action[-1]).all()
 
 
-def test_a_knob_led_along_with_its_door_is_asked_for_nothing() -> None:
+def test_a_knob_that_moves_with_its_door_has_no_command() -> None:
     recording = recorded_parts(cabinet(), 0, **EXACT, actions=True)
     relative = seen(recording, "door", "knob").recording
     assert relative.action is not None

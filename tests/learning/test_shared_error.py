@@ -43,7 +43,7 @@ def stds(joint: Joint) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("truth", [HINGE, DRAWER])
-def test_a_wrong_frame_moves_a_joint_as_far_as_said(truth: Joint) -> None:
+def test_a_wrong_frame_moves_a_joint_as_far_as_its_covariance(truth: Joint) -> None:
     plain = recording_of(truth)
     said = stds(moving_joint(with_shared_errors(plain, {"part": SharedError(FRAME, NONE)})))
     bare = stds(moving_joint(plain))
@@ -99,7 +99,7 @@ def test_independent_runs_know_better_than_one() -> None:
     assert np.allclose(found.frame, 0.5 * FRAME, rtol=0.01)
 
 
-def test_nothing_said_is_nothing_added() -> None:
+def test_without_a_statement_nothing_is_added() -> None:
     plain = recording_of(HINGE)
     assert shared_error_of(plain, "part") is None
     assert stds(moving_joint(with_shared_errors(plain, {"part": SharedError(NONE, NONE)}))) == pytest.approx(

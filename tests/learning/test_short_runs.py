@@ -74,7 +74,7 @@ def test_short_runs_against_one_stop_share_the_hinge_and_end_rigid(pushed: bool)
         assert one.center == pytest.approx(hinges[0].center, abs=1e-9)
 
 
-def test_runs_of_an_object_that_nobody_moves_stay_rigid() -> None:
+def test_runs_of_an_object_that_does_not_move_stay_rigid() -> None:
     recording = recorded(SLIDE, [np.zeros(12)] * 3, False, np.random.default_rng(3))
     still = replace(recording, position=np.repeat(recording.position[:1], 36, axis=0), quaternion=None)
     segments = learn_graph(still).edges[0].segments

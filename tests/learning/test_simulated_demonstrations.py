@@ -143,7 +143,7 @@ def learned(truth, joint=None, row=None, shut=None):
     return KinematicEdge("base", "part", (moving, segment(held, start, rows - 1)))
 
 
-def test_scores_count_what_they_say():
+def test_scores_count_correctly():
     truth = demonstration("microwave", "with grasp", 0)
     exact = score(learned(truth), truth)
     assert exact.strict

@@ -199,7 +199,7 @@ class TestCarriers:
         parts = {"a": PlantedPart(BASE, MARK, np.zeros(50)), "b": PlantedPart(BASE, TRAY, np.zeros(50))}
         assert carriers(recorded_parts(parts, 0)) == {"a": (), "b": ()}
 
-    def test_what_moves_far_need_not_be_asked_whether_it_is_rigid(self) -> None:
+    def test_large_motions_need_no_test_of_rigidity(self) -> None:
         recording = recorded_parts(rails(), 1, **SMALL)
         far = {
             (parent, child): moves_far(relative_rows(recording, parent, child).recording)
@@ -285,7 +285,7 @@ class TestWithTheLearner:
     @pytest.mark.slow
     @pytest.mark.parametrize("unseen", ["drawer", pytest.param("door", marks=pytest.mark.evidence)])
     @pytest.mark.parametrize("seed", [0, pytest.param(5, marks=pytest.mark.evidence)])
-    def test_a_part_that_is_unseen_for_a_third_of_the_time_carries_what_stands_on_it_and_nothing_else(
+    def test_a_part_that_is_unseen_for_a_third_of_the_time_carries_only_what_is_attached_to_it(
         self, unseen: str, seed: int
     ) -> None:
         """Fewer rows in common are neither more nor less evidence: parents are compared on the same rows."""

@@ -77,7 +77,7 @@ def test_parameters_that_were_fitted_are_paid_for() -> None:
     assert 0.9 < np.mean(variances) < 2.0
 
 
-def test_too_few_rows_tell_no_noise() -> None:
+def test_too_few_rows_do_not_determine_noise() -> None:
     time = np.arange(3.0)
     processes = [OrnsteinUhlenbeck(time, one) for one in memories(time).tolist()]
     assert noise_posterior(processes, NONE[:3], np.ones((3, 1)), np.eye(3)[:, None, :], SCALE) is None

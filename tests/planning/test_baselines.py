@@ -65,7 +65,7 @@ def test_the_tree_goes_through_the_gate_and_past_the_trap() -> None:
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_tree_whatever_ran_before() -> None:
+def test_the_same_seed_gives_the_same_tree_after_any_other_call() -> None:
     problem = with_settings(planar_problem(), verification_trials=1)
     first = solved_by(problem, "rrt", 3)
     solved_by(problem, "rrt", 4)
@@ -149,7 +149,7 @@ def test_the_mixture_step_agrees_with_the_filter_far_from_guards_and_moves_weigh
     assert z[0] == pytest.approx(DOOR_SHUT, abs=0.02)
 
 
-def test_what_planning_leaves_out_of_a_model_is_said() -> None:
+def test_what_planning_leaves_out_of_a_model_is_reported() -> None:
     problem = drawer_problem(0.05, 0.3)
     lags = with_effect(problem.automaton, Effect("lag", "drawer", (("steps", 0.3),)))
     (told,) = solved_by(replace(problem, automaton=lags), "direct").warnings

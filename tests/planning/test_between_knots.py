@@ -199,7 +199,7 @@ def test_a_table_that_is_all_hole_has_no_plan(tmp_path) -> None:
     assert solve(replace(problem, automaton=model), advise=False).outcome != "solved"
 
 
-def test_a_plan_that_other_transitions_precede_says_so_and_does_not_blame_the_noise(tmp_path) -> None:
+def test_a_plan_preceded_by_other_transitions_is_reported_without_blaming_the_noise(tmp_path) -> None:
     problem = on_table(tmp_path, 0.01)
     solid = replace(problem, automaton=replace(problem.automaton, edges=problem.automaton.edges[1:]))
     found = plan(solid)
@@ -317,7 +317,7 @@ def test_one_hand_moves_several_things(tmp_path, count) -> None:
     assert {name for name in found.mode_sequence if name != "free"} == {f"has_b{i}" for i in range(count)}
 
 
-def test_a_search_that_its_limit_ended_says_so(tmp_path) -> None:
+def test_a_search_that_its_limit_ended_reports_it(tmp_path) -> None:
     found = solve(problem_of(tmp_path, *blocks(3, ", search_limit: 20")), advise=False)
     assert found.outcome == "no_plan"
     assert "stopped after 20 linear programmes" in found.reason

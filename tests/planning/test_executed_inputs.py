@@ -301,7 +301,7 @@ REFUSED = {
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("why", [*[*REFUSED][:-1], pytest.param([*REFUSED][-1], marks=pytest.mark.evidence)])
-def test_what_nobody_can_do_has_no_plan_that_is_taken_for_good(tmp_path, why) -> None:
+def test_an_impossible_task_has_no_accepted_plan(tmp_path, why) -> None:
     texts, *changes = REFUSED[why]
     assert solve(_problem(tmp_path, texts, *changes), advise=False).outcome != "solved"
 

@@ -50,7 +50,7 @@ def test_a_start_outside_of_its_named_mode_is_measured_against_that_mode() -> No
     assert finding.amount == pytest.approx(0.9)
 
 
-def test_a_goal_out_of_range_tells_how_far_and_where_the_range_ends() -> None:
+def test_a_goal_out_of_range_reports_how_far_and_where_the_range_ends() -> None:
     finding = first(door_problem(0.2, 2.0))
     assert finding.level == "goal"
     assert finding.amount == pytest.approx(0.75)
@@ -73,7 +73,7 @@ def test_too_few_knots_are_an_finding_of_the_optimisation() -> None:
 
 
 @pytest.mark.slow
-def test_a_narrow_corridor_tells_its_width_and_what_the_belief_needs(repository) -> None:  # type: ignore[no-untyped-def]
+def test_a_narrow_corridor_is_reported_with_its_width_and_the_required_room(repository) -> None:  # type: ignore[no-untyped-def]
     problem = load_problem(repository / "problems" / "slot_unsure.yaml")
     found = plan(problem)
     (finding,) = found.findings
@@ -105,7 +105,7 @@ def test_roll_outs_that_miss_the_goal_say_what_tolerance_they_need() -> None:
     assert share == pytest.approx(0.95, abs=0.01)
 
 
-def test_a_time_limit_is_named_and_nothing_else_is_claimed() -> None:
+def test_a_time_limit_is_named_without_further_claims() -> None:
     for limits in ({"time_limit_s": 1e-9}, {"solve_time_limit_s": 1e-9}):
         (finding, *_) = plan(with_settings(planar_problem(), **limits)).findings
         assert next(iter(limits)) in finding.sentence
@@ -113,14 +113,14 @@ def test_a_time_limit_is_named_and_nothing_else_is_claimed() -> None:
         assert finding.knot is None
 
 
-def test_a_solved_plan_is_told_as_solved() -> None:
+def test_a_solved_plan_is_explained_as_solved() -> None:
     problem = door_problem(0.2, 0.5)
     told = explain(problem, verify(problem, plan(problem), trials=50))
     assert (told.outcome, told.level) == ("solved", None)
     assert told.lines[0].startswith("solved through swings, ")
 
 
-def test_a_plan_of_an_older_version_is_checked_again_or_says_that_it_cannot_tell() -> None:
+def test_a_plan_of_an_older_version_is_checked_again_or_reports_missing_details() -> None:
     old = Plan("no_plan", "reason of then")
     assert explain(door_problem(0.2, 2.0), old).level == "goal"
     told = explain(door_problem(0.2, 0.9), old)
@@ -156,7 +156,7 @@ def test_a_step_too_short_for_a_boundary_that_turns_is_named_and_a_longer_one_he
     assert solve(turned(0.02)).outcome == "solved"
 
 
-def test_a_wide_corridor_is_not_said_to_be_narrow() -> None:
+def test_a_wide_corridor_is_not_reported_as_narrow() -> None:
     """The belief does not keep its distance from one boundary; the one that faces it is far away."""
     boundary = above(0, 0.0, 1, 1, name="c")
     shortfall = Shortfall(
@@ -169,7 +169,7 @@ def test_a_wide_corridor_is_not_said_to_be_narrow() -> None:
 
 
 @pytest.mark.slow
-def test_a_plan_that_could_find_out_where_it_is_is_told_to_come_back() -> None:
+def test_a_plan_that_could_localise_gets_the_remedy_of_revisits() -> None:
     walls = load_problem(Path(__file__).resolve().parents[2] / "problems" / "walled_domain.yaml")
     blunt = with_settings(walls, revisits=0, verification_trials=100, tightening_rounds=0)
     finding = explain(blunt, solve(blunt)).findings[0]

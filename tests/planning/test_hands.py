@@ -80,7 +80,7 @@ def test_a_target_out_of_reach_stays_unsolved() -> None:
     assert solve(turning_a_cap(revisits=2)).outcome == "solved"
 
 
-def test_what_cannot_move_alone_is_said() -> None:
+def test_what_cannot_move_alone_is_reported() -> None:
     """Hand and rod are carried together: no input brings the rod to 0.5 m and the hand to 0.4 m."""
     problem = pre_release_problem()
     goal = replace(problem.goal, target=((0, 0.4, 0.02), (1, 0.5, 0.02)))

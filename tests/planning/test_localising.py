@@ -144,7 +144,7 @@ def test_into_the_light_only_if_it_is_dark(dark: Problem) -> None:
 
 
 @pytest.mark.parametrize("revisits", [0, 1, 2])
-def test_no_mode_is_revisited_more_often_than_asked(walls: Problem, revisits: int) -> None:
+def test_no_mode_is_revisited_more_often_than_allowed(walls: Problem, revisits: int) -> None:
     sequences = found(with_settings(walls, revisits=revisits, candidates=12))
     most = max(sequence.modes.count(mode) for sequence in sequences for mode in sequence.modes)
     assert most == 1 + revisits

@@ -100,7 +100,7 @@ def test_goal_in_no_range_says_the_ranges() -> None:
     assert "'swings' allows door in [0, 1.2] rad" in str(found.reason)
 
 
-def test_no_transition_to_the_goal_says_so() -> None:
+def test_no_transition_to_the_goal_reports_it() -> None:
     automaton = door_automaton()
     automaton = replace(automaton, edges=automaton.edges[1:])
     found = search(door_problem(0.2, DOOR_SHUT, automaton=automaton, goal_modes=("shut",)), "swings")
@@ -206,7 +206,7 @@ def walked(sequence, graphs, goals, goal_costs):  # type: ignore[no-untyped-def]
     return motion + ending + TRANSITION_COST * len(sequence.edges)
 
 
-def test_revisits_only_when_asked() -> None:
+def test_revisits_only_if_allowed() -> None:
     """From a to b and back: with revisits a cheaper vertex of a is reached through b."""
     graphs = {"a": csr_array(np.zeros((2, 2))), "b": csr_array(np.zeros((1, 1)))}
     exits = {0: np.array([[0, 0]]), 1: np.array([[0, 1]])}

@@ -39,7 +39,7 @@ def _never_left(problem: Problem, mode: str) -> Problem:
 
 
 @pytest.mark.parametrize("name", QUICK)
-def test_what_is_said_of_a_mode_holds_where_nothing_leaves_it(repository: Path, name: str) -> None:
+def test_the_purpose_of_a_mode_holds_without_transitions_out_of_it(repository: Path, name: str) -> None:
     problem = _problem(repository, name)
     plan = solve(problem, **FEW).plan
     first = start_mode(problem.automaton, problem.start)[0]
@@ -61,7 +61,7 @@ def test_what_is_said_of_a_mode_holds_where_nothing_leaves_it(repository: Path, 
             assert purpose.mode not in purpose.without[:-1]
 
 
-def test_a_plan_of_one_mode_says_nothing_of_modes(repository: Path) -> None:
+def test_a_plan_of_one_mode_has_no_purposes(repository: Path) -> None:
     plan = solve(_problem(repository, "light_dark"), **FEW).plan
     assert len(plan.mode_sequence) == 1
     assert plan.purposes == ()
@@ -93,7 +93,7 @@ def test_the_stapler_is_shut_since_it_would_meet_the_shaft(repository: Path, tmp
     assert messages.same_reason("line") in page
 
 
-def test_what_became_of_the_way_without_a_mode_is_said() -> None:
+def test_the_purpose_of_a_mode_is_the_result_of_the_path_without_it() -> None:
     plan = _by("a", "b", "c")
     assert plan.mode_sequence == ("a", "b", "c")
     own = Candidate(("a", "b", "c"), 10.0, 2.0, "locally optimal")
@@ -122,7 +122,7 @@ def _by(*modes: str) -> Plan:
     return Plan("solved", "", trajectory, cost=2.0)
 
 
-def test_a_search_that_runs_out_of_time_says_nothing_of_modes(repository: Path) -> None:
+def test_a_search_that_runs_out_of_time_has_no_purposes(repository: Path) -> None:
     """Where time passes while it is asked, that no way was found would be no reason."""
     problem = _problem(repository, "folding_rule")
     first = start_mode(problem.automaton, problem.start)[0]
@@ -142,7 +142,7 @@ def test_a_search_that_runs_out_of_time_says_nothing_of_modes(repository: Path) 
 
 
 @pytest.mark.parametrize("seed", [17, 27, 28, 31, 43, 71, 80, 82, 84, 106])
-def test_what_is_said_of_random_hybrids_is_so_on_a_grid(seed: int) -> None:
+def test_reasons_of_random_hybrids_hold_on_a_grid(seed: int) -> None:
     """Those of the first 120 whose plans say of a mode that there is no way without it, or which."""
     problem = random_problem(seed)
     said = [purpose for purpose in solve_problem(problem, advise=False).purposes if not purpose.is_goal]

@@ -66,7 +66,7 @@ def test_a_warm_start_needs_fewer_iterations() -> None:
     assert again.iterations < first.iterations
 
 
-def test_contradicting_rows_are_infeasible_and_said_in_words() -> None:
+def test_contradicting_rows_are_infeasible_and_reported_in_words() -> None:
     found = Solver(programme(ca.sumsqr, lambda w: ca.sumsqr(w) + 1.0, (0.0, 0.5)), LIMIT_S).solve()
     assert not found.is_feasible
     assert found.rows[0] > 0.5 + FEASIBLE
@@ -81,7 +81,7 @@ def test_a_start_that_is_not_a_number_is_not_tried() -> None:
     np.testing.assert_array_equal(found.w, [-1.0, 0.0])
 
 
-def test_the_time_limit_ends_it_and_is_told_apart() -> None:
+def test_the_time_limit_ends_it_and_has_its_own_status() -> None:
     found = Solver(nearest_on_line(), 1e-9).solve()
     assert found.is_out_of_time
     assert "time limit" in found.status

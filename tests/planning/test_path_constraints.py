@@ -208,7 +208,7 @@ def test_a_constraint_that_blocks_the_way_is_named_by_the_search(problem: Proble
     assert finding.remedy == "relax it"
 
 
-def test_a_belief_that_is_too_wide_is_told_how_much_it_lacks() -> None:
+def test_a_belief_that_is_too_wide_is_reported_with_the_missing_room() -> None:
     problem = asking(door_problem(0.2, 1.0), "well_known", most=0.001)
     (finding,) = plan(problem).findings
     # Σ after one step: process 0.002, measurement 0.01 from a start of 0.02.
@@ -341,7 +341,7 @@ def twice(_ops: Operations, step: PathStep) -> Terms:
         (twice, "each Require with a name of its own"),
     ],
 )
-def test_mistakes_in_a_function_are_said_before_anything_is_planned(function, message: str) -> None:  # type: ignore[no-untyped-def]
+def test_mistakes_in_a_function_are_reported_before_anything_is_planned(function, message: str) -> None:  # type: ignore[no-untyped-def]
     path_function(function)
     try:
         with pytest.raises(InputError, match=message):

@@ -54,7 +54,7 @@ def test_a_guard_far_narrower_than_what_is_known_is_taken_by_who_passes_through_
 
 
 @pytest.mark.slow
-def test_a_guard_far_narrower_than_what_is_known_that_asks_for_an_input_is_refused() -> None:
+def test_a_guard_on_an_input_that_is_far_narrower_than_the_belief_is_refused() -> None:
     backwards = HalfSpace((0.0, 0.0), (-1.0,), 0.0, True, "backwards")
     assert solve(gripping(0.0005, backwards)).outcome != "solved"
 

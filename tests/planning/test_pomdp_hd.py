@@ -193,7 +193,7 @@ def test_the_faster_the_pace_the_fewer_the_steps() -> None:
     assert fast.outcome == "solved"
 
 
-def test_a_latch_is_pushed_further_in_than_asked_where_that_is_cheap() -> None:
+def test_a_latch_is_pushed_further_in_than_required_where_that_is_cheap() -> None:
     """Of the plans that only do what the confidence asks for, one in twenty misses; a centimetre more costs little."""
     problem = door_problem(0.2, DOOR_SHUT, goal_modes=("shut",))
     least, usual = (plan(with_settings(problem, weight_goal=weight)) for weight in (0.0, 1.0))

@@ -131,7 +131,7 @@ def test_no_setting_makes_it_fail(
         assert len(found.trajectory.modes) <= knots
 
 
-def test_the_grid_knows_what_it_is_told() -> None:
+def test_the_grid_keeps_its_values() -> None:
     """A way that is there, and the same without the transition that it needs."""
     counts = {True: 0, False: 0}
     for seed in range(60):

@@ -163,7 +163,7 @@ def test_what_helps_is_named_with_its_number_and_what_does_not_is_left_out() -> 
     assert _after(plan, lambda p: p.settings.max_knots >= 500)[0] == "move the goal"
 
 
-def test_of_noise_and_steps_is_said_how_much() -> None:
+def test_noise_and_steps_are_reported_with_their_size() -> None:
     quiet = door_problem(0.2, 0.6).automaton.noise.process_std[0]
     plan = _refused(LESS_NOISE, SURER_START, LARGER_STEPS)
     remedy, _ = _after(plan, lambda p: p.automaton.noise.process_std[0] < 0.3 * quiet)
@@ -172,13 +172,13 @@ def test_of_noise_and_steps_is_said_how_much() -> None:
     assert remedy == "lower the start's std (half of it suffices), or raise max_step (twice as much suffices)"
 
 
-def test_where_nothing_helps_that_is_said() -> None:
+def test_a_failure_without_remedy_lists_the_trials() -> None:
     remedy, asked = _after(_refused(MORE_KNOTS, LESS_NOISE), lambda _: False)
     assert remedy == messages.none_helped(["raise max_knots", "lower the noise"])
     assert len(asked) == 4  # two numbers each, and no second seed where the first fails
 
 
-def test_what_could_not_be_tried_says_so() -> None:
+def test_untested_remedies_are_marked() -> None:
     ways = [MORE_KNOTS, LARGER_STEPS, LESS_NOISE, SURER_START, MORE_CONFIDENCE, lower_confidence(0.9)]
     remedy, asked = _after(_refused(*ways), lambda _: False)
     assert len(asked) == 14
@@ -187,7 +187,7 @@ def test_what_could_not_be_tried_says_so() -> None:
     assert _after(_refused(*ways, more), lambda _: False) == (messages.untested("raise revisits"), asked)
 
 
-def test_what_is_tried_is_told_while_it_is(capsys) -> None:
+def test_progress_reports_the_remedy_that_is_tried(capsys) -> None:
     told: list[tuple[str, float]] = []
     with_tested_remedies(
         door_problem(0.2, 0.6), _refused(MORE_KNOTS), _solver(lambda _: False, []), progress=lambda *a: told.append(a)
@@ -205,7 +205,7 @@ def test_what_helps_only_with_one_seed_does_not_help() -> None:
     assert answer.findings[0].remedy == messages.none_helped(["raise max_knots"])
 
 
-def test_an_offer_changes_what_it_says_and_nothing_else() -> None:
+def test_an_offer_changes_its_value_alone() -> None:
     problem = planar_problem()
     (first, second), settings = problem.goal.target, problem.settings
     assert changed(problem, Offer("", "", "tolerance", ((1, 0.3),))).goal.target == (first, (1, second[1], 0.3))
@@ -281,7 +281,7 @@ def test_a_confidence_takes_as_many_roll_outs_as_show_it() -> None:
     assert refused.findings[0].sentence == messages.too_many_trials(2_995_731, 0.999999, 100_000)
 
 
-def test_a_limit_that_ends_the_tightening_is_told_as_one() -> None:
+def test_a_limit_that_ends_the_tightening_is_reported_as_one() -> None:
     """The time is over after the first verification: not the noise, but the limit is to be changed first."""
     problem = with_tolerances(planar_problem(), 0.1)
     now = [0.0]
@@ -321,7 +321,7 @@ def test_a_start_a_hair_outside_of_its_range_is_not_a_collision(mean: dict[str, 
     assert solve(problem, advise=False).outcome == "solved"
 
 
-def test_a_start_far_outside_says_how_far() -> None:
+def test_a_start_far_outside_reports_how_far() -> None:
     (finding,) = solve(held(theta=-0.5), advise=False).findings
     assert finding.level == "start"
     low = float(finding.constraint.split("[")[1].split(",")[0])

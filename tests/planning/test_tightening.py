@@ -62,7 +62,7 @@ def test_more_room_makes_a_plan_that_holds() -> None:
 
 
 @pytest.mark.slow
-def test_rounds_are_bounded_and_the_best_is_told() -> None:
+def test_rounds_are_bounded_and_the_best_is_reported() -> None:
     problem, planner = with_settings(hopeless(), verification_trials=200), Counted()
     answer = verified_plan(problem, planner, rounds=2)
     assert answer.outcome == "not_verified"

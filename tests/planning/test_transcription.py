@@ -141,7 +141,7 @@ def test_a_door_that_shall_stay_off_its_latch_keeps_k_sigma_from_it() -> None:
     assert path.message == "locally optimal"
 
 
-def test_where_there_is_no_room_the_boundary_is_kept_in_part_and_said() -> None:
+def test_without_room_the_boundary_is_kept_in_part_and_reported() -> None:
     problem = door_problem(0.2, 1.199, goal_modes=("swings",), tolerance=0.003)
     path = optimised(problem, "swings", ("swings",))
     assert path.feasible

@@ -52,7 +52,7 @@ def test_the_guard_is_passed_by_k_sigma_of_what_is_not_known_of_it() -> None:
     assert farthest(uncertain) == pytest.approx(DOOR_SHUT + k * np.hypot(own, STD), abs=0.003)
 
 
-def test_such_a_plan_latches_as_often_as_asked_and_one_that_trusts_the_threshold_does_not() -> None:
+def test_such_a_plan_latches_as_often_as_required_and_one_with_a_certain_threshold_does_not() -> None:
     truth = latching(STD)
     trusting = verify(truth, plan(latching(0.0)), trials=TRIALS, seed=1)
     assert trusting.outcome == "not_verified"

@@ -30,7 +30,7 @@ def test_good_plans_verify(problem) -> None:  # type: ignore[no-untyped-def]
     assert checked.verification_trials == 20
 
 
-def test_a_plan_that_does_not_move_is_not_verified_and_both_numbers_are_said() -> None:
+def test_a_plan_that_does_not_move_is_not_verified_and_both_numbers_are_reported() -> None:
     problem = door_problem(0.2, 0.5)
     found = plan(problem)
     assert found.trajectory is not None
@@ -99,7 +99,7 @@ def test_a_plan_without_trajectory_stays_as_it_is() -> None:
     assert verify(door_problem(0.2, 0.5), nothing) is nothing
 
 
-def test_the_goal_asks_for_tolerance_and_mode() -> None:
+def test_the_goal_requires_tolerance_and_mode() -> None:
     goal = Goal(((1, 0.5, 0.1),), ("a",))
     assert goal.contains("a", np.array([9.0, 0.6]))
     assert not goal.contains("a", np.array([0.5, 0.61]))
@@ -113,7 +113,7 @@ def test_the_interval_is_wilsons(successes: int, trials: int) -> None:
     assert wilson_interval(successes, trials) == pytest.approx((expected.low, expected.high), abs=1e-12)
 
 
-def test_a_verified_plan_tells_how_sure_its_success_is() -> None:
+def test_a_verified_plan_has_the_interval_of_its_success() -> None:
     problem = door_problem(0.2, 0.5)
     found = plan(problem)
     few, many = (verify(problem, found, trials=count).success_interval for count in (20, 400))

@@ -84,7 +84,7 @@ def test_of_several_parts_the_one_that_moves_is_acted_on() -> None:
     assert not lamp[:-1].any()
 
 
-def test_what_cannot_be_joined_is_said() -> None:
+def test_what_cannot_be_joined_is_reported() -> None:
     rng = np.random.default_rng(4)
     recording = video(rng)
     with pytest.raises(InputError, match="expected commands, found none"):

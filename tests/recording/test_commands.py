@@ -38,7 +38,7 @@ def written(folder: Path, header: str, columns: list[np.ndarray]) -> Path:
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])
 @pytest.mark.parametrize("kind", ["displacement", "position"])
-def test_what_is_said_is_kept_in_files(tmp_path: Path, suffix: str, kind) -> None:
+def test_a_stated_meaning_is_kept_in_files(tmp_path: Path, suffix: str, kind) -> None:
     said = with_commands(drawer(), kind)
     write_recording(said, tmp_path / f"log{suffix}")
     again = read_recording(tmp_path / f"log{suffix}")
@@ -103,7 +103,7 @@ def test_targets_need_all_three_and_no_actions(tmp_path: Path) -> None:
         read_recording(log, conventions=Conventions(columns=columns))
 
 
-def test_a_column_that_says_something_else_is_told_with_its_row(tmp_path: Path) -> None:
+def test_a_column_with_another_meaning_is_reported_with_its_row(tmp_path: Path) -> None:
     said = with_commands(drawer(), "position")
     texts = list(said.extra[MEANING_COLUMN])
     texts[7] = "displacement"
@@ -134,7 +134,7 @@ def test_recordings_of_different_meaning_are_not_joined() -> None:
             joined_recordings([place, other])
 
 
-def test_a_model_learned_from_positions_says_so() -> None:
+def test_a_model_learned_from_positions_reports_it() -> None:
     effects = learn(with_commands(drawer(), "position")).automaton.effects
     assert [is_as_commanded(effect) for effect in effects] == [True]
     assert learn(drawer()).automaton.effects == ()

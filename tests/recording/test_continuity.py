@@ -59,7 +59,7 @@ def left_out(recording):
 @pytest.mark.parametrize(
     "rows", [slice(0, 8), slice(0, 1), slice(50, 58), slice(70, 71), slice(105, ROWS), slice(ROWS - 1, ROWS)]
 )
-def test_rows_of_a_lost_tracker_are_left_out_and_told(rows) -> None:
+def test_rows_of_a_lost_tracker_are_left_out_and_reported(rows) -> None:
     recording = lost(swing(angles()), rows)
     assert left_out(recording) == [(rows.start, rows.stop - 1)]
     (line,) = breaks(recording)
@@ -158,7 +158,7 @@ def test_a_blow_that_an_action_commands_is_no_jump() -> None:
 
 
 @pytest.mark.parametrize("row", [25, 70, 95])
-def test_a_tracker_that_is_started_anew_is_told(row) -> None:
+def test_a_tracker_restart_is_reported(row) -> None:
     recording = changed(swing(angles()), slice(row, None), lambda p: p + OFFSET, Rotation.from_rotvec([0.0, 0.2, 0.15]))
     found = continuity_of(recording)
     assert found.is_measured.all()
@@ -210,7 +210,7 @@ def test_the_answer_does_not_depend_on_the_frame_or_the_clock() -> None:
 
 
 @pytest.mark.parametrize("what", ["position", "quaternion", "shuffled"])
-def test_what_is_elsewhere_in_every_row_is_told_as_noise(what) -> None:
+def test_positions_that_jump_in_every_row_are_reported_as_noise(what) -> None:
     recording, rng = swing(angles()), np.random.default_rng(3)
     columns = {"position": recording.position, "quaternion": recording.quaternion}
     if what == "position":

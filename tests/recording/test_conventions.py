@@ -273,7 +273,7 @@ def test_rows_with_a_quaternion_of_zeros_are_gaps(truth: Recording, tmp_path: Pa
     assert "2 rows of 12 have no pose" in read.notes[0]
 
 
-def test_a_file_beside_the_recording_says_the_same_as_options_and_keywords(truth: Recording, tmp_path: Path) -> None:
+def test_a_file_next_to_the_recording_is_equivalent_to_options_and_keywords(truth: Recording, tmp_path: Path) -> None:
     columns = {"x": "TX", "y": "TY", "z": "TZ"}
     theirs = {columns.get(name, name): values for name, values in columns_of(truth, 1000.0, frame=FRAMES["y"]).items()}
     path = table(tmp_path / "door.csv", theirs)
@@ -294,7 +294,7 @@ def test_a_file_beside_the_recording_says_the_same_as_options_and_keywords(truth
         load(path, units="mm")
 
 
-def test_options_say_the_same_as_conventions() -> None:
+def test_options_are_equivalent_to_conventions() -> None:
     said = ConventionOptions("t=Time, x=-TX", "mm,deg", 120.0, "y", "wxyz", "door", ["/door/pose"], "map").conventions()
     names = {"t": "Time", "x": "-TX"}
     assert said == Conventions(names, "mm", "deg", None, 120.0, "y", "wxyz", "door", ("/door/pose",), "map")
@@ -467,7 +467,7 @@ def test_times_of_day_in_tables_that_come_as_columns() -> None:
             recording_of_columns({"t": texts, "x": np.zeros(2), "y": np.zeros(2), "z": np.zeros(2)})
 
 
-def test_blanks_separate_columns_where_nothing_else_does(tmp_path: Path) -> None:
+def test_blanks_separate_columns_without_other_separators(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("t x  y z note\n0.0 1 2 3 a\n0.1 1.5 2 3 b\n")
     read = read_recording(tmp_path / "log.csv")
     np.testing.assert_array_equal(read.position, [[1.0, 2.0, 3.0], [1.5, 2.0, 3.0]])

@@ -54,13 +54,13 @@ def test_what_turns_about_its_origin_is_exact_by_its_turns() -> None:
     assert not are_exact(0.0 * position, (tilts * Rotation.from_quat(quaternion)).as_quat())
 
 
-def test_three_poses_say_nothing() -> None:
+def test_three_poses_are_uninformative() -> None:
     position, quaternion = poses("door", 0)
     for count in (0, 1, 3):
         assert not are_exact(position[:count], quaternion[:count])
 
 
-def test_signs_of_quaternions_say_nothing_and_what_turns_about_two_axes_is_on_no_joint() -> None:
+def test_signs_of_quaternions_do_not_matter_and_rotation_about_two_axes_is_no_joint() -> None:
     position, quaternion = poses("door", 0)
     signs = np.where(np.arange(len(position)) % 3, 1.0, -1.0)[:, None]
     assert are_exact(position, signs * quaternion)

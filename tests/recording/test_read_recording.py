@@ -44,7 +44,7 @@ def test_arrays_that_numpy_saved(tmp_path: Path) -> None:
     assert not r.has_run
 
 
-def test_every_format_says_the_same(tmp_path: Path) -> None:
+def test_every_format_is_equivalent(tmp_path: Path) -> None:
     r = Recording(
         time=np.array([0.1, 0.3]),
         position=np.array([[1 / 3, 1e-300, -0.0]] * 2),

@@ -24,7 +24,7 @@ def test_the_example_on_the_page_is_a_recording(repository: Path, tmp_path: Path
     assert table == set(KNOWN)
 
 
-def test_the_error_on_the_page_is_what_is_said(
+def test_the_error_on_the_page_is_the_reported_one(
     repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     page = (repository / "docs" / "concepts" / "recording.md").read_text(encoding="utf-8")

@@ -95,7 +95,7 @@ def pushed(step: np.ndarray, angle: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("first", [0, 1])
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
 @pytest.mark.parametrize("with_actions", [True, False])
-def test_a_tracker_that_is_slower_than_the_log_is_told_by_its_clock(period, first, noise, with_actions) -> None:
+def test_a_tracker_that_is_slower_than_the_log_is_identified_by_its_clock(period, first, noise, with_actions) -> None:
     """Poses in steps of very different sizes, so that no speed tells what was lost."""
     step = 0.05 * np.random.default_rng(1).standard_normal(ROWS)
     angle = np.concatenate([[0.0], np.cumsum(step)[:-1]])

@@ -84,7 +84,7 @@ def test_outliers_alone_are_no_unit() -> None:
     assert line.startswith("part 'part' is 866 m away in row 0 (t = 0 s) (and in 7 more pieces), where it cannot get")
 
 
-def test_one_row_far_away_is_told_with_its_time() -> None:
+def test_one_row_far_away_is_reported_with_its_time() -> None:
     position = door().position.copy()
     position[40, 1] += 100.0
     (line,) = suspicions_of_recording(replace(door(), position=position, quaternion=None))
@@ -109,7 +109,7 @@ def test_actions_in_millimetres_are_named() -> None:
     assert line.endswith(" --columns ax=0.001*ax,ay=0.001*ay,az=0.001*az")
 
 
-def test_a_time_that_jumps_is_told() -> None:
+def test_a_time_that_jumps_is_reported() -> None:
     year = 3.15e7
     (line,) = suspicions_of_recording(replace(door(), time=door().time + year * (np.arange(ROWS) > 40)))
     assert "after the one before it; was a clock set, or are these two recordings?" in line

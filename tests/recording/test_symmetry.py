@@ -70,7 +70,7 @@ def test_smaller_turns_are_turned_back_if_they_come_again(fold) -> None:
 
 
 @pytest.mark.parametrize("rows", [PIECES["there and back"], PIECES["row by row"]])
-def test_one_hinge_is_learned_and_the_rows_are_told(rows) -> None:
+def test_one_hinge_is_learned_and_the_rows_are_reported(rows) -> None:
     recording = read_as_likeness(swing(), rows)
     ((segment,),) = (edge.segments for edge in learn_graph(recording).edges)
     assert segment.joint.kind == "revolute"
@@ -114,7 +114,7 @@ def test_runs_that_begin_with_another_likeness_are_read_alike() -> None:
     assert [line.split(":")[0] for line in lines] == ["run 2", "run 3"]
 
 
-def test_a_run_that_is_mostly_read_the_other_way_tells_those_rows() -> None:
+def test_a_run_that_is_mostly_read_the_other_way_reports_those_rows() -> None:
     """Within the run most rows are the likeness, but the run before says which is meant: only they are turned back."""
     first, second = swing(0), read_as_likeness(swing(1), slice(0, 100))
     columns = {
@@ -128,7 +128,7 @@ def test_a_run_that_is_mostly_read_the_other_way_tells_those_rows() -> None:
     assert missed(found.select(run=2), swing(1)) < 1e-9
 
 
-def test_symmetry_says_which_turn() -> None:
+def test_symmetry_has_its_turn() -> None:
     recording = read_as_likeness(swing(), PIECES["three pieces"], Z, 4)
     symmetry, turns = detect_symmetry(recording.position, recording.quaternion)
     assert symmetry.fold == 4

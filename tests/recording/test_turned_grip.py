@@ -37,7 +37,9 @@ def recording_of(joint: Joint, slip: float, axis: np.ndarray | None = None, nois
 
 
 @pytest.mark.parametrize("slip", [-1.0, -0.4, -1.7, 0.5])
-def test_a_hand_that_turns_on_a_handle_is_told_and_leaving_orientations_out_helps(slip: float, tmp_path: Path) -> None:
+def test_a_hand_that_turns_on_a_handle_is_reported_and_leaving_orientations_out_helps(
+    slip: float, tmp_path: Path
+) -> None:
     recording = recording_of(HINGE, slip)
     (line,) = turned_grips(recording).values()
     assert "--positions-only" in line
@@ -70,7 +72,7 @@ def test_a_bolt_that_turns_along_its_way_is_a_screw() -> None:
     assert turned_grips(recording_of(DRAWER, 0.6)) == {}
 
 
-def test_noise_rest_and_few_rows_say_nothing() -> None:
+def test_noise_rest_and_few_rows_are_uninformative() -> None:
     rng = np.random.default_rng(1)
     resting = RigidTransform.identity(60)
     assert turned_grip(rng.normal(0.0, 1e-3, (60, 3)), resting.rotation) is None
@@ -80,7 +82,7 @@ def test_noise_rest_and_few_rows_say_nothing() -> None:
     assert turned_grips(replace(short, quaternion=None)) == {}
 
 
-def test_a_file_beside_a_log_says_it_as_well(tmp_path: Path) -> None:
+def test_a_file_next_to_a_log_states_it_as_well(tmp_path: Path) -> None:
     write_recording(recording_of(HINGE, -0.4), tmp_path / "tip.csv")
     beside = tmp_path / "tip.conventions.yaml"
     beside.write_text("format: micah-plan/conventions/1\npositions_only: true\n")

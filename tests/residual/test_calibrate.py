@@ -82,7 +82,7 @@ def test_a_calibration_plays_the_runs_before_and_after_unless_the_new_model_refu
 
 
 @pytest.mark.slow
-def test_a_delay_is_told_in_steps_and_seconds(door) -> None:
+def test_a_delay_is_reported_in_steps_and_seconds(door) -> None:
     found, recording = found_in(door, plants.late)
     assert [effect.effect.name for effect in found.effects] == ["delay"]
     assert found.effects[0].effect.values[0] == pytest.approx(2.0, abs=0.05)

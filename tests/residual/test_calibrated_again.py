@@ -89,7 +89,7 @@ def test_a_servo_that_the_model_knows_is_not_put_behind_another(door) -> None:
 
 
 @pytest.mark.slow
-def test_what_came_later_is_found_beside_it(door) -> None:
+def test_an_onset_is_found_in_addition(door) -> None:
     """First the hand falls short; then its grip gets loose as well."""
     known = calibrate(door, run_of(plants.short_steps, 3)).automaton
     found = calibrate(known, run_of(plants.short_and_loose, 4))

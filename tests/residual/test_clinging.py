@@ -75,7 +75,7 @@ def test_a_model_that_clings_leaves_noise_of_a_door_that_does(plain):
 
 
 @pytest.mark.slow
-def test_a_door_that_clings_when_shut_is_told_from_one_that_does_not(plain):
+def test_a_door_that_clings_when_shut_is_separated_from_one_that_does_not(plain):
     found = calibrate(plain, recorded(clinging))
     first = found.effects[0]
     assert found.verdict == "explained"

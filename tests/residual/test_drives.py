@@ -60,7 +60,7 @@ def valve(gain=1.0, neutral=0.0, width=0.0, backward=1.0, curve=0.0):
         pytest.param({}, 4.0, 0.0, id="lag alone", marks=pytest.mark.slow),
     ],
 )
-def test_valves_and_motors_are_told_with_what_they_have(door, given, lag, delay) -> None:
+def test_valves_and_motors_are_identified_with_their_options(door, given, lag, delay) -> None:
     found = calibrate(door, recorded(range(4), valve(**given), lag, delay))
     assert found.verdict == "explained"
     ((name, rows, is_added),) = [(one.effect.name, one.rows, one.is_added) for one in found.effects]
@@ -98,7 +98,7 @@ def test_what_plainer_effects_do_is_no_drive(door, machine, names) -> None:
 
 
 @pytest.mark.slow
-def test_a_servo_whose_commands_nobody_explains_is_no_drive(door) -> None:
+def test_a_servo_with_unstated_commands_is_no_drive(door) -> None:
     """It moves as a drive that is told by how far it is from its place."""
     found = calibrate(door, plants.door_recording([servo_run(300, 1, share=0.1, momentum=0.7, short=0.02)]))
     assert [one.effect.name for one in found.effects] == ["follow"]

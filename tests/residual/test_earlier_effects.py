@@ -49,7 +49,7 @@ def test_play_that_was_taken_for_a_delay_is_play_once_a_recording_shows_it(door,
 
 
 @pytest.mark.slow
-def test_of_two_that_were_tied_the_one_that_the_next_recording_tells_is_written(door) -> None:
+def test_of_two_tied_effects_the_one_of_the_next_recording_is_written(door) -> None:
     once = calibrate(door, to_and_fro(plants.sprung, 3))
     (found,) = once.effects
     assert (found.effect.name, found.tied) == ("gravity", ("spring",))
@@ -80,7 +80,7 @@ def test_what_an_earlier_recording_showed_alone_is_not_dropped(door) -> None:
     assert "gain" in [effect.name for effect in again.automaton.effects]
 
 
-def test_what_a_person_wrote_is_not_estimated_anew(door) -> None:
+def test_effects_written_by_a_person_are_not_estimated_again(door) -> None:
     told = with_effect(door, Effect("delay", "door", (("steps", 1.4),)))
     again = calibrate(told, to_and_fro(plants.loose, 101))
     assert told.effects[0] in again.automaton.effects

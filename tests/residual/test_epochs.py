@@ -39,7 +39,7 @@ def found(door, dropped):
 
 
 @pytest.mark.slow
-def test_the_written_model_is_as_good_as_is_said_on_its_own_recording(found, dropped, tmp_path) -> None:
+def test_the_written_model_is_as_good_as_reported_on_its_own_recording(found, dropped, tmp_path) -> None:
     (effect,) = found.automaton.effects
     assert effect.name == "gain"
     assert effect.since is not None
@@ -83,7 +83,7 @@ def test_what_began_within_a_run_is_dated_to_a_few_rows(door, run, row) -> None:
 
 
 @pytest.mark.slow
-def test_what_begins_anew_in_each_run_is_dated_in_all(door) -> None:
+def test_effects_that_start_again_in_each_run_are_dated_in_all(door) -> None:
     recording = plants.door_recording(plants.runs_of(weaker_from(0, 20, in_each=True), 6, 50, 3))
     (effect,) = calibrate(door, recording).effects
     times = recording.select(run=1).time

@@ -85,7 +85,7 @@ def test_a_real_pitch_is_found_under_a_wandering_tracker(door) -> None:
         assert after < 0.5 * before
 
 
-def test_an_axis_beside_the_models_is_found_in_noise_of_its_size(door) -> None:
+def test_a_displaced_axis_is_found_in_noise_of_its_size(door) -> None:
     """What the moved axis bends the path by, about its mean, is as large as the scatter of the poses."""
     noise = 0.01
     recording = plants.door_recording(
@@ -103,7 +103,7 @@ def test_an_axis_beside_the_models_is_found_in_noise_of_its_size(door) -> None:
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("most_rows", [20_000, 40])
-def test_position_errors_before_and_after_a_pitch_are_told(door, monkeypatch, most_rows) -> None:
+def test_position_errors_before_and_after_a_pitch_are_reported(door, monkeypatch, most_rows) -> None:
     """Also where only some of the runs are looked at."""
     recording = plants.door_recording(plants.runs_of(plants.honest, 4, 20, 3))
     lifted = recording.position.copy()

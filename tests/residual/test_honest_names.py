@@ -32,7 +32,7 @@ def data_of(door, **how):
     return data, {part.name: part for part in candidates(data)}
 
 
-def test_actions_that_follow_the_joint_say_nothing_of_their_frame(door) -> None:
+def test_actions_along_the_joint_do_not_determine_their_frame(door) -> None:
     for turn in (None, TURN):
         data, able = data_of(door, turn=turn)
         assert "frame_rotation" not in able
@@ -40,7 +40,7 @@ def test_actions_that_follow_the_joint_say_nothing_of_their_frame(door) -> None:
         assert "frame_rotation" in indistinguishable(able["gain"], data)
 
 
-def test_actions_across_the_joint_tell_their_frame(door) -> None:
+def test_actions_across_the_joint_determine_their_frame(door) -> None:
     data, able = data_of(door, turn=TURN, press=0.3 * plants.RADIUS * plants.STEP)
     assert "frame_rotation" in able
     assert "frame_rotation" not in indistinguishable(able["gain"], data)
@@ -67,7 +67,7 @@ def alike(count, rows, seed):
 
 
 @pytest.mark.slow
-def test_runs_that_are_all_alike_do_not_tell_place_from_time(door) -> None:
+def test_runs_that_are_all_alike_do_not_separate_place_from_time(door) -> None:
     found = calibrate(door, plants.door_recording(alike(4, 15, 0)))
     assert found.traces[0].data.repeats_one_motion
     assert found.verdict == "partly"
@@ -94,7 +94,7 @@ def test_sticking_is_no_play(door) -> None:
 
 
 @pytest.mark.slow
-def test_commands_away_from_an_end_that_do_nothing_are_told(door) -> None:
+def test_commands_away_from_an_end_that_do_nothing_are_reported(door) -> None:
     """Few rows of many: no smooth function of the configuration is as sharp."""
 
     def clinging(c, u, _, memory):

@@ -26,7 +26,7 @@ SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("creeping", "spr
 
 @pytest.mark.slow
 @pytest.mark.parametrize("plant", ["honest", "short_steps", "rippled", *SLOW])
-def test_the_floor_is_the_noise_whatever_the_model_lacks(door, plant) -> None:
+def test_the_floor_is_the_noise_for_any_missing_effect(door, plant) -> None:
     found, predicted = judged(door, getattr(plants, plant))
     floor = np.sqrt(2 * NOISE**2 + MOVED**2)
     assert found.one_step.configuration == pytest.approx(floor, rel=0.12)
@@ -48,7 +48,7 @@ def test_the_floor_is_the_noise_whatever_the_model_lacks(door, plant) -> None:
         pytest.param("creeping", "a constant", marks=pytest.mark.evidence),
     ],
 )
-def test_words_say_what_errors_follow(door, plant, what) -> None:
+def test_words_name_what_errors_depend_on(door, plant, what) -> None:
     found, _ = judged(door, getattr(plants, plant))
     assert what in [group for _, group, _ in found.follows]
     assert what in found.sentence
@@ -95,7 +95,7 @@ def test_mode_changes_are_paired_and_timed(door) -> None:
     assert np.median([abs(c.measured - c.predicted) for c in paired]) <= 2 * plants.PERIOD
 
 
-def test_a_regression_takes_out_what_follows_the_circumstances_and_nothing_else() -> None:
+def test_a_regression_removes_what_depends_on_the_circumstances_alone() -> None:
     rng = np.random.default_rng(1)
     place, v = rng.uniform(0, 1, 600), rng.uniform(-0.05, 0.05, 600)
     under = Circumstances(place, lagged_commands(v), 0.1 * np.arange(600.0), np.linspace(0, 1, 600))

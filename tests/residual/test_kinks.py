@@ -21,7 +21,7 @@ def test_a_delay_with_a_dead_zone_is_all_there_is(door, seed) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [700, pytest.param(810, marks=pytest.mark.evidence)])
-def test_a_slide_that_becomes_an_arc_has_no_limit_beside_its_delay(seed) -> None:
+def test_a_slide_that_becomes_an_arc_has_no_limit_besides_its_delay(seed) -> None:
     """Near the change a noisy row does not tell whether a command meant metres or radians."""
     answer = answered(("slide then arc: delay", seed))
     assert (answer.verdict, answer.said) == ("explained", "delay")

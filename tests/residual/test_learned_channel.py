@@ -43,7 +43,7 @@ def test_another_recording_of_the_same_hand_is_predicted_as_learned() -> None:
     assert channel < 0.3 * plain
 
 
-def test_a_model_that_nobody_learned_has_no_channel(repository) -> None:
+def test_a_model_made_by_hand_has_no_channel(repository) -> None:
     slot = load_model(repository / "models" / "slot.yaml")
     with pytest.raises(InputError, match="no action channel"):
         with_learned_channel(slot, 0.1)

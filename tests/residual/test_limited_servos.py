@@ -95,7 +95,7 @@ def test_limits_of_servos_are_found_and_roll_outs_of_unseen_runs_are_short(door,
     assert usable_model(model_text(found.automaton).encode(), "model") == found.automaton
 
 
-def test_a_part_that_rests_in_digits_is_seen_as_well_as_they_say(door) -> None:
+def test_a_part_that_rests_in_digits_has_their_precision(door) -> None:
     """Most rows repeat the one before: a model that gives up all others would else be surer of these than a true one.
 
     Between rests it moves fast, so that hardly any two of its readings are one digit apart.

@@ -41,7 +41,7 @@ def servo_run(rows, seed, *, share, momentum=0.0, late=0, short=0.0, noise=0.002
     ],
     ids=str,
 )
-def test_a_servo_is_told_by_its_places_and_predicts_another_run(door, servo) -> None:
+def test_a_servo_is_identified_by_its_places_and_predicts_another_run(door, servo) -> None:
     found = calibrate(door, plants.door_recording([servo_run(300, 1, **servo)]))
     assert found.effects[0].effect.name == "follow"
     known = dict(found.effects[0].effect.parameters)

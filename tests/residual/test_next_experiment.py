@@ -49,7 +49,7 @@ def tied(door):
 
 
 @pytest.mark.slow
-def test_what_was_tied_is_told_apart(door, tied) -> None:
+def test_tied_effects_are_separated(door, tied) -> None:
     recording, found = tied
     assert any(one.tied for one in found.effects)
     designed = next_experiment(door, recording, found)
@@ -78,7 +78,7 @@ def test_motions_stay_where_the_recording_was_and_commands_are_no_larger(door, t
 
 
 @pytest.mark.slow
-def test_where_nothing_was_found_it_asks_for_what_is_nearest(door) -> None:
+def test_without_effects_the_experiment_tests_the_closest_candidate(door) -> None:
     recording = few_runs(plants.honest)
     found = calibrate(door, recording)
     assert found.verdict == "none"
@@ -88,7 +88,7 @@ def test_where_nothing_was_found_it_asks_for_what_is_nearest(door) -> None:
 
 
 @pytest.mark.slow
-def test_a_gain_and_a_turned_frame_no_motion_along_the_joint_tells_apart(door) -> None:
+def test_no_motion_along_the_joint_separates_a_gain_and_a_rotated_frame(door) -> None:
     recording = plants.door_recording(plants.runs_of(plants.short_steps, 4, 15, 3))
     found = calibrate(door, recording)
     assert found.effects[0].effect.name == "gain"

@@ -166,7 +166,7 @@ def test_without_actions_nothing_can_be_predicted(door):
         predict_recording(door, Recording(time=full.time, position=full.position))
 
 
-def test_a_start_that_no_mode_allows_says_what_was_measured_and_what_is_allowed(door):
+def test_a_start_that_no_mode_allows_is_reported_with_the_measured_and_the_allowed(door):
     turned = Rotation.from_euler("z", 1.5)  # beyond the end at which the door is rigid
     full = executed(door, [0.1] * 4)
     elsewhere = Recording(

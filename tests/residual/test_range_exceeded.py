@@ -110,7 +110,7 @@ def test_gaps_are_found_in_any_unit_of_time_and_uneven_times_have_none(scale):
 
 
 @pytest.mark.slow
-def test_missing_rows_are_told_and_do_not_raise_the_floor(door):
+def test_missing_rows_are_reported_and_do_not_raise_the_floor(door):
     log = recording()
     rng = np.random.default_rng(1)
     kept = rng.random(len(log.time)) > 0.07

@@ -73,7 +73,7 @@ def test_a_tracker_that_is_off_is_found_against_a_ruler(drawer, read, expected) 
 
 
 @pytest.mark.slow
-def test_a_belief_that_agrees_says_nothing_of_the_sensor(drawer) -> None:
+def test_a_belief_that_agrees_is_no_evidence_on_the_sensor(drawer) -> None:
     for recording in (served(lambda c: c), served(lambda c: 0.93 * c, by=lambda _, belief: belief)):
         found = calibrate(drawer, recording)
         assert not [one for one in found.effects if one.effect.name.startswith("sensor")]

@@ -25,7 +25,7 @@ from micah_plan.view.prediction_page import prediction_page
 
 
 @pytest.mark.slow
-def test_errors_of_an_angle_and_a_displacement_are_told_in_their_own_units(repository) -> None:
+def test_errors_of_an_angle_and_a_displacement_are_reported_in_their_own_units(repository) -> None:
     cupboard = load_model(repository / "models" / "cupboard.yaml")
     motion = Motion(Start((1.5, 0.1), (0.01, 0.003), "open"), ((0.05, 0.02), (-0.05, -0.02)) * 10)
     log, _ = carry_out(Experiment(cupboard, (motion,), 1), seed=4)
@@ -73,7 +73,7 @@ def test_the_floor_of_roll_outs_is_what_noise_makes_of_them(door) -> None:
 
 
 @pytest.mark.slow
-def test_a_page_tells_poses_and_what_parameters_have_to_do_with_each_other(door) -> None:
+def test_a_page_shows_poses_and_the_correlation_of_parameters(door) -> None:
     recording = plants.door_recording(plants.runs_of(plants.sprung, 8, 50, 3))
     found = calibrate(door, recording)
     (position, *before, after), turn = found.pose_errors[0][:1] + found.pose_errors[0][2:], found.pose_errors[1]

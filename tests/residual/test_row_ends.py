@@ -32,7 +32,7 @@ def test_ends_are_those_of_the_step(cupboard) -> None:
         assert step(cupboard, mode, row, [-3.0, 0.0]).x[0] == pytest.approx(low)
 
 
-def test_what_noise_leaves_open_is_told(cupboard) -> None:
+def test_what_noise_leaves_open_is_reported(cupboard) -> None:
     x = np.array([[1.5, 0.019], [1.5, 0.1], [1.5, 0.021]])
     ends = row_ends(cupboard, x, np.full(3, 2), 0)
     assert ends.low[[0, 2]] == pytest.approx([0.0, 0.0])

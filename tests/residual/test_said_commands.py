@@ -31,20 +31,20 @@ def obedient():
     return plants.door_recording([servo_run(200, 3, share=1.0)])
 
 
-def test_roll_outs_go_after_places_that_are_said(door, obedient) -> None:
+def test_roll_outs_follow_stated_places(door, obedient) -> None:
     assert rollout_rms(door, with_commands(obedient, "position")) < 0.004
     assert rollout_rms(door, with_commands(obedient, "displacement")) > 0.01
     assert predict(door, obedient, commands="position").json()["rollout"]["rotation_rmse_rad"] < 0.01
 
 
-def test_a_machine_at_its_places_lacks_nothing_and_the_model_keeps_what_was_said(door, obedient) -> None:
+def test_a_machine_at_its_places_lacks_nothing_and_the_model_keeps_the_stated_meaning(door, obedient) -> None:
     found = calibrate(door, with_commands(obedient, "position"))
     assert found.verdict == "none"
     assert [is_as_commanded(effect) for effect in found.automaton.effects] == [True]
     assert rollout_rms(found.automaton, obedient) < 0.004
 
 
-def test_a_servo_that_is_said_to_follow_places_is_fitted(door) -> None:
+def test_a_servo_stated_to_follow_places_is_fitted(door) -> None:
     recording = plants.door_recording([servo_run(300, 1, share=0.3)])
     found = calibrated(door, recording, commands="position").calibration
     (effect,) = found.effects
@@ -54,7 +54,7 @@ def test_a_servo_that_is_said_to_follow_places_is_fitted(door) -> None:
     assert found.after.rollout < 0.3 * found.before.rollout
 
 
-def test_said_displacements_are_never_places(door) -> None:
+def test_stated_displacements_are_never_places(door) -> None:
     recording = with_commands(plants.door_recording([servo_run(150, 1, share=0.3)]), "displacement")
     assert "follow" not in [effect.effect.name for effect in calibrate(door, recording).effects]
 

@@ -27,7 +27,7 @@ def seen_now_and_then(recording, period, first=0):
 
 @pytest.mark.sweep
 @pytest.mark.parametrize(("period", "first"), [(3, 1), (2, 0), (3, 0), (10 / 3, 0), (5, 2)])
-def test_a_part_that_does_as_told_lacks_nothing(door, period, first) -> None:
+def test_a_part_that_follows_its_commands_lacks_nothing(door, period, first) -> None:
     recording = seen_now_and_then(door_recording(runs_of(honest, RUNS, ROWS, 1)), period, first)
     found = calibrate(door, recording)
     assert found.verdict == "none"

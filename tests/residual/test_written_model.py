@@ -39,7 +39,7 @@ def test_the_error_of_the_new_model_is_what_predict_says(door) -> None:
     ]
 
 
-def test_a_model_that_refuses_runs_says_which(door, honest) -> None:
+def test_a_model_that_refuses_runs_names_which(door, honest) -> None:
     assert refused(door, honest) == ""
     shifted = with_effect(door, Effect("guard_shift", "door", (("shift", -0.7), ("side", 1.0))))
     begun = plants.door_recording([(np.array([0.9, 0.4, 0.35, 0.3]), np.array([-0.5, -0.05, -0.05, 0.0]))])

@@ -65,7 +65,7 @@ def test_the_same_seed_gives_the_same_arm(problem: Problem, plan: Plan) -> None:
 
 
 @pytest.mark.evidence
-def test_an_arm_too_far_away_makes_no_plan_and_says_why(problem: Problem) -> None:
+def test_an_arm_too_far_away_makes_no_plan_and_gives_the_reason(problem: Problem) -> None:
     assert problem.robot is not None
     far = replace(problem, robot=replace(problem.robot, position=(0.15, 1.4, -0.15)))
     found = solve(far)

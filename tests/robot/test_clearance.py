@@ -116,7 +116,7 @@ def test_derivatives_of_the_clearance_are_its_differences() -> None:
     assert checked > 25
 
 
-def test_missing_parts_and_names_that_occur_twice_are_told() -> None:
+def test_missing_parts_and_names_that_occur_twice_are_reported() -> None:
     model = clearance_model(arm7(), [], [STICK])
     with pytest.raises(InputError, match="missing stick"):
         model.at(model.arm.rest, {})

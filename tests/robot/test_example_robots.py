@@ -53,7 +53,7 @@ def test_an_arm_is_known_by_its_name(robots: Path, tmp_path: Path) -> None:
         load_problem(problem_with(tmp_path / "wrong", "pnda"))
 
 
-def test_without_the_extra_a_name_says_which_one_brings_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_extra_a_name_names_which_one_brings_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("micah_plan.documents.scene.named_robots", dict)
     with pytest.raises(
         InputError, match=r"line \d+.*no file 'panda' next to this one.*pip install 'example-robot-data"

@@ -76,7 +76,7 @@ def test_poses_of_an_object_that_stands_are_those_of_its_mode() -> None:
 
 
 @pytest.mark.slow
-def test_the_arm_presses_and_carries_without_meeting_anything_else() -> None:
+def test_the_arm_presses_and_carries_without_other_contacts() -> None:
     problem, trajectory = stapler(), pressed()
     found = arm_along(problem, trajectory)
     assert isinstance(found, ArmTrajectory)

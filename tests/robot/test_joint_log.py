@@ -75,7 +75,7 @@ def test_a_table_of_joints(arm: Any, tmp_path: Path, angle: str) -> None:
     assert found.conventions["robot"] == str(ARM)
 
 
-def test_degrees_that_are_read_as_radians_are_told(arm: Any, tmp_path: Path) -> None:
+def test_degrees_that_are_read_as_radians_are_reported(arm: Any, tmp_path: Path) -> None:
     columns = {"t": 0.05 * np.arange(ROWS)} | table(arm, factor=180 / np.pi)
     found = load(csv(tmp_path / "log.csv", columns), **ROBOT)
     assert isinstance(found, Recording)

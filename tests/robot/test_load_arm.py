@@ -168,12 +168,12 @@ def test_mesh_paths_may_not_leave_their_folder(tmp_path: Path, name: str) -> Non
         ("<axis xyz", '<mimic joint="slide"/><axis xyz', "follows another one and moves the tool"),
     ],
 )
-def test_mistakes_are_told_with_their_line(old: str, new: str, expected: str) -> None:
+def test_mistakes_are_reported_with_their_line(old: str, new: str, expected: str) -> None:
     assert old in SLIDER
     assert expected in told(SLIDER.replace(old, new, 1))
 
 
-def test_unknown_names_and_bad_postures_are_told() -> None:
+def test_unknown_names_and_bad_postures_are_reported() -> None:
     assert "expected <robot> (URDF) or <mujoco> (MJCF), found <sdf>" in told("<sdf/>")
     assert "no frame 'hand' to hold with; choose one, for instance of" in told(SLIDER, "hand")
     assert "no joint moves the frame 'rail'" in told(SLIDER, "rail")
@@ -190,7 +190,7 @@ def test_unknown_names_and_bad_postures_are_told() -> None:
         ('type="hinge" axis="1 0 0" range="-1 2"', 'type="ball"', "is of kind"),
     ],
 )
-def test_mistakes_in_mjcf_are_told(old: str, new: str, expected: str, tmp_path: Path) -> None:
+def test_mistakes_in_mjcf_are_reported(old: str, new: str, expected: str, tmp_path: Path) -> None:
     assert expected in told(TWO_LINKS.replace(old, new, 1), "tool", folder=str(tmp_path))
 
 

@@ -128,13 +128,13 @@ def test_a_joint_that_follows_another_does_not_move_the_tool() -> None:
         (chain(HINGE, LAST).replace("grip", "end"), "no frame 'grip'"),
     ],
 )
-def test_mistakes_are_told_in_one_line(text: str, told: str) -> None:
+def test_mistakes_are_reported_in_one_line(text: str, told: str) -> None:
     with pytest.raises(InputError, match=told) as refused:
         load_arm(described(text, "grip"))
     assert "\n" not in str(refused.value)
 
 
-def test_without_mujoco_the_sentence_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_mujoco_the_sentence_names_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(MissingDependencyError, match="an arm in MJCF needs MuJoCo: pip install 'mujoco"):
         load_arm(described(FORMS["quaternion"], "grip"))

@@ -123,7 +123,7 @@ def test_a_pose_that_stays_is_held_still(model: ClearanceModel) -> None:
 
 
 @pytest.mark.slow
-def test_out_of_reach_is_told_with_its_knot(model: ClearanceModel) -> None:
+def test_out_of_reach_is_reported_with_its_knot(model: ClearanceModel) -> None:
     found = failed(follow(model, line((0.5, 0.0, 0.3), (1.4, 0.0, 0.3))))
     assert found.kind in ("unreachable", "joint limit", "singularity")
     assert 3 <= found.knot <= 8
@@ -134,7 +134,7 @@ def test_out_of_reach_is_told_with_its_knot(model: ClearanceModel) -> None:
 
 
 @pytest.mark.slow
-def test_a_collision_is_told_with_its_pair_and_may_be_allowed(model: ClearanceModel) -> None:
+def test_a_collision_is_reported_with_its_pair_and_may_be_allowed(model: ClearanceModel) -> None:
     path = line((0.5, -0.3, 0.12), (0.55, 0.3, 0.12))
     found = failed(follow(model, path))
     assert found.kind == "collision"
@@ -148,7 +148,7 @@ def test_a_collision_is_told_with_its_pair_and_may_be_allowed(model: ClearanceMo
 
 
 @pytest.mark.slow
-def test_a_limit_is_told_with_its_joint(arm: Arm) -> None:
+def test_a_limit_is_reported_with_its_joint(arm: Arm) -> None:
     turns = Rotation.from_rotvec(np.linspace([0.0, 0.0, 0.0], [0.0, 0.0, 2.9 * np.pi], 20)) * DOWN
     tool = RigidTransform.from_components(np.tile([0.5, 0.0, 0.35], (20, 1)), turns)
     found = failed(follow(clearance_model(arm), ToolPath(tool)))

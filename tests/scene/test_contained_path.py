@@ -73,7 +73,7 @@ def test_meshes_of_each_format_become_the_corners_of_their_hull(tmp_path: Path) 
         ("m.dae", b"<COLLADA/>", "expected an .stl or .obj mesh, found '.dae'"),
     ],
 )
-def test_what_is_no_mesh_is_told(tmp_path: Path, name: str, data: bytes, expected: str) -> None:
+def test_what_is_no_mesh_is_reported(tmp_path: Path, name: str, data: bytes, expected: str) -> None:
     (tmp_path / name).write_bytes(data)
     with pytest.raises(InputError) as caught:
         load_hull(tmp_path / name)

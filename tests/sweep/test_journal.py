@@ -47,7 +47,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 @settings(max_examples=60)
 @given(data=st.data())
-def test_wherever_a_kill_cuts_whole_lines_stay_and_the_rest_is_done_again(
+def test_after_a_kill_anywhere_whole_lines_stay_and_the_rest_is_done_again(
     written: bytes, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     cut = data.draw(st.integers(0, len(written)))
@@ -90,7 +90,7 @@ def test_a_file_that_is_no_journal_is_left_alone(tmp_path: Path, content: bytes)
         b'{"key": "a", "result": NaN}', b"1" * 10_000, b'""', b"",
     ],
 )  # fmt: skip
-def test_a_damaged_line_within_is_told_with_its_number(written: bytes, tmp_path: Path, line: bytes) -> None:
+def test_a_damaged_line_within_is_reported_with_its_number(written: bytes, tmp_path: Path, line: bytes) -> None:
     path = tmp_path / "r.csv.journal"
     path.write_bytes(written.replace(b"reason 1", line) if line == b"\xff\xfe" else written + line + b"\n")
     number = 3 if line == b"\xff\xfe" else 5

@@ -67,7 +67,7 @@ def test_wrong_options_are_one_line(file: Path, options: tuple[str, ...], said: 
     assert said in str(done.exception)
 
 
-def test_a_fault_of_the_sweep_is_told_before_anything_is_solved(file: Path) -> None:
+def test_a_fault_of_the_sweep_is_reported_before_anything_is_solved(file: Path) -> None:
     file.write_text(SWEEP)
     done = run(file, "-o", file.with_name("r.csv"))
     assert isinstance(done.exception, InputError)

@@ -27,7 +27,7 @@ def test_cases_are_problems_times_values_times_seeds_in_order() -> None:
     assert len({case.key for case in cases}) == len(cases)
 
 
-def test_a_key_depends_on_content_and_on_nothing_else(tmp_path: Path) -> None:
+def test_a_key_depends_on_content_alone(tmp_path: Path) -> None:
     def keys(folder: Path, **changes: Any) -> list[str]:
         return [case.key for case in sweep_of({**SMALL, **changes}, folder).cases()]
 
@@ -128,7 +128,7 @@ def test_overrides_reach_into_mappings_and_lists() -> None:
             overridden(located, key, 1)
 
 
-def test_a_reader_gives_what_loading_anew_gives() -> None:
+def test_a_reader_returns_what_loading_again_returns() -> None:
     reader = ProblemReader(ROOT / "problems" / "box_under_bar.yaml")
     first = reader.load()
     again = reader.load({"confidence": 0.8})

@@ -205,7 +205,7 @@ def test_other_planners_plants_and_orders_leave_no_trace_in_a_process(tmp_path: 
     assert {result.outcome for result in backwards.values()} == {"solved"}
 
 
-def test_a_script_whose_workers_cannot_start_is_told_so(undisturbed: tuple[Path, bytes], tmp_path: Path) -> None:
+def test_a_script_whose_workers_cannot_start_is_reported_so(undisturbed: tuple[Path, bytes], tmp_path: Path) -> None:
     script = f"""
 from micah_plan.documents.sweep import load_sweep
 from micah_plan.sweep.run import run_sweep

@@ -42,7 +42,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Sweep, Path, 
     return sweep, output, output.read_bytes()
 
 
-def test_a_row_says_what_solving_and_executing_by_hand_say(undisturbed: tuple[Sweep, Path, bytes]) -> None:
+def test_a_row_equals_solving_and_executing_by_hand(undisturbed: tuple[Sweep, Path, bytes]) -> None:
     row = rows(undisturbed[2])[3]
     overrides = {"start.std.drawer": 0.01, "planner.verification_trials": 40, "confidence": 0.8}
     problem = load_problem(ROOT / "problems" / "drawer_close.yaml", overrides)

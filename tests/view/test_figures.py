@@ -94,7 +94,7 @@ def test_files_are_not_blank_and_the_same_every_time(tmp_path: Path) -> None:
     assert b"tIME" not in (tmp_path / "a.png").read_bytes()
 
 
-def test_charts_beside_each_other_share_their_ranges_and_one_legend() -> None:
+def test_charts_side_by_side_share_their_ranges_and_one_legend() -> None:
     x = np.arange(5.0)
     marks = Level(1.0, label="guard"), Curve(x, x, label="way")
     panels = [Panel("y", low, low + 1, 96.0, marks) for low in (0.0, 3.0)]

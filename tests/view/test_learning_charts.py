@@ -76,7 +76,7 @@ def test_every_model_has_a_line_and_a_name() -> None:
         assert name in words_of(made)
 
 
-def test_no_joint_fits_is_said_in_words_and_colour() -> None:
+def test_no_joint_fits_is_reported_in_words_and_colour() -> None:
     page = recording_page(*no_joint())
     assert '<p class="badge bad">no single-joint model fits</p>' in page
     assert '<h3 class="alarm">part: no single-joint model fits</h3>' in page

@@ -145,7 +145,7 @@ def test_posteriors_are_in_figures_and_words() -> None:
     assert "radius 300 mm, axis ± 0.69°, centre ± 3 mm" in said
 
 
-def test_no_joint_fits_is_said_in_words_and_colour() -> None:
+def test_no_joint_fits_is_reported_in_words_and_colour() -> None:
     figure = learning_figure(*no_joint())
     assert any(text.get_text() == f"part: {GAP}" and text.get_bbox_patch() for text in figure.texts)
     assert "misses by 58 mm (noise alone: 2 mm)" in words(figure)
@@ -195,7 +195,7 @@ def repeated_runs(count: int) -> tuple[Recording, KinematicGraph]:
     return recording, KinematicGraph((dataclasses.replace(graph.edges[0], segments=segments),))
 
 
-def test_every_run_has_a_block_up_to_a_limit_that_is_told() -> None:
+def test_every_run_has_a_block_up_to_a_reported_limit() -> None:
     figure = learning_figure(*repeated_runs(3))
     assert sum(axes.name == "3d" for axes in figure.axes) == 3
     assert "part, run 2:" in words(figure)

@@ -98,7 +98,7 @@ def test_other_paths_and_other_names_for_this_machine_are_refused(server: PageSe
         assert answer(server.port, Host=name)[0] == 403, name
 
 
-def test_what_is_no_request_harms_nobody(server: PageServer, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_no_request_is_harmless(server: PageServer, capsys: pytest.CaptureFixture[str]) -> None:
     for sent in (
         b"",
         b"\x00\xff\r\n\r\n",

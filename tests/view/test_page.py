@@ -95,7 +95,7 @@ def report(text: str) -> dict[str, object]:
 
 
 @pytest.mark.parametrize("make", [scene_page, lambda text: render("calibration.html.j2", page=report(text))])
-def test_no_text_becomes_markup_wherever_it_stands(make) -> None:
+def test_no_text_becomes_markup_anywhere(make) -> None:
     plain, hostile = Elements(make(WORD)), Elements(make(HOSTILE))
     assert hostile.tags == plain.tags
     assert len(hostile.attributes) == len(plain.attributes)

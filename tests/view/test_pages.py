@@ -144,14 +144,14 @@ def test_names_cannot_inject_html() -> None:
         assert page_data(page)["commands"]
 
 
-def test_the_plan_page_tells_outcome_modes_and_numbers(all_pages: dict[str, str]) -> None:
+def test_the_plan_page_shows_outcome_modes_and_numbers(all_pages: dict[str, str]) -> None:
     text = Reader(all_pages["plan"]).visible()
     for expected in ("SOLVED", "all constraints hold", "swinging", "stopped", "98.5 %", "0.005 rad", "95 %", "200"):
         assert expected in text
     assert "NOT VERIFIED" in Reader(all_pages["not verified"]).visible()
 
 
-def test_a_failed_plan_says_so_with_the_reason_and_what_was_tried(all_pages: dict[str, str]) -> None:
+def test_a_failed_plan_reports_it_with_the_reason_and_what_was_tried(all_pages: dict[str, str]) -> None:
     text = Reader(all_pages["no plan"]).visible()
     for expected in ("NO PLAN", "choose a goal up to 1.2 rad", "goal mode not reached"):
         assert expected in text
@@ -215,7 +215,7 @@ def test_the_model_page_sweeps_every_coordinate_of_a_chain(all_pages: dict[str, 
     assert any("/joints/" in path for path in moved)  # the slide's axis travels with the door
 
 
-def test_segments_and_changepoints_are_told(all_pages: dict[str, str]) -> None:
+def test_segments_and_changepoints_are_reported(all_pages: dict[str, str]) -> None:
     text = Reader(all_pages["recording"]).visible()
     for expected in ("revolute, rows 0 to 39", "rigid, rows 40 to 59", "at row 40", "radius 300 mm"):
         assert expected in text

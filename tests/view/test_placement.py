@@ -78,7 +78,7 @@ def test_guards_on_inputs_or_on_sums_of_coordinates_are_no_threshold() -> None:
     assert above(0, 0.25, 1, 1).c == 0.25
 
 
-def test_ellipsoid_bounds_the_asked_share_of_samples() -> None:
+def test_ellipsoid_bounds_the_requested_share_of_samples() -> None:
     rng = np.random.default_rng(3)
     factor = rng.normal(size=(3, 3))
     axes, radii = ellipsoid(factor @ factor.T, 2.0, 0.0)

@@ -60,7 +60,7 @@ def test_runs_of_the_model_itself_seldom_leave_the_plan(good: RunsResult) -> Non
 
 
 @pytest.mark.slow
-def test_runs_that_stick_leave_it_and_say_where_and_why(bad: RunsResult) -> None:
+def test_runs_that_stick_leave_it_with_the_place_and_the_reason(bad: RunsResult) -> None:
     for run, (_, reason) in zip(runs_of(bad), bad.failures, strict=True):
         assert not run.reached
         assert run.ending == reason
@@ -78,7 +78,7 @@ def test_without_the_word_of_execution_success_is_judged_by_the_last_row(good: R
     assert ["from its target (tolerance 0.03 rad" in run.ending for run in runs] == missed
 
 
-def test_two_recordings_stand_beside_each_other(planned: PlanningResult, good: RunsResult, tmp_path: Path) -> None:
+def test_two_recordings_are_shown_side_by_side(planned: PlanningResult, good: RunsResult, tmp_path: Path) -> None:
     """Before and after a change: colours, counts and names of both; all runs are shown at first."""
     before = good.recording.select(run=good.recording.runs[:3][0])
     later = good.recording.rows(np.isin(good.recording.run, good.recording.runs[:2]))
@@ -149,7 +149,7 @@ def test_failed_runs_come_first(good: RunsResult) -> None:
     assert runs_badge(reached) == ("30 of 30 runs reached the goal", "good")
 
 
-def test_runs_of_another_object_or_beside_no_plan_are_refused(good: RunsResult) -> None:
+def test_runs_of_another_object_or_without_a_plan_are_refused(good: RunsResult) -> None:
     with pytest.raises(InputError, match="no trajectory that runs could follow"):
         plan_page(Plan("no_plan", "nothing"), problem(), executed=good.recording)
     two = replace(good.recording, part=("lid", *["box"] * (len(good.recording) - 1)))

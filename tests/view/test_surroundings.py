@@ -86,7 +86,7 @@ def test_the_camera_does_not_look_through_a_wall() -> None:
     np.testing.assert_array_equal(viewing_direction(motion, np.array([0.2, 0.0, 0.0]), 0.5, behind), free)
 
 
-def test_facts_and_legend_tell_of_the_arm(problem: Problem) -> None:
+def test_facts_and_legend_mention_the_arm(problem: Problem) -> None:
     plan = Plan("solved", "found", arm=trajectory(np.zeros((2, 7))))
     facts = dict(arm_facts(plan))
     assert facts["Least clearance"].endswith("between hand and table")

@@ -60,7 +60,7 @@ def test_the_command_writes_a_camera_that_track_reads(pictures, tmp_path) -> Non
 
 
 @pytest.mark.parametrize("text", ["9x6", "9x6,30mm", "2x6,30mm,22mm", "9x6,22mm,30mm", "9x6,1..2mm,1mm", ""])
-def test_what_is_no_board_is_said(text) -> None:
+def test_what_is_no_board_is_reported(text) -> None:
     with pytest.raises(InputError, match=r"e\.g\. --board 9x6,30mm,22mm"):
         board_of(text)
 

@@ -77,7 +77,7 @@ def test_few_frames_are_enough_for_poses(frames) -> None:
     assert len(track_bodies(tracks, rate=30.0).tracked.bodies) >= 2
 
 
-def test_positions_are_as_precise_as_said() -> None:
+def test_positions_have_their_stated_precision() -> None:
     result = track_bodies(planted("drawer", is_moving=False)[0], rate=30.0)
     recording, (place, _) = result.recording, result.tracked.stds["body 1"]
     way = recording.position - recording.position[0]
@@ -113,7 +113,7 @@ def test_the_command_writes_bodies_and_points(tmp_path) -> None:
     assert page.stat().st_size > 10_000
 
 
-def test_what_cannot_be_tracked_is_said(tmp_path) -> None:
+def test_what_cannot_be_tracked_is_reported(tmp_path) -> None:
     tracks, _ = planted("door")
     square = tracks[:100]
     np.savez(tmp_path / "square.npz", tracks=square)

@@ -40,7 +40,7 @@ def test_the_stored_sheet_is_what_the_script_makes(tmp_path) -> None:
     assert {Path(file).name for file in written} == {"tags.yaml", "tags.svg", "tags.schema.json"}
 
 
-def test_its_tags_are_found_upright_and_as_large_as_said() -> None:
+def test_its_tags_are_found_upright_and_in_their_stated_size() -> None:
     found = detector("tag36h11")(drawn(sheet()))
     assert sorted(found) == list(NUMBERS)
     for corners in found.values():

@@ -48,7 +48,7 @@ def videos(tmp_path_factory) -> dict[str, Path]:
     return made
 
 
-def test_poses_of_a_door_are_as_precise_as_said(videos) -> None:
+def test_poses_of_a_door_have_their_stated_precision(videos) -> None:
     found = track(videos["standing"], DOOR, camera=CAMERA)
     off, turned = rendered.errors_of(found.recording, rendered.door(), rendered.shutting)
     place, turn = found.tracked.stds["door"]
@@ -92,7 +92,7 @@ def test_a_drawer_and_no_camera_file(videos) -> None:
     )
 
 
-def test_a_camera_file_of_a_pinhole_for_a_lens_that_bends_is_told(tmp_path) -> None:
+def test_a_camera_file_of_a_pinhole_for_a_lens_with_distortion_is_reported(tmp_path) -> None:
     """The marker is near the edge of the picture, where a cheap lens bends most."""
     rendered.film(tmp_path / "bent.mp4", rendered.door(), rendered.shutting, seconds=2.0, bent=rendered.BENT)
     plain = track(tmp_path / "bent.mp4", DOOR, camera=CAMERA)
@@ -142,12 +142,12 @@ def test_pictures_with_stamps_are_a_video(tmp_path) -> None:
     ],
     ids=["one part", "family", "base unseen", "base unknown", "size"],
 )
-def test_what_cannot_be_tracked_is_said(videos, layout, base, camera, message) -> None:
+def test_what_cannot_be_tracked_is_reported(videos, layout, base, camera, message) -> None:
     with pytest.raises(InputError, match=message):
         track(videos["standing"], layout, camera=camera, base=base)
 
 
-def test_what_is_no_video_is_said(tmp_path) -> None:
+def test_what_is_no_video_is_reported(tmp_path) -> None:
     (tmp_path / "text.mp4").write_text("no video")
     for path in (tmp_path / "text.mp4", tmp_path / "none.mp4"):
         with pytest.raises(InputError, match=r"found no frame|does not exist"):
@@ -328,7 +328,7 @@ def test_a_camera_file_of_another_zoom_is_doubted(videos, factor: float, is_doub
     assert any(note.startswith("the camera file has f = ") for note in found.warnings) == is_doubted
 
 
-def test_without_a_camera_file_a_lens_that_bends_is_within_what_is_said(tmp_path) -> None:
+def test_without_a_camera_file_a_lens_with_distortion_is_within_the_stated_uncertainty(tmp_path) -> None:
     video = tmp_path / "bent.mp4"
     rendered.film(video, rendered.door(), rendered.shutting, rendered.hand_held, bent=np.array([-0.06, 0.0, 0.0, 0.0]))
     errors, stds = [], []
