@@ -72,7 +72,7 @@ def interval(low: float, high: float, unit: str, *, degrees: bool = True) -> str
     return _in_units(_ends, unit, degrees, low, high)
 
 
-def way(values: Sequence[float], unit: str) -> str:
+def progression(values: Sequence[float], unit: str) -> str:
     """A sequence of amounts: ``"0 → 1.2 rad"``, ``"0 → 250 → 3 mm"``.
 
     What is below a thousandth of the largest is 0.

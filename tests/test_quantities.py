@@ -18,8 +18,8 @@ from micah_plan.quantities import (
     percent,
     percent_interval,
     plain,
+    progression,
     quantity,
-    way,
     with_spread,
 )
 
@@ -171,6 +171,6 @@ def test_counts_ways_and_common_units() -> None:
         "1,200 rows",
         "2 stretches",
     ]
-    assert way([0.0, 0.25, 1e-5], "m") == "0 → 250 → 0 mm"
-    assert way([-0.3, 1.2], "rad") == "-0.3 → 1.2 rad"
+    assert progression([0.0, 0.25, 1e-5], "m") == "0 → 250 → 0 mm"
+    assert progression([-0.3, 1.2], "rad") == "-0.3 → 1.2 rad"
     assert [common_unit(units) for units in (["m", "m"], ["rad", "m"], [])] == ["m", "m or rad", ""]

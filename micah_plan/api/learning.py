@@ -19,7 +19,7 @@ from micah_plan.automaton.hybrid import HybridAutomaton, Part
 from micah_plan.errors import InputError
 from micah_plan.learning.settings import FEWEST_ROWS, LearnSettings
 from micah_plan.message import codes_of
-from micah_plan.quantities import count, duration, in_degrees, percent, plain, quantity, way
+from micah_plan.quantities import count, duration, in_degrees, percent, plain, progression, quantity
 from micah_plan.recording.conventions import Conventions
 from micah_plan.recording.value import Recording
 from micah_plan.summaries import Progress, Table
@@ -297,6 +297,7 @@ def _channel(channel: ActionChannel) -> dict[str, Any]:
 
 
 def _stds(matrix: Sequence[Sequence[float]]) -> list[float]:
+    """Square roots of the diagonal of a covariance."""
     return [math.sqrt(max(row[i], 0.0)) for i, row in enumerate(matrix)]
 
 
@@ -329,4 +330,4 @@ def _endpoints_text(segment: Segment) -> str:
     furthest = max((low, high), key=lambda value: min(abs(value - end) for end in ends))
     turned = min(abs(furthest - end) for end in ends) > _TURNED_BACK * (high - low)
     stops = [ends[0], furthest, ends[1]] if turned else ends
-    return way(stops, segment.joint.unit)
+    return progression(stops, segment.joint.unit)

@@ -195,6 +195,7 @@ class Mode:
 
     @cached_property
     def B(self) -> Floats:  # noqa: N802 (the mathematics calls it B)
+        """(n, m) input matrix."""
         return _read_only(np.array(self.input_matrix, dtype=float))
 
     @cached_property
@@ -476,6 +477,7 @@ class HybridAutomaton(Summarised):
 
 
 def _number(name: str, names: tuple[str, ...], what: str) -> int:
+    """The index of a name; an InputError lists the names that there are."""
     if name not in names:
         remedy = f"choose one of {', '.join(dict.fromkeys(names))}" if names else f"the model has no {what}"
         raise InputError(f"unknown {what} {shown(name)}", remedy=remedy)

@@ -95,6 +95,7 @@ class LinkMotion:
         return self._each(c, action, _aimed)
 
     def _each(self, c: Floats, action: Floats, meant: Callable[[Joint, Floats, Floats], Floats]) -> Floats:
+        """(k,) changes of configuration for actions (k, 3) at configurations (k,), each by its own joint."""
         configuration = np.zeros(len(c))
         number = self.number(c)
         for k, joint in enumerate(self.joints):
@@ -173,6 +174,7 @@ def _motion(automaton: HybridAutomaton, number: int) -> LinkMotion:
 
 
 def _commanded(joint: Joint, c: Floats, action: Floats) -> Floats:
+    """(k,) changes of configuration whose handle follows actions (k, 3) along the joint."""
     if joint.kind == "revolute":
         return _around(jacobian(joint, c)[:, 3:], np.array(joint.axis), action)
     along = inverse_jacobian(joint, c, action)
@@ -180,6 +182,7 @@ def _commanded(joint: Joint, c: Floats, action: Floats) -> Floats:
 
 
 def _aimed(joint: Joint, c: Floats, action: Floats) -> Floats:
+    """(k,) changes of configuration to the places that are closest to where actions (k, 3) lead."""
     place = inverse(joint, forward(joint, c).translation + action, near=c)
     lever = np.linalg.norm(jacobian(joint, c)[:, 3:], axis=1)
     return np.asarray(np.where(np.isfinite(place) & (lever > EQUAL), place - c, 0.0))

@@ -71,10 +71,12 @@ class _Group:
 
     @property
     def center(self) -> float:
+        """The middle of its range, or where it is fixed [rad or m]."""
         return self.leading.joint.fixed_at if self.is_rigid else (self.lower + self.upper) / 2
 
     @property
     def blur(self) -> float:
+        """Distance within which a measurement does not separate configurations [rad or m]."""
         return RESOLUTION * self.leading.observation_std
 
 

@@ -127,6 +127,7 @@ class HalfSpace:
 
     @cached_property
     def _weights(self) -> tuple[Floats, Floats]:
+        """Weights (n,) of x and (m,) of u."""
         return np.array(self.a), np.array(self.b)
 
 
@@ -138,6 +139,7 @@ class Region:
 
     @cached_property
     def _arrays(self) -> tuple[Floats, Floats, Floats, Booleans]:
+        """Weights (r, n), (r, m), thresholds (r,) and strictness (r,) of its half-spaces."""
         rows = self.half_spaces
         return (
             np.array([h.a for h in rows]),

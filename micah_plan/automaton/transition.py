@@ -490,6 +490,7 @@ def _projected_on_walls(group: _StepState, normals: Floats) -> _StepState:
 
 
 def _rows(value: ArrayLike, width: int, name: str) -> Floats:
+    """A finite array of shape (k, width)."""
     array = np.asarray(value, dtype=float)
     if array.ndim != 2 or array.shape[1] != width or not np.isfinite(array).all():
         raise InputError(f"{name} must be finite and have shape (k, {width}). Got shape {array.shape}")
@@ -527,4 +528,5 @@ def _row(h: HalfSpace) -> _Row:
 
 
 def _padded(weights: Sequence[float], width: int) -> Floats:
+    """Weights (width,), zeros if there are none."""
     return np.array(weights) if len(weights) == width else np.zeros(width)

@@ -417,6 +417,7 @@ def _probability_inside(half_spaces: Sequence[HalfSpace], mean: Floats, factor: 
 
 
 def _valid_stds(stds: Floats) -> Floats:
+    """The stds, checked to be finite and not negative."""
     if not (np.isfinite(stds).all() and (stds >= 0).all()):
         raise InputError(f"standard deviations must be finite and not negative. Got {stds.tolist()}")
     return stds

@@ -69,11 +69,11 @@ def lower_factors(matrices: Floats, overwrite: bool = False) -> Floats:
     if n == 1:
         return np.asarray(np.sqrt(np.einsum("ikp,ikp->p", matrices, matrices))[None, None])
     if count <= _FEW and k >= n:
-        return _by_reflections(matrices)
-    return _by_projections(matrices if overwrite else matrices.copy())
+        return _lq_by_reflections(matrices)
+    return _lq_by_projections(matrices if overwrite else matrices.copy())
 
 
-def _by_reflections(matrices: Floats) -> Floats:
+def _lq_by_reflections(matrices: Floats) -> Floats:
     """LQ decomposition by Householder reflections, one matrix at a time."""
     n, _, count = matrices.shape
     lower = np.empty((n, n, count))
@@ -83,7 +83,7 @@ def _by_reflections(matrices: Floats) -> Floats:
     return np.asarray(lower * np.tri(n)[..., None] * np.where(np.einsum("iip->ip", lower) < 0, -1.0, 1.0))
 
 
-def _by_projections(matrices: Floats) -> Floats:
+def _lq_by_projections(matrices: Floats) -> Floats:
     """Modified Gram-Schmidt over the rows, in place; its triangular factor is backward stable like Householder's."""
     n, _, count = matrices.shape
     rest, lower, taken = matrices, np.zeros((n, n, count)), np.empty_like(matrices[1:])

@@ -180,6 +180,7 @@ class _Parser:
         return Affine(tuple(weights[:n]), tuple(weights[n:]), sum(constants, 0.0), bool(constants))
 
     def _sign(self) -> float | None:
+        """1 or -1 if a sign follows, else None."""
         if self._next[1] not in ("+", "-"):
             return None
         return 1.0 if self._take()[1] == "+" else -1.0
@@ -197,6 +198,7 @@ class _Parser:
         return value, self._variable()
 
     def _variable(self) -> int:
+        """The index of the variable that follows, with inputs behind coordinates."""
         kind, text = self._take()
         is_input = (kind, text) == ("name", INPUT)
         if is_input:

@@ -130,6 +130,7 @@ def overridden(located: Located, key: str, value: Any) -> Located:
 
 
 def _entry(located: Located, key: str, name: str, length: int) -> int:
+    """The index in a list that a key names."""
     if name.isascii() and name.isdigit() and int(name[:9]) < length:
         return int(name)
     problem = f"cannot override {shown(key)}: expected one of the {length} entries, found {shown(name)}"

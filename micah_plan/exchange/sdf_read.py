@@ -251,6 +251,7 @@ def _placed(owner: Element, otherwise: str) -> _Frame:
 
 
 def _limits(axis: Element) -> tuple[float, float]:
+    """(lower, upper) limits of a joint [rad or m]."""
     limit = axis.first("limit")
     ends = []
     for key, none in (("lower", -NO_LIMIT), ("upper", NO_LIMIT)):

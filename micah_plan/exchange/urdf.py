@@ -265,6 +265,7 @@ def _read_joint(joint: Element, parent: _Body, child: _Body) -> Joint:
 
 
 def _limits(joint: Element) -> tuple[float, float]:
+    """(lower, upper) limits of a joint [rad or m]."""
     limit = joint.first("limit")
     if limit is None:
         return -NO_LIMIT, NO_LIMIT

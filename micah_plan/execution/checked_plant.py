@@ -225,6 +225,7 @@ def _array(value: object, name: str, shape: tuple[int, ...] | None, column: str)
 
 
 def _flags(value: object, rows: int) -> Booleans:
+    """(l,) flags, checked for shape and type."""
     flags = np.asarray(value)
     if flags.shape != (rows,) or flags.dtype != bool:
         problem = f"Measurement.unseen must be {count(rows, 'truth value')}. Got {shown(value)}"

@@ -121,6 +121,7 @@ class PlanFollower:
         return self._problem.goal.contains(mode, x)
 
     def _planned(self, mode: str, estimate: Floats, knot: int) -> Floats:
+        """(m,) planned input at a knot with its feedback, within the limits."""
         return self._limited(mode, estimate, feedback_input(self._trajectory, knot, estimate))
 
     def _is_off_plan(self, belief: HybridBelief, knot: int) -> bool:
@@ -170,6 +171,7 @@ class PlanFollower:
         return np.asarray(cut_off(self._automaton, belief.weights[None], u[None], self._max_step, planned)[0])
 
     def _limited(self, mode: str, estimate: Floats, u: Floats) -> Floats:
+        """(m,) input within the limits of a mode."""
         return limited_input(self._automaton.mode(mode), estimate, u, self._max_step)
 
 

@@ -99,4 +99,5 @@ class ReleaseController:
 
     @staticmethod
     def _posture(arm: ArmTrajectory | None, step: int) -> Floats | None:
+        """(J,) joints at a step of the arm's path; None without one."""
         return None if arm is None else np.asarray(arm.positions[min(step, len(arm.positions) - 1)])

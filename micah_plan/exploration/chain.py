@@ -50,6 +50,7 @@ class StepRows:
 
     @property
     def seen(self) -> Booleans:
+        """(k,) rows in which the tracker saw the handle."""
         return np.asarray(np.isfinite(self.place).all(axis=1))
 
 
@@ -87,6 +88,7 @@ class Chain:
 
     @property
     def kinds(self) -> tuple[str, ...]:
+        """Kind of each joint."""
         return tuple("revolute" if hinge else "prismatic" for hinge in self.hinges)
 
     def poses(self, way: Floats) -> tuple[Floats, Floats, Floats]:
@@ -146,6 +148,7 @@ class Chain:
 
 
 def _normal_to(direction: Floats) -> tuple[Floats, Floats]:
+    """Two unit vectors (3,) normal to a direction and each other."""
     offset = np.zeros(3)
     offset[int(np.argmin(np.abs(direction)))] = 1.0
     first = np.cross(direction, offset)
@@ -215,6 +218,7 @@ def _weights(residual: Floats) -> Floats:
 
 
 def _stacked(chain: Chain, rows: StepRows) -> Floats:
+    """(r,) weighted residuals of all rows, then the prior's."""
     parts = [(_weights(part) * part).ravel() for part in _residuals(chain, rows)]
     return np.concatenate([*parts, chain.rate.ravel() / _RATE])
 
@@ -268,10 +272,12 @@ def _slope(chain: Chain, rows: StepRows, steps: Floats) -> Floats:
 
 
 def _across(vectors: Floats, directions: Floats) -> Floats:
+    """Components of vectors (..., 3) across unit directions (..., 3)."""
     return np.asarray(vectors - (vectors * directions).sum(axis=-1, keepdims=True) * directions)
 
 
 def _chords(tangents: Floats) -> Floats:
+    """(k - 1, 3) unit directions between neighbouring tangents."""
     chord = tangents[:-1] + tangents[1:]
     return np.asarray(chord / np.maximum(np.linalg.norm(chord, axis=1), 1e-9)[:, None])
 

@@ -47,19 +47,19 @@ def refitted(chains: tuple[Chain, Chain], rows: StepRows) -> tuple[Chain, Chain]
 
 def most_probable_chain(chains: Sequence[Chain], rows: StepRows) -> tuple[Chain, float]:
     """(most probable chain, probability of its kinds) among all that differ from the best in one joint."""
-    compared, best = list(chains), max(chains, key=_log)
+    compared, best = list(chains), max(chains, key=_log_probability)
     while True:
         compared += _neighbours(best, rows)
-        before, best = best, max(compared, key=_log)
+        before, best = best, max(compared, key=_log_probability)
         if best is before:
             break
     odds: dict[tuple[str, ...], float] = {}
     for chain in compared:
-        odds[chain.kinds] = max(odds.get(chain.kinds, -np.inf), _log(chain))
+        odds[chain.kinds] = max(odds.get(chain.kinds, -np.inf), _log_probability(chain))
     return best, 1.0 / (_NONE + sum(float(np.exp(log - odds[best.kinds])) for log in odds.values()))
 
 
-def _log(chain: Chain) -> float:
+def _log_probability(chain: Chain) -> float:
     """Log of its probability, up to a constant [nats]."""
     return chain.evidence - _JOINT * len(chain.hinges)
 

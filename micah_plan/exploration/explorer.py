@@ -98,6 +98,7 @@ class Explorer:
 
     @property
     def steps(self) -> int:
+        """Number of commands so far."""
         return len(self.record.commands)
 
     @property
@@ -163,6 +164,7 @@ class Explorer:
         return push.lead, False
 
     def _most(self) -> float:
+        """The largest safe lead [m]."""
         record = self.record
         doubt = record.place_std if record.hand.from_measured else 0.0
         return largest_lead(self.scene, record.hand, *record.pushes(), doubt)
@@ -357,7 +359,7 @@ class Explorer:
         made = self._ahead(chain) + drawn @ spread
         return moves_after_motion(made / np.linalg.norm(made, axis=1)[:, None], self.friction, self._frame, _CHANGE)
 
-    def judged(self) -> tuple[Chain | None, float]:
+    def most_probable_mechanism(self) -> tuple[Chain | None, float]:
         """(most probable chain, probability of its kinds); (None, probability of a stuck handle) if nothing moved."""
         if not self.chains or self.range_seen < _MOVED or self.travel < _MOVED:
             return None, (1.0 - self.p_movable if self.outcome == "held" else self.probabilities().get("fast", 0.0))

@@ -120,7 +120,7 @@ def _progress_message(explorer: Explorer) -> str:
 
 
 def _result(explorer: Explorer, seconds: float, thinking: float) -> Exploration:
-    chain, probability = explorer.judged()
+    chain, probability = explorer.most_probable_mechanism()
     outcome: Outcome = explorer.outcome or "gave_up"
     moments = tuple(explorer.moments)
     return Exploration(

@@ -49,6 +49,7 @@ class Slips:
 
     @property
     def _share(self) -> Floats:
+        """(h,) probabilities of the hypotheses."""
         share = np.exp(self.odds - self.odds.max())
         return np.asarray(share / share.sum())
 

@@ -255,8 +255,10 @@ def _alignment(
 
 
 def _counted_along(joint: Joint, backwards: bool, offset: float) -> Joint:
+    """The joint with its zero and direction moved to those of the first run."""
     return shifted(reversed_direction(joint) if backwards else joint, -offset)
 
 
 def _rows(segment: Segment) -> int:
+    """Number of rows of a segment."""
     return segment.end - segment.start

@@ -166,6 +166,7 @@ def _trend_along_curve(vector: Floats, std: float, c: Floats, row: Ints) -> tupl
 
 
 def _closest(curve: Joint, track: PartTrack) -> Floats:
+    """(n,) configurations on a curve closest to the poses."""
     return closest_on_path(curve, track.position, track.quaternion, ROTATION_LENGTH)
 
 

@@ -193,6 +193,7 @@ def fitted_pieces(
 
 
 def _leader(piece: Piece, segmented: Segmented) -> Joint | None:
+    """The joint of a piece that moves, else None."""
     joint = segmented.table.pool.hypotheses.joints.joint(piece.hypothesis)
     return joint if joint.moves else None
 

@@ -204,6 +204,7 @@ def _near(
 
 
 def _line_at(x: Floats, c: Floats, at: float) -> float:
+    """Value at a place of a line through the nearest rows."""
     nearest = np.sort(np.argsort(np.abs(x - at), kind="stable")[:_SMOOTHED_ROWS])
     if len(nearest) < 3:
         return float(c[nearest].mean())
@@ -211,6 +212,7 @@ def _line_at(x: Floats, c: Floats, at: float) -> float:
 
 
 def _smoothed(c: Floats) -> Floats:
+    """(n,) moving average; ends by lines."""
     x = np.arange(len(c), dtype=float)
     if len(c) < 3:
         return c
@@ -255,8 +257,10 @@ def _process_std(piece: FittedPiece, c: Floats, rows: Ints, track: PartTrack, ob
 
 
 def _last_moving(chain: Sequence[FittedPiece]) -> Joint | None:
+    """Joint of the last piece that moves."""
     return next((piece.joint for piece in reversed(chain) if piece.joint.moves), None)
 
 
 def _first_moving(chain: Sequence[FittedPiece]) -> Joint | None:
+    """Joint of the first piece that moves."""
     return next((piece.joint for piece in chain if piece.joint.moves), None)

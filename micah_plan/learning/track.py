@@ -49,6 +49,7 @@ class PartTrack:
 
     @property
     def duration(self) -> float:
+        """Time from the first row to the last [s]."""
         return float(self.time[-1] - self.time[0])
 
     @cached_property

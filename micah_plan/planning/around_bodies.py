@@ -63,6 +63,7 @@ def slides_of(automaton: HybridAutomaton, mode: str) -> dict[str, Floats]:
 
 
 def _slides(poses: RigidTransform) -> Floats:
+    """(3, n) translation per coordinate, from poses at 0 and at each unit vector."""
     return np.asarray((poses.translation[1:] - poses.translation[0]).T)
 
 

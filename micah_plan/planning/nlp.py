@@ -59,6 +59,7 @@ class Programme:
 
     @cached_property
     def _values(self) -> ca.Function:
+        """CasADi function from w to cost and rows."""
         return ca.Function("values", [self.w], [self.cost, self.rows])
 
     def values(self, w: Floats) -> tuple[float, Floats]:

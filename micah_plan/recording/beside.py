@@ -76,6 +76,7 @@ def _commanded(commands: Recording, action: Floats) -> tuple[Floats, Floats]:
 
 
 def _at(time: Floats, total: Floats, when: Floats) -> Floats:
+    """(k, 3) values at times `when` (k,), interpolated linearly."""
     return np.stack([np.interp(when, time, column) for column in total.T], axis=1)
 
 

@@ -176,6 +176,7 @@ def _check_rows(recording: Recording, minimum_rows: int, place: Place) -> None:
 
 
 def _normalised(quaternion: Floats, place: Place) -> Floats:
+    """(n, 4) unit quaternions; an InputError names the first that is not nearly one."""
     norm = np.linalg.norm(quaternion, axis=1)
     off = np.abs(norm - 1.0)
     if (off > NORM_TOLERANCE).any():

@@ -105,6 +105,7 @@ def continuity(time: Floats, position: Floats, quaternion: Floats | None, action
 
 
 def _rests(is_measured: Booleans, repeats: Booleans, position: Floats, quaternion: Floats | None) -> Booleans:
+    """(n,) repeated rows that are rests, since all other poses lie exactly on a joint."""
     turns = None if quaternion is None else quaternion[is_measured]
     if not repeats.any() or not are_exact(position[is_measured], turns):
         return np.zeros(len(repeats), dtype=bool)

@@ -71,6 +71,7 @@ def shared_error_of(recording: Recording, part: str) -> SharedError | None:
 
 
 def _covariance(recording: Recording, column: str) -> Floats:
+    """(6, 6) covariance of a column's mean over its entries; zeros without any."""
     rows, matrix = _distinct(recording, column, len(_UPPER[0])), np.zeros((6, 6))
     if len(rows):
         matrix[_UPPER] = rows.mean(axis=0) / len(rows)

@@ -44,6 +44,7 @@ def read_lines(path: str | Path) -> list[str]:
 
 
 def _line_of(data: bytes, offset: int) -> int:
+    """The number of the line, from 1, of a byte offset."""
     return len(re.findall(rb"\r\n|\n|\r", data[:offset])) + 1
 
 
@@ -98,6 +99,7 @@ def _plain_floats(texts: Sequence[str], may_be_empty: bool) -> NDArray[np.float6
 
 
 def _float(row: int, text: str, may_be_empty: bool) -> float:
+    """The number of a cell, NaN if it may be and is empty."""
     if may_be_empty and not text:
         return float("nan")
     expected, remedy = "a number", "fill in the value or remove the row"

@@ -153,6 +153,7 @@ class Recording(Summarised):
         return replace(self, position=values[:, :3], quaternion=turned)
 
     def _number(self, name: str, row: int) -> float:
+        """The number in a further column, NaN if empty."""
         text = self.extra[name][row].strip()
         try:
             return float(text) if text else float("nan")

@@ -88,6 +88,7 @@ def _beside(values: NDArray[Scalar], reach: int) -> NDArray[Scalar]:
 
 
 def _both_sides(average: Average) -> Floats:
+    """(2 k + 1,) weights from the earliest to the latest row."""
     return np.concatenate([average.weights[:0:-1], average.weights])
 
 

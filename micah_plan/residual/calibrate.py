@@ -330,6 +330,7 @@ def _term_key(part: TermCandidate) -> tuple[object, ...]:
 
 
 def _together(sizes: Sequence[float], traces: Sequence[CoordinateTrace]) -> float:
+    """Root mean square of coordinates' errors, weighted by their rows."""
     rows = [int(trace.data.counted.sum()) for trace in traces]
     return float(np.sqrt(np.average(np.square(sizes), weights=rows)))
 

@@ -382,6 +382,7 @@ def _without_one_option(part: TermCandidate) -> list[TermCandidate]:
 
 
 def _free(model: Contender) -> int:
+    """Number of fitted parameters."""
     return sum(len(part.free) for part in model.parts)
 
 

@@ -152,6 +152,7 @@ def filtered(data: CoordinateData, batches: Sequence[ModelBatch], wanted: Sequen
 
 
 def _anywhere(data: CoordinateData) -> float:
+    """Density of an outlier, uniform over several times the visited range [1/rad or 1/m]."""
     low, high = data.visited
     return _ANYWHERE / max(high - low, ROUND_OFF)
 

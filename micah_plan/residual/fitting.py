@@ -276,6 +276,7 @@ class Fitting:
         return self._without_each[weighed]
 
     def _newton_step(self, weighed: Weighed) -> Floats:
+        """(G, P) vectors after one Newton step without each group of runs."""
         fit, free = weighed.fit, weighed.fit.free
         if not len(free.at):
             return np.repeat(fit.vector[None], len(weighed.pull), axis=0)

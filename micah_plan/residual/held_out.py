@@ -47,6 +47,7 @@ class HeldOut:
         return self._predicted(model, kind)[0]
 
     def _predicted(self, model: Contender, kind: Kind) -> tuple[Floats, Floats]:
+        """(errors, variances) of all rows, each predicted without its own group [rad or m]."""
         if (model, kind) not in self._errors:
             every = errors(self.data if kind == "filter" else self.as_written, [self._without_each(model)], kind)
             group, rows = self.competition.fitting.group, np.arange(len(self.data.run))
@@ -129,6 +130,7 @@ class HeldOut:
         return np.array([self._interval(model, j, share) for j in range(model.fit.free.of_model)]).reshape(-1, 3)
 
     def _interval(self, model: Contender, j: int, share: float) -> Floats:
+        """(2,) quantiles of the posterior of a parameter by its profile."""
         fit, free = model.fit, model.fit.free
         value = float(fit.vector[free.at[j]])
         steps = free.scale[j] * 2.0**_DOUBLINGS

@@ -202,4 +202,5 @@ def _changes(run: RunPrediction) -> list[ModeChange]:
 
 
 def _entries(modes: Sequence[str], time: Floats) -> list[tuple[str, float]]:
+    """(mode, time [s]) of each change of the mode."""
     return [(mode, float(time[k + 1])) for k, mode in enumerate(modes) if k and mode != modes[k - 1]]

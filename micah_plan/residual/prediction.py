@@ -256,6 +256,7 @@ class _Ahead:
         return collected.runs()
 
     def _stepped(self, modes: Ints, x: Floats, u: Floats) -> tuple[Ints, Floats]:
+        """(modes (t,), states (t, n)) after one step without noise."""
         return self.transitions.step(modes, x, u, np.zeros_like(x))
 
     def _clipped_to_modes(self, modes: Ints, x: Floats) -> Floats:

@@ -43,6 +43,7 @@ class RowEnds:
         return np.asarray(np.clip(aim, self.low, self.high) != np.clip(aim, *self._reached(x)))
 
     def _reached(self, x: Floats) -> tuple[Floats, Floats]:
+        """(lower, upper) ends of rows, extended to where they were measured [rad or m]."""
         # A part that was measured beyond a narrow end is not drawn back to it.
         return np.minimum(self.narrow[0], np.maximum(x, self.low)), np.maximum(self.narrow[1], np.minimum(x, self.high))
 

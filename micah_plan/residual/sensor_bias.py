@@ -95,6 +95,7 @@ def _density(rests: Floats, names: tuple[str, ...]) -> float:
 
 
 def _regression(rests: Floats, names: tuple[str, ...]) -> tuple[Floats, Floats]:
+    """(columns of the named terms, differences) of rests, one row each."""
     x, e, time, _ = rests.T
     columns = np.stack([e, np.ones_like(e), time], axis=1)
     return columns[:, [_COLUMN[name] for name in names]], x - e

@@ -118,6 +118,7 @@ def _finite_rows(designs: Sequence[Floats], moved: Sequence[Floats]) -> tuple[Fl
 
 
 def _displacements(track: Track, i: int) -> Floats:
+    """(T,) commanded displacements of coordinate i; empty without commands."""
     return np.zeros(0) if track.u is None else track.u[:, i]
 
 

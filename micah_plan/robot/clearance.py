@@ -158,6 +158,7 @@ class ClearanceModel:
         return (overlap, *(pair_near for pair_near in near if pair_near))
 
     def _overlap(self, index: int) -> tuple[tuple[Floats, float], ...]:
+        """(side, largest projection) pairs of a collision, see `overlap`."""
         pair = self.names[index]
         numbers = int(self.first[index]), int(self.second[index])
         moves = [self._joint_of(number) for number in numbers]

@@ -86,6 +86,7 @@ def _range(name: str, entry: Any, path: str | Path) -> JointRange:
 
 
 def _count(name: str, entry: Any, key: str, path: str | Path, missing: int | None = None) -> int:
+    """A whole number of a motor's entry."""
     value = entry.get(key, missing) if isinstance(entry, Mapping) else None
     if not isinstance(value, int) or abs(value) > _LARGEST_COUNT:
         problem = f"expected a whole number, found {'nothing' if value is None else shown(str(value))}"

@@ -168,6 +168,7 @@ def _locked_positions(model: Any, description: RobotDescription) -> Any:
 
 
 def _rest(model: Any, description: RobotDescription) -> Floats:
+    """(n,) rest posture within the limits, the middle where the description has none [rad or m]."""
     low, high = model.lowerPositionLimit, model.upperPositionLimit
     rest = middle(low, high)
     for name, value in description.rest:

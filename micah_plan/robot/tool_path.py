@@ -284,6 +284,7 @@ class _Follower:
         return reached
 
     def _downhill(self, path: ToolPath, knot: int, q: Floats) -> Floats:
+        """(n,) step of the posture down the gradient of its cost [rad or m]."""
         gradient = posture_gradient(self.model, q, path.at(knot), path.allowed(knot - 1, knot), self.settings.weights)
         wish = -_NULL_RATE * gradient
         return np.asarray(wish * min(1.0, _LONGEST_NULL_STEP / max(float(np.abs(wish).max()), 1e-12)))

@@ -56,17 +56,20 @@ class CompiledMode:
 
     @cached_property
     def invariant(self) -> ca.Function:
+        """Margins (r, 1) of the invariant at (x, u)."""
         s = _Symbols(self.automaton)
         passed = _passed_on(self.automaton, self.mode.name, s)[0]
         return s.map("invariant", margins=_margins(self.mode.invariant, s.x, passed))
 
     @cached_property
     def inputs(self) -> ca.Function:
+        """Margins (r, 1) of the admissible inputs at (x, u)."""
         s = _Symbols(self.automaton)
         return s.map("inputs", margins=_margins(self.mode.inputs, s.x, s.u))
 
     @cached_property
     def condition(self) -> ca.Function:
+        """Belief conditioned on the mode's pins, see the class."""
         s = _Symbols(self.automaton)
         mean, factor = _condition(s.x, s.factor, self.mode.pins)
         return ca.Function(
@@ -235,6 +238,7 @@ def _reversed(reversal: InputReversal, s: _Symbols) -> tuple[ca.SX, ca.SX]:
 
 
 def _margins(region: Region, x: ca.SX, u: ca.SX) -> ca.SX:
+    """(r, 1) margins of a region's half-spaces."""
     rows = region.half_spaces
     if not rows:
         return ca.SX(0, 1)
@@ -253,6 +257,7 @@ def sensing_std(sensing: Sensing, x: ca.SX) -> list[float | ca.SX]:
 
 
 def _condition(mean: ca.SX, factor: ca.SX, pins: Sequence[Pin]) -> tuple[ca.SX, ca.SX]:
+    """(mean, factor) conditioned on pins as measurements."""
     for pin in pins:
         mean, factor = observe(mean, factor, pin.coordinate, pin.std, pin.value, pin.follows)
     return ca.densify(mean), factor

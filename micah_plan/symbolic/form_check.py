@@ -119,6 +119,7 @@ def _by_casadi(form: EffectForm, p: list[float]) -> list[dict[str, Floats]]:
 
 
 def _sensible(lower: float, upper: float) -> float:
+    """A value within bounds, near 1 if possible."""
     low, high = max(lower, 0.5), min(upper, 1.0)
     return low if low <= high else high
 

@@ -46,6 +46,7 @@ def _begun(form: EffectForm, c: ca.SX, step: ca.SX, p: Sequence[Value]) -> list[
 
 
 def _memory(form: EffectForm, p: Sequence[Value]) -> list[ca.SX]:
+    """Symbols of a form's memory."""
     return [ca.SX.sym(f"memory_{k}") for k in range(len(_begun(form, ca.SX(0.0), ca.SX(0.0), p)))]
 
 
@@ -117,4 +118,5 @@ def reading_line(form: EffectForm, neutral: Neutral) -> StraightLine:
 
 
 def _slope(expression: ca.SX, symbol: ca.SX) -> ca.SX:
+    """(k, 1) derivative of an expression by a symbol."""
     return ca.densify(ca.jacobian(ca.SX(expression), symbol))

@@ -119,6 +119,7 @@ def _rotate(column: list[ca.SX], second: list[ca.SX], row: int) -> None:
 
 
 def _lower(columns: list[list[ca.SX]], n: int) -> ca.SX:
+    """(n, n) lower triangular matrix of columns."""
     factor = ca.SX(ca.Sparsity.lower(n))
     for j in range(n):
         for i in range(j, n):

@@ -150,6 +150,7 @@ class _Reading:
         return self._placed(given, results)
 
     def _new(self, *, lasting: bool) -> int:
+        """The number of a new value; lasting ones keep their register."""
         number = self.count
         self.count += 1
         if lasting:

@@ -113,6 +113,7 @@ def _items(values: Mapping[str, Any], where: str) -> Iterable[tuple[str, Any]]:
 
 
 def _index(name: str, automaton: HybridAutomaton, where: str) -> int:
+    """The index of a coordinate; an InputError lists the names."""
     names = automaton.coordinate_names
     if name not in names:
         raise InputError(f"{where}: no coordinate {shown(name)}", remedy=choices(str(name), names))

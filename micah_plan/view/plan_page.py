@@ -282,14 +282,14 @@ def _legend(plan: Plan, problem: Problem, size: float, spacing: float) -> list[L
 
 def task_sentence(problem: Problem) -> str:
     """The task in one sentence: targets, modes and confidence."""
-    ways = [_way(problem, *target) for target in problem.goal.target]
+    ways = [_target_text(problem, *target) for target in problem.goal.target]
     modes = pre_release_problem(problem).goal.modes
     if modes and len(modes) < len(problem.automaton.modes):
         ways.append(f"ending in mode {' or '.join(modes)}")
     return f"{', '.join(ways)}, with a confidence of {percent(problem.settings.confidence)}"
 
 
-def _way(problem: Problem, index: int, value: float, tolerance: float) -> str:
+def _target_text(problem: Problem, index: int, value: float, tolerance: float) -> str:
     """Start and target of one coordinate."""
     coordinate, start = problem.automaton.coordinates[index], problem.start.mean[index]
     goal = with_spread(value, tolerance, coordinate.unit, degrees=False)

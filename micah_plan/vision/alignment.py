@@ -198,6 +198,7 @@ def _inverse(matrix: Floats) -> Floats:
 
 
 def _mapped(matrix: Floats, points: Floats) -> Floats:
+    """(k, 2) points under a homography (3, 3)."""
     moved = points @ matrix[:, :2].T + matrix[:, 2]
     return np.asarray(moved[:, :2] / moved[:, 2:])
 

@@ -80,6 +80,7 @@ def load_camera(path: str | Path) -> Camera:
 
 
 def _numbers(entry: Any, counts: Sequence[int], path: str | Path, key: str) -> Floats:
+    """(k,) finite numbers of an entry, with one of the allowed lengths."""
     values = entry.get("data") if isinstance(entry, Mapping) else entry
     try:
         numbers = np.array(values, dtype=float).ravel()

@@ -153,6 +153,7 @@ def _arrays(path: str | Path) -> dict[str, Any]:
 
 
 def _visible(arrays: Mapping[str, Any], shape: tuple[int, ...]) -> Booleans:
+    """(N, T) whether points are visible, from an array of that name; all if there is none."""
     for name, array in arrays.items():
         is_hidden = any(word in name.lower() for word in _HIDDEN)
         if not is_hidden and not any(word in name.lower() for word in _VISIBLE):
@@ -295,6 +296,7 @@ def _of_table(columns: Mapping[str, Any], unit: str | None) -> PointTracks:
 
 
 def _rate(columns: Mapping[str, Any]) -> float | None:
+    """Frames per second of a column of times; None without one."""
     time: Sequence[float] | None = next((columns[name] for name in ("t", "time", "Time") if name in columns), None)
     if time is None or len(time) < 2:
         return None

@@ -86,7 +86,7 @@ def rigid_bodies(tracks: Floats) -> tuple[RigidBody, ...]:
     if not np.isfinite(near).any():
         return ()
     noise = max(1.15 * float(np.median(near[np.isfinite(near)])), 1e-6)
-    groups = _begun(varies, noise)
+    groups = _initial_groups(varies, noise)
     volume = _volume(tracks, noise)
     for _ in range(_SEARCHES):
         if not groups:
@@ -117,7 +117,8 @@ def _variation(tracks: Floats) -> Floats:
     return np.asarray(np.fmax(varies, varies.T))
 
 
-def _begun(varies: Floats, noise: float) -> list[Ints]:
+def _initial_groups(varies: Floats, noise: float) -> list[Ints]:
+    """Groups of points whose distances vary by no more than noise."""
     filled = np.where(np.isfinite(varies), varies, 3.0 * noise)
     np.fill_diagonal(filled, 0.0)
     label = fcluster(linkage(squareform(filled, checks=False), "average"), _ONE_BODY * noise, "distance")
@@ -246,6 +247,7 @@ def _union(groups: Sequence[Ints], density: Floats, bodies: Sequence[RigidBody])
 
 
 def _scale(tracks: Floats, seen: Booleans, bodies: Sequence[RigidBody]) -> float:
+    """Noise of the points in their bodies [m]."""
     lengths = []
     for body in bodies:
         there = seen[body.points].T & body.is_seen[:, None]

@@ -191,6 +191,7 @@ def _refined(points: Floats, pixels: Floats, turn: Floats, position: Floats, cam
 
 
 def _missed(points: Floats, pixels: Floats, turn: Floats, position: Floats, camera: Camera) -> Floats:
+    """(k, 2) errors of projected points [px]."""
     cv2 = opencv()
     rotated = cv2.Rodrigues(turn)[0]
     projected = cv2.projectPoints(points, rotated, position, camera.matrix, camera.distortion)[0]
@@ -266,6 +267,7 @@ def pooled(poses: Sequence[Pose | None], sightings: Sequence[Sighting | None], c
 
 
 def _angle(first: Floats, second: Floats) -> float:
+    """Angle between two rotation matrices [rad]."""
     return float(np.arccos(np.clip(0.5 * (np.trace(first.T @ second) - 1.0), -1.0, 1.0)))
 
 

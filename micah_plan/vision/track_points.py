@@ -110,6 +110,7 @@ def _names(bodies: Sequence[RigidBody], markers: Sequence[str]) -> list[str]:
 
 
 def _largest_way(body: RigidBody) -> float:
+    """Diagonal of the box around a body's positions [m]."""
     at = body.positions[body.is_seen]
     return float(np.linalg.norm(np.ptp(at, axis=0))) if len(at) else 0.0
 

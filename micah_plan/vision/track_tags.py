@@ -197,6 +197,7 @@ def _base(layout: TagLayout, base: str | None) -> str:
 def _detected(
     video: str | Path, layout: TagLayout, rate: float | None, progress: Progress | None
 ) -> tuple[Floats, list[Corners], tuple[int, int]]:
+    """(times (F,), corners of each frame, size of the pictures)."""
     find, times, frames, size = detector(layout.family), list[float](), list[Corners](), (0, 0)
     for time, grey in grey_frames(video, rate):
         shape = (int(grey.shape[1]), int(grey.shape[0]))

@@ -88,6 +88,7 @@ def _of_folder(folder: Path, rate: float | None) -> Iterator[tuple[float, Any]]:
 
 
 def _stamps(path: Path, count: int) -> Any:
+    """(count,) increasing times of pictures from stamps.txt [s]."""
     lines = path.read_text(encoding="utf-8", errors="replace").split()
     try:
         times = np.array([float(line) for line in lines])

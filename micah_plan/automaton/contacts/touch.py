@@ -135,6 +135,7 @@ class _Geometry:
         return np.asarray(-(moved(self.corners, c - self.datum, self.turns) - self.point) @ self.normal)
 
     def height(self, c: float) -> float:
+        """Height of the hand above the face at which the object touches, at configuration c [m]."""
         return float(self.heights(c).max())
 
     def lowest(self, c: float) -> int:

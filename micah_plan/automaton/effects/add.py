@@ -66,6 +66,7 @@ def is_possible(effect: Effect) -> bool:
 
 
 def _impossible(effect: Effect) -> list[tuple[float, Parameter]]:
+    """(value, parameter) of each value that is not finite or outside its bounds."""
     pairs = zip(effect.values, form(effect.name).parameters, strict=True)
     return [
         (value, parameter)

@@ -140,4 +140,5 @@ def _with_joints(automaton: HybridAutomaton, coordinate: int, change: Callable[[
 
 
 def _cross(a: Values, b: Values) -> list[Value]:
+    """The cross product of two vectors of three values."""
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]

@@ -121,6 +121,7 @@ class Guide:
         return float(velocity @ momentum)
 
     def _stretches(self, c: Floats) -> Ints:
+        """(k,) interval between knots of each configuration."""
         return np.clip(np.searchsorted(self.knots, c, side="right") - 1, 0, len(self._ties) - 1)
 
     def _between(self, low: float, high: float) -> Floats:

@@ -303,6 +303,7 @@ def _lever(joint: str) -> str:
 
 
 def _arm(name: str, joint: Joint, handle: Vector3) -> float:
+    """Length of the handle's path per unit of the coordinate [m/rad or 1]."""
     if not joint.moves:
         return 1.0
     arm = float(np.linalg.norm(handle_velocity(joint, handle, 0.0)))

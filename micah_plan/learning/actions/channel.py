@@ -396,6 +396,7 @@ def _spacings(walks: Floats) -> Floats:
 def _predicted(
     steps: ConfigurationSteps, command: CommandPath, delay: float, rotation: Floats, log_gain: float
 ) -> Floats:
+    """(k,) predicted steps [rad or m]."""
     m = np.exp(log_gain) * rotation_matrix(rotation).ravel()
     return np.asarray(m @ steps.predictors(command, np.array([delay]))[0])
 

@@ -146,6 +146,7 @@ class _Descent:
         return self.tried.cost
 
     def moved(self, step: Floats) -> _Descent | None:
+        """The descent after a step, if it lowers the cost; else None."""
         helix = self.tried.helix.moved(_shortened(step, self.tried.helix))
         if helix is None:
             return None

@@ -197,4 +197,5 @@ def _independent(columns: Floats) -> Floats:
 
 
 def _solved(diagonal: Floats, beside: Floats, columns: Floats) -> Floats:
+    """(n, k) solution for columns of a tridiagonal system."""
     return np.asarray(lapack.dpttrs(diagonal, beside, columns)[0])

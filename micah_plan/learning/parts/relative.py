@@ -157,6 +157,7 @@ def displacements_within(frames: RigidTransform, position: Floats, action: Float
 
 
 def _rows_of(recording: Recording, part: str) -> Ints:
+    """(k,) rows of a part."""
     return np.flatnonzero(np.array([name == part for name in recording.part], dtype=bool))
 
 

@@ -281,6 +281,7 @@ def _log_density_over_states(densities: list[Floats], begun: bool) -> Floats:
 
 
 def _quiet_density(innovation: Floats, quiet: Floats) -> Floats:
+    """Log density of innovations under variances `quiet`."""
     return np.asarray(-0.5 * (np.log(2 * np.pi * quiet) + innovation**2 / quiet))
 
 

@@ -113,5 +113,6 @@ def _backward(chances: Floats, last: Floats, follows: Floats, most: int) -> list
 
 
 def _normalised(weights: Floats) -> Floats:
+    """Weights with sum 1; zeros if all are 0."""
     total = weights.sum()
     return np.asarray(weights / total) if total > 0 else np.zeros(len(weights))
