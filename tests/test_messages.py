@@ -72,7 +72,7 @@ SENTENCES = [
     ),
     (
         of_planning.guard_not_entered("'latch'", -0.01, 0.02, "m"),
-        "the mean gets 10 mm before it, but the transition at 'latch' needs it 20 mm past it",
+        "the mean stops 10 mm before 'latch', but the transition needs 20 mm past it",
     ),
     (
         of_planning.no_room_to_reverse("'wall'", ("a", "b"), -0.01, 0.02, "m", 0.9),

@@ -84,7 +84,7 @@ def test_an_experiment_is_for_a_class_and_has_no_options_of_plans(worn_drawer: A
     assert (found.success, found.outcome, found.reason) == (True, "carried_out", "")
     assert len(found.recording.runs) == len(experiment.motions)
     assert found.json()["rows"] == len(found.recording)
-    assert f"{len(found.recording.runs)} runs carried out, 0 broken off" in str(found)
+    assert f"{len(found.recording.runs)} runs carried out, 0 aborted" in str(found)
     again = execute(ROOT / "problems" / "experiments" / "drawer.yaml", plant="nominal", trials=1)
     assert again.json()["rows"] == found.json()["rows"]
     assert "Experiment" in found.page()

@@ -12,6 +12,7 @@ from micah_plan.api.result import RecordedResult
 from micah_plan.automaton.hybrid import HybridAutomaton
 from micah_plan.errors import InputError
 from micah_plan.message import code_of
+from micah_plan.quantities import count
 from micah_plan.recording.value import Recording
 from micah_plan.summaries import Progress, Table
 from micah_plan.task.experiment import Experiment
@@ -67,7 +68,7 @@ class ExperimentResult(RecordedResult):
 
     def report(self) -> list[str | Table]:
         """Number of runs, and reasons of aborted ones."""
-        made = f"{len(self.recording.runs)} runs carried out, {len(self.failures)} broken off"
+        made = f"{count(len(self.recording.runs), 'run')} carried out, {len(self.failures)} aborted"
         return [made, *(f"  run {run}: {reason}" for run, reason in self.failures)]
 
     def json(self) -> dict[str, Any]:

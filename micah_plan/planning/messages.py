@@ -298,8 +298,11 @@ def corridor_too_narrow(name: str, room: float, need: float, unit: str, share: f
 @message
 def guard_not_entered(name: str, room: float, need: float, unit: str) -> str:
     """A mean that does not get far enough into a guard."""
-    where = f"{quantity(abs(room), unit)} {'past' if room >= 0 else 'before'} it"
-    return f"the mean gets {where}, but the transition at {name} needs it {quantity(need, unit)} past it"
+    if room >= 0.0:
+        return f"the mean gets {quantity(room, unit)} past {name}, but the transition needs {quantity(need, unit)}"
+    return (
+        f"the mean stops {quantity(-room, unit)} before {name}, but the transition needs {quantity(need, unit)} past it"
+    )
 
 
 @message

@@ -376,7 +376,7 @@ def test_the_command_converts_and_refuses_what_does_not_fit(tmp_path: Path) -> N
     assert json.loads(done.stdout)["kind"] == "recording"
     for source, target, said in (
         (box, tmp_path / "box.yaml", "must end in .csv or .npz"),
-        (ROOT / "README.md", tmp_path / "x.csv", "nothing can be made of a '.md' file"),
+        (ROOT / "README.md", tmp_path / "x.csv", "there is no conversion of a '.md' file"),
         (tmp_path / "box.usda", tmp_path / "box.yaml", "a USD file is not read; export the object as URDF or MJCF"),
         (box, box, "would overwrite an input"),
     ):

@@ -40,8 +40,8 @@ def test_a_plan_or_a_true_reason(
         assert abs(trajectory.means[-1, 0] - goal) <= tolerance + 1e-5
         assert not start_outside
         assert not goal_outside
-    elif "the start " in found.reason:
+    elif found.findings[0].code == "start_in_no_mode":
         assert start_outside
     else:
         assert goal_outside, found.reason
-        assert "lies in the range of none of the modes" in found.reason
+        assert found.findings[0].code in ("goal_in_no_mode", "goal_outside_range")
