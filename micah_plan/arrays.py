@@ -52,7 +52,7 @@ def earlier_rows(rows: NDArray[Scalar], by: int, axis: int = 1) -> NDArray[Scala
     return result
 
 
-def alike(numbers: Ints) -> list[tuple[int, Ints]]:
+def rows_by_number(numbers: Ints) -> list[tuple[int, Ints]]:
     """Distinct numbers (k,), each with the indices (c,) of its occurrences."""
     counts = np.bincount(numbers)
     return [(number, np.flatnonzero(numbers == number)) for number in np.flatnonzero(counts).tolist()]

@@ -102,6 +102,7 @@ def _estimate_error(tracks: tuple[Track, ...]) -> float:
 
 
 def _part_of_link(automaton: HybridAutomaton, recording: Recording) -> tuple[str, ...]:
+    """The part of the recording for each link, in the automaton's order."""
     children = tuple(link.child for link in automaton.links)
     if len(children) == 1 and recording.parts == (DEFAULT_PART,):
         return recording.parts

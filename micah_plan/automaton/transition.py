@@ -25,7 +25,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from micah_plan.arrays import Booleans, Floats, Ints, alike
+from micah_plan.arrays import Booleans, Floats, Ints, rows_by_number
 from micah_plan.automaton.drawn_thresholds import threshold_stds, with_boundary_states
 from micah_plan.automaton.effects.motion import motions
 from micah_plan.automaton.hybrid import HybridAutomaton, vector
@@ -204,7 +204,7 @@ class TransitionBatch:
         x, pushed = np.hstack([x, self.shifts]), np.hstack([disturbance, np.zeros_like(self.shifts)])
         ends, final, complete = modes.copy(), x.copy(), np.ones(len(x), dtype=bool)
         travelling: list[_StepState] = []
-        for index, rows in alike(modes):
+        for index, rows in rows_by_number(modes):
             mode, start = self._mode(index), x[rows]
             mode.pin(start)
             d = mode.displacement(rows, start, u[rows], pushed[rows])

@@ -391,6 +391,7 @@ def _invariants(automaton: HybridAutomaton, modes: Sequence[str]) -> str:
 
 
 def _check_goal(goal: Goal, automaton: HybridAutomaton, located: Located) -> None:
+    """Refuse an empty goal, and a target outside the ranges of its modes."""
     if not goal.target and not goal.modes:
         raise located.at("goal").error("the goal is empty", "give a target, modes to end in, or both")
     modes = [mode for mode in automaton.modes if goal.admits(mode.name)]

@@ -177,6 +177,7 @@ class _Tree:
         return _solid_of_geom(*sizes[kind], pose, compiled.geom_rgba[geom])
 
     def _add_handle(self, site: int) -> None:
+        """Set a part's handle at a site with `handle` in its name."""
         compiled = self._compiled
         number, place = self.carried[int(compiled.site_bodyid[site])]
         part, name = self.parts[number], str(compiled.site(site).name)

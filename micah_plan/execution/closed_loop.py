@@ -356,10 +356,10 @@ def execute_batch(
     while beliefs:
         orders: dict[int, Command] = {}
         readings = {i: episodes[i].observed(belief, measurements[i]) for i, belief in beliefs.items()}
-        alike: dict[bytes, list[int]] = {}  # numbers of the readings that show the same coordinates
+        by_missing: dict[bytes, list[int]] = {}  # numbers of the readings that show the same coordinates
         for i, z in readings.items():
-            alike.setdefault(np.isnan(z).tobytes(), []).append(i)
-        for rows in alike.values():
+            by_missing.setdefault(np.isnan(z).tobytes(), []).append(i)
+        for rows in by_missing.values():
             z = np.array([readings[i] for i in rows])
             updated = update_each(automaton, [beliefs[i] for i in rows], z)
             beliefs.update(zip(rows, updated, strict=True))

@@ -143,7 +143,7 @@ class Record:
         self.moved[k], self.moved_std[k] = self._odometer(k)
         self.place = before + self.moved[k]
         self.variance = self.moved_std[k] ** 2 + (0.0 if self._counts_from_seen_position(k) else self.variance)
-        if self._was_seen(k + 1) and not self._leapt[k + 1]:
+        if self._is_seen(k + 1) and not self._leapt[k + 1]:
             gain = self.variance / (self.variance + self.place_std**2)
             self.place = self.place + gain * (self.places[k + 1] - self.place)
             self.variance *= 1.0 - gain
@@ -160,15 +160,16 @@ class Record:
             self.slips.update_displacement(self.commands[k], self.forces[k])
         else:
             self.slips.update_unseen_step(float(np.linalg.norm(self.leads[k])) + self.place_std)
-        if self._was_seen(k + 1):
+        if self._is_seen(k + 1):
             self.slips.update_reading(self.places[k + 1], k + 1)
-        self._leapt[k + 1] = self._was_seen(k + 1) and self.slips.leapt
+        self._leapt[k + 1] = self._is_seen(k + 1) and self.slips.leapt
 
     def _counts_from_seen_position(self, k: int) -> bool:
         """Whether command k counted from a place that the tracker saw."""
-        return self.hand.from_measured and not self._late[k] and self._was_seen(k)
+        return self.hand.from_measured and not self._late[k] and self._is_seen(k)
 
-    def _was_seen(self, row: int) -> bool:
+    def _is_seen(self, row: int) -> bool:
+        """Whether the tracker saw the handle in a row."""
         return bool(np.isfinite(self.places[row]).all())
 
     def _repeats(self, place: Floats) -> bool:
@@ -180,7 +181,7 @@ class Record:
 
     def _odometer(self, k: int) -> tuple[Floats, float]:
         """(displacement in step k by its force, std) [m]; a late answer carries an old force."""
-        unknown = self.hand.from_measured and not self._was_seen(k)  # what the command counted from
+        unknown = self.hand.from_measured and not self._is_seen(k)  # what the command counted from
         if self._late[k] or unknown:
             return np.zeros(3), float(np.linalg.norm(self.leads[k])) + self.place_std
         return self.leads[k] - self.hand.compliance * self.forces[k], self.hand.std(self.forces[k])
@@ -203,7 +204,7 @@ class Record:
         self.notes.append(messages.slipped(row, float(np.linalg.norm(off))))
         shift = np.asarray(self.turns[row].T @ off)
         for i in range(row):
-            if self._was_seen(i):
+            if self._is_seen(i):
                 self.places[i] = self.places[i] + self.turns[i] @ shift
         self._recompute_positions()
         self._repeat_slip_test()
@@ -226,7 +227,7 @@ class Record:
         if self.hand.from_measured:  # the force says where it is, the first place only as well as the tracker
             self.place = self.place + self.commands[0] - self.hand.compliance * self.forces[0]
         for k, command in enumerate(self.commands):
-            is_measured = self.hand.from_measured and self._was_seen(k)
+            is_measured = self.hand.from_measured and self._is_seen(k)
             self.leads[k] = command + self.places[k] - self.place if is_measured else command
             self._process_step(k)
 
@@ -257,13 +258,13 @@ class Record:
         moved, strong = np.array(self.shifted), (change**2).sum(axis=1) > (4.0 + 5.0 * self.hand.force_std) ** 2
         let_go = strong & (size[1:] < _LET_GO * size[:-1])
         pushed = strong & ~let_go & ~np.array(self.led)
-        alike = 0.0
+        isotropic = 0.0
         if pushed.sum() >= _FEWEST:
             along = (moved[pushed] * change[pushed]).sum(axis=1) / (change[pushed] ** 2).sum(axis=1)
-            alike = max(float(np.median(along)), 0.0)
-        force, back = change[let_go], moved[let_go] - alike * change[let_go]
+            isotropic = max(float(np.median(along)), 0.0)
+        force, back = change[let_go], moved[let_go] - isotropic * change[let_go]
         doubt = (_LEAST_STD / _SOFT) ** 2 * np.eye(3)
-        return np.asarray(alike * np.eye(3) + np.linalg.solve(force.T @ force + doubt, force.T @ back).T)
+        return np.asarray(isotropic * np.eye(3) + np.linalg.solve(force.T @ force + doubt, force.T @ back).T)
 
     def pushes(self) -> tuple[Floats, Floats]:
         """(k, 3) leads and (k, 3) forces of all nonzero commands with a valid force."""

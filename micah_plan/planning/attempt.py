@@ -86,6 +86,7 @@ class Attempt:
     def _plan(
         self, outcome: Outcome, reason: str, findings: tuple[Finding, ...], candidates: tuple[Candidate, ...]
     ) -> Plan:
+        """A plan without a trajectory, with the seed and the timings so far."""
         timings = self.clock.timings()
         return Plan(outcome, reason, candidates=candidates, seed=self.seed, timings=timings, findings=findings)
 

@@ -12,13 +12,14 @@ def purpose_sentences(plan: Plan) -> tuple[tuple[str, str], ...]:
     for purpose in plan.purposes:
         if purpose.mode not in plan.mode_sequence:
             continue
-        sentence = _sentence(purpose, plan)
+        sentence = _purpose(purpose, plan)
         before = next((mode for mode, other in sentences.items() if other == sentence), None)
         sentences[purpose.mode] = sentence if before is None else messages.same_reason(before)
     return tuple(sentences.items())
 
 
-def _sentence(purpose: ModePurpose, plan: Plan) -> str:
+def _purpose(purpose: ModePurpose, plan: Plan) -> str:
+    """The purpose of a mode in a sentence."""
     if purpose.is_goal:
         return messages.only_mode_of_goal()
     if not purpose.without:

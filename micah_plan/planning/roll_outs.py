@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from micah_plan.arrays import Booleans, Floats, Ints, alike
+from micah_plan.arrays import Booleans, Floats, Ints, rows_by_number
 from micah_plan.automaton.drawn_thresholds import drawn_shifts, threshold_stds
 from micah_plan.automaton.input_memory import InputChannel, towards
 from micah_plan.automaton.memo import sharing_motion
@@ -110,7 +110,7 @@ def roll_out(problem: Problem, trajectory: Trajectory, chances: Chances, deadlin
         believed = beliefs.most_likely
         estimate = beliefs.means[everyone, believed]
         u = feedback_input(trajectory, int(knot), estimate)
-        for number, rows in alike(believed):
+        for number, rows in rows_by_number(believed):
             u[rows] = limited_input(whole.modes[number], estimate[rows], u[rows], limits.max_step)
         u = cut_off(whole, beliefs.weights, u, limits.max_step, trajectory.inputs[knot])
         commanded = channel.pass_on(towards(automaton, estimate, x, u), modes, x)
@@ -189,7 +189,7 @@ def departure(problem: Problem, trajectory: Trajectory) -> Departure | None:
 def measurement_std(problem: Problem, modes: Ints, x: Floats) -> Floats:
     """(t, n) std of a measurement in the true modes (t,), by index, and states (t, n)."""
     automaton, stds = problem.automaton, np.empty_like(x)
-    for index, rows in alike(modes):
+    for index, rows in rows_by_number(modes):
         stds[rows] = automaton.sensing(automaton.modes[index]).std_at(x[rows])
     # An infinite std means not measured: the noise there is NaN already, and infinity times zero would warn.
     return np.asarray(np.where(np.isfinite(stds), stds, 1.0))

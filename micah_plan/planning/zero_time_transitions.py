@@ -167,7 +167,7 @@ def _extended_sequences(automaton: HybridAutomaton, first: Edge, following: list
     if not following:
         return []
     A, B, c = _reset_of_edge(automaton, first)
-    low, high = _image(*_box(automaton, first), A, c)
+    low, high = _box_image(*_box(automaton, first), A, c)
     sequences = []
     for edge in following:
         a = np.array([h.a for h in edge.guard.half_spaces])
@@ -234,7 +234,7 @@ def _box(automaton: HybridAutomaton, edge: Edge) -> tuple[Floats, Floats]:
     return low, high
 
 
-def _image(low: Floats, high: Floats, A: Floats, c: Floats) -> tuple[Floats, Floats]:
+def _box_image(low: Floats, high: Floats, A: Floats, c: Floats) -> tuple[Floats, Floats]:
     """The box around the image of a box under A x + c."""
     with np.errstate(invalid="ignore"):
         ends = np.where(A > 0, A * high, np.where(A < 0, A * low, 0.0)), np.where(A < 0, A * high, A * low)

@@ -48,6 +48,7 @@ def _is_clear(old: CoordinateTrace, new: CoordinateTrace) -> bool:
 
 
 def _with_names_of_modes(split: HybridAutomaton, old: CoordinateTrace, new: CoordinateTrace) -> CoordinateTrace:
+    """The trace of the split model with the names of its new modes, as found before the split."""
     modes = tuple(
         replace(missing_mode, modes=_inside(split, old.data.index, missing_mode)) for missing_mode in old.missing_modes
     )

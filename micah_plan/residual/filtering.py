@@ -180,11 +180,14 @@ def _run_batches(
         at[start : start + count] = before + np.arange(count)
     shape = sum(wanted), int(number.max()) + 1
     total, error, variance = np.zeros(len(at)), np.zeros(shape), np.ones(shape)
-    rows, alike = _rows_given(data, number), dict[tuple[Model, tuple[bool, ...], tuple[Neutral, ...]], list[int]]()
+    rows, by_instructions = (
+        _rows_given(data, number),
+        dict[tuple[Model, tuple[bool, ...], tuple[Neutral, ...]], list[int]](),
+    )
     for k, batch in enumerate(batches):
-        alike.setdefault((batch.model, batch.gated, batch.neutral), []).append(k)
+        by_instructions.setdefault((batch.model, batch.gated, batch.neutral), []).append(k)
     # All hypotheses of a model share its instructions.
-    for instructions, own in alike.items():
+    for instructions, own in by_instructions.items():
         batch, program = _joined([batches[k] for k in own]), model_program(*instructions)
         per_hypothesis = _per_hypothesis(data, batch)
         of = np.concatenate([np.arange(first[k], first[k] + sizes[k]) for k in own])

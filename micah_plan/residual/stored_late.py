@@ -63,10 +63,10 @@ def _is_predicted_later(runs: Sequence[Track], late: int, i: int) -> bool:
         return False
     first = _BESIDE - _PAST
     own, next_one = design[:, first : _BESIDE + 1], design[:, first + 1 : _BESIDE + 2]
-    alike = np.column_stack([design[:, _BESIDE], (design + design[:, ::-1])[:, :_BESIDE]])
+    symmetric = np.column_stack([design[:, _BESIDE], (design + design[:, ::-1])[:, :_BESIDE]])
     ones = np.ones((len(now), 1))
     up_to_own, up_to_next, on_both_sides, any_row = (
-        robust_log_density(np.hstack([ones, columns]), now, FREEDOM) for columns in (own, next_one, alike, design)
+        robust_log_density(np.hstack([ones, columns]), now, FREEDOM) for columns in (own, next_one, symmetric, design)
     )
     if min(up_to_next - up_to_own, any_row - on_both_sides) < max(LEAST_EVIDENCE, _LATE_PER_ROW * len(now)):
         return False

@@ -313,9 +313,11 @@ def _findings(held_out: HeldOut, standings: Standings) -> tuple[CoordinateFindin
         tied = _tied(standings, number)
         is_always = not part.term.modes and not has_onset(part)
         # What would do the same as a tied one was not tried, but is tied as well.
-        alike = [name for model in standings.near for name in indistinguishable(model.parts[-1], data)] if tied else []
+        equivalent = (
+            [name for model in standings.near for name in indistinguishable(model.parts[-1], data)] if tied else []
+        )
         same = indistinguishable(part, data) if is_always else ()
-        names = tuple(dict.fromkeys(name for name in (*tied, *alike, *same) if name != part.name))
+        names = tuple(dict.fromkeys(name for name in (*tied, *equivalent, *same) if name != part.name))
         findings.append(CoordinateFinding(replace(part, starts=values), interval, chosen.evidence - without, names))
     return tuple(sorted(findings, key=lambda finding: -finding.evidence))
 

@@ -210,7 +210,7 @@ def _joint(joint: Element, links: Mapping[str, Element], left_out: list[str] | N
     else:
         (lower,), (upper,) = _numbers(limit, "lower", 1, "0"), _numbers(limit, "upper", 1, "0")
         if lower == upper and left_out is not None:
-            left_out.append(f"joint {joint.attributes['name']} is fixed: {_still(limit, lower)}")
+            left_out.append(f"joint {joint.attributes['name']} is fixed: {_immobile_reason(limit, lower)}")
             clean.attributes["type"] = "fixed"
             return clean
         if lower >= upper:
@@ -222,7 +222,7 @@ def _joint(joint: Element, links: Mapping[str, Element], left_out: list[str] | N
     return clean
 
 
-def _still(limit: Element, at: float) -> str:
+def _immobile_reason(limit: Element, at: float) -> str:
     """The reason why a joint cannot move."""
     if limit.attributes.keys() & set(_ENDS):
         return f"lower and upper are both {at:g}"

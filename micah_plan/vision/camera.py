@@ -97,7 +97,7 @@ def _size(data: Mapping[str, Any], names: tuple[str, str]) -> tuple[int, int] | 
     return (int(sides[0]), int(sides[1])) if all(isinstance(side, int) for side in sides) else None  # type: ignore[arg-type]
 
 
-def _model(name: Any, path: str | Path) -> None:
+def _check_distortion_model(name: Any, path: str | Path) -> None:
     """Refuse distortion models that are not OpenCV's polynomial."""
     text = (
         str(name or "").lower().replace(" ", "-").removeprefix("distortion.").replace("brown_conrady", "brown-conrady")
@@ -114,7 +114,7 @@ def _of_camera_info(data: Mapping[str, Any], path: str | Path) -> Camera | None:
     key = next((name for name in ("camera_matrix", "K", "k") if name in data), None)
     if key is None:
         return None
-    _model(data.get("distortion_model", "plumb_bob"), path)
+    _check_distortion_model(data.get("distortion_model", "plumb_bob"), path)
     matrix = _numbers(data[key], (9,), path, key).reshape(3, 3)
     name = next((name for name in ("distortion_coefficients", "D", "d") if name in data), None)
     distortion = _numbers(data[name], (0, 4, 5, 8, 12), path, name) if name else np.zeros(0)
@@ -128,7 +128,7 @@ def _of_kalibr(data: Mapping[str, Any], path: str | Path) -> Camera | None:
     if first.get("camera_model", "pinhole") != "pinhole":
         problem = f"expected camera_model pinhole, found {shown(str(first['camera_model']))}"
         raise InputError(problem, source=path, remedy="calibrate it as a pinhole camera")
-    _model(first.get("distortion_model", "radtan"), path)
+    _check_distortion_model(first.get("distortion_model", "radtan"), path)
     fx, fy, cx, cy = _numbers(first["intrinsics"], (4,), path, "intrinsics")
     distortion = _numbers(first.get("distortion_coeffs", []), (0, 4, 5), path, "distortion_coeffs")
     sides = first.get("resolution")
@@ -143,7 +143,7 @@ def _of_realsense(data: Mapping[str, Any], path: str | Path) -> Camera | None:
     fx, fy, cx, cy = _numbers([data["fx"], data["fy"], *(data[name] for name in centre)], (4,), path, "fx")
     distortion = _numbers(data.get("coeffs", []), (0, 4, 5), path, "coeffs")
     if distortion.any():
-        _model(data.get("model", ""), path)
+        _check_distortion_model(data.get("model", ""), path)
     return Camera(
         np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), distortion, _size(data, ("width", "height"))
     )

@@ -102,8 +102,8 @@ def _names(bodies: Sequence[RigidBody], markers: Sequence[str]) -> list[str]:
     names = []
     for number, body in enumerate(bodies, start=1):
         own = [markers[k] for k in body.points] if markers else [""]
-        alike = [len(set(letters)) == 1 for letters in zip(*own, strict=False)]
-        common = own[0][: (*alike, False).index(False)]
+        is_common = [len(set(letters)) == 1 for letters in zip(*own, strict=False)]
+        common = own[0][: (*is_common, False).index(False)]
         name = common.rpartition(":")[2].strip(" _-.0123456789")
         names.append(name if name and name != "base" and name not in names else f"body {number}")
     return names

@@ -188,12 +188,12 @@ def _with_clamps(automaton: HybridAutomaton, i: int, at: float, is_upper: bool) 
     guard = (above if is_upper else below)(i, at, n, m, strict=True, name=label)
     inside = (below if is_upper else above)(i, at, n, m, name=label)
 
-    def ended(mode: Mode) -> Mode:
+    def with_clamp(mode: Mode) -> Mode:
         return replace(mode, invariant=Region((*mode.invariant.half_spaces, inside))) if mode.driven[i] else mode
 
     moving = (mode.name for mode in automaton.modes if mode.driven[i])
     clamps = tuple(Edge(name, name, Region((guard,)), Reset.to({i: at}, n)) for name in moving)
-    return replace(mapped(automaton, ended), edges=(*automaton.edges, *clamps))
+    return replace(mapped(automaton, with_clamp), edges=(*automaton.edges, *clamps))
 
 
 def _with_holds(automaton: HybridAutomaton, i: int, width: float) -> HybridAutomaton:

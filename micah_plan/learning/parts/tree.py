@@ -183,6 +183,7 @@ class _Pairs:
         return in_whole_recording(pair.edge, pair.relative, child)
 
     def _pair(self, branch: tuple[str, ...], child: str, poses: RigidTransform | None) -> PairEdge | None:
+        """The learned edge of a child on the last part of a branch; None if it cannot be learned."""
         key = (*branch, child)
         if key not in self._learned:
             if self._progress is not None:

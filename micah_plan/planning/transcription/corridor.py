@@ -128,10 +128,10 @@ def _nearest(outside: Iterable[HalfSpace], stds: Mapping[HalfSpace, float]) -> l
     """
     nearest = dict[tuple[tuple[float, ...], float], HalfSpace]()
     for h in outside:
-        alike = h.direction, stds.get(h, 0.0)
-        before = nearest.get(alike)
+        key = h.direction, stds.get(h, 0.0)
+        before = nearest.get(key)
         if before is None or h.offset < before.offset:
-            nearest[alike] = h
+            nearest[key] = h
     return list(nearest.values())
 
 
