@@ -3,27 +3,12 @@
 Source: MICAH, section IV-B, "Hybrid Automaton Construction". Followed as there: Q is the Cartesian product of the
 edges' local models, X and U have one coordinate per edge, transitions change one edge's model at a time to a
 neighbouring one, guards come from the configurational changepoints, the ends of the range are clamped self
-transitions, resets are the identity. Where it differs, and why:
+transitions, resets are the identity. Differences from the paper, with reasons, are listed in docs/concepts/automaton.md,
+"From the graph to the automaton": absolute coordinates, pins of rigid models, closed invariants, thresholds with a std,
+strict guards of clamps, six digits (`digits`).
 
-- **Absolute coordinates.** The paper subtracts x^q, the configurations passed so far, from x in each mode, so that
-  every local model starts at 0. Here all models of an edge share one coordinate (`graph.Segment`), x⁺ = x + B u, and a
-  value means the same in every mode: beliefs, goals and guards need no translation, the identity reset is really one.
-- **Rigid models.** In the paper x + u moves x in a rigid mode too. Here nothing moves it (a zero row in B), its
-  coordinate is pinned to the configuration at which the part was fixed (being there is information), and it is left by
-  pulling: {u < -release} towards smaller and {u > release} towards larger configurations, since a guard on a pinned x
-  would never be reached again. A rigid model at an end of the range needs no clamp, having a pin.
-- **Invariants are closed.** The paper's domains [0, c) leave the boundary to the next model, but events are located
-  exactly (`transition`), so a state can be on the boundary in either model. The invariant of a rigid model is the range
-  that a measurement cannot distinguish from it: ``local_models.RESOLUTION`` std around its configuration.
-- **Thresholds have a std** (`Edge.threshold_std`) where learning gave a posterior of the changepoint's row. A rigid
-  model that is entered at such a threshold is pinned no better than that.
-- **Numbers have six digits** (`rounding`), far more than learning determines, so that the file is readable.
-- **Clamps have strict guards** {x < lower}, {x > upper}: resting at the end is no event, moving on is one.
-
-An edge to the base that never moved keeps its coordinate, as in the paper; the only model pins it. A part that is fixed
-to another part, such as a handle on a door, adds no local model to the product: its link follows the coordinate of its
-parent, through a rigid joint. Neighbours are connected both ways, so every mode of the product can be reached from
-every other. `Init` is left to the task, as there.
+An edge to the base that never moved keeps its coordinate; the only model pins it. A part that is fixed to another part
+adds no local model: its link follows the coordinate of its parent. `Init` is left to the task.
 """
 
 from __future__ import annotations

@@ -3,29 +3,8 @@
 Nothing is corrected: each suspicion is one line with the observation and a remedy. What `Conventions` state is not
 doubted; units that they leave open are, and then nothing should be learned (`require_conventions`).
 
-Rules, each of them with its limits:
-
-- **Length.** A part of an articulated object stays within a room and within the reach of a tracker. The largest room
-  that is granted is 10 m in each direction, 17 m across. A part that moves over more than `LARGEST_EXTENT_M` (70 % of
-  its rows, so that outliers do not count), or is farther than `FARTHEST_M` from the origin in most rows, was probably
-  given in millimetres. A part that moves by less than 20 mm close to the origin does not show it.
-- **No motion.** One row of each part in each run shows where it was, and nothing else.
-- **Continuity.** Rows that are no measurements of one continuous motion, see `breaks`.
-- **Actions.** A hand that is told to move more than `LARGEST_ACTION_M` per row, and a hundred times as far as the part
-  moves (90 % of the rows each), was probably told millimetres. Parts that move less than 0.3 mm per row do not show it.
-  One whose whole way is less than a thousandth of where the part gets was probably not told metres either.
-- **Forces.** A hand that pushes with more than `LARGEST_FORCE_N` (90 % of the rows), a ton, was read in another unit.
-- **Gaps.** One row more than `LONGEST_GAP_S` after the one before, in the same run, is a clock that was set or two
-  recordings in one.
-- **Time.** One pose in more than `LONGEST_STEP_S` (median) does not show how a part moves; a clock in milliseconds,
-  microseconds or nanoseconds does. One faster than 200 Hz in milliseconds does not show it. One pose in less than
-  `SHORTEST_STEP_S` is a clock in minutes, hours or days.
-- **Quaternions.** Which component is the scalar cannot be seen from how fast a part turns: reordering is an orthogonal
-  map of quaternions, so all angles between rows remain. But a part that turns about a fixed axis moves with it: its
-  origin is p = c + R r with constant c, r. If that holds twice as well with the scalar taken first, or four times as
-  well with other signs (the inverse turn; positions and turns of frames of which one is left-handed), it is probably
-  so; but a screw, or a part that moves freely, can look like that, so it is only said. A part that does not turn, or
-  only about what remains its axis, does not show it.
+The rules, with what they suspect and what they cannot detect, are the table "Warnings" in docs/concepts/learning.md; the
+constants below are their thresholds. Breaks in a motion have their own module, `breaks`.
 """
 
 from __future__ import annotations
