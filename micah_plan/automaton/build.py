@@ -3,9 +3,9 @@
 Source: MICAH, section IV-B, "Hybrid Automaton Construction". Followed as there: Q is the Cartesian product of the
 edges' local models, X and U have one coordinate per edge, transitions change one edge's model at a time to a
 neighbouring one, guards come from the configurational changepoints, the ends of the range are clamped self
-transitions, resets are the identity. Differences from the paper, with reasons, are listed in docs/concepts/automaton.md,
-"From the graph to the automaton": absolute coordinates, pins of rigid models, closed invariants, thresholds with a std,
-strict guards of clamps, six digits (`digits`).
+transitions, resets are the identity. Differences from the paper, with reasons, are listed in "From the graph to the
+automaton" of docs/concepts/automaton.md: absolute coordinates, pins of rigid models, closed invariants, thresholds with
+a std, strict guards of clamps, six digits (`digits`).
 
 An edge to the base that never moved keeps its coordinate; the only model pins it. A part that is fixed to another part
 adds no local model: its link follows the coordinate of its parent. `Init` is left to the task.

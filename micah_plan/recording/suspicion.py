@@ -3,8 +3,8 @@
 Nothing is corrected: each suspicion is one line with the observation and a remedy. What `Conventions` state is not
 doubted; units that they leave open are, and then nothing should be learned (`require_conventions`).
 
-The rules, with what they suspect and what they cannot detect, are the table "Warnings" in docs/concepts/learning.md; the
-constants below are their thresholds. Breaks in a motion have their own module, `breaks`.
+The rules, with what they suspect and what they cannot detect, are the table "Warnings" in docs/concepts/learning.md;
+the constants below are their thresholds. Breaks in a motion have their own module, `breaks`.
 """
 
 from __future__ import annotations
