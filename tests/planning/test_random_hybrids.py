@@ -38,6 +38,13 @@ def modes_of_goal(problem: Problem) -> set[str]:
     return holding & set(problem.goal.modes or holding)
 
 
+def modes_that_can_change(problem: Problem) -> set[str]:
+    """The modes that inputs move or that another mode follows; all if there are none."""
+    automaton = problem.automaton
+    left = {edge.source for edge in automaton.edges if edge.target != edge.source}
+    return left | {mode.name for mode in automaton.modes if np.any(mode.input_matrix)} or set(automaton.mode_names)
+
+
 def has_chain(problem: Problem, ends: set[str]) -> bool:
     """Whether transitions lead from the start's mode to one of the modes."""
     reached = {problem.start.mode or ""}
@@ -70,7 +77,9 @@ def check_reason(problem: Problem, found: Plan) -> None:
     """Reasons that claim a fact: the fact."""
     holding = modes_of_goal(problem)
     code = found.findings[0].code
-    if code in ("goal_in_no_mode", "goal_outside_range"):
+    if code == "goal_outside_range":  # a goal that names no mode is sought where the state can still change
+        assert not holding & (set(problem.goal.modes) or modes_that_can_change(problem)), found.reason
+    elif code == "goal_in_no_mode":
         assert not holding, found.reason
     elif code == "no_transition_to_goal":
         assert not has_chain(problem, holding), found.reason
