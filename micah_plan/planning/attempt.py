@@ -72,13 +72,16 @@ class Attempt:
         )
 
     def refused(self, reason: str, findings: tuple[Finding, ...], candidates: tuple[Candidate, ...] = ()) -> Plan:
-        """No plan, with the reason and its remedy; an invalid start or goal takes precedence as the reason."""
+        """No plan, with the reason and its remedy; findings on the start or goal replace the others, not the reason."""
         return self._plan("no_plan", reason, endpoint_findings(self.problem) or findings, candidates)
 
     def refused_for(
         self, findings: tuple[Finding, ...], before: str = "", candidates: tuple[Candidate, ...] = ()
     ) -> Plan:
-        """No plan, for the first of the findings, with `before` prefixed to its sentence."""
+        """No plan, for the first of the findings, with `before` prefixed to its sentence.
+
+        Findings on the start or goal replace the others in the plan, not the reason.
+        """
         first, *others = findings
         plan = self._plan("no_plan", "", tuple(others), candidates).refused_for(first, before, outcome="no_plan")
         return replace(plan, findings=endpoint_findings(self.problem) or plan.findings)
